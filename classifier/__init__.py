@@ -1,0 +1,1 @@
+"""From sums to the name of the touched object."""

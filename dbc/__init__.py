@@ -1,0 +1,1 @@
+"""The bus contract: what every frame on the bus means, made from a layout."""

@@ -1,0 +1,1 @@
+"""The robot's side: taxel electronics and one CANopen node per block."""

@@ -1,0 +1,1 @@
+"""From sums to the tactile image: bases, solvers and the service."""

@@ -1,0 +1,1 @@
+"""The shared vocabulary: layout, measurement operator, messages, fabric and the ``skin`` command."""

@@ -1,0 +1,55 @@
+"""The ``skin`` command: one table of verbs, each loaded only when it is called."""
+
+import sys
+from typing import Final
+
+import cyclopts
+
+from skin.errors import SkinError
+
+#: Verb: where its function lives. Strings, so that this room imports none of the others.
+VERBS: Final = {
+    "demo": "demo.command:demo",
+    "bus": "bus.command:bus",
+    "nodes": "nodes.command:nodes",
+    "gateway": "gateway.command:gateway",
+    "reconstruct": "reconstructor.command:reconstruct",
+    "classify": "classifier.command:classify",
+    "view": "viewer.command:view",
+    "objects": "touch.command:objects",
+    "train": "classifier.command:train",
+}
+
+
+def build_app() -> cyclopts.App:
+    """Return the command line with every verb registered."""
+    app = cyclopts.App(
+        name="skin",
+        help="A distributed robot skin on CAN: sums from CANopen nodes, images by FISTA, objects by name.",
+        version_flags=["--version"],
+    )
+    for verb, where in VERBS.items():
+        app.command(where, name=verb)
+    return app
+
+
+def main() -> None:
+    """Run one verb; 0 is success, 1 a run that failed, 2 a wrong input."""
+    app = build_app()
+    try:
+        status = app(exit_on_error=False, print_error=False)
+    except SkinError as error:
+        sys.exit(_complain(str(error)))
+    except cyclopts.CycloptsError as error:
+        sys.exit(_complain(" ".join(str(error).split())))
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _complain(message: str) -> int:
+    print(f"skin: {message}", file=sys.stderr)
+    return 2

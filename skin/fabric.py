@@ -1,0 +1,145 @@
+"""The fabric that joins the services: zenoh, with explicit endpoints and no multicast.
+
+One process, the hub, listens; every other connects to it, and connects again by itself when the hub comes back.
+Nothing that arrives can raise out of a receive callback: what cannot be decoded is counted in `Fabric.malformed`.
+"""
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, Generic, TypeVar
+
+import msgspec
+import zenoh
+
+from skin.errors import BusError
+from skin.messages import Topic
+
+DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+
+Message = TypeVar("Message", bound=msgspec.Struct)
+
+
+class Mailbox(Generic[Message]):
+    """The newest messages of one topic; a reader that falls behind loses the oldest, and can see how many."""
+
+    def __init__(self, depth: int) -> None:
+        self._messages: deque[Message] = deque(maxlen=depth)
+        self._arrived = threading.Condition()
+        self.overrun = 0
+
+    def put(self, message: Message) -> None:
+        """Add a message; drop the oldest when full."""
+        with self._arrived:
+            self.overrun += len(self._messages) == self._messages.maxlen
+            self._messages.append(message)
+            self._arrived.notify()
+
+    def get(self, timeout_s: float | None = None) -> Message | None:
+        """Return the oldest waiting message, or None when none came in `timeout_s`."""
+        with self._arrived:
+            if not self._arrived.wait_for(lambda: bool(self._messages), timeout_s):
+                return None
+            return self._messages.popleft()
+
+
+class Fabric:
+    """One service's connection to the others.
+
+    Parameters
+    ----------
+    skin : str
+        The skin's name; services of different skins do not hear each other.
+    service : str
+        Announced to the others for as long as the connection lives; see `watch`.
+    endpoint : str
+        zenoh endpoint, ``tcp/HOST:PORT``.
+    hub : bool
+        Listen on the endpoint instead of connecting to it.
+
+    Raises
+    ------
+    BusError
+        If the endpoint cannot be used.
+    """
+
+    def __init__(self, skin: str, service: str, endpoint: str = DEFAULT_ENDPOINT, *, hub: bool = False) -> None:
+        self.malformed = 0
+        self._prefix = f"canskin/{skin}"
+        self._encoder = msgspec.msgpack.Encoder()
+        self._publishers: dict[str, Any] = {}
+        self._kept: list[Any] = []
+        try:
+            self._session = zenoh.open(_config(endpoint, hub=hub))
+        except zenoh.ZError as error:
+            doing = "listen on" if hub else "connect to"
+            raise BusError(f"cannot {doing} {endpoint}: {_first_sentence(error)}") from error
+        self._kept.append(self._session.liveliness().declare_token(f"{self._prefix}/alive/{service}"))
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        """Send `message` to every subscriber of `topic`."""
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            control = zenoh.CongestionControl.DROP if topic.latest_wins else zenoh.CongestionControl.BLOCK
+            key = f"{self._prefix}/{topic.name}"
+            publisher = self._session.declare_publisher(key, congestion_control=control)
+            self._publishers[topic.name] = publisher
+        publisher.put(self._encoder.encode(message))
+
+    def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
+        """Call `handler` with every message of `topic`, from the fabric's own thread: be brief."""
+        decoder = msgspec.msgpack.Decoder(topic.message)
+
+        def receive(sample: Any) -> None:
+            try:
+                message = decoder.decode(sample.payload.to_bytes())
+            except msgspec.MsgspecError:
+                self.malformed += 1
+                return
+            handler(message)
+
+        self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", receive))
+
+    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
+        """Return a mailbox that holds the newest `depth` messages of `topic`."""
+        mailbox: Mailbox[Any] = Mailbox(depth)
+        self.subscribe(topic, mailbox.put)
+        return mailbox
+
+    def watch(self, changed: Callable[[str, bool], None]) -> None:
+        """Call ``changed(service, alive)`` for every service that is there, comes or goes."""
+
+        def receive(sample: Any) -> None:
+            name = str(sample.key_expr).rsplit("/", 1)[-1]
+            changed(name, sample.kind == zenoh.SampleKind.PUT)
+
+        watcher = self._session.liveliness().declare_subscriber(
+            f"{self._prefix}/alive/*", receive, history=True
+        )
+        self._kept.append(watcher)
+
+    def close(self) -> None:
+        """Leave the fabric; what was published before is sent first."""
+        self._session.close()
+
+
+def _config(endpoint: str, *, hub: bool) -> Any:
+    """Build a zenoh configuration that talks to `endpoint` and to nothing else."""
+    config = zenoh.Config()
+    settings = {
+        "mode": "router" if hub else "client",
+        "listen/endpoints": [endpoint] if hub else [],
+        "connect/endpoints": [] if hub else [endpoint],
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def _first_sentence(error: BaseException) -> str:
+    """Shorten zenoh's nested message to its cause."""
+    return str(error).split(" at ")[0].strip().rstrip(".")

@@ -1,0 +1,174 @@
+"""The layout of one skin: skin ▸ bus ▸ node ▸ block ▸ taxel, read from one TOML file."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from skin.errors import LayoutError
+from skin.measurement import Sbhe, sbhe
+
+Positive = Annotated[int, msgspec.Meta(gt=0)]
+PositiveFloat = Annotated[float, msgspec.Meta(gt=0)]
+Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of the layout file; unknown keys are errors."""
+
+
+class Taxels(_Table, frozen=True, kw_only=True):
+    """The grid of pressure cells: `rows` x `columns` at `pitch_m`, 0 to `force_max_n` on `adc_bits`."""
+
+    rows: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
+    columns: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
+    pitch_m: PositiveFloat = 0.004
+    force_max_n: PositiveFloat = 0.02
+    adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
+
+    @property
+    def count(self) -> int:
+        """Number of taxels n."""
+        return self.rows * self.columns
+
+    @property
+    def newton_per_count(self) -> float:
+        """Force of one ADC count."""
+        return self.force_max_n / (2**self.adc_bits - 1)
+
+
+class Measuring(_Table, frozen=True, kw_only=True):
+    """Which sums of taxels are sent: the parameters Φ is drawn from."""
+
+    ensemble: Literal["sbhe"] = "sbhe"
+    block_size: Annotated[int, msgspec.Meta(ge=2, le=256)] = 32
+    sums: Positive = 1024
+    selection: Literal["balanced", "uniform"] = "balanced"
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
+
+
+class Sync(_Table, frozen=True, kw_only=True):
+    """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h)."""
+
+    rate_hz: Annotated[float, msgspec.Meta(gt=0, le=2000)] = 100.0
+
+    @property
+    def period_s(self) -> float:
+        """Communication cycle period (1006h) in seconds."""
+        return 1 / self.rate_hz
+
+
+class Encoding(_Table, frozen=True, kw_only=True):
+    """How one sum travels: `sum_bits` in a PDO."""
+
+    sum_bits: Literal[16] = 16
+
+
+class Bus(_Table, frozen=True, kw_only=True):
+    """One CAN bus: node-IDs 1 to `nodes`, nominal `bitrate` in bit/s."""
+
+    name: Name
+    nodes: Annotated[int, msgspec.Meta(ge=1, le=127)]
+    bitrate: Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)] = 1_000_000
+
+
+class Layout(_Table, frozen=True, kw_only=True):
+    """Everything both ends of every wire must agree on.
+
+    Examples
+    --------
+    >>> layout = load_layout()
+    >>> layout.taxels.count, len(layout.bus), layout.phi().shape
+    (4096, 4, (1024, 4096))
+    """
+
+    name: Name = "skin"
+    taxels: Taxels = msgspec.field(default_factory=Taxels)
+    measurement: Measuring = msgspec.field(default_factory=Measuring)
+    sync: Sync = msgspec.field(default_factory=Sync)
+    encoding: Encoding = msgspec.field(default_factory=Encoding)
+    bus: Annotated[list[Bus], msgspec.Meta(min_length=1)]
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks (measurement groups); each is one CANopen node."""
+        return self.taxels.count // self.measurement.block_size
+
+    def phi(self) -> Sbhe:
+        """Draw the skin's measurement operator; the same layout always gives the same Φ."""
+        wish = self.measurement
+        return sbhe(
+            self.taxels.count,
+            wish.sums,
+            block_size=wish.block_size,
+            selection=wish.selection,
+            seed=wish.seed,
+        )
+
+    def first_block(self, bus: int) -> int:
+        """Return the block that node 1 of bus number `bus` measures; node k measures the k-1 next."""
+        return sum(each.nodes for each in self.bus[:bus])
+
+
+def load_layout(path: Path | None = None) -> Layout:
+    """Read a layout; without a path, the default skin.
+
+    Raises
+    ------
+    LayoutError
+        If the file cannot be read, or a key is wrong, missing or unknown; the message names its path.
+    """
+    if path is None:
+        return parse_layout(files("skin.layouts").joinpath("default.toml").read_bytes(), "default.toml")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
+    return parse_layout(content, str(path))
+
+
+def parse_layout(content: bytes, origin: str) -> Layout:
+    """Decode and check a layout; `origin` names the file in messages."""
+    try:
+        layout = msgspec.toml.decode(content, type=Layout)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise LayoutError(f"{origin}: {error}") from error
+    try:
+        _check(layout)
+    except LayoutError as error:
+        raise LayoutError(f"{origin}: {error}") from error
+    return layout
+
+
+def _check(layout: Layout) -> None:
+    """Check what one key alone cannot tell."""
+    taxels, wish = layout.taxels, layout.measurement
+    for path, size in (("$.taxels.rows", taxels.rows), ("$.taxels.columns", taxels.columns)):
+        if size & (size - 1):
+            raise LayoutError(f"expected a power of two, got {size} - at `{path}`")
+    if wish.block_size & (wish.block_size - 1):
+        raise LayoutError(f"expected a power of two, got {wish.block_size} - at `$.measurement.block_size`")
+    if taxels.count % wish.block_size:
+        raise LayoutError(f"{taxels.count} taxels do not divide into blocks - at `$.measurement.block_size`")
+    if not layout.blocks <= wish.sums <= taxels.count:
+        raise LayoutError(
+            f"expected {layout.blocks} (one per block) to {taxels.count} sums, got {wish.sums} - at `$.measurement.sums`"
+        )
+    if wish.selection == "balanced" and wish.sums % layout.blocks:
+        raise LayoutError(
+            f"balanced needs a multiple of {layout.blocks} blocks, got {wish.sums} - at `$.measurement.sums`"
+        )
+    if taxels.adc_bits + wish.block_size.bit_length() - 1 > 15:  # noqa: PLR2004 - sign bit of 16
+        limit = 15 - wish.block_size.bit_length() + 1
+        raise LayoutError(
+            f"sums of {wish.block_size} taxels of {taxels.adc_bits} bits do not fit 16 bits;"
+            f" use at most {limit} - at `$.taxels.adc_bits`"
+        )
+    names = [bus.name for bus in layout.bus]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise LayoutError(f"bus name '{name}' is used twice - at `$.bus[{index}].name`")
+    nodes = sum(bus.nodes for bus in layout.bus)
+    if nodes != layout.blocks:
+        raise LayoutError(f"the buses hold {nodes} nodes but the skin has {layout.blocks} blocks - at `$.bus`")

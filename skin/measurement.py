@@ -1,0 +1,188 @@
+"""The measurement operator Φ of a scrambled block Hadamard ensemble (SBHE).
+
+Φ = Q W P (section V of the paper, after Gan, Do and Tran 2008): P permutes the n taxels, W is block
+diagonal with B x B Hadamard matrices of ±1, Q keeps m of its n rows. Every block is one measurement group,
+so every sum can be formed where its B taxels are. W W^T = B I, hence Φ Φ^T = B I exactly.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+
+Selection = Literal["balanced", "uniform"]
+Array = TypeVar("Array", bound=npt.NDArray[np.generic])
+
+
+def fast_hadamard(blocks: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    """Multiply the last axis by the Sylvester-ordered Hadamard matrix of ±1, in B log2 B additions.
+
+    Parameters
+    ----------
+    blocks : array, shape (..., B)
+        B a power of two. Integers stay exact: choose a dtype that holds B times the largest value.
+
+    Returns
+    -------
+    array of the same shape and dtype
+    """
+    size = blocks.shape[-1]
+    lead = blocks.shape[:-1]
+    work, half = blocks, 1
+    while half < size:
+        pairs = work.reshape(*lead, size // (2 * half), 2, half)
+        first, second = pairs[..., 0, :], pairs[..., 1, :]
+        work = np.stack((first + second, first - second), axis=-2)  # type: ignore[operator]  # any number dtype
+        half *= 2
+    return work.reshape(blocks.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Sbhe:
+    """Φ of one skin: y = Φ x, shape (m, n), entries 0 and ±1.
+
+    Sums are ordered by block, and inside a block by Hadamard row.
+
+    Attributes
+    ----------
+    order : array of int, shape (n,)
+        Permutation P: place r of block b measures the taxel ``order[b * block_size + r]`` (row-major index).
+    kept : array of bool, shape (blocks, block_size)
+        Selection Q: which Hadamard rows of each block are sent.
+    """
+
+    order: npt.NDArray[np.intp]
+    kept: npt.NDArray[np.bool_]
+
+    @property
+    def block_size(self) -> int:
+        """Taxels per block B, also the only non-zero eigenvalue of ΦᵀΦ."""
+        return int(self.kept.shape[1])
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks, n / B."""
+        return int(self.kept.shape[0])
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        """(m, n): sums and taxels."""
+        return int(self.kept.sum()), self.order.size
+
+    @cached_property
+    def starts(self) -> npt.NDArray[np.intp]:
+        """Return where each block's sums start in y, shape (blocks + 1,)."""
+        return np.concatenate(([0], np.cumsum(self.kept.sum(axis=1)))).astype(np.intp)
+
+    @cached_property
+    def block_of_sum(self) -> npt.NDArray[np.intp]:
+        """Block of every sum, shape (m,)."""
+        return np.nonzero(self.kept)[0]
+
+    @cached_property
+    def row_of_sum(self) -> npt.NDArray[np.intp]:
+        """Hadamard row of every sum inside its block, shape (m,)."""
+        return np.nonzero(self.kept)[1]
+
+    def rows_of(self, block: int) -> list[int]:
+        """Hadamard rows that `block` sends, ascending."""
+        return [int(row) for row in np.nonzero(self.kept[block])[0]]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """16 hex digits that differ whenever any entry of Φ differs."""
+        digest = hashlib.sha256()
+        digest.update(np.asarray(self.kept.shape, "<u4").tobytes())
+        digest.update(self.order.astype("<u4").tobytes())
+        digest.update(np.packbits(self.kept).tobytes())
+        return digest.hexdigest()[:16]
+
+    def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        """Return y = Φ x.
+
+        Parameters
+        ----------
+        x : array, shape (..., n)
+            Taxels, row-major. Floats keep their dtype; integers are summed exactly in int32.
+
+        Returns
+        -------
+        array, shape (..., m)
+        """
+        work = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32)
+        scrambled = work[..., self.order].reshape(*x.shape[:-1], *self.kept.shape)
+        return fast_hadamard(scrambled)[..., self.kept]
+
+    def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        """Return Φᵀ y, shape (..., n), of sums `y` of shape (..., m)."""
+        work = y if np.issubdtype(y.dtype, np.floating) else y.astype(np.int32)
+        spread = np.zeros((*y.shape[:-1], *self.kept.shape), work.dtype)
+        spread[..., self.kept] = work
+        scrambled = fast_hadamard(spread).reshape(*y.shape[:-1], -1)  # W is symmetric
+        taxels = np.empty_like(scrambled)
+        taxels[..., self.order] = scrambled
+        return taxels
+
+    def block_sums(self, taxels: npt.NDArray[np.integer]) -> npt.NDArray[np.int16]:
+        """Return the sums a node sends, exact in int16, of integer `taxels` of shape (..., n).
+
+        Raises
+        ------
+        OverflowError
+            If a sum does not fit 16 bits, which a checked layout excludes.
+        """
+        sums = self.forward(taxels)
+        narrow = sums.astype(np.int16)
+        if not np.array_equal(narrow, sums):
+            raise OverflowError("a sum does not fit int16: fewer ADC bits or smaller blocks are needed")
+        return narrow
+
+    def sums_of_blocks(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Spread one validity per block, shape (blocks,), to one per sum, shape (m,)."""
+        return valid[self.block_of_sum]
+
+
+def sbhe(
+    taxels: int,
+    sums: int,
+    *,
+    block_size: int = 32,
+    selection: Selection = "balanced",
+    seed: int = 1,
+) -> Sbhe:
+    """Draw an SBHE: a seeded permutation of the taxels and a seeded choice of rows.
+
+    Parameters
+    ----------
+    taxels, sums : int
+        n and m.
+    selection : {"balanced", "uniform"}
+        "balanced" keeps the same number of rows in every block; "uniform" draws m of the n rows as the
+        paper does, so that blocks differ in how many sums they send.
+    seed : int
+        Same seed, same Φ, on every platform (NumPy's PCG64).
+
+    Raises
+    ------
+    InputError
+        If the sizes do not fit each other.
+    """
+    if block_size & (block_size - 1) or taxels % block_size or not 0 < sums <= taxels:
+        raise InputError(f"no SBHE of {sums} sums of {taxels} taxels in blocks of {block_size}")
+    blocks = taxels // block_size
+    random = np.random.Generator(np.random.PCG64(seed))
+    order = random.permutation(taxels)
+    kept = np.zeros((blocks, block_size), np.bool_)
+    if selection == "balanced":
+        if sums % blocks:
+            raise InputError(f"balanced rows: {sums} sums are not a multiple of {blocks} blocks")
+        for block in range(blocks):
+            kept[block, random.permutation(block_size)[: sums // blocks]] = True
+    else:
+        kept.flat[random.permutation(taxels)[:sums]] = True
+    return Sbhe(order.astype(np.intp), kept)

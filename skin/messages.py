@@ -1,0 +1,165 @@
+"""The messages that travel between the services, and the one table of their topics.
+
+Arrays travel as little-endian bytes with the dtype named here, so that any language can read them.
+Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock (comparable between processes of
+one machine), ``time_ns`` of the wall clock.
+"""
+
+from typing import Final
+
+import msgspec
+
+
+class Measurement(msgspec.Struct, frozen=True, kw_only=True):
+    """The sums of one SYNC cycle, published by the gateway once per cycle, complete or not.
+
+    Attributes
+    ----------
+    cycle : int
+        SYNC cycles since the gateway started, from 1.
+    sync_counter : int
+        The counter byte of that SYNC on the wire, 1 to 240 (CiA 301, 7.2.5.1).
+    sync_mono_ns, time_ns : int
+        When the SYNC was sent.
+    sums : bytes
+        int32, shape (m,), in ADC counts, block by block. Sums of invalid blocks are 0.
+    valid : bytes
+        uint8, shape (blocks,): 1 where every sum of the block came in this very cycle.
+    fingerprint : str
+        The Φ the sums were measured with (`skin.measurement.Sbhe.fingerprint`).
+    """
+
+    cycle: int
+    sync_counter: int
+    sync_mono_ns: int
+    time_ns: int
+    sums: bytes
+    valid: bytes
+    fingerprint: str
+
+
+class Image(msgspec.Struct, frozen=True, kw_only=True):
+    """One reconstructed tactile image.
+
+    Attributes
+    ----------
+    pixels : bytes
+        float32, shape (rows, columns), newtons, never negative.
+    valid : bytes
+        The block validity of the measurement it was made from.
+    valid_sums : int
+        How many sums entered the solution.
+    solve_s : float
+        Time the solver took.
+    published_mono_ns : int
+        When the image was handed to the fabric.
+    """
+
+    cycle: int
+    sync_counter: int
+    sync_mono_ns: int
+    published_mono_ns: int
+    pixels: bytes
+    valid: bytes
+    valid_sums: int
+    solve_s: float
+
+
+class Label(msgspec.Struct, frozen=True, kw_only=True):
+    """What the classifier says of one cycle; ``label`` is empty when nothing touches the skin."""
+
+    cycle: int
+    sync_counter: int
+    sync_mono_ns: int
+    label: str
+    confidence: float
+    valid_sums: int
+
+
+class Truth(msgspec.Struct, frozen=True, kw_only=True):
+    """What the taxels really felt in one cycle; only a simulated or replayed skin can publish it.
+
+    Attributes
+    ----------
+    step : int
+        Position in the taxel source.
+    true, sensor : bytes
+        float32, shape (rows, columns), newtons: before and after noise, clipping and ADC.
+    label : str
+        The touching object, empty without contact or when unknown.
+    """
+
+    step: int
+    sync_counter: int
+    sync_mono_ns: int
+    true: bytes
+    sensor: bytes
+    label: str
+
+
+class BusState(msgspec.Struct, frozen=True, kw_only=True):
+    """One bus as the gateway sees it.
+
+    Attributes
+    ----------
+    load_ratio : float
+        Bits of all frames seen in the last interval over the bits the bus could carry (exact stuffing).
+    nmt : bytes
+        uint8 per node of the bus: last heartbeat's NMT state (CiA 301, 7.2.8.3.2), 255 when silent.
+    """
+
+    name: str
+    load_ratio: float
+    nodes: list[int]
+    nmt: bytes
+
+
+class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """The gateway's counters since its start, published a few times a second.
+
+    ``frames_accepted + frames_late + frames_duplicate + frames_malformed == frames_received`` counts the
+    sums' TPDOs; everything else on the bus is ``frames_foreign``.
+    """
+
+    time_ns: int
+    cycles: int
+    cycles_complete: int
+    frames_received: int
+    frames_accepted: int
+    frames_missing: int
+    frames_late: int
+    frames_duplicate: int
+    frames_malformed: int
+    frames_foreign: int
+    sync_rate_hz: float
+    buses: list[BusState]
+    mean_load_ratio: list[float]
+
+
+class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """Counters of one process of virtual nodes."""
+
+    time_ns: int
+    process: str
+    frames_sent: int
+    frames_dropped: int
+    syncs_seen: int
+
+
+class Topic(msgspec.Struct, frozen=True):
+    """How one kind of message travels."""
+
+    name: str
+    message: type[msgspec.Struct]
+    #: True: the newest message matters and a slow reader loses old ones. False: the sender waits.
+    latest_wins: bool
+
+
+MEASUREMENT: Final = Topic("measurement", Measurement, latest_wins=True)
+IMAGE: Final = Topic("image", Image, latest_wins=True)
+LABEL: Final = Topic("label", Label, latest_wins=True)
+TRUTH: Final = Topic("truth", Truth, latest_wins=True)
+GATEWAY: Final = Topic("gateway", GatewayStatus, latest_wins=False)
+NODES: Final = Topic("nodes", NodesStatus, latest_wins=False)
+
+TOPICS: Final = (MEASUREMENT, IMAGE, LABEL, TRUTH, GATEWAY, NODES)

@@ -1,0 +1,1 @@
+"""Where taxel values come from: contact simulator, objects, trajectories, recordings."""
