@@ -1,0 +1,178 @@
+"""What every taxel feels under rigid objects: a union of spheres on vertical springs of 1 N/m.
+
+A taxel is a rigid sphere on a vertical spring. An object, itself rigid, pushes it down by as much as the
+object's envelope reaches below the untouched taxel; taxels do not pull at each other and nothing slides
+against friction, so that the force of a taxel is the largest compression any sphere causes
+(Hollis et al., "BubbleTouch", arXiv 1809.09153; section V of the paper).
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+
+#: Spring of one taxel: force in newtons is compression in metres times this.
+STIFFNESS_N_PER_M: Final = 1.0
+#: Radius of one taxel's sphere; the taxels of the paper's array touch each other at a pitch of 4 mm.
+TAXEL_RADIUS_M: Final = 0.002
+PITCH_M: Final = 0.004
+
+FloatArray = npt.NDArray[np.float64]
+Force = npt.NDArray[np.float32]
+
+
+class Pose(NamedTuple):
+    """Where an object is in the sensor's frame, whose origin is the middle of the array.
+
+    Attributes
+    ----------
+    x_m, y_m : float
+        Position along the columns (x) and down the rows (y).
+    rotation_rad : float
+        Turn about the array's normal, from x towards y.
+    depth_m : float
+        How far the object's highest point is pushed in; 0 or less touches nothing.
+    """
+
+    x_m: float
+    y_m: float
+    rotation_rad: float
+    depth_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """A rigid object as a union of spheres.
+
+    Attributes
+    ----------
+    centres_m : numpy.ndarray
+        Shape (n, 3), in the object's frame; z points at the array.
+    radii_m : numpy.ndarray
+        Shape (n,).
+
+    The object's highest point is moved to z = 0, so that `Pose.depth_m` means the same for all objects.
+    """
+
+    centres_m: FloatArray
+    radii_m: FloatArray
+
+    def __post_init__(self) -> None:
+        centres = np.array(self.centres_m, np.float64)
+        radii = np.array(self.radii_m, np.float64)
+        if centres.ndim != 2 or centres.shape[1] != 3 or radii.shape != centres.shape[:1] or not radii.size:
+            raise InputError(
+                f"an object needs centres of shape (n, 3) and n radii: got {centres.shape} and {radii.shape}"
+            )
+        if not (np.isfinite(centres).all() and np.isfinite(radii).all() and (radii > 0).all()):
+            raise InputError("an object's spheres need finite centres and radii above 0 m")
+        centres[:, 2] -= np.max(centres[:, 2] + radii)
+        centres.flags.writeable = radii.flags.writeable = False
+        object.__setattr__(self, "centres_m", centres)
+        object.__setattr__(self, "radii_m", radii)
+
+    def __len__(self) -> int:
+        return int(self.radii_m.size)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A planar array of taxels; taxel (row, column) lies at x by its column and y by its row.
+
+    Raises
+    ------
+    InputError
+        If a size is not positive.
+    """
+
+    rows: int = 64
+    columns: int = 64
+    pitch_m: float = PITCH_M
+    taxel_radius_m: float = TAXEL_RADIUS_M
+
+    def __post_init__(self) -> None:
+        if self.rows < 1 or self.columns < 1:
+            raise InputError(f"an array needs at least 1 x 1 taxels: got {self.rows} x {self.columns}")
+        for name, length in (("pitch_m", self.pitch_m), ("taxel_radius_m", self.taxel_radius_m)):
+            if not (math.isfinite(length) and length > 0):
+                raise InputError(f"{name} needs a length above 0 m: got {length}")
+
+    @property
+    def half_extent_m(self) -> tuple[float, float]:
+        """Half the array's length along x and along y."""
+        return self.columns * self.pitch_m / 2, self.rows * self.pitch_m / 2
+
+
+def press(grid: Grid, objects: Iterable[tuple[Spheres, Pose]]) -> Force:
+    """Return the true force of every taxel under any number of objects.
+
+    Parameters
+    ----------
+    grid : Grid
+        The array.
+    objects : iterable of (Spheres, Pose)
+        What touches it; each taxel feels the object that compresses it most.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32, shape (rows, columns), newtons; no noise and no limit.
+
+    Raises
+    ------
+    InputError
+        If a pose is not finite.
+    """
+    compression = np.zeros((grid.rows, grid.columns), np.float32)
+    for spheres, pose in objects:
+        if not all(map(math.isfinite, pose)):
+            raise InputError(f"a pose needs finite numbers: got {tuple(pose)}")
+        _compress(
+            compression,
+            spheres.centres_m,
+            spheres.radii_m,
+            np.array(pose, np.float64),
+            (grid.pitch_m, grid.taxel_radius_m),
+        )
+    return compression * np.float32(STIFFNESS_N_PER_M)
+
+
+def _deepest(
+    compression: Force,
+    centres: FloatArray,
+    radii: FloatArray,
+    pose: FloatArray,
+    taxel: tuple[float, float],
+) -> None:
+    rows, columns = compression.shape
+    pitch, taxel_radius = taxel
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(radii.size):
+        indent = pose[3] + centres[k, 2] + radii[k]
+        if indent <= 0.0:
+            continue
+        reach = radii[k] + taxel_radius
+        # Beyond this distance the sphere is above the untouched taxels, or beside them.
+        span = math.sqrt(indent * (2.0 * reach - indent)) if indent < reach else reach
+        column_at = (pose[0] + cos * centres[k, 0] - sin * centres[k, 1]) / pitch + 0.5 * (columns - 1)
+        row_at = (pose[1] + sin * centres[k, 0] + cos * centres[k, 1]) / pitch + 0.5 * (rows - 1)
+        first_row = int(min(max(0.0, math.ceil(row_at - span / pitch)), float(rows)))
+        last_row = int(max(-1.0, min(rows - 1.0, math.floor(row_at + span / pitch))))
+        first_column = int(min(max(0.0, math.ceil(column_at - span / pitch)), float(columns)))
+        last_column = int(max(-1.0, min(columns - 1.0, math.floor(column_at + span / pitch))))
+        for row in range(first_row, last_row + 1):
+            left = reach * reach - ((row - row_at) * pitch) ** 2
+            for column in range(first_column, last_column + 1):
+                rest = left - ((column - column_at) * pitch) ** 2
+                if rest > 0.0:
+                    pushed = indent - reach + math.sqrt(rest)
+                    compression[row, column] = max(compression[row, column], pushed)
+
+
+_compress: Callable[..., None] = numba.njit(cache=True)(_deepest)

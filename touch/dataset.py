@@ -1,0 +1,67 @@
+"""Labelled touches to train a classifier on, drawn like those of the live source."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+from touch.contact import PITCH_M, Force, Grid
+from touch.objects import checked_names
+from touch.touches import LABEL_FORCE_N, TRAINING, draw_touch, random_stream
+
+#: Draws of a moment before an object counts as one that cannot be felt on this array.
+_MOST_DRAWS = 1000
+
+
+class Touches(NamedTuple):
+    """Observations: ``force_n`` float32 (count, rows, columns) in newtons, ``labels`` (count,) of names."""
+
+    force_n: Force
+    labels: npt.NDArray[np.str_]
+
+
+def random_touches(
+    names: Sequence[str],
+    count: int,
+    rows: int = 64,
+    columns: int = 64,
+    *,
+    pitch_m: float = PITCH_M,
+    seed: int = 0,
+) -> Touches:
+    """Return `count` single moments of random touches, true forces without noise.
+
+    Every observation is a touch of its own at a random moment among those the live source labels, so that
+    depth, position and rotation are distributed as there; the objects take turns. No observation repeats a
+    touch of the live source, whatever the seeds.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, a number cannot be used, or an object cannot be felt on so small an array.
+    """
+    listed = checked_names(names)
+    if count < 0 or seed < 0:
+        raise InputError(f"count and seed need whole numbers of 0 or more: got {count} and {seed}")
+    grid = Grid(rows, columns, pitch_m)
+    force_n = np.empty((count, rows, columns), np.float32)
+    for index in range(count):
+        _observe(listed[index % len(listed)], grid, random_stream(seed, TRAINING, index), force_n[index])
+    labels = np.array([listed[index % len(listed)] for index in range(count)], np.str_)
+    return Touches(force_n, labels)
+
+
+def _observe(name: str, grid: Grid, rng: np.random.Generator, out: Force) -> None:
+    touch = draw_touch(name, grid, rng)
+    for _ in range(_MOST_DRAWS):
+        pose = touch.stroke.pose(float(rng.uniform(0.0, touch.stroke.duration_s)))
+        if pose.depth_m >= LABEL_FORCE_N:
+            out[:] = touch.force_n(grid, pose)
+            if out.max() >= LABEL_FORCE_N:
+                return
+    raise InputError(
+        f"'{name}' is never felt with {LABEL_FORCE_N} N on {grid.rows} x {grid.columns} taxels at "
+        f"{grid.pitch_m} m: use a larger array or another object"
+    )

@@ -1,0 +1,74 @@
+"""Simple bodies built from spheres; only the side that can touch the array is made.
+
+The sizes of the spheres are those of BubbleTouch's own models: 1.5 mm for boxes, 5 mm for cans.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from skin.errors import InputError
+from touch.contact import FloatArray, Spheres
+
+BOX_SPHERE_M: Final = 0.0015
+BOX_SPACING_M: Final = 0.0015
+CAN_SPHERE_M: Final = 0.005
+#: Half a taxel's pitch: the lid between its spheres is flat to 0.15 mm.
+CAN_SPACING_M: Final = 0.002
+RIM_SPACING_M: Final = 0.001
+
+
+def ball(diameter_m: float) -> Spheres:
+    """Return a ball: one sphere."""
+    _need_size("diameter_m", diameter_m, 0.0)
+    return Spheres(np.zeros((1, 3)), np.array([diameter_m / 2]))
+
+
+def box(length_m: float, width_m: float) -> Spheres:
+    """Return the top face of a box with its outer size exact, length along x.
+
+    Spheres further down the sides lie below those of the face's edge and never touch first.
+    """
+    _need_size("length_m", length_m, 2 * BOX_SPHERE_M)
+    _need_size("width_m", width_m, 2 * BOX_SPHERE_M)
+    x, y = np.meshgrid(_spread(length_m), _spread(width_m))
+    return _flat(x.ravel(), y.ravel(), BOX_SPHERE_M)
+
+
+def can(diameter_m: float) -> Spheres:
+    """Return the flat lid of a can: rings of spheres, the outermost one ending at the diameter."""
+    _need_size("diameter_m", diameter_m, 2 * CAN_SPHERE_M)
+    outer = diameter_m / 2 - CAN_SPHERE_M
+    count = max(2, math.ceil(outer / CAN_SPACING_M) + 1)
+    rings = [_circle(radius, CAN_SPACING_M) for radius in np.linspace(0.0, outer, count)]
+    x, y = np.concatenate(rings, axis=1)
+    return _flat(x, y, CAN_SPHERE_M)
+
+
+def ring(diameter_m: float, wall_m: float) -> Spheres:
+    """Return the open rim of a cup: one circle of spheres of diameter `wall_m`."""
+    _need_size("wall_m", wall_m, 0.0)
+    _need_size("diameter_m", diameter_m, 2 * wall_m)
+    x, y = _circle((diameter_m - wall_m) / 2, RIM_SPACING_M)
+    return _flat(x, y, wall_m / 2)
+
+
+def _need_size(name: str, length_m: float, above_m: float) -> None:
+    if not (math.isfinite(length_m) and length_m > above_m):
+        raise InputError(f"{name} needs a length above {above_m} m: got {length_m}")
+
+
+def _spread(length_m: float) -> FloatArray:
+    half = length_m / 2 - BOX_SPHERE_M
+    return np.linspace(-half, half, max(2, math.ceil(2 * half / BOX_SPACING_M) + 1))
+
+
+def _circle(radius_m: float, spacing_m: float) -> FloatArray:
+    count = max(1, math.ceil(2 * math.pi * radius_m / spacing_m))
+    angle = 2 * math.pi * np.arange(count) / count
+    return radius_m * np.stack([np.cos(angle), np.sin(angle)])
+
+
+def _flat(x: FloatArray, y: FloatArray, radius_m: float) -> Spheres:
+    return Spheres(np.stack([x, y, np.zeros_like(x)], axis=1), np.full(x.size, radius_m))

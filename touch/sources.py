@@ -1,0 +1,115 @@
+"""The taxel sources of this room, registered as entry points of the group ``canskin.sources``."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from skin.errors import InputError
+from skin.sources import Frame
+from touch.contact import PITCH_M, Force, Grid, Pose
+from touch.objects import checked_names
+from touch.touches import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream
+
+#: Objects that the sums of a few blocks tell apart.
+DEFAULT_NAMES: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
+
+
+class ObjectSource:
+    """An endless seeded series of touches, object after object; a `skin.sources.TaxelSource`.
+
+    Each touch takes `touch.touches.SLOT_S`: a pause, then pressed, held, slid and lifted. A frame bears the
+    object's name while its largest true force is at least `touch.touches.LABEL_FORCE_N`.
+    """
+
+    has_noise = False
+
+    def __init__(self, grid: Grid, rate_hz: float, names: Sequence[str], seed: int) -> None:
+        self.grid = grid
+        self.rate_hz = rate_hz
+        self.names = tuple(names)
+        self._seed = seed
+        self._index = -1
+        self._touch: Touch | None = None
+        self._pose: Pose | None = None
+        self._force_n = self._untouched = _fixed(np.zeros((grid.rows, grid.columns), np.float32))
+
+    def touch(self, index: int) -> Touch:
+        """Return touch number `index`, from 0."""
+        if self._touch is None or index != self._index:
+            name = self.names[index % len(self.names)]
+            self._touch = draw_touch(name, self.grid, random_stream(self._seed, LIVE, index))
+            self._index = index
+        return self._touch
+
+    def frame(self, step: int) -> Frame:
+        """Return the touch at `step`; its array is read-only.
+
+        Raises
+        ------
+        InputError
+            If `step` is below 0.
+        """
+        if step < 0:
+            raise InputError(f"a source starts at step 0: got {step}")
+        index, time_s = divmod(step / self.rate_hz, SLOT_S)
+        if time_s <= PAUSE_S:
+            return Frame(self._untouched, "")
+        touch = self.touch(int(index))
+        pose = touch.stroke.pose(time_s - PAUSE_S)
+        force_n = self._press(touch, pose)
+        return Frame(force_n, touch.name if float(force_n.max()) >= LABEL_FORCE_N else "")
+
+    def _press(self, touch: Touch, pose: Pose) -> Force:
+        # A held object is the same image for many steps. Poses of two touches never coincide by chance.
+        if pose != self._pose:
+            self._force_n = _fixed(touch.force_n(self.grid, pose))
+            self._pose = pose
+        return self._force_n
+
+
+def objects(
+    rows: int = 64,
+    columns: int = 64,
+    pitch_m: float = PITCH_M,
+    rate_hz: float = 100.0,
+    *,
+    names: Sequence[str] | None = None,
+    seed: int = 0,
+) -> ObjectSource:
+    """Return an endless series of touches by simulated objects.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Taxels of the skin.
+    pitch_m : float
+        Distance between neighbouring taxels.
+    rate_hz : float
+        Steps a second.
+    names : sequence of str, optional
+        Objects of the catalogue in the order they come, again and again; a string may name several,
+        separated by commas. Without it, `DEFAULT_NAMES`.
+    seed : int
+        Same seed, same touches.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or a number cannot be used.
+    """
+    if not 0.0 < rate_hz < float("inf"):
+        raise InputError(f"rate_hz needs a number above 0: got {rate_hz}")
+    if seed < 0:
+        raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
+    source = ObjectSource(
+        Grid(rows, columns, pitch_m), rate_hz, DEFAULT_NAMES if names is None else checked_names(names), seed
+    )
+    # The contact kernel is compiled now, not in the middle of a cycle.
+    source.frame(int(np.ceil((PAUSE_S + SLOT_S) / 2 * rate_hz)))
+    return source
+
+
+def _fixed(force_n: Force) -> Force:
+    force_n.flags.writeable = False
+    return force_n

@@ -1,0 +1,92 @@
+"""Random touches: which object, where, how turned, how deep and along which path.
+
+The live source and the training data draw from this one distribution; each touch has its own seed, so that
+the touch number `index` is the same however it is reached.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from touch.contact import FloatArray, Force, Grid, Pose, Spheres, press
+from touch.objects import spheres_of
+from touch.trajectory import Stroke
+
+#: An object is said to touch while the largest true force is at least this, twice the noise's deviation.
+LABEL_FORCE_N: Final = 0.002
+PAUSE_S: Final = 0.4
+PRESS_S: Final = 0.4
+HOLD_S: Final = 0.5
+SLIDE_S: Final = 1.4
+LIFT_S: Final = 0.4
+#: One touch with the pause before it.
+SLOT_S: Final = PAUSE_S + PRESS_S + HOLD_S + SLIDE_S + LIFT_S
+DEPTH_M: Final = (0.009, 0.0105)
+#: An object too large to stay on the array still moves off its middle by this part of its half.
+LEAST_ROOM_RATIO: Final = 0.08
+SLIDE_SPEED_M_PER_S: Final = 0.045
+#: Streams of random numbers that never meet.
+LIVE, TRAINING = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """One object on its way over the array."""
+
+    name: str
+    spheres: Spheres
+    stroke: Stroke
+
+    def force_n(self, grid: Grid, pose: Pose) -> Force:
+        """Return the true force at `pose`, float32, shape (rows, columns)."""
+        return press(grid, [(self.spheres, pose)])
+
+
+def random_stream(seed: int, stream: int, index: int) -> np.random.Generator:
+    """Return the random numbers of touch number `index` of a stream."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream, index)))
+
+
+def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
+    """Return a random touch of the object called `name` that stays on the array as far as it fits.
+
+    Raises
+    ------
+    InputError
+        If the catalogue has no such object.
+    """
+    spheres = spheres_of(name)
+    rotation = float(rng.uniform(0.0, 2.0 * math.pi))
+    depth = float(rng.uniform(*DEPTH_M))
+    room = _room(spheres, grid, rotation, depth)
+    ends = rng.uniform(-1.0, 1.0, (2, 2)) * room
+    start, path = ends[0], ends[1] - ends[0]
+    longest = SLIDE_SPEED_M_PER_S * SLIDE_S
+    end = start + path / max(1.0, float(np.hypot(path[0], path[1])) / longest)
+    stroke = Stroke(
+        start_m=(float(start[0]), float(start[1])),
+        end_m=(float(end[0]), float(end[1])),
+        rotation_rad=rotation,
+        depth_m=depth,
+        press_s=PRESS_S,
+        hold_s=HOLD_S,
+        slide_s=SLIDE_S,
+        lift_s=LIFT_S,
+    )
+    return Touch(name, spheres, stroke)
+
+
+def _room(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:
+    """Return how far from the middle, along x and y, the contact stays on the array."""
+    reach = spheres.radii_m + grid.taxel_radius_m
+    indent = np.clip(depth_m + spheres.centres_m[:, 2] + spheres.radii_m, 0.0, reach)
+    span = np.sqrt(indent * (2.0 * reach - indent))
+    cos, sin = math.cos(rotation_rad), math.sin(rotation_rad)
+    x, y = spheres.centres_m[:, 0], spheres.centres_m[:, 1]
+    across = np.abs(np.stack([cos * x - sin * y, sin * x + cos * y])) + span
+    footprint = np.max(across, axis=1, where=indent > 0.0, initial=0.0)
+    half = np.array(grid.half_extent_m)
+    room: FloatArray = np.maximum(half - footprint, LEAST_ROOM_RATIO * half)
+    return room
