@@ -1,0 +1,166 @@
+"""Bits and time a frame takes on the wire, exact or bounded.
+
+Three ways to count the stuff bits, in the words of can-utils:
+
+``none``
+    No stuff bits: the least a frame can take.
+``worst``
+    The most stuff bits any identifier and payload of that length can cause.
+``exact``
+    The stuff bits of this very identifier and payload.
+
+Every count includes the three bits of intermission, so that back-to-back frames add up.
+"""
+
+from functools import cache
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
+
+Stuffing = Literal["none", "worst", "exact"]
+Bits = npt.NDArray[np.int32]
+
+#: Bytes a CAN FD frame can carry, indexed by DLC (ISO 11898-1:2015, table 5).
+FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+#: Intermission, counted into every frame.
+INTERMISSION_BITS: Final = 3
+
+_DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np.int32)
+_PADDED: Final = np.array(FD_LENGTHS, np.int32)[_DLC]
+#: CRC delimiter, ACK slot and delimiter, end of frame, intermission.
+_CLASSIC_TAIL: Final = 13
+_FD_NOMINAL_TAIL: Final = 12
+
+
+def padded_length(lengths: npt.NDArray[np.integer]) -> Bits:
+    """Return the payload bytes a CAN FD frame really sends: the next length that has a DLC."""
+    padded: Bits = _PADDED[lengths]
+    return padded
+
+
+def wire_bits(frames: Frames, stuffing: Stuffing = "exact") -> tuple[Bits, Bits]:
+    """Count the bits of frames on the wire, intermission included.
+
+    Parameters
+    ----------
+    frames : array of FRAME, shape (n,)
+        ERROR records count 0 bits: they are reports, not frames.
+    stuffing : {"none", "worst", "exact"}
+
+    Returns
+    -------
+    nominal, data : arrays of int32, shape (n,)
+        Bits at the nominal and at the data bit rate. `data` is 0 for classical frames and for CAN FD
+        frames without BRS. The bits of BRS and of the CRC delimiter, which change rate at their sample
+        points, are counted as nominal and as data.
+
+    Notes
+    -----
+    Classical frames: Davis, Burns, Bril, Lukkien, Real-Time Systems 35 (2007), equation 1; exact by the
+    bit string SOF to CRC. CAN FD: ISO 11898-1:2015 with stuff bit count and fixed stuff bits.
+    """
+    flags = frames["flags"]
+    is_fd = flags & FD != 0
+    nominal, data = _fixed_bits(frames, is_fd)
+    if stuffing != "none":
+        stuff = _exact_stuff(frames) if stuffing == "exact" else _worst_stuff(frames, is_fd)
+        nominal += stuff[0]
+        data += stuff[1]
+    slow = is_fd & (flags & BRS == 0)
+    if slow.any():
+        nominal[slow] += data[slow]
+        data[slow] = 0
+    reports = flags & ERROR != 0
+    if reports.any():
+        nominal[reports] = 0
+        data[reports] = 0
+    return nominal, data
+
+
+def frame_time_ns(
+    frames: Frames, bitrate: int, data_bitrate: int | None = None, stuffing: Stuffing = "exact"
+) -> npt.NDArray[np.int64]:
+    """Return how long each frame keeps the bus busy, intermission included.
+
+    Parameters
+    ----------
+    frames : array of FRAME, shape (n,)
+    bitrate, data_bitrate : int
+        Bits per second; without `data_bitrate` everything goes at `bitrate`.
+    stuffing : {"none", "worst", "exact"}
+
+    Returns
+    -------
+    array of int64, shape (n,)
+        Nanoseconds, rounded to the nearest.
+    """
+    nominal, data = wire_bits(frames, stuffing)
+    seconds = nominal / bitrate + data / (data_bitrate or bitrate)
+    return np.rint(seconds * 1e9).astype(np.int64)
+
+
+def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
+    """Count all bits but the dynamic stuff bits."""
+    flags, length = frames["flags"], frames["length"]
+    extended = flags & EXTENDED != 0
+    payload = np.where(flags & REMOTE, 0, np.minimum(length, 8)).astype(np.int32)
+    nominal = np.where(extended, 54, 34).astype(np.int32) + 8 * payload + _CLASSIC_TAIL
+    data = np.zeros_like(nominal)
+    if is_fd.any():
+        padded = _PADDED[length]
+        head = np.where(extended, 36, 17)
+        # ESI, DLC, payload, stuff count, CRC 17 or 21 with its fixed stuff bits, CRC delimiter
+        body = 5 + 8 * padded + np.where(padded <= 16, 4 + 17 + 6, 4 + 21 + 7) + 1
+        nominal[is_fd] = (head + _FD_NOMINAL_TAIL)[is_fd]
+        data[is_fd] = body[is_fd]
+    return nominal, data
+
+
+def _exact_stuff(frames: Frames) -> tuple[Bits, Bits]:
+    from bandwidth.kernels import count_stuff
+
+    rows = np.ascontiguousarray(frames).view(np.uint8).reshape(-1, FRAME.itemsize)
+    nominal, data = np.empty(len(rows), np.int32), np.empty(len(rows), np.int32)
+    count_stuff(rows, _DLC[frames["length"]], _PADDED[frames["length"]], nominal, data)
+    return nominal, data
+
+
+def _worst_stuff(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
+    flags = frames["flags"]
+    payload = np.where(flags & REMOTE, 0, np.minimum(frames["length"], 8)).astype(np.int32)
+    nominal = (np.where(flags & EXTENDED, 54, 34).astype(np.int32) + 8 * payload - 1) // 4
+    data = np.zeros_like(nominal)
+    for index in np.flatnonzero(is_fd):
+        shape = int(flags[index]) & (EXTENDED | BRS | ESI)
+        nominal[index], data[index] = _worst_fd(shape, int(_DLC[frames["length"][index]]))
+    return nominal, data
+
+
+@cache
+def _worst_fd(shape: int, dlc: int) -> tuple[int, int]:
+    """Find the most dynamic stuff bits of a CAN FD frame over all identifiers and payloads.
+
+    Dynamic programming over the frame's bits, free ones taking either value; a state is the last bit and
+    the run it ends. Nominal stuff bits are few and slow, so they are made most first.
+    """
+    fixed = {bit: int(bit == "1") for bit in "01"}
+    identifier = "?" * 11 + ("11" + "?" * 18 + "0" if shape & EXTENDED else "00")
+    head = "0" + identifier + "10"
+    tail = ("1" if shape & BRS else "0") + ("1" if shape & ESI else "0") + f"{dlc:04b}"
+    tail += "?" * (8 * FD_LENGTHS[dlc])
+    best: dict[tuple[int, int], tuple[int, int]] = {(2, 0): (0, 0)}
+    for place, symbol in enumerate(head + tail):
+        in_head, is_last = place < len(head), place == len(head + tail) - 1
+        following: dict[tuple[int, int], tuple[int, int]] = {}
+        for (last, run), (nominal, data) in best.items():
+            for bit in (fixed[symbol],) if symbol in fixed else (0, 1):
+                length = run + 1 if bit == last else 1
+                stuff = length == 5 and not is_last  # the first fixed stuff bit replaces a dynamic one
+                state = (1 - bit, 1) if stuff else (bit, length)
+                count = (nominal + (stuff and in_head), data + (stuff and not in_head))
+                following[state] = max(following.get(state, (0, 0)), count)
+        best = following
+    return max(best.values())

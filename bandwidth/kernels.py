@@ -1,0 +1,111 @@
+"""Stuff bits of frames, compiled: every bit is fed through the stuffing rule as the wire sees it."""
+
+from typing import Any, Final
+
+from numba import int32, njit, types, uint8, void
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
+
+#: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1 (ISO 11898-1, CRC of classical frames).
+CRC_15: Final = 0x4599
+#: Where the fields of a FRAME record start; the kernel reads records as rows of bytes.
+_CAN_ID, _LENGTH, _FLAGS, _DATA = 8, 12, 13, 16
+_ROWS: Final = types.Array(uint8, 2, "C", readonly=True)
+_INTS: Final = int32[::1]
+
+
+@njit(cache=True, nogil=True)
+def feed(word: int, width: int, last: int, run: int, stuffed: int) -> tuple[int, int, int]:
+    """Send `width` bits of `word`; count a stuff bit after each run of five equal bits."""
+    for shift in range(width - 1, -1, -1):
+        bit = (word >> shift) & 1
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:
+            stuffed += 1
+            last, run = 1 - bit, 1  # the stuff bit starts the next run
+    return last, run, stuffed
+
+
+@njit(cache=True, nogil=True)
+def feed_crc(word: int, width: int, crc: int) -> int:
+    """Continue the CRC-15 over `width` bits of `word`."""
+    for shift in range(width - 1, -1, -1):
+        feedback = ((word >> shift) ^ (crc >> 14)) & 1
+        crc = ((crc << 1) & 0x7FFF) ^ (CRC_15 * feedback)
+    return crc
+
+
+@njit(cache=True, nogil=True)
+def feed_identifier(row: Any, remote: int) -> tuple[int, int]:
+    """Return SOF to IDE (standard) or to RTR (extended) as (word, width)."""
+    can_id = 0
+    for byte in range(4):
+        can_id |= int(row[_CAN_ID + byte]) << (8 * byte)
+    if row[_FLAGS] & EXTENDED:  # SOF 0, base identifier, SRR 1, IDE 1, extension, RTR
+        base = (can_id >> 18) & 0x7FF
+        return (((base << 2 | 3) << 18 | (can_id & 0x3FFFF)) << 1) | remote, 33
+    return ((can_id & 0x7FF) << 2) | (remote << 1), 14
+
+
+@njit(cache=True, nogil=True)
+def count_classic(row: Any) -> int:
+    """Count the stuff bits of a classical frame, SOF to the end of the CRC sequence."""
+    length = min(int(row[_LENGTH]), 8)
+    remote = 1 if row[_FLAGS] & REMOTE else 0
+    word, width = feed_identifier(row, remote)
+    reserved = 2 if row[_FLAGS] & EXTENDED else 1
+    word, width = (word << (reserved + 4)) | length, width + reserved + 4
+    crc = feed_crc(word, width, 0)
+    last, run, stuffed = feed(word, width, 2, 0, 0)
+    if not remote:
+        for index in range(length):
+            octet = int(row[_DATA + index])
+            crc = feed_crc(octet, 8, crc)
+            last, run, stuffed = feed(octet, 8, last, run, stuffed)
+    return feed(crc, 15, last, run, stuffed)[2]
+
+
+@njit(cache=True, nogil=True)
+def count_fd(row: Any, dlc: int, wire_length: int) -> tuple[int, int]:
+    """Count the dynamic stuff bits of an ISO FD frame before and after the sample point of BRS."""
+    flags = row[_FLAGS]
+    word, width = feed_identifier(row, 0)
+    brs = 1 if flags & BRS else 0
+    last, run, nominal = feed(word << 2 | 2, width + 2, 2, 0, 0)  # FDF 1, res 0
+    esi = 1 if flags & ESI else 0
+    last, run, stuffed = feed(brs << 5 | esi << 4 | dlc, 6, last, run, 0)
+    for index in range(wire_length):
+        last, run, stuffed = feed(int(row[_DATA + index]), 8, last, run, stuffed)
+    if run == 1 and last != last_bit(row, dlc, wire_length):
+        stuffed -= 1  # the first fixed stuff bit takes the place of a dynamic one
+    return nominal, stuffed
+
+
+@njit(cache=True, nogil=True)
+def last_bit(row: Any, dlc: int, wire_length: int) -> int:
+    """Return the last bit before the first fixed stuff bit."""
+    return (int(row[_DATA + wire_length - 1]) if wire_length else dlc) & 1
+
+
+@njit(void(_ROWS, _INTS, _INTS, _INTS, _INTS), cache=True, nogil=True)
+def count_stuff(rows: Any, dlcs: Any, lengths: Any, nominal: Any, data: Any) -> None:
+    """Write every frame's stuff bits into `nominal` and `data`.
+
+    Parameters
+    ----------
+    rows : array of uint8, shape (n, 80)
+        FRAME records as bytes.
+    dlcs, lengths : arrays of int32, shape (n,)
+        DLC and padded payload bytes, used for CAN FD frames.
+    nominal, data : arrays of int32, shape (n,)
+        Written.
+    """
+    for index in range(rows.shape[0]):
+        flags = rows[index, _FLAGS]
+        if flags & ERROR:
+            nominal[index] = data[index] = 0
+        elif flags & FD:
+            nominal[index], data[index] = count_fd(rows[index], dlcs[index], lengths[index])
+        else:
+            nominal[index], data[index] = count_classic(rows[index]), 0
