@@ -114,9 +114,7 @@ class Fabric:
             name = str(sample.key_expr).rsplit("/", 1)[-1]
             changed(name, sample.kind == zenoh.SampleKind.PUT)
 
-        watcher = self._session.liveliness().declare_subscriber(
-            f"{self._prefix}/alive/*", receive, history=True
-        )
+        watcher = self._session.liveliness().declare_subscriber(f"{self._prefix}/alive/*", receive, history=True)
         self._kept.append(watcher)
 
     def close(self) -> None:

@@ -159,7 +159,7 @@ def _check(layout: Layout) -> None:
         raise LayoutError(
             f"balanced needs a multiple of {layout.blocks} blocks, got {wish.sums} - at `$.measurement.sums`"
         )
-    if taxels.adc_bits + wish.block_size.bit_length() - 1 > 15:  # noqa: PLR2004 - sign bit of 16
+    if taxels.adc_bits + wish.block_size.bit_length() - 1 > 15:
         limit = 15 - wish.block_size.bit_length() + 1
         raise LayoutError(
             f"sums of {wish.block_size} taxels of {taxels.adc_bits} bits do not fit 16 bits;"

@@ -1,0 +1,69 @@
+"""How a command says which CAN interfaces to use; python-can's own flags and meanings."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from bus.link import Link, open_link
+from skin.errors import InputError
+from skin.layout import Layout
+
+#: How long a service waits for a bus server that is still starting.
+OPEN_WAIT_S = 10.0
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BusOptions:
+    """Which CAN interfaces carry the layout's buses.
+
+    Parameters
+    ----------
+    interface : str
+        python-can interface; ``canskin`` is the arbitrated virtual bus of ``skin bus``.
+    channel : list of str
+        One per bus in the layout's order; one that ends in a number counts on (``-c vcan0`` is
+        vcan0 to vcan3). Default: the names of the layout's buses.
+    """
+
+    interface: Annotated[str, Parameter(alias="-i")] = "canskin"
+    channel: Annotated[list[str], Parameter(alias="-c", negative=())] = field(default_factory=list)
+
+
+def channels(layout: Layout, options: BusOptions) -> list[str]:
+    """Return one channel per bus of the layout.
+
+    Raises
+    ------
+    InputError
+        If the number of channels does not match the number of buses.
+    """
+    given = options.channel
+    if not given:
+        return [bus.name for bus in layout.bus]
+    numbered = re.fullmatch(r"(.*?)(\d+)", given[0])
+    if len(given) == 1 and len(layout.bus) > 1 and numbered:
+        stem, first = numbered[1], int(numbered[2])
+        return [f"{stem}{first + index}" for index in range(len(layout.bus))]
+    if len(given) != len(layout.bus):
+        raise InputError(f"expected {len(layout.bus)} channels, one per bus of the layout, got {len(given)}")
+    return given
+
+
+def open_links(layout: Layout, options: BusOptions, wanted: Iterable[int] | None = None) -> dict[int, Link]:
+    """Open the links of the buses numbered `wanted`, default all.
+
+    Raises
+    ------
+    BusError
+        If an interface cannot be opened.
+    """
+    names = channels(layout, options)
+    numbers = range(len(names)) if wanted is None else sorted(wanted)
+    return {
+        number: open_link(options.interface, names[number], layout.bus[number].bitrate, wait_s=OPEN_WAIT_S)
+        for number in numbers
+    }

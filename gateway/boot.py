@@ -1,0 +1,112 @@
+"""Boot of the nodes of one bus: check what each one measures, then start it (after CiA 302-2's boot NMT slave).
+
+Runs beside the receive loop, because an SDO transfer waits for answers. A node that does not answer is asked again
+when it shows itself by a boot-up message or a heartbeat.
+"""
+
+import queue
+import threading
+from collections.abc import Callable, Iterable
+from typing import Final
+
+import canopen
+
+from dbc.contract import NMT_COB_ID, NodeContract
+from dbc.dictionary import OD_BLOCK, OD_PHI_FINGERPRINT
+from gateway.network import MasterNetwork
+from skin.service import say
+
+NMT_START: Final = 1
+#: An SDO answer waits behind a whole burst of sums; five SYNC periods are ample.
+SDO_TIMEOUT_S: Final = 0.3
+
+
+class Boot:
+    """Checks and starts nodes, one after another, in a thread of its own.
+
+    Parameters
+    ----------
+    name : str
+        The bus, for messages.
+    nodes : iterable of NodeContract
+        All nodes of the bus.
+    fingerprint : str
+        The Φ every node must have.
+    network : MasterNetwork
+    trust : callable
+        Called with a node and whether its sums may be used.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nodes: Iterable[NodeContract],
+        fingerprint: str,
+        network: MasterNetwork,
+        trust: Callable[[NodeContract, bool], None],
+    ) -> None:
+        self._name = name
+        self._nodes = {node.node_id: node for node in nodes}
+        self._fingerprint = fingerprint
+        self._network = network
+        self._trust = trust
+        self._wanted: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        self._queued: set[int] = set()
+        self._first_pass = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"boot {name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin with a pass over all nodes."""
+        self.ask(self._nodes)
+        self._wanted.put(0)
+        self._thread.start()
+
+    def ask(self, node_ids: Iterable[int]) -> None:
+        """Check these nodes as soon as possible; a node already waiting is not queued twice."""
+        for node_id in node_ids:
+            if node_id not in self._queued:
+                self._queued.add(node_id)
+                self._wanted.put(node_id)
+
+    def wait_first_pass(self, timeout_s: float) -> bool:
+        """Wait until every node has been asked once; tell whether that is so."""
+        return self._first_pass.wait(timeout_s)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every node has been asked once."""
+        return self._first_pass.is_set()
+
+    def stop(self) -> None:
+        """End the thread after the node it is at."""
+        self._wanted.put(None)
+
+    def _run(self) -> None:
+        while (node_id := self._wanted.get()) is not None:
+            if node_id == 0:
+                self._first_pass.set()
+                continue
+            self._queued.discard(node_id)
+            self._check(self._nodes[node_id])
+
+    def _check(self, node: NodeContract) -> None:
+        remote = canopen.RemoteNode(node.node_id, canopen.ObjectDictionary())
+        remote.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
+        self._network[node.node_id] = remote
+        try:
+            block = int.from_bytes(remote.sdo.upload(OD_BLOCK, 0), "little")
+            phi = remote.sdo.upload(OD_PHI_FINGERPRINT, 0).decode("ascii", "replace")
+        except canopen.SdoCommunicationError:
+            return
+        except canopen.SdoAbortedError as error:
+            say("gateway", f"node {node.node_id} on {self._name} is no skin node: {error}")
+            return
+        if (block, phi) != (node.block, self._fingerprint):
+            say(
+                "gateway",
+                f"node {node.node_id} on {self._name} refused: expected block {node.block} of Φ {self._fingerprint},"
+                f" got block {block} of Φ {phi}",
+            )
+            return
+        self._trust(node, True)
+        self._network.send_message(NMT_COB_ID, bytes((NMT_START, node.node_id)))

@@ -1,0 +1,147 @@
+"""From frames to one measurement: the frames of one SYNC, each used once, none of another cycle.
+
+A frame counts when it comes from its own bus, has the length of its PDO, and the newest SYNC on that bus is the one
+its cycle belongs to. Everything else is counted by kind and never used.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.codec import decode
+from dbc.contract import FRAME_BYTES, PHASES, SYNC_COB_ID, Contract, next_counter, phase_of
+from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
+
+#: Largest 11-bit identifier.
+HIGHEST_BASE_ID: Final = 0x7FF
+
+
+@dataclass
+class Counts:
+    """Frames since the start. Received sums' frames: ``accepted + late + duplicate + malformed``."""
+
+    accepted: int = 0
+    late: int = 0
+    duplicate: int = 0
+    malformed: int = 0
+    foreign: int = 0
+    missing: int = 0
+
+    @property
+    def received(self) -> int:
+        """Frames with the identifier of a sums' PDO."""
+        return self.accepted + self.late + self.duplicate + self.malformed
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What one cycle brought: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,)."""
+
+    sums: npt.NDArray[np.int32]
+    valid: npt.NDArray[np.bool_]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every block is valid."""
+        return bool(self.valid.all())
+
+
+class Collector:
+    """Gathers the cycles in flight, one per phase; `open` a cycle, `take` what arrives, `close` it.
+
+    A cycle ends on a bus where the next SYNC's echo stands in the stream, not when the host gets to read it: what
+    was on the wire before that SYNC still counts for the old cycle, whatever came after it never does.
+    """
+
+    def __init__(self, made: Contract) -> None:
+        self.counts = Counts()
+        self._table = made.table
+        self._phi = made.phi
+        rows = len(made.table.cob_id)
+        self._payload = np.zeros((rows, FRAME_BYTES), np.uint8)
+        self._seen = np.zeros(rows, np.bool_)
+        self._spoilt = np.zeros(rows, np.bool_)
+        self._of_phase = [np.flatnonzero(made.table.phase == phase) for phase in range(PHASES)]
+        #: Blocks whose node has shown the right Φ; the sums of others are never used.
+        self.trusted = np.zeros(made.phi.blocks, np.bool_)
+        #: Counter of the SYNC that a phase is gathering for, 0 when none.
+        self._gathering = np.zeros(PHASES, np.intp)
+        self._waiting = [0] * PHASES
+        #: Counter of the newest SYNC on each bus, 0 before the first.
+        self._on_wire = [0] * len(made.layout.bus)
+
+    def open(self, counter: int) -> None:
+        """Begin the cycle of SYNC `counter`, before that SYNC is sent."""
+        phase = phase_of(counter)
+        rows = self._of_phase[phase]
+        self._seen[rows] = False
+        self._spoilt[rows] = False
+        self._gathering[phase] = counter
+        self._waiting[phase] = len(rows)
+
+    def is_settled(self, counter: int) -> bool:
+        """Tell whether nothing more can come for a cycle: every frame is there or every bus has gone on."""
+        if self._waiting[phase_of(counter)] == 0:
+            return True
+        return all(now == next_counter(counter) for now in self._on_wire)
+
+    def take(self, bus: int, arrived: Frames) -> None:
+        """Use what arrived on a bus, in the order of the wire; a SYNC's echo starts its cycle there."""
+        begin = 0
+        for place in np.flatnonzero((arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & ECHO != 0)):
+            self._take(bus, arrived[begin:place])
+            self._on_wire[bus] = int(arrived["data"][place, 0])
+            begin = int(place) + 1
+        self._take(bus, arrived[begin:])
+
+    def close(self, counter: int) -> Gathered:
+        """End a cycle and return what it brought."""
+        phase = phase_of(counter)
+        rows = self._of_phase[phase]
+        self._gathering[phase] = 0
+        self.counts.missing += self._waiting[phase]
+        valid = self.trusted.copy()
+        valid[self._table.block[rows[~self._seen[rows] | self._spoilt[rows]]]] = False
+        sums = np.zeros(self._phi.shape[0], np.int32)
+        good = rows[valid[self._table.block[rows]]]
+        decode(self._payload[good], self._table.gather[good], sums)
+        return Gathered(sums, valid)
+
+    def _take(self, bus: int, arrived: Frames) -> None:
+        arrived = arrived[arrived["flags"] & (ERROR | ECHO) == 0]
+        if not len(arrived):
+            return
+        strange = (arrived["flags"] & (EXTENDED | REMOTE | FD) != 0) | (arrived["can_id"] > HIGHEST_BASE_ID)
+        row = self._table.row_of[bus, np.where(strange, 0, arrived["can_id"])]
+        ours = row >= 0
+        self.counts.foreign += int(len(row) - ours.sum())
+        row, arrived = row[ours], arrived[ours]
+        whole = arrived["length"] == self._table.length[row]
+        self.counts.malformed += int(len(row) - whole.sum())
+        self._accept(bus, row[whole], arrived["data"][whole, :FRAME_BYTES])
+
+    def _accept(self, bus: int, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
+        cycle = self._gathering[self._table.phase[row]]
+        in_time = (cycle != 0) & (cycle == self._on_wire[bus])
+        self.counts.late += int(len(row) - in_time.sum())
+        row, payload = row[in_time], payload[in_time]
+        if not len(row):
+            return
+        first = np.zeros(len(row), np.bool_)
+        first[np.unique(row, return_index=True)[1]] = True
+        first &= ~self._seen[row]
+        fresh = row[first]
+        self._payload[fresh] = payload[first]
+        self._seen[fresh] = True
+        self._waiting[int(self._table.phase[row[0]])] -= len(fresh)
+        self.counts.accepted += len(fresh)
+        if len(fresh) < len(row):
+            self._again(row[~first], payload[~first])
+
+    def _again(self, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
+        """Count copies; a copy that differs means two nodes with one node-ID, and spoils the block."""
+        self.counts.duplicate += len(row)
+        differs = (self._payload[row] != payload).any(axis=1)
+        self._spoilt[row[differs]] = True

@@ -1,0 +1,48 @@
+"""``skin gateway``: bus master and collector."""
+
+from pathlib import Path
+
+from bus.options import BusOptions, open_links
+from dbc.contract import contract
+from gateway.service import GatewayService
+from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from skin.layout import load_layout
+from skin.service import StopSignal, say
+
+
+def gateway(
+    *,
+    layout: Path | None = None,
+    bus: BusOptions | None = None,
+    listen: str = DEFAULT_ENDPOINT,
+    connect: str | None = None,
+) -> None:
+    """Boot the nodes, produce SYNC, and publish one measurement per cycle.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    bus
+        CAN interface and channels.
+    listen
+        Endpoint where the other services reach the gateway, which is the fabric's hub.
+    connect
+        Use a hub elsewhere instead of being it.
+
+    Examples
+    --------
+    skin gateway
+    skin gateway -i socketcan -c can0 --layout palm.toml
+    """
+    stop = StopSignal().install()
+    skin = load_layout(layout)
+    links = open_links(skin, bus or BusOptions())
+    fabric = Fabric(skin.name, "gateway", connect or listen, hub=connect is None)
+    say("gateway", f"{len(links)} buses, SYNC {skin.sync.rate_hz:g} Hz")
+    try:
+        GatewayService(contract(skin), links, fabric).run(stop)
+    finally:
+        for link in links.values():
+            link.close()
+        fabric.close()

@@ -1,0 +1,77 @@
+"""What the gateway knows of each bus besides the sums: how full it is and how its nodes are."""
+
+import time
+from typing import Final
+
+import numpy as np
+
+from bandwidth.frame_bits import frame_time_ns
+from dbc.contract import HEARTBEAT_BASE, Contract
+from dbc.frame import ERROR, Frames
+from skin.messages import BusState
+
+#: Reported instead of an NMT state while a node is silent.
+SILENT: Final = 255
+#: A node is silent when its heartbeat is missing for this many periods.
+PATIENCE: Final = 1.5
+
+
+class BusMonitor:
+    """Load and heartbeats of one bus.
+
+    The load is the time its frames took, with exact stuffing, over the time that passed.
+    """
+
+    def __init__(self, made: Contract, bus: int, heartbeat_s: float) -> None:
+        self._layout = made.layout.bus[bus]
+        self._nodes = [node.node_id for node in made.on_bus(bus)]
+        self._silent_after_s = PATIENCE * heartbeat_s
+        self._nmt = np.full(len(self._nodes), SILENT, np.uint8)
+        self._heard_s = np.full(len(self._nodes), -np.inf)
+        self._busy_ns = 0
+        self._since_s = time.monotonic()
+        self._total_busy_ns = 0
+        self._start_s = self._since_s
+        #: Node-IDs whose boot-up message has come since the last look.
+        self.booted: set[int] = set()
+
+    def take(self, arrived: Frames) -> None:
+        """Account for frames seen on the bus, own ones included."""
+        there = arrived[arrived["flags"] & ERROR == 0]
+        if not len(there):
+            return
+        busy_ns = int(frame_time_ns(there, self._layout.bitrate).sum())
+        self._busy_ns += busy_ns
+        self._total_busy_ns += busy_ns
+        beats = (there["can_id"] > HEARTBEAT_BASE) & (there["can_id"] <= HEARTBEAT_BASE + 127)
+        for frame in there[beats & (there["length"] == 1)]:
+            self._beat(int(frame["can_id"]) - HEARTBEAT_BASE, int(frame["data"][0]) & 0x7F)
+
+    def restart(self) -> None:
+        """Forget the load so far; called when SYNC starts."""
+        self._busy_ns = self._total_busy_ns = 0
+        self._since_s = self._start_s = time.monotonic()
+
+    def state(self) -> BusState:
+        """Return the state of the bus; the load is that since the last call."""
+        now_s = time.monotonic()
+        elapsed_s = now_s - self._since_s
+        load = self._busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0
+        self._busy_ns, self._since_s = 0, now_s
+        nmt = np.where(now_s - self._heard_s > self._silent_after_s, SILENT, self._nmt)
+        return BusState(name=self._layout.name, load_ratio=load, nodes=self._nodes, nmt=nmt.astype(np.uint8).tobytes())
+
+    @property
+    def mean_load_ratio(self) -> float:
+        """Load since SYNC started."""
+        elapsed_s = time.monotonic() - self._start_s
+        return self._total_busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0
+
+    def _beat(self, node_id: int, state: int) -> None:
+        if node_id not in self._nodes:
+            return
+        place = self._nodes.index(node_id)
+        self._nmt[place] = state
+        self._heard_s[place] = time.monotonic()
+        if state == 0:
+            self.booted.add(node_id)

@@ -1,0 +1,31 @@
+"""The ``canopen`` library's master network on a link of ours, fed by the gateway's receive loop."""
+
+import threading
+
+import canopen
+from bus.link import Link
+
+from dbc.frame import Frames, frames
+
+
+class MasterNetwork(canopen.Network):  # type: ignore[misc]  # the library has no complete types
+    """A network without a bus thread of its own; sending is safe from several threads."""
+
+    def __init__(self, link: Link) -> None:
+        super().__init__()
+        self._link = link
+        self._sending = threading.Lock()
+        self.frames_refused = 0
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG002
+        """Send one frame; a full transmit queue is counted, not raised."""
+        frame = frames(1)
+        frame["can_id"] = can_id
+        frame["length"] = len(data)
+        frame["data"][0, : len(data)] = tuple(data)
+        self.send_frames(frame)
+
+    def send_frames(self, burst: Frames) -> None:
+        """Send frames as they are."""
+        with self._sending:
+            self.frames_refused += len(burst) - self._link.send(burst)

@@ -1,0 +1,138 @@
+"""``skin nodes``: the virtual nodes of a skin."""
+
+import re
+from collections.abc import Collection
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from bus.options import BusOptions, open_links
+from dbc.contract import Contract, contract
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from nodes.service import NodesService
+from skin.errors import InputError
+from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from skin.layout import Layout, load_layout
+from skin.service import StopSignal, say
+from skin.sources import TaxelSource, load_source
+
+
+def nodes(
+    *,
+    layout: Path | None = None,
+    bus: BusOptions | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    fabric: bool = True,
+    only: Annotated[list[str] | None, Parameter(negative=())] = None,
+    without: Annotated[list[str] | None, Parameter(negative=())] = None,
+    objects: str = "",
+    input: Path | None = None,  # noqa: A002 - the flag's name
+    full_scale: float | None = None,
+    array: Annotated[list[str] | None, Parameter(negative=())] = None,
+    noise_n: float = 0.001,
+    seed: int = 0,
+) -> None:
+    """Run the virtual CANopen nodes of a skin, one per SBHE block.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin of 128 nodes on four buses.
+    bus
+        CAN interface and channels.
+    connect
+        Endpoint of the fabric's hub.
+    fabric
+        ``--no-fabric`` runs on the bus alone, without publishing what the skin really felt.
+    only
+        Run only these nodes, as BUS:NODE or BUS:FIRST-LAST, for example bus0:5 or bus2:1-16.
+    without
+        Run all but these nodes.
+    objects
+        Comma-separated names of the objects that touch the skin; default: a series of five.
+    input
+        A recording to play instead: .npz, .npy or .csv of shape (time, rows, columns).
+    full_scale
+        Value of the recording that stands for the skin's largest force.
+    array
+        Name of the array of an .npz; two names are placed side by side.
+    noise_n
+        Standard deviation of the sensor noise in newtons; 0 for a recording, which has its own.
+    seed
+        Seed of the touches and of the noise.
+
+    Examples
+    --------
+    skin nodes --objects golf-ball
+    skin nodes -i socketcan -c vcan0 --only bus0:1-16
+    """
+    stop = StopSignal().install()
+    skin = load_layout(layout)
+    made = contract(skin)
+    chosen = choose_nodes(made, only or [], without or [])
+    source = _source(skin, objects, input, full_scale, array, seed)
+    noise = 0.0 if source.has_noise else noise_n
+    sampler = Sampler(made.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
+    links = open_links(skin, bus or BusOptions(), chosen)
+    joined = Fabric(skin.name, "nodes", connect) if fabric else None
+    service = NodesService(made, links, chosen, sampler, joined)
+    say("nodes", f"{sum(map(len, chosen.values()))} nodes on {len(links)} buses")
+    try:
+        service.run(stop)
+    finally:
+        for link in links.values():
+            link.close()
+        if joined is not None:
+            joined.close()
+
+
+def choose_nodes(made: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
+    """Return the node-IDs to run, by number of the bus; buses without any are left out.
+
+    Raises
+    ------
+    InputError
+        If a choice names a bus or node that the layout does not have, or nothing is left.
+    """
+    chosen = _parse(made, only) if only else {(node.bus, node.node_id) for node in made.nodes}
+    chosen -= _parse(made, without)
+    if not chosen:
+        raise InputError("no node is left to run: check --only and --without")
+    return {bus: {node for each, node in chosen if each == bus} for bus in {bus for bus, _ in chosen}}
+
+
+def _parse(made: Contract, texts: list[str]) -> set[tuple[int, int]]:
+    numbers = {bus.name: number for number, bus in enumerate(made.layout.bus)}
+    known = {(node.bus, node.node_id) for node in made.nodes}
+    chosen: set[tuple[int, int]] = set()
+    for text in texts:
+        match = re.fullmatch(r"(\w+):(\d+)(?:-(\d+))?", text)
+        if match is None or match[1] not in numbers:
+            raise InputError(f"expected BUS:NODE or BUS:FIRST-LAST with BUS of {', '.join(numbers)}, got '{text}'")
+        wanted = {(numbers[match[1]], node) for node in range(int(match[2]), int(match[3] or match[2]) + 1)}
+        if not wanted or wanted - known:
+            raise InputError(f"'{text}' names nodes that {match[1]} does not have")
+        chosen |= wanted
+    return chosen
+
+
+def _source(
+    skin: Layout, names: str, path: Path | None, full_scale: float | None, arrays: list[str] | None, seed: int
+) -> TaxelSource:
+    grid: dict[str, Any] = {"rows": skin.taxels.rows, "columns": skin.taxels.columns}
+    if path is not None:
+        force_max_n = skin.taxels.force_max_n
+        return load_source(
+            "recording",
+            path=path,
+            full_scale=full_scale,
+            force_max_n=force_max_n,
+            arrays=tuple(arrays) if arrays else None,
+            **grid,
+        )
+    wanted = [name.strip() for name in names.split(",") if name.strip()] or None
+    return load_source(
+        "objects", pitch_m=skin.taxels.pitch_m, rate_hz=skin.sync.rate_hz, names=wanted, seed=seed, **grid
+    )

@@ -1,0 +1,61 @@
+"""One instant of touch for all nodes: at a SYNC every block measures the same moment."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.contract import SYNC_OVERFLOW
+from nodes.electronics import Electronics
+from skin.measurement import Sbhe
+from skin.messages import Truth
+from skin.sources import TaxelSource
+
+#: SYNC frames of one cycle reach the buses within this time of each other.
+SAME_CYCLE_NS: Final = 2_000_000
+
+
+class Sampler:
+    """Turns SYNC counters into sums, once per cycle however many buses ask.
+
+    The step of the taxel source follows the SYNC counter, so that several processes of nodes that were
+    started before the first SYNC feel the same touch, also when one of them misses a SYNC.
+    """
+
+    def __init__(self, phi: Sbhe, source: TaxelSource, electronics: Electronics) -> None:
+        self._phi = phi
+        self._source = source
+        self._electronics = electronics
+        self._step = -1
+        self._counter = 0
+        self._time_ns = 0
+        self._sums = np.zeros(phi.shape[0], np.int16)
+        self._truth: Truth | None = None
+
+    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int16]:
+        """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen at `time_ns`."""
+        elapsed_ns = time_ns - self._time_ns
+        if self._step >= 0 and counter == self._counter and elapsed_ns < SAME_CYCLE_NS:
+            return self._sums
+        if self._step < 0:
+            self._step = max(0, counter - 1)
+        else:
+            self._step += (counter - self._counter) % SYNC_OVERFLOW or 1
+        self._counter, self._time_ns = counter, time_ns
+        frame = self._source.frame(self._step)
+        counts = self._electronics.read(frame.force_n)
+        self._sums = self._phi.block_sums(counts)
+        self._truth = Truth(
+            step=self._step,
+            sync_counter=counter,
+            sync_mono_ns=time_ns,
+            true=frame.force_n.astype("<f4").tobytes(),
+            sensor=self._electronics.newtons(counts).astype("<f4").tobytes(),
+            label=frame.label,
+        )
+        return self._sums
+
+    def take_truth(self) -> Truth | None:
+        """Return what the skin felt in the newest cycle, once."""
+        truth, self._truth = self._truth, None
+        return truth

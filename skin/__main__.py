@@ -1,0 +1,5 @@
+"""``python -m skin`` is the ``skin`` command."""
+
+from skin.command import main
+
+main()

@@ -1,0 +1,39 @@
+"""What every service does alike: say that it is ready, and end quietly when it is told to."""
+
+import signal
+import sys
+import threading
+from types import FrameType
+
+
+class StopSignal:
+    """Set by SIGINT or SIGTERM; services look at it between two turns of their loop."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    def install(self) -> "StopSignal":
+        """Catch SIGINT and SIGTERM from now on; call it in the main thread."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._caught)
+        return self
+
+    def set(self) -> None:
+        """Ask the service to end."""
+        self._event.set()
+
+    def is_set(self) -> bool:
+        """Tell whether the service shall end."""
+        return self._event.is_set()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the service shall end, at most `timeout_s`; tell whether it shall."""
+        return self._event.wait(timeout_s)
+
+    def _caught(self, _number: int, _frame: FrameType | None) -> None:
+        self._event.set()
+
+
+def say(service: str, text: str) -> None:
+    """Print one line for the person at the terminal, on stderr."""
+    print(f"{service}: {text}", file=sys.stderr, flush=True)
