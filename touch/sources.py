@@ -1,6 +1,7 @@
 """The taxel sources of this room, registered as entry points of the group ``canskin.sources``."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -9,6 +10,8 @@ from skin.errors import InputError
 from skin.sources import Frame
 from touch.contact import PITCH_M, Force, Grid, Pose
 from touch.objects import checked_names
+from touch.reading import read_counts
+from touch.recording import Recording
 from touch.touches import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream
 
 #: Objects that the sums of a few blocks tell apart.
@@ -31,7 +34,7 @@ class ObjectSource:
         self._seed = seed
         self._index = -1
         self._touch: Touch | None = None
-        self._pose: Pose | None = None
+        self._pressed: tuple[int, Pose] | None = None
         self._force_n = self._untouched = _fixed(np.zeros((grid.rows, grid.columns), np.float32))
 
     def touch(self, index: int) -> Touch:
@@ -57,15 +60,10 @@ class ObjectSource:
             return Frame(self._untouched, "")
         touch = self.touch(int(index))
         pose = touch.stroke.pose(time_s - PAUSE_S)
-        force_n = self._press(touch, pose)
-        return Frame(force_n, touch.name if float(force_n.max()) >= LABEL_FORCE_N else "")
-
-    def _press(self, touch: Touch, pose: Pose) -> Force:
-        # A held object is the same image for many steps. Poses of two touches never coincide by chance.
-        if pose != self._pose:
+        if (self._index, pose) != self._pressed:  # a held object is the same image for many steps
             self._force_n = _fixed(touch.force_n(self.grid, pose))
-            self._pose = pose
-        return self._force_n
+            self._pressed = self._index, pose
+        return Frame(self._force_n, touch.name if float(self._force_n.max()) >= LABEL_FORCE_N else "")
 
 
 def objects(
@@ -108,6 +106,64 @@ def objects(
     # The contact kernel is compiled now, not in the middle of a cycle.
     source.frame(int(np.ceil((PAUSE_S + SLOT_S) / 2 * rate_hz)))
     return source
+
+
+def recording(
+    path: str | Path,
+    rows: int = 64,
+    columns: int = 64,
+    pitch_m: float | None = None,
+    rate_hz: float | None = None,
+    *,
+    full_scale: float | None = None,
+    force_max_n: float = 0.02,
+    arrays: Sequence[str] | None = None,
+    frame_shape: tuple[int, int] | None = None,
+    frame_rate_hz: float | None = None,
+) -> Recording:
+    """Return a recording as a source; after its last frame it starts again.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)) or ``.csv`` (one frame per line).
+    rows, columns : int
+        Taxels of the skin; a smaller recording lies in the middle.
+    pitch_m : float, optional
+        Taken like every source takes it, without effect: a recording's taxels are the skin's.
+    rate_hz : float, optional
+        Steps a second of the skin; needed only with `frame_rate_hz`.
+    full_scale : float, optional
+        The recorded value that becomes `force_max_n`; without it the largest value of the recording, which
+        the returned object tells as its own `full_scale`.
+    force_max_n : float
+        Newtons of full scale.
+    arrays : sequence of str, optional
+        Arrays of an ``.npz`` to lay side by side, left to right; a string may name several, separated by
+        commas. Without it the first in file order.
+    frame_shape : tuple of int, optional
+        Rows and columns of a ``.csv``'s frames, if its comment ``# shape: 64 32`` does not say them and they
+        are not the skin's.
+    frame_rate_hz : float, optional
+        Recorded frames a second; without it each step shows the next frame.
+
+    Raises
+    ------
+    InputError
+        If the file or a number cannot be used.
+    """
+    del pitch_m
+    if frame_rate_hz is not None and (rate_hz is None or not 0.0 < frame_rate_hz < float("inf")):
+        raise InputError(f"frame_rate_hz needs a number above 0, and rate_hz: got {frame_rate_hz}, {rate_hz}")
+    named = tuple(part.strip() for part in arrays.split(",")) if isinstance(arrays, str) else arrays
+    return Recording(
+        read_counts(Path(path), named, frame_shape, (rows, columns)),
+        rows,
+        columns,
+        full_scale=full_scale,
+        force_max_n=force_max_n,
+        steps_per_frame=1.0 if frame_rate_hz is None or rate_hz is None else rate_hz / frame_rate_hz,
+    )
 
 
 def _fixed(force_n: Force) -> Force:

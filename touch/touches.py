@@ -17,15 +17,17 @@ from touch.trajectory import Stroke
 #: An object is said to touch while the largest true force is at least this, twice the noise's deviation.
 LABEL_FORCE_N: Final = 0.002
 PAUSE_S: Final = 0.4
-PRESS_S: Final = 0.4
-HOLD_S: Final = 0.5
-SLIDE_S: Final = 1.4
-LIFT_S: Final = 0.4
+#: Short beside the rest: while an object is half pressed in, its sums are those of a smaller one.
+PRESS_S: Final = 0.2
+HOLD_S: Final = 0.6
+SLIDE_S: Final = 2.0
+LIFT_S: Final = 0.2
 #: One touch with the pause before it.
 SLOT_S: Final = PAUSE_S + PRESS_S + HOLD_S + SLIDE_S + LIFT_S
-DEPTH_M: Final = (0.009, 0.0105)
+DEPTH_M: Final = (0.0095, 0.0105)
 #: An object too large to stay on the array still moves off its middle by this part of its half.
 LEAST_ROOM_RATIO: Final = 0.08
+#: The slide of the paper's trajectory.
 SLIDE_SPEED_M_PER_S: Final = 0.045
 #: Streams of random numbers that never meet.
 LIVE, TRAINING = 0, 1

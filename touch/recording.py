@@ -1,0 +1,125 @@
+"""A recording of a real sensor, or of any other program, as a source of touch."""
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+from skin.sources import Frame
+from touch.contact import Force
+from touch.reading import Counts
+
+#: Far above any sensor and still a float32.
+_LARGEST_FORCE_LOG10: Final = 30
+
+
+class Recording:
+    """Recorded frames in the middle of the skin, again from the first after the last.
+
+    A `skin.sources.TaxelSource`. Labels are empty: a recording does not say what touched.
+
+    Parameters
+    ----------
+    arrays : tuple of numpy.ndarray
+        One array of shape (frames, rows, columns), or several of as many rows that lie side by side; the
+        longer ones are cut to the frames of the shortest.
+    rows, columns : int
+        Taxels of the skin; those around a smaller recording feel nothing.
+    full_scale : float, optional
+        The recorded value that becomes `force_max_n`; without it the largest value of the recording.
+    force_max_n : float
+        Newtons of full scale.
+    steps_per_frame : float
+        Steps of the skin's clock one recorded frame lasts.
+
+    Attributes
+    ----------
+    full_scale : float
+        The one in use, given or found.
+    frames : int
+        Length of the recording.
+    corner : tuple of int
+        Row and column of the skin where the recording's first taxel lies.
+
+    Raises
+    ------
+    InputError
+        If the arrays do not fit one another or the skin, or a number cannot be used.
+    """
+
+    has_noise = True
+
+    def __init__(
+        self,
+        arrays: tuple[Counts, ...],
+        rows: int,
+        columns: int,
+        *,
+        full_scale: float | None = None,
+        force_max_n: float = 0.02,
+        steps_per_frame: float = 1.0,
+    ) -> None:
+        self._arrays = arrays
+        self.frames = min(len(counts) for counts in arrays)
+        self.steps_per_frame = _above_zero("steps_per_frame", steps_per_frame)
+        self.force_max_n = _above_zero("force_max_n", force_max_n)
+        self.full_scale = _scale_of(arrays, full_scale, self.force_max_n)
+        self._is_whole = all(counts.dtype.kind in "ui" for counts in arrays)
+        self._shape = rows, columns
+        self.corner = _corner(arrays, rows, columns)
+
+    def frame(self, step: int) -> Frame:
+        """Return the recorded touch at `step`, float32 (rows, columns) in newtons.
+
+        Raises
+        ------
+        InputError
+            If `step` is below 0.
+        """
+        if step < 0:
+            raise InputError(f"a source starts at step 0: got {step}")
+        index = int(step / self.steps_per_frame) % self.frames
+        force_n: Force = np.zeros(self._shape, np.float32)
+        row, column = self.corner
+        for counts in self._arrays:
+            high, wide = counts.shape[1:]
+            force_n[row : row + high, column : column + wide] = self._newtons(counts[index])
+            column += wide
+        return Frame(force_n, "")
+
+    def _newtons(self, counts: Counts) -> npt.NDArray[np.float64]:
+        return counts.astype(np.float64) / self.full_scale * self.force_max_n
+
+    def counts(self, force_n: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return newtons as recorded values, whole ones where the recording's are; the shape is kept."""
+        values = np.asarray(force_n, np.float64) * (self.full_scale / self.force_max_n)
+        return np.rint(values) if self._is_whole else values
+
+
+def _above_zero(name: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"{name} needs a number above 0: got {value}")
+    return float(value)
+
+
+def _scale_of(arrays: tuple[Counts, ...], full_scale: float | None, force_max_n: float) -> float:
+    largest = max(float(counts.max()) for counts in arrays)
+    if full_scale is None and largest == 0.0:
+        raise InputError("the recording holds only zeros: give full_scale, the value of the largest force")
+    scale = _above_zero("full_scale", largest if full_scale is None else full_scale)
+    # Comparing logarithms, because the quotient itself may overflow.
+    if largest > 0.0 and math.log10(largest) - math.log10(scale) + math.log10(force_max_n) > _LARGEST_FORCE_LOG10:
+        raise InputError(f"full_scale {scale} is too small for a recording that reaches {largest}")
+    return scale
+
+
+def _corner(arrays: tuple[Counts, ...], rows: int, columns: int) -> tuple[int, int]:
+    heights = {counts.shape[1] for counts in arrays}
+    if len(heights) != 1:
+        raise InputError(f"arrays side by side need as many rows each: got {sorted(heights)}")
+    high, wide = heights.pop(), sum(counts.shape[2] for counts in arrays)
+    if high > rows or wide > columns:
+        raise InputError(f"a recording of {high} x {wide} taxels does not fit a skin of {rows} x {columns}")
+    return (rows - high) // 2, (columns - wide) // 2
