@@ -8,7 +8,7 @@ from bus.link import Link
 from dbc.frame import Frames, frames
 
 
-class MasterNetwork(canopen.Network):  # type: ignore[misc]  # the library has no complete types
+class MasterNetwork(canopen.Network):
     """A network without a bus thread of its own; sending is safe from several threads."""
 
     def __init__(self, link: Link) -> None:

@@ -63,7 +63,7 @@ class Burst:
         # With a SYNC start value the counter decides, so that a missed SYNC does not shift the turn.
         count = np.where((self._start > 0) & (counter > 0), (counter - self._start) % SYNC_OVERFLOW, self._syncs)
         due = operational[self._node] & (count % self._every == 0)
-        burst = self._template[due]
+        burst: Frames = self._template[due]
         burst["data"][:, :8] = encode(sums, self._gather[due])
         return burst
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -72,7 +72,7 @@ def nodes(
     skin = load_layout(layout)
     made = contract(skin)
     chosen = choose_nodes(made, only or [], without or [])
-    source = _source(skin, objects, input, full_scale, array, seed)
+    source = _recording(skin, input, full_scale, array) if input else _objects(skin, objects, seed)
     noise = 0.0 if source.has_noise else noise_n
     sampler = Sampler(made.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
     links = open_links(skin, bus or BusOptions(), chosen)
@@ -118,21 +118,27 @@ def _parse(made: Contract, texts: list[str]) -> set[tuple[int, int]]:
     return chosen
 
 
-def _source(
-    skin: Layout, names: str, path: Path | None, full_scale: float | None, arrays: list[str] | None, seed: int
-) -> TaxelSource:
-    grid: dict[str, Any] = {"rows": skin.taxels.rows, "columns": skin.taxels.columns}
-    if path is not None:
-        force_max_n = skin.taxels.force_max_n
-        return load_source(
-            "recording",
-            path=path,
-            full_scale=full_scale,
-            force_max_n=force_max_n,
-            arrays=tuple(arrays) if arrays else None,
-            **grid,
-        )
-    wanted = [name.strip() for name in names.split(",") if name.strip()] or None
+def _recording(skin: Layout, path: Path, full_scale: float | None, arrays: list[str] | None) -> TaxelSource:
+    taxels = skin.taxels
     return load_source(
-        "objects", pitch_m=skin.taxels.pitch_m, rate_hz=skin.sync.rate_hz, names=wanted, seed=seed, **grid
+        "recording",
+        path=path,
+        rows=taxels.rows,
+        columns=taxels.columns,
+        full_scale=full_scale,
+        force_max_n=taxels.force_max_n,
+        arrays=tuple(arrays) if arrays else None,
+    )
+
+
+def _objects(skin: Layout, names: str, seed: int) -> TaxelSource:
+    taxels = skin.taxels
+    return load_source(
+        "objects",
+        rows=taxels.rows,
+        columns=taxels.columns,
+        pitch_m=taxels.pitch_m,
+        rate_hz=skin.sync.rate_hz,
+        names=[name.strip() for name in names.split(",") if name.strip()] or None,
+        seed=seed,
     )

@@ -31,7 +31,9 @@ class Electronics:
             felt = felt + self._noise_n * self._random.standard_normal(felt.size, np.float32)
         top = 2**self._taxels.adc_bits - 1
         counts = np.rint(felt * np.float32(1 / self._taxels.newton_per_count))
-        return np.clip(counts, 0, top).astype(np.int16 if self._taxels.adc_bits <= 15 else np.int32)
+        # A layout keeps the ADC below 16 bits, so that sums fit the bus.
+        clipped: npt.NDArray[np.int16] = np.clip(counts, 0, top).astype(np.int16)
+        return clipped
 
     def newtons(self, counts: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
         """Return the force that `counts` stand for."""

@@ -6,7 +6,7 @@ from bus.link import Link
 from dbc.frame import frames
 
 
-class SegmentNetwork(canopen.Network):  # type: ignore[misc]  # the library has no complete types
+class SegmentNetwork(canopen.Network):
     """A network without a bus thread of its own."""
 
     def __init__(self, link: Link) -> None:

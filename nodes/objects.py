@@ -1,5 +1,7 @@
 """From the dictionary as data to the ``canopen`` library's object dictionary and local node."""
 
+from typing import cast
+
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
@@ -16,7 +18,8 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
         variable = ODVariable(each.name, each.index, each.subindex or 0)
         variable.data_type = each.data_type
         variable.access_type = each.access
-        variable.default = each.value
+        # The library's annotation knows integers only; strings and floats work.
+        variable.default = cast("int", each.value)
         variable.pdo_mappable = each.pdo
         if each.subindex is None:
             dictionary.add_object(variable)
@@ -24,7 +27,9 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
         if each.index not in dictionary:
             kind = ODArray if each.index in ARRAYS else ODRecord
             dictionary.add_object(kind(f"Object {each.index:04X}h", each.index))
-        dictionary[each.index].add_member(variable)
+        group = dictionary[each.index]
+        if isinstance(group, ODArray | ODRecord):
+            group.add_member(variable)
     return dictionary
 
 

@@ -18,6 +18,9 @@ from skin.messages import Topic
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
+#: How long a service tries to reach its hub before it gives up.
+CONNECT_PATIENCE_MS: Final = 10_000
+
 Message = TypeVar("Message", bound=msgspec.Struct)
 
 
@@ -132,6 +135,8 @@ def _config(endpoint: str, *, hub: bool) -> Any:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
+        # A service may be started before its hub.
+        "connect/timeout_ms": CONNECT_PATIENCE_MS,
     }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))

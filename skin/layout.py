@@ -2,12 +2,15 @@
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 
 from skin.errors import LayoutError
 from skin.measurement import Sbhe, sbhe
+
+#: Width of a sum on the bus (INTEGER16).
+SUM_BITS: Final = 16
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
 PositiveFloat = Annotated[float, msgspec.Meta(gt=0)]
@@ -35,7 +38,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
     @property
     def newton_per_count(self) -> float:
         """Force of one ADC count."""
-        return self.force_max_n / (2**self.adc_bits - 1)
+        return self.force_max_n / ((1 << self.adc_bits) - 1)
 
 
 class Measuring(_Table, frozen=True, kw_only=True):
@@ -143,28 +146,31 @@ def parse_layout(content: bytes, origin: str) -> Layout:
 
 def _check(layout: Layout) -> None:
     """Check what one key alone cannot tell."""
+    _check_measurement(layout)
+    _check_buses(layout)
+
+
+def _check_measurement(layout: Layout) -> None:
     taxels, wish = layout.taxels, layout.measurement
-    for path, size in (("$.taxels.rows", taxels.rows), ("$.taxels.columns", taxels.columns)):
+    powers = {"taxels.rows": taxels.rows, "taxels.columns": taxels.columns, "measurement.block_size": wish.block_size}
+    for path, size in powers.items():
         if size & (size - 1):
-            raise LayoutError(f"expected a power of two, got {size} - at `{path}`")
-    if wish.block_size & (wish.block_size - 1):
-        raise LayoutError(f"expected a power of two, got {wish.block_size} - at `$.measurement.block_size`")
+            raise LayoutError(f"expected a power of two, got {size} - at `$.{path}`")
     if taxels.count % wish.block_size:
         raise LayoutError(f"{taxels.count} taxels do not divide into blocks - at `$.measurement.block_size`")
     if not layout.blocks <= wish.sums <= taxels.count:
-        raise LayoutError(
-            f"expected {layout.blocks} (one per block) to {taxels.count} sums, got {wish.sums} - at `$.measurement.sums`"
-        )
+        limits = f"{layout.blocks} (one per block) to {taxels.count} sums"
+        raise LayoutError(f"expected {limits}, got {wish.sums} - at `$.measurement.sums`")
     if wish.selection == "balanced" and wish.sums % layout.blocks:
-        raise LayoutError(
-            f"balanced needs a multiple of {layout.blocks} blocks, got {wish.sums} - at `$.measurement.sums`"
-        )
-    if taxels.adc_bits + wish.block_size.bit_length() - 1 > 15:
-        limit = 15 - wish.block_size.bit_length() + 1
-        raise LayoutError(
-            f"sums of {wish.block_size} taxels of {taxels.adc_bits} bits do not fit 16 bits;"
-            f" use at most {limit} - at `$.taxels.adc_bits`"
-        )
+        wanted = f"balanced needs a multiple of {layout.blocks} blocks"
+        raise LayoutError(f"{wanted}, got {wish.sums} - at `$.measurement.sums`")
+    limit = SUM_BITS - wish.block_size.bit_length()
+    if taxels.adc_bits > limit:
+        too_large = f"sums of {wish.block_size} taxels of {taxels.adc_bits} bits do not fit {SUM_BITS} bits"
+        raise LayoutError(f"{too_large}; use at most {limit} - at `$.taxels.adc_bits`")
+
+
+def _check_buses(layout: Layout) -> None:
     names = [bus.name for bus in layout.bus]
     for index, name in enumerate(names):
         if name in names[:index]:

@@ -1,9 +1,15 @@
 """What every service does alike: say that it is ready, and end quietly when it is told to."""
 
+import ctypes
+import os
 import signal
 import sys
 import threading
 from types import FrameType
+from typing import Final
+
+#: prctl(2).
+PR_SET_PDEATHSIG: Final = 1
 
 
 class StopSignal:
@@ -16,6 +22,7 @@ class StopSignal:
         """Catch SIGINT and SIGTERM from now on; call it in the main thread."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._caught)
+        _end_with_parent()
         return self
 
     def set(self) -> None:
@@ -32,6 +39,16 @@ class StopSignal:
 
     def _caught(self, _number: int, _frame: FrameType | None) -> None:
         self._event.set()
+
+
+def _end_with_parent() -> None:
+    """Have the kernel send SIGTERM when the supervisor that started this process dies (Linux)."""
+    parent = os.environ.get("SKIN_PARENT")
+    if parent is None or not sys.platform.startswith("linux"):
+        return
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != int(parent):  # it died before the call
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def say(service: str, text: str) -> None:

@@ -1,0 +1,86 @@
+"""``skin demo``: the whole chain on this machine, without hardware, root or a running service."""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from demo.run import Run, Wishes
+from skin.layout import load_layout
+from skin.service import StopSignal
+
+
+def demo(
+    *,
+    layout: Path | None = None,
+    seconds: float = 20.0,
+    input: Path | None = None,  # noqa: A002 - the flag's name
+    full_scale: float | None = None,
+    array: Annotated[list[str] | None, Parameter(negative=())] = None,
+    objects: str = "",
+    seed: int = 0,
+    view: bool = True,
+    port: int | None = None,
+    picture: Path = Path("skin-demo.png"),
+    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
+    """Press and slide objects on a skin and show the whole chain at work.
+
+    Starts the virtual buses, the nodes, the gateway, the reconstructor, the classifier and the live page as
+    processes of their own, runs for a while, and ends with a summary and a picture.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin of 64 x 64 taxels on four CAN buses.
+    seconds
+        How long SYNC runs.
+    input
+        A recording to play instead of the simulator: .npz, .npy or .csv of shape (time, rows, columns).
+    full_scale
+        Value of the recording that stands for the skin's largest force; default: the largest it holds.
+    array
+        Name of the array of an .npz; give two to place them side by side.
+    objects
+        Comma-separated names of the objects, see ``skin objects``; default: a series of five.
+    seed
+        Seed of the touches and of the sensor noise.
+    view
+        ``--no-view`` leaves the live page out.
+    port
+        Port of the live page; default 8765, or a free one when that is taken.
+    picture
+        File for the picture of true, sensor, rebuilt and difference.
+    json_
+        Print the figures of the run as one JSON object on stdout.
+
+    Examples
+    --------
+    skin demo --seconds 10 --objects golf-ball
+    skin demo --input S1.npz --array posture_01 --array posture_02 --full-scale 4095 --json
+    """
+    wishes = Wishes(
+        layout_path=layout,
+        seconds=seconds,
+        recording=input,
+        full_scale=full_scale,
+        arrays=tuple(array or ()),
+        objects=objects,
+        seed=seed,
+        view=view,
+        port=port,
+        picture=picture,
+    )
+    stop = StopSignal().install()
+    with tempfile.TemporaryDirectory(prefix="skin-demo-") as folder:
+        run = Run(load_layout(layout), wishes, Path(folder))
+        report = run.execute(stop)
+    if json_:
+        print(json.dumps(report))
+    else:
+        run.print_summary(report)
+    sys.stdout.flush()
+    return 0 if report["cycles"] else 1

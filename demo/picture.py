@@ -1,0 +1,33 @@
+"""The picture of a run: what was there, what the sensor felt, what was rebuilt, and the difference."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+
+from demo.score import Snapshot, psnr_db
+
+mpl.use("Agg")
+
+from matplotlib import pyplot as plt
+
+
+def save_picture(snapshot: Snapshot, peak_n: float, path: Path) -> None:
+    """Draw true, sensor and reconstructed force and the reconstruction's error side by side."""
+    to_mn = 1e3
+    top = float(snapshot.true.max()) * to_mn
+    error = snapshot.image - snapshot.true
+    panels = (
+        ("true", snapshot.true, "viridis", 0.0, top),
+        (f"sensor, {psnr_db(snapshot.true, snapshot.sensor, peak_n):.1f} dB", snapshot.sensor, "viridis", 0.0, top),
+        (f"rebuilt, {psnr_db(snapshot.true, snapshot.image, peak_n):.1f} dB", snapshot.image, "viridis", 0.0, top),
+        ("rebuilt minus true", error, "RdBu_r", -top / 4, top / 4),
+    )
+    figure, axes = plt.subplots(1, 4, figsize=(13, 3.4), layout="constrained")
+    for axis, (title, grid, colours, low, high) in zip(axes, panels, strict=True):
+        shown = axis.imshow(grid * to_mn, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
+        axis.set_title(title, fontsize=10)
+        axis.set_xticks([])
+        axis.set_yticks([])
+        figure.colorbar(shown, ax=axis, shrink=0.85, label="mN")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

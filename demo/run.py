@@ -1,0 +1,194 @@
+"""One run of the whole chain."""
+
+import socket
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from demo.picture import save_picture
+from demo.score import Score
+from demo.supervisor import Supervisor
+from skin.errors import InputError, SkinError
+from skin.fabric import Fabric
+from skin.layout import Layout
+from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
+from skin.service import StopSignal
+
+DEFAULT_PORT: Final = 8765
+#: A first run compiles the solver and trains the classifier.
+READY_PATIENCE_S: Final = 180.0
+FIRST_CYCLE_PATIENCE_S: Final = 20.0
+TURN_S: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the person asked for; see `demo.command.demo`."""
+
+    layout_path: Path | None
+    seconds: float
+    recording: Path | None
+    full_scale: float | None
+    arrays: tuple[str, ...]
+    objects: str
+    seed: int
+    view: bool
+    port: int | None
+    picture: Path
+
+
+class Run:
+    """Starts the services, follows them, and reports.
+
+    Raises
+    ------
+    InputError
+        If a wish cannot be met; before anything is started where that can be told.
+    """
+
+    def __init__(self, layout: Layout, wishes: Wishes, folder: Path) -> None:
+        if not 0 < wishes.seconds < float("inf"):
+            raise InputError(f"expected a positive number of seconds, got {wishes.seconds:g}")
+        if not wishes.picture.resolve().parent.is_dir():
+            raise InputError(f"{wishes.picture}: the folder for the picture does not exist")
+        self._layout = layout
+        self._wishes = wishes
+        self._score = Score(layout)
+        self._supervisor = Supervisor(folder)
+        self._alive: set[str] = set()
+        self._console = Console(stderr=True)
+        self._port = _page_port(wishes.port) if wishes.view else None
+
+    def execute(self, stop: StopSignal) -> dict[str, object]:
+        """Run the chain until its time is over or `stop`, and return the figures."""
+        with ExitStack() as last:
+            endpoint, fabric = _hub(self._layout.name)
+            last.callback(fabric.close)
+            last.callback(self._supervisor.stop)
+            self._listen(fabric)
+            self._start_services(endpoint)
+            self._await_services(stop)
+            if not stop.is_set():
+                self._supervisor.start("gateway", "gateway", *self._common(endpoint))
+                self._follow(stop)
+            # In this order, so that every frame sent is either received or lost, and counted.
+            self._supervisor.stop("gateway")
+            self._supervisor.stop("nodes")
+            time.sleep(TURN_S)  # the last counters are on their way
+        report = self._score.report()
+        if self._score.best is not None:
+            save_picture(self._score.best, self._layout.taxels.force_max_n, self._wishes.picture)
+            report["picture"] = str(self._wishes.picture)
+        return report
+
+    def print_summary(self, report: dict[str, object]) -> None:
+        """Print the figures as a table for a person."""
+        table = Table(title="the run", show_header=False)
+        for name, value in report.items():
+            table.add_row(name, str(value))
+        Console().print(table)
+
+    def _common(self, endpoint: str) -> list[str]:
+        layout = ["--layout", str(self._wishes.layout_path)] if self._wishes.layout_path else []
+        return [*layout, "--connect", endpoint]
+
+    def _listen(self, fabric: Fabric) -> None:
+        for topic, handler in (
+            (GATEWAY, self._score.take_gateway),
+            (NODES, self._score.take_nodes),
+            (TRUTH, self._score.take_truth),
+            (IMAGE, self._score.take_image),
+            (LABEL, self._score.take_label),
+        ):
+            fabric.subscribe(topic, handler)
+        fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
+
+    def _start_services(self, endpoint: str) -> None:
+        wishes, start, common = self._wishes, self._supervisor.start, self._common(endpoint)
+        bitrates = {bus.bitrate for bus in self._layout.bus}
+        if len(bitrates) > 1:
+            raise InputError("the demo's virtual buses all have one bit rate; this layout has several")
+        start("bus", "bus", *(bus.name for bus in self._layout.bus), "--bitrate", str(bitrates.pop()))
+        touch = ["--objects", wishes.objects] if wishes.objects else []
+        if wishes.recording is not None:
+            touch = ["--input", str(wishes.recording)]
+            touch += ["--full-scale", str(wishes.full_scale)] if wishes.full_scale is not None else []
+            touch += [part for name in wishes.arrays for part in ("--array", name)]
+        start("nodes", "nodes", *common, "--seed", str(wishes.seed), *touch)
+        start("reconstructor", "reconstruct", *common, restart=True)
+        start("classifier", "classify", *common, restart=True)
+        if self._port is not None:
+            start("viewer", "view", *common, "--port", str(self._port), restart=True)
+
+    def _await_services(self, stop: StopSignal) -> None:
+        """Wait until every service says that it is ready."""
+        wanted = {"nodes", "reconstructor", "classifier"} | ({"viewer"} if self._port is not None else set())
+        patience_s = time.monotonic() + READY_PATIENCE_S
+        with self._console.status("starting") as status:
+            while (missing := wanted - self._alive) and not stop.wait(TURN_S):
+                self._supervisor.look()
+                status.update(f"starting: waiting for {', '.join(sorted(missing))}")
+                if time.monotonic() > patience_s:
+                    raise SkinError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
+
+    def _follow(self, stop: StopSignal) -> None:
+        """Show progress until the time is over."""
+        if self._port is not None:
+            self._console.print(f"live page: http://127.0.0.1:{self._port}/")
+        pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
+        self._console.print(f"processes: {pids}", highlight=False)
+        patience_s = time.monotonic() + FIRST_CYCLE_PATIENCE_S
+        while not (self._score.gateway and self._score.gateway.cycles) and not stop.wait(TURN_S / 5):
+            self._supervisor.look()
+            if time.monotonic() > patience_s:
+                raise SkinError("no cycle came from the gateway")
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=self._console, transient=True) as progress:
+            task = progress.add_task("", total=self._wishes.seconds)
+            start_s = time.monotonic()
+            while (elapsed_s := time.monotonic() - start_s) < self._wishes.seconds:
+                if stop.wait(min(TURN_S, self._wishes.seconds - elapsed_s)):
+                    break
+                for event in self._supervisor.look():
+                    progress.console.print(event, highlight=False)
+                progress.update(task, completed=elapsed_s, description=self._line())
+
+    def _line(self) -> str:
+        """Say in one line how the run is going."""
+        gateway, score = self._score.gateway, self._score
+        parts = [f"cycle {gateway.cycles}, {gateway.cycles_complete} complete" if gateway else ""]
+        if score.psnr_image_db:
+            parts.append(f"image {score.psnr_image_db[-1]:.1f} dB, sensor {score.psnr_sensor_db[-1]:.1f} dB")
+        parts.append(score.last_label or "no contact")
+        return " | ".join(parts)
+
+
+def _hub(skin: str) -> tuple[str, Fabric]:
+    """Open the fabric's hub on a free loopback port."""
+    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    return endpoint, Fabric(skin, "demo", endpoint, hub=True)
+
+
+def _page_port(wanted: int | None) -> int:
+    """Return the port for the page: the one wanted, else the default or a free one."""
+    if wanted is not None:
+        return wanted
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", DEFAULT_PORT))
+        except OSError:
+            return _free_port()
+    return DEFAULT_PORT
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,157 @@
+"""What a run was worth: messages in, figures out. No input or output of its own.
+
+PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.layout import Layout
+from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
+
+#: A cycle is a contact cycle while the largest true force is at least this part of the range: twice the sensor noise.
+CONTACT_RATIO: Final = 0.1
+#: SYNC counters come round every 2.4 s at 100 Hz; messages of one cycle lie closer together.
+SAME_CYCLE_S: Final = 1.0
+#: Cycles remembered while their messages come in.
+REMEMBERED: Final = 240
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One cycle's images, newtons, shape (rows, columns)."""
+
+    true: npt.NDArray[np.float32]
+    sensor: npt.NDArray[np.float32]
+    image: npt.NDArray[np.float32]
+    label: str
+
+
+@dataclass
+class Score:
+    """Collects the messages of a run; handlers may be called from any one thread each.
+
+    Attributes
+    ----------
+    psnr_image_db, psnr_sensor_db : list of float
+        One entry per contact cycle.
+    latency_ms : list of float
+        SYNC to published image, one entry per image.
+    """
+
+    layout: Layout
+    gateway: GatewayStatus | None = None
+    nodes: dict[str, NodesStatus] = field(default_factory=dict)
+    psnr_image_db: list[float] = field(default_factory=list)
+    psnr_sensor_db: list[float] = field(default_factory=list)
+    latency_ms: list[float] = field(default_factory=list)
+    labelled: int = 0
+    labelled_right: int = 0
+    best: Snapshot | None = None
+    last_label: str = ""
+    _truth: dict[int, Truth] = field(default_factory=dict)
+    _waiting: dict[int, Image] = field(default_factory=dict)
+    _waiting_label: dict[int, Label] = field(default_factory=dict)
+    _best_total_n: float = 0.0
+
+    def take_gateway(self, status: GatewayStatus) -> None:
+        """Keep the newest counters of the gateway."""
+        self.gateway = status
+
+    def take_nodes(self, status: NodesStatus) -> None:
+        """Keep the newest counters of each process of nodes."""
+        self.nodes[status.process] = status
+
+    def take_truth(self, truth: Truth) -> None:
+        """Remember what the skin really felt, and use what waited for it."""
+        self._truth[truth.sync_counter] = truth
+        image = self._waiting.pop(truth.sync_counter, None)
+        if image is not None and _same(image.sync_mono_ns, truth):
+            self._compare(image, truth)
+        label = self._waiting_label.pop(truth.sync_counter, None)
+        if label is not None and _same(label.sync_mono_ns, truth):
+            self._judge(label, truth)
+
+    def take_image(self, image: Image) -> None:
+        """Compare an image with the truth of its cycle."""
+        self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
+        truth = self._truth.get(image.sync_counter)
+        if truth is not None and _same(image.sync_mono_ns, truth):
+            self._compare(image, truth)
+        else:
+            self._waiting[image.sync_counter] = image
+
+    def take_label(self, label: Label) -> None:
+        """Compare a label with the object that touched in its cycle."""
+        self.last_label = label.label
+        truth = self._truth.get(label.sync_counter)
+        if truth is not None and _same(label.sync_mono_ns, truth):
+            self._judge(label, truth)
+        else:
+            self._waiting_label[label.sync_counter] = label
+
+    def _judge(self, label: Label, truth: Truth) -> None:
+        if truth.label and self._in_contact(self._grid(truth.true)):
+            self.labelled += 1
+            self.labelled_right += label.label == truth.label
+
+    def _compare(self, image: Image, truth: Truth) -> None:
+        true = self._grid(truth.true)
+        if not self._in_contact(true):
+            return
+        sensor, made = self._grid(truth.sensor), self._grid(image.pixels)
+        self.psnr_sensor_db.append(psnr_db(true, sensor, self.layout.taxels.force_max_n))
+        self.psnr_image_db.append(psnr_db(true, made, self.layout.taxels.force_max_n))
+        total_n = float(true.sum())
+        if total_n > self._best_total_n:
+            self._best_total_n = total_n
+            self.best = Snapshot(true, sensor, made, truth.label)
+
+    def _in_contact(self, true: npt.NDArray[np.float32]) -> bool:
+        return float(true.max()) >= CONTACT_RATIO * self.layout.taxels.force_max_n
+
+    def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
+        return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)
+
+    def report(self) -> dict[str, object]:
+        """Return the figures of the run; None where nothing was measured."""
+        gateway = self.gateway
+        received = gateway.frames_received if gateway else 0
+        sent = sum(status.frames_sent for status in self.nodes.values())
+        return {
+            "cycles": gateway.cycles if gateway else 0,
+            "cycles_complete": gateway.cycles_complete if gateway else 0,
+            "frames_sent": sent,
+            "frames_received": received,
+            "frames_lost": sent - received,
+            "frames_missing": gateway.frames_missing if gateway else 0,
+            "frames_late": gateway.frames_late if gateway else 0,
+            "psnr_sensor_db": _mean(self.psnr_sensor_db),
+            "psnr_image_db": _mean(self.psnr_image_db),
+            "contact_cycles": len(self.psnr_image_db),
+            "label_accuracy": self.labelled_right / self.labelled if self.labelled else None,
+            "latency_ms": {"p50": _percentile(self.latency_ms, 50), "p99": _percentile(self.latency_ms, 99)},
+            "sync_rate_hz": round(gateway.sync_rate_hz, 3) if gateway else 0.0,
+            "bus_load": [round(load, 4) for load in gateway.mean_load_ratio] if gateway else [],
+        }
+
+
+def psnr_db(true: npt.NDArray[np.float32], other: npt.NDArray[np.float32], peak: float) -> float:
+    """Return the peak signal-to-noise ratio of `other` against `true` in decibels; equal images give 200."""
+    error = float(np.mean((true.astype(np.float64) - other) ** 2))
+    return 10 * float(np.log10(peak**2 / max(error, peak**2 * 1e-20)))
+
+
+def _same(sync_mono_ns: int, truth: Truth) -> bool:
+    return abs(sync_mono_ns - truth.sync_mono_ns) < SAME_CYCLE_S * 1e9
+
+
+def _mean(values: list[float]) -> float | None:
+    return round(float(np.mean(values)), 2) if values else None
+
+
+def _percentile(values: list[float], percent: float) -> float | None:
+    return round(float(np.percentile(values, percent)), 2) if values else None

@@ -1,0 +1,105 @@
+"""The processes of a run: started in the order of the data, watched, restarted, ended."""
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from skin.errors import InputError, SkinError
+
+#: A process that has ended is started again after this time, so that its absence can be seen.
+RESTART_AFTER_S: Final = 2.0
+STOP_PATIENCE_S: Final = 5.0
+WRONG_INPUT: Final = 2
+
+
+@dataclass
+class Child:
+    """One service of the run."""
+
+    name: str
+    arguments: list[str]
+    log: Path
+    process: subprocess.Popen[bytes]
+    restart: bool
+    ended_at_s: float | None = None
+    restarts: int = 0
+
+
+@dataclass
+class Supervisor:
+    """Starts ``skin`` services as processes of their own; `folder` holds their logs and the buses' sockets."""
+
+    folder: Path
+    children: dict[str, Child] = field(default_factory=dict)
+
+    def start(self, name: str, *arguments: str, restart: bool = False) -> Child:
+        """Start ``skin ARGUMENTS`` under `name`."""
+        log = self.folder / f"{name}.log"
+        child = Child(name, list(arguments), log, self._launch(list(arguments), log), restart)
+        self.children[name] = child
+        return child
+
+    def look(self) -> list[str]:
+        """Restart what has ended and may be restarted; return one line per event.
+
+        Raises
+        ------
+        InputError
+            If a service ended because of a wrong input; with the service's own line.
+        SkinError
+            If a service ended that the run cannot do without.
+        """
+        events = []
+        for child in self.children.values():
+            status = child.process.poll()
+            if status is None:
+                continue
+            if status == WRONG_INPUT:
+                raise InputError(self.last_line(child).removeprefix("skin: "))
+            if not child.restart:
+                raise SkinError(f"{child.name} ended (status {status}): {self.last_line(child)}")
+            if child.ended_at_s is None:
+                child.ended_at_s = time.monotonic()
+                events.append(f"{child.name} ended (status {status})")
+            elif time.monotonic() - child.ended_at_s >= RESTART_AFTER_S:
+                child.process = self._launch(child.arguments, child.log)
+                child.ended_at_s = None
+                child.restarts += 1
+                events.append(f"{child.name} started again as process {child.process.pid}")
+        return events
+
+    def stop(self, *names: str) -> None:
+        """End services, by default all, in the order given; kill what does not end in time."""
+        for child in [self.children[name] for name in names if name in self.children] or self.children.values():
+            child.restart = False
+            if child.process.poll() is None:
+                child.process.terminate()
+                try:
+                    child.process.wait(STOP_PATIENCE_S)
+                except subprocess.TimeoutExpired:
+                    child.process.kill()
+                    child.process.wait()
+
+    @staticmethod
+    def last_line(child: Child) -> str:
+        """Return the last line the service said."""
+        lines = child.log.read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it said nothing"
+
+    def _launch(self, arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
+        # One thread each: the services share the machine, and none needs more.
+        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+        environment = {**os.environ, **threads, "SKIN_BUS_DIR": str(self.folder), "SKIN_PARENT": str(os.getpid())}
+        with log.open("ab") as sink:
+            return subprocess.Popen(  # noqa: S603 - our own command, no shell
+                [sys.executable, "-m", "skin", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=sink,
+                stderr=sink,
+                env=environment,
+                process_group=0,  # Ctrl-C reaches this process alone, which ends the others in order
+            )

@@ -1,0 +1,85 @@
+"""The contract: identifiers, phases and the codec."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dbc.codec import decode, encode
+from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, contract, next_counter, phase_of
+from dbc.dictionary import OD_PHI_FINGERPRINT, OD_SUMS, dictionary
+from skin.errors import LayoutError
+from skin.layout import Layout, load_layout
+
+MADE = contract(load_layout())
+
+
+def changed(**measurement: object) -> Layout:
+    layout = load_layout()
+    return msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, **measurement))
+
+
+def test_default_skin_uses_the_predefined_connection_set() -> None:
+    node = MADE.on_bus(1)[5]
+    assert (node.node_id, node.block, node.sums) == (6, 37, 8)
+    assert [tpdo.cob_id for tpdo in node.tpdos] == [0x186, 0x286, 0x386, 0x486]
+    assert [tpdo.phase for tpdo in node.tpdos] == [0, 0, 1, 1]
+    assert {tpdo.length for tpdo in node.tpdos} == {8}
+
+
+def test_one_cycle_is_256_frames() -> None:
+    for phase in range(PHASES):
+        assert (MADE.table.phase == phase).sum() == 256
+
+
+@pytest.mark.parametrize("seed", range(1, 12))
+def test_uniform_rows_find_identifiers(seed: int) -> None:
+    made = contract(changed(selection="uniform", seed=seed))
+    assert made.phi.shape[0] == 1024
+    for bus in range(4):
+        ids = [tpdo.cob_id for node in made.on_bus(bus) for tpdo in node.tpdos]
+        assert len(ids) == len(set(ids))
+        # Outside what CiA 301, table 38 restricts.
+        assert all(0x181 <= cob_id < 0x580 for cob_id in ids)
+    for phase in range(PHASES):
+        gathered = made.table.gather[made.table.phase == phase]
+        assert sorted(gathered[gathered >= 0]) == list(range(1024))
+
+
+def test_too_many_frames_for_one_bus_is_an_error() -> None:
+    text = '[measurement]\nsums = 2560\n[[bus]]\nname = "a"\nnodes = 127\n[[bus]]\nname = "b"\nnodes = 1\n'
+    layout = msgspec.toml.decode(text, type=Layout)
+    with pytest.raises(LayoutError, match=r"put fewer nodes on `\$\.bus\[0\]`"):
+        contract(layout)
+
+
+def test_phases_take_turns_across_the_overflow() -> None:
+    counter, seen = 1, []
+    for _ in range(2 * SYNC_OVERFLOW):
+        seen.append(phase_of(counter))
+        counter = next_counter(counter)
+    assert seen == [0, 1] * SYNC_OVERFLOW
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_codec_round_trip_is_exact(seed: int) -> None:
+    sums = np.random.default_rng(seed).integers(-(2**15), 2**15, 1024).astype(np.int16)
+    rows = MADE.table.gather[MADE.table.phase == 0]
+    back = np.zeros(1024, np.int32)
+    decode(encode(sums, rows), rows, back)
+    assert np.array_equal(back, sums)
+
+
+def test_dictionary_maps_each_sum_once_per_phase() -> None:
+    made: Contract = contract(changed(selection="uniform"))
+    for node in made.nodes[:16]:
+        objects = {(each.index, each.subindex): each for each in dictionary(made, node)}
+        assert objects[OD_PHI_FINGERPRINT, None].value == made.phi.fingerprint
+        mapped = [
+            int(each.value)
+            for (index, subindex), each in objects.items()
+            if 0x1A00 <= index < 0x1C00 and subindex and each.value
+        ]
+        wanted = [OD_SUMS << 16 | place << 8 | 16 for place in range(1, node.sums + 1)]
+        assert sorted(mapped) == sorted(wanted * PHASES)

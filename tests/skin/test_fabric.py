@@ -1,0 +1,115 @@
+"""The fabric: messages, mailboxes, liveliness, and what happens to garbage."""
+
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+
+from skin import fabric as fabric_module
+from skin.errors import BusError
+from skin.fabric import Fabric, Mailbox
+from skin.messages import LABEL, Label
+
+
+def label(cycle: int) -> Label:
+    return Label(cycle=cycle, sync_counter=1, sync_mono_ns=0, label="cup", confidence=0.5, valid_sums=1024)
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def hub(endpoint: str) -> Iterator[Fabric]:
+    fabric = Fabric("test", "hub", endpoint, hub=True)
+    yield fabric
+    fabric.close()
+
+
+def send_until_heard(sender: Fabric, heard: threading.Event) -> None:
+    """Publish until a subscriber, whose declaration takes its time, has heard."""
+    for cycle in range(500):
+        sender.publish(LABEL, label(cycle))
+        if heard.wait(0.02):
+            return
+    pytest.fail("nothing was heard")
+
+
+def test_message_crosses(hub: Fabric, endpoint: str) -> None:
+    heard = threading.Event()
+    got: list[Label] = []
+
+    def handler(message: Label) -> None:
+        got.append(message)
+        heard.set()
+
+    other = Fabric("test", "other", endpoint)
+    hub.subscribe(LABEL, handler)
+    send_until_heard(other, heard)
+    other.close()
+    assert got[0].label == "cup"
+
+
+def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint: str) -> None:
+    heard = threading.Event()
+    hub.subscribe(LABEL, lambda _message: heard.set())
+    other = Fabric("test", "other", endpoint)
+    stranger = Fabric("another", "other", endpoint)
+    session: zenoh.Session = other._session
+    for _ in range(500):
+        session.put("canskin/test/label", b"\xc1 garbage")
+        stranger.publish(LABEL, label(0))
+        if hub.malformed:
+            break
+        heard.wait(0.02)
+    assert hub.malformed
+    assert not heard.is_set()
+    send_until_heard(other, heard)
+    other.close()
+    stranger.close()
+
+
+def test_services_are_seen_coming_and_going(hub: Fabric, endpoint: str) -> None:
+    changed = threading.Condition()
+    alive: set[str] = set()
+
+    def handler(name: str, is_alive: bool) -> None:
+        with changed:
+            alive.add(name) if is_alive else alive.discard(name)
+            changed.notify()
+
+    hub.watch(handler)
+    other = Fabric("test", "reconstructor", endpoint)
+    with changed:
+        assert changed.wait_for(lambda: "reconstructor" in alive, 10)
+    other.close()
+    with changed:
+        assert changed.wait_for(lambda: "reconstructor" not in alive, 10)
+
+
+def test_endpoint_in_use_is_one_clear_line(hub: Fabric, endpoint: str) -> None:
+    with pytest.raises(BusError, match="cannot listen on tcp/127") as caught:
+        Fabric("test", "second", endpoint, hub=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_hub_is_one_clear_line(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fabric_module, "CONNECT_PATIENCE_MS", 200)
+    with pytest.raises(BusError, match="cannot connect to tcp/127"):
+        Fabric("test", "lonely", endpoint)
+
+
+def test_mailbox_keeps_the_newest_and_counts_the_rest() -> None:
+    mailbox: Mailbox[Label] = Mailbox(2)
+    for cycle in range(5):
+        mailbox.put(label(cycle))
+    first, second = mailbox.get(0), mailbox.get(0)
+    assert first is not None
+    assert second is not None
+    assert (first.cycle, second.cycle, mailbox.overrun) == (3, 4, 3)
+    assert mailbox.get(0) is None

@@ -1,0 +1,77 @@
+"""The layout file: what it means, and errors that name the path of the wrong key."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from skin.errors import LayoutError
+from skin.layout import Layout, load_layout, parse_layout
+
+DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
+
+
+def test_default_skin() -> None:
+    layout = load_layout()
+    assert layout.taxels.count == 4096
+    assert layout.taxels.newton_per_count == pytest.approx(0.02 / 1023)
+    assert layout.blocks == 128
+    assert [bus.nodes for bus in layout.bus] == [32] * 4
+    assert layout.sync.period_s == pytest.approx(0.01)
+    assert layout.phi().shape == (1024, 4096)
+    assert (layout.phi().kept.sum(axis=1) == 8).all()
+
+
+def test_same_layout_same_phi_and_another_seed_another() -> None:
+    layout = load_layout()
+    other = msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, seed=2))
+    assert layout.phi().fingerprint == load_layout().phi().fingerprint
+    assert other.phi().fingerprint != layout.phi().fingerprint
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "path"),
+    [
+        ("rows = 64", "rows = '64'", "$.taxels.rows"),
+        ("rows = 64", "rows = 63", "$.taxels.rows"),
+        ("rows = 64", "rowz = 64", "$.taxels"),
+        ("adc_bits = 10", "adc_bits = 12", "$.taxels.adc_bits"),
+        ("block_size = 32", "block_size = 33", "$.measurement.block_size"),
+        ("sums = 1024", "sums = 1000", "$.measurement.sums"),
+        ("sums = 1024", "sums = 100", "$.measurement.sums"),
+        ("rate_hz = 100.0", "rate_hz = -1.0", "$.sync.rate_hz"),
+        ("sum_bits = 16", "sum_bits = 15", "$.encoding.sum_bits"),
+        ('name = "bus1"', 'name = "bus0"', "$.bus[1].name"),
+        ('name = "bus1"\nnodes = 32', 'name = "bus1"\nnodes = 31', "$.bus"),
+        ('name = "bus1"\nnodes = 32', 'name = "bus1"\nnodes = 300', "$.bus[1].nodes"),
+        (
+            'name = "bus1"\nnodes = 32\nbitrate = 1_000_000',
+            'name = "bus1"\nnodes = 32\nbitrate = 2',
+            "$.bus[1].bitrate",
+        ),
+    ],
+)
+def test_errors_name_the_path(old: str, new: str, path: str) -> None:
+    assert old in DEFAULT
+    with pytest.raises(LayoutError) as caught:
+        parse_layout(DEFAULT.replace(old, new, 1).encode(), "palm.toml")
+    assert f"at `{path}`" in str(caught.value)
+    assert str(caught.value).startswith("palm.toml: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"[[bus]]\n", b"\xff\xfe", b"[taxels\n", b"a = 1\na = 2\n"])
+def test_broken_files_are_layout_errors(content: bytes) -> None:
+    with pytest.raises(LayoutError):
+        parse_layout(content, "palm.toml")
+
+
+def test_missing_file() -> None:
+    with pytest.raises(LayoutError, match=r"no\.toml: cannot read the layout: No such file"):
+        load_layout(Path("no.toml"))
+
+
+def test_small_skin() -> None:
+    text = '[taxels]\nrows = 16\ncolumns = 16\n[measurement]\nsums = 64\n[[bus]]\nname = "bus0"\nnodes = 8\n'
+    layout: Layout = parse_layout(text.encode(), "small.toml")
+    assert layout.phi().shape == (64, 256)
