@@ -86,4 +86,4 @@ def _progress(elapsed_s: float, duration_s: float) -> float:
     """Return how much of a phase is done, 0 to 1; a phase of no duration is done when it begins."""
     if elapsed_s >= duration_s:
         return 1.0
-    return max(0.0, elapsed_s / duration_s)
+    return elapsed_s / duration_s if elapsed_s > 0.0 else 0.0
