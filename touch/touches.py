@@ -27,7 +27,7 @@ SLOT_S: Final = PAUSE_S + PRESS_S + HOLD_S + SLIDE_S + LIFT_S
 DEPTH_M: Final = (0.0095, 0.0105)
 #: An object too large to stay on the array still moves off its middle by this part of its half.
 LEAST_ROOM_RATIO: Final = 0.08
-#: The slide of the paper's trajectory.
+#: That of the paper's trajectory.
 SLIDE_SPEED_M_PER_S: Final = 0.045
 #: Streams of random numbers that never meet.
 LIVE, TRAINING = 0, 1

@@ -6,7 +6,6 @@ from typing import Final
 from touch.contact import Pose
 
 #: The paper's trajectory: 1 kHz, 1100 steps of pressing at 0.01 m/s from a gap of 1 mm, 3100 of sliding.
-PAPER_RATE_HZ: Final = 1000.0
 PAPER_STEPS: Final = 4200
 PAPER_PRESS_STEPS: Final = 1100
 PAPER_GAP_STEPS: Final = 100
