@@ -1,0 +1,113 @@
+"""What the classifier sees of one measurement: position-free energies of its sums, or the sums themselves.
+
+A linear function of the raw sums cannot name an object at any position and depth. So the sums are turned
+back into a rough image, the adjoint Φᵀy, which is smoothed at several widths. The energy (a quadratic form
+of the sums) and the peak of each smoothed image do not depend on where the object lies or how it is turned.
+Row 0 of a block, the plain sum of its taxels, is left out: it is the only one that a common offset of the
+taxels (clipped noise, drift) can move.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.measurement import Sbhe, fast_hadamard
+
+Float32 = npt.NDArray[np.float32]
+
+#: Standard deviations of the smoothing kernels, in taxels; those above a quarter of the array are left out.
+WIDTHS: Final = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0, 9.0, 14.0)
+
+
+def widths_for(rows: int, columns: int) -> tuple[float, ...]:
+    """Return the smoothing widths that fit an array of `rows` x `columns` taxels."""
+    return tuple(width for width in WIDTHS if width <= min(rows, columns) / 4)
+
+
+class Smoothed:
+    """Energies and peaks of the adjoint image at several widths, without allocation per measurement.
+
+    Parameters
+    ----------
+    phi : Sbhe
+        Φ of shape (m, n), n = rows x columns.
+    rows, columns : int
+        Taxels of the skin.
+
+    Attributes
+    ----------
+    energies, peaks : float64, shape (widths,)
+        Results of the newest `measure`: mean square and largest value, in ADC counts.
+    """
+
+    def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
+        sums, taxels = phi.shape
+        widths = widths_for(rows, columns)
+        self.energies = np.zeros(len(widths))
+        self.peaks = np.zeros(len(widths))
+        self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
+        # ΦᵀΦ is (m / n) B I on average, so that this weight gives taxels in counts.
+        self._weights = np.where(phi.row_of_sum == 0, 0, taxels / (sums * phi.block_size)).astype(np.float32)
+        # Rows that are not sent read the zero behind the values.
+        self._source = np.full(phi.kept.shape, sums, np.intp)
+        self._source[phi.kept] = np.arange(sums)
+        self._hadamard = fast_hadamard(np.eye(phi.block_size, dtype=np.float32)).astype(np.float32)
+        self._inverse_order = np.argsort(phi.order)
+        self._padded = np.zeros(sums + 1, np.float32)
+        self._values = self._padded[:sums]
+        self._valid_sums = np.zeros(sums, np.float32)
+        self._spread = np.zeros(phi.kept.shape, np.float32)
+        self._scrambled = np.zeros(phi.kept.shape, np.float32)
+        self._image = np.zeros((rows, columns), np.float32)
+        self._stages = [_Stage(width, rows, columns) for width in widths]
+
+    def measure(self, sums: npt.NDArray[np.int32], valid: Float32, valid_ratio: float) -> None:
+        """Fill `energies` and `peaks` from one measurement.
+
+        Parameters
+        ----------
+        sums : array of int32, shape (m,)
+        valid : array of float32, shape (blocks,)
+            1 or 0 per block; sums of invalid blocks count as 0.
+        valid_ratio : float
+            Mean of `valid`, above 0. What is left is amplified by its inverse root, which keeps the noise of
+            the adjoint image at the level it has without loss.
+        """
+        np.copyto(self._values, sums, casting="unsafe")
+        self._values *= self._weights
+        if valid_ratio < 1:
+            np.take(valid, self._block_of_sum, out=self._valid_sums, mode="clip")
+            self._values *= self._valid_sums
+            self._values *= valid_ratio**-0.5
+        np.take(self._padded, self._source, out=self._spread, mode="clip")
+        np.matmul(self._spread, self._hadamard, out=self._scrambled)
+        np.take(self._scrambled.reshape(-1), self._inverse_order, out=self._image.reshape(-1), mode="clip")
+        for index, stage in enumerate(self._stages):
+            self.energies[index], self.peaks[index] = stage.measure(self._image)
+
+
+class _Stage:
+    """One Gaussian of unit energy, evaluated no denser than its width asks."""
+
+    def __init__(self, width: float, rows: int, columns: int) -> None:
+        step = max(1, int(width / 2))
+        self._left = _gaussian(width, rows, step)
+        self._right = np.ascontiguousarray(_gaussian(width, columns, step).T)
+        self._half = np.zeros((len(self._left), columns), np.float32)
+        self._smooth = np.zeros((len(self._left), self._right.shape[1]), np.float32)
+        self._flat = self._smooth.reshape(-1)
+
+    def measure(self, image: Float32) -> tuple[float, float]:
+        np.matmul(self._left, image, out=self._half)
+        np.matmul(self._half, self._right, out=self._smooth)
+        return float(np.dot(self._flat, self._flat)) / self._flat.size, float(self._flat.max())
+
+
+def _gaussian(width: float, size: int, step: int) -> Float32:
+    places = np.arange(size)
+    centres = places[(size - 1) % step // 2 :: step]
+    kernel = np.exp(-((centres[:, None] - places) ** 2) / (2 * width**2))
+    middle = kernel[len(centres) // 2]
+    unit: Float32 = (kernel / np.linalg.norm(middle)).astype(np.float32)
+    return unit

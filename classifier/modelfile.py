@@ -1,0 +1,157 @@
+"""The model file: one ``.npz`` of float64 arrays and JSON metadata, readable without trusting it.
+
+Its entries are the arrays of `classifier.model.Model` by name, ``metadata`` (uint8, UTF-8 JSON of
+`classifier.model.Metadata`), and ``digest`` (uint8, shape (32,)), the SHA-256 of all the others.
+"""
+
+import hashlib
+import io
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from classifier.dag import pairs
+from classifier.features import widths_for
+from classifier.model import ARRAYS, VERSION, Metadata, Model
+from skin.errors import ModelError
+from skin.layout import Layout
+from skin.measurement import Sbhe
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+class _Version(msgspec.Struct):
+    version: int
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write `model` to `path` in one step: a reader sees the old file or the new one.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be written.
+    """
+    metadata = msgspec.json.encode(model.metadata)
+    arrays = {name: np.ascontiguousarray(getattr(model, name), "<f8") for name in ARRAYS}
+    content = io.BytesIO()
+    np.savez(
+        content,
+        allow_pickle=False,
+        metadata=np.frombuffer(metadata, np.uint8),
+        digest=np.frombuffer(_digest(metadata, arrays), np.uint8),
+        **arrays,
+    )
+    try:
+        _replace(path, content.getvalue())
+    except OSError as error:
+        raise ModelError(f"{path}: cannot write the model: {error.strerror or error}") from error
+
+
+def _replace(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, draft = tempfile.mkstemp(dir=path.parent, prefix=path.name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        Path(draft).replace(path)
+    except OSError:
+        Path(draft).unlink(missing_ok=True)
+        raise
+
+
+def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
+    """Read a model for the skin of `layout`, whose Φ is `phi`.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing, unreadable, damaged, of another version, or was trained for another skin.
+    """
+    entries = _entries(path)
+    metadata = bytes(entries["metadata"].astype(np.uint8).tobytes())
+    arrays = {name: entries[name] for name in ARRAYS}
+    try:
+        version = msgspec.json.decode(metadata, type=_Version).version
+        if version != VERSION:
+            raise ModelError(f"{path}: version {version} of the model format, expected {VERSION}: train it again")
+        about = msgspec.json.decode(metadata, type=Metadata)
+    except msgspec.MsgspecError as error:
+        raise ModelError(f"{path}: damaged model: {error}") from error
+    _check_skin(path, about, layout, phi)
+    _check_arrays(path, about, arrays)
+    if entries["digest"].tobytes() != _digest(metadata, arrays):
+        raise ModelError(f"{path}: damaged model: its digest does not fit its content; train it again")
+    return Model(about, **arrays)
+
+
+def _entries(path: Path) -> Arrays:
+    wanted = (*ARRAYS, "metadata", "digest")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise ModelError(f"{path}: not a model: expected an .npz made by 'skin train'")
+            missing = [name for name in wanted if name not in file]
+            if missing:
+                raise ModelError(f"{path}: not a model: it lacks {', '.join(missing)}")
+            return {name: file[name] for name in wanted}
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read the model: {error.strerror or error}") from error
+    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, NotImplementedError, MemoryError) as error:
+        raise ModelError(f"{path}: not a readable model: {error}") from error
+
+
+def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
+    taxels = layout.taxels
+    expected = {
+        "Φ": (about.fingerprint, phi.fingerprint),
+        "sums": (about.sums, phi.shape[0]),
+        "rows": (about.rows, taxels.rows),
+        "columns": (about.columns, taxels.columns),
+        "newton per count": (about.newton_per_count, taxels.newton_per_count),
+    }
+    for what, (has, wants) in expected.items():
+        if has != wants:
+            raise ModelError(
+                f"{path}: trained for another skin ({what} {has}, this skin has {wants});"
+                " train one with 'skin train --layout'"
+            )
+
+
+def _check_arrays(path: Path, about: Metadata, arrays: Arrays) -> None:
+    classes, widths = len(about.classes), len(widths_for(about.rows, about.columns))
+    features = about.sums if about.features == "sums" else 2 * widths
+    planes = len(pairs(classes))
+    shapes = {
+        "weights": (planes, features),
+        "biases": (planes,),
+        "offset": (features,),
+        "scale": (features,),
+        "no_touch": (4, widths),
+    }
+    if classes < 2 or len(set(about.classes)) < classes or "" in about.classes:
+        raise ModelError(f"{path}: damaged model: expected 2 or more different object names")
+    for name, shape in shapes.items():
+        array = arrays[name]
+        if array.shape != shape or array.dtype != np.dtype("<f8"):
+            raise ModelError(
+                f"{path}: damaged model: '{name}' is {array.dtype} {array.shape}, expected float64 {shape}"
+            )
+        if not np.isfinite(array).all():
+            raise ModelError(f"{path}: damaged model: '{name}' holds values that are not finite")
+    spreads = arrays["no_touch"][1::2]
+    if not (spreads > 0).all() or not (arrays["no_touch"][2] > 0).all():
+        raise ModelError(f"{path}: damaged model: deviations and peaks must be above 0")
+
+
+def _digest(metadata: bytes, arrays: Arrays) -> bytes:
+    digest = hashlib.sha256(metadata)
+    for name in ARRAYS:
+        digest.update(arrays[name].tobytes())
+    return digest.digest()

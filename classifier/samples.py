@@ -1,0 +1,111 @@
+"""Features to train on: what the nodes would send of true images, and what the classifier sees in it."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from classifier.decide import MIN_VALID_RATIO, Observer
+from classifier.features import Float32, widths_for
+from classifier.model import Features, Float64
+from skin.layout import Layout
+from skin.measurement import Sbhe
+
+#: The paper's sensor noise.
+NOISE_N: Final = 0.001
+#: Part of the cycles of an untouched skin that look like a touch.
+FALSE_ALARM_RATIO: Final = 0.002
+#: Every third touch is seen with blocks missing, every second with less noise, so that neither surprises.
+_LOSS_EVERY: Final = 3
+_QUIET_EVERY: Final = 2
+_MOST_LOST_RATIO: Final = 0.3
+_CHUNK: Final = 128
+
+
+class Untouched(NamedTuple):
+    """The untouched skin: ``no_touch`` as in `classifier.model.Model`, and the threshold of contact."""
+
+    no_touch: Float64
+    contact_threshold: float
+
+
+def simulate_sums(
+    force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float | Float64, rng: np.random.Generator
+) -> npt.NDArray[np.int32]:
+    """Return the sums the nodes would send of true forces: noise, clipping, ADC, then Φ in counts.
+
+    Parameters
+    ----------
+    force_n : array of float32, shape (count, n) or (count, rows, columns)
+        True forces in newtons.
+    noise_n : float or array, shape (count,)
+        Standard deviation of the noise of each observation.
+
+    Returns
+    -------
+    array of int32, shape (count, m)
+    """
+    taxels = layout.taxels
+    flat = force_n.reshape(len(force_n), -1)
+    sd = np.broadcast_to(np.asarray(noise_n, np.float32), (len(flat),))
+    sums = np.empty((len(flat), phi.shape[0]), np.int32)
+    for start in range(0, len(flat), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        felt = rng.standard_normal(flat[part].shape, np.float32) * sd[part, None] + flat[part]
+        counts = np.rint(np.clip(felt, 0, taxels.force_max_n) / taxels.newton_per_count)
+        sums[part] = phi.forward(counts.astype(np.int32))
+    return sums
+
+
+def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng: np.random.Generator) -> Untouched:
+    """Measure `count` draws of the untouched skin.
+
+    The threshold is the quantile of the largest standardised peak that `FALSE_ALARM_RATIO` of them pass.
+    """
+    taxels = layout.taxels
+    still = np.broadcast_to(np.float32(0), (count, taxels.count))
+    ignorant = np.ones((4, len(widths_for(taxels.rows, taxels.columns))))
+    observer = Observer(phi, taxels.rows, taxels.columns, ignorant)
+    whole = np.ones(phi.blocks, np.float32)
+    seen = np.empty((count, 2, ignorant.shape[1]))
+    for one, sums in zip(seen, simulate_sums(still, layout, phi, noise_n, rng), strict=True):
+        observer.look(sums, whole, 1.0)
+        one[:] = observer.smoothed.energies, observer.smoothed.peaks
+    mean = seen.mean(axis=0)
+    sd = np.maximum(seen.std(axis=0), np.finfo(np.float32).tiny)
+    largest = ((seen[:, 1] - mean[1]) / sd[1]).max(axis=1)
+    threshold = float(np.quantile(largest, 1 - FALSE_ALARM_RATIO))
+    return Untouched(np.stack([mean[0], sd[0], mean[1], sd[1]]), threshold)
+
+
+def observe_touches(
+    force_n: Float32,
+    layout: Layout,
+    phi: Sbhe,
+    *,
+    kind: Features,
+    no_touch: Float64,
+    noise_n: float,
+    rng: np.random.Generator,
+) -> Float64:
+    """Return the features of true images, shape (count, features).
+
+    Raw sums carry the same noise everywhere, as in the paper. Energies are made ready for less noise and
+    for missing blocks.
+    """
+    deviations = np.full(len(force_n), noise_n)
+    if kind == "sums":
+        return simulate_sums(force_n, layout, phi, deviations, rng).astype(np.float64)
+    deviations[::_QUIET_EVERY] *= rng.uniform(0, 1, deviations[::_QUIET_EVERY].size)
+    sums = simulate_sums(force_n, layout, phi, deviations, rng)
+    observer = Observer(phi, layout.taxels.rows, layout.taxels.columns, no_touch)
+    features = np.empty((len(sums), observer.features.size))
+    valid = np.ones(phi.blocks, np.float32)
+    most_lost = int(phi.blocks * min(_MOST_LOST_RATIO, 1 - MIN_VALID_RATIO))
+    for index, one in enumerate(sums):
+        valid.fill(1)
+        if index % _LOSS_EVERY == 0:
+            valid[rng.permutation(phi.blocks)[: rng.integers(0, most_lost + 1)]] = 0
+        observer.look(one, valid, float(valid.mean()))
+        features[index] = observer.features
+    return features
