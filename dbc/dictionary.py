@@ -1,43 +1,54 @@
-"""The object dictionary of a skin node as data: the one source of the nodes' objects and of their description.
+"""The object dictionary of a skin node as data: the one source of the nodes' objects and of their EDS.
 
-Manufacturer area, 2000h on: what the node measures. Everything a master needs to refuse a node that was
-programmed for another Φ can be read by SDO.
+Manufacturer area, 2000h on: what the node measures and how it is. Everything a master needs to refuse a node
+that was programmed for another Φ can be read by SDO.
 """
 
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from dbc.contract import PHASES, SYNC_COB_ID, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
+from dbc.contract import EMCY_BASE, PHASES, SYNC_COB_ID, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
+from dbc.indices import (
+    INTEGER16,
+    OD_BLOCK,
+    OD_CONSUMER_HEARTBEAT,
+    OD_CYCLE_PERIOD_US,
+    OD_DEVICE_NAME,
+    OD_DEVICE_TYPE,
+    OD_EMCY_COB_ID,
+    OD_EMCY_INHIBIT_100US,
+    OD_ERROR_BEHAVIOUR,
+    OD_ERROR_FIELD,
+    OD_ERROR_REGISTER,
+    OD_GAIN,
+    OD_HARDWARE_VERSION,
+    OD_HEALTH,
+    OD_HEARTBEAT_MS,
+    OD_IDENTITY,
+    OD_OFFSET,
+    OD_PHI_FINGERPRINT,
+    OD_PHI_SEED,
+    OD_RESTORE,
+    OD_ROWS,
+    OD_SOFTWARE_VERSION,
+    OD_STORE,
+    OD_SUMS,
+    OD_SYNC_COB_ID,
+    OD_SYNC_OVERFLOW,
+    OD_TAXELS,
+    OD_TEST_PATTERN,
+    OD_TPDO_COMMUNICATION,
+    OD_TPDO_MAPPING,
+    OD_WINDOW_US,
+    REAL32,
+    UNSIGNED8,
+    UNSIGNED16,
+    UNSIGNED32,
+    VISIBLE_STRING,
+)
 
 Access = Literal["ro", "rw", "const"]
 Value = int | float | str
-
-#: Data types (CiA 301, table 44).
-INTEGER8: Final = 0x02
-INTEGER16: Final = 0x03
-UNSIGNED8: Final = 0x05
-UNSIGNED16: Final = 0x06
-UNSIGNED32: Final = 0x07
-VISIBLE_STRING: Final = 0x09
-
-OD_DEVICE_TYPE: Final = 0x1000
-OD_ERROR_REGISTER: Final = 0x1001
-OD_SYNC_COB_ID: Final = 0x1005
-OD_CYCLE_PERIOD_US: Final = 0x1006
-OD_WINDOW_US: Final = 0x1007
-OD_DEVICE_NAME: Final = 0x1008
-OD_HARDWARE_VERSION: Final = 0x1009
-OD_SOFTWARE_VERSION: Final = 0x100A
-OD_HEARTBEAT_MS: Final = 0x1017
-OD_IDENTITY: Final = 0x1018
-OD_SYNC_OVERFLOW: Final = 0x1019
-OD_TPDO_COMMUNICATION: Final = 0x1800
-OD_TPDO_MAPPING: Final = 0x1A00
-OD_BLOCK: Final = 0x2000
-OD_PHI_SEED: Final = 0x2001
-OD_PHI_FINGERPRINT: Final = 0x2002
-OD_ROWS: Final = 0x2003
-OD_SUMS: Final = 0x2100
 
 #: No vendor number has been assigned by CiA to this project; 0 says so.
 VENDOR_ID: Final = 0
@@ -46,11 +57,18 @@ REVISION: Final = 0x0001_0000
 HEARTBEAT_MS: Final = 1000
 #: Entries of a mapping record: eight objects of one byte fill a classic frame.
 MAPPABLE: Final = 8
+#: Entries of the pre-defined error field.
+ERRORS_KEPT: Final = 8
+#: Masters and peers whose heartbeat a node can watch.
+HEARTBEATS_WATCHED: Final = 4
+#: Bit 0 of a store or restore capability: the device does so on command (CiA 301, 7.5.2.13).
+ON_COMMAND: Final = 1
+HIGHEST_SUBINDEX: Final = "Highest sub-index supported"
 
 
 @dataclass(frozen=True)
 class Object:
-    """One object: a variable, or with `subindex` one entry of a record or array."""
+    """One object: a variable, or with `subindex` one entry of the record or array called `group`."""
 
     index: int
     subindex: int | None
@@ -59,78 +77,136 @@ class Object:
     access: Access
     value: Value
     pdo: bool = False
+    group: str = ""
+    array: bool = False
 
 
 def dictionary(made: Contract, node: NodeContract) -> list[Object]:
-    """Return all objects of `node` with the values it starts with."""
+    """Return all objects of `node` with the values it starts with, by index and sub-index."""
     return [
         *_communication(made, node),
-        *(entry for tpdo in node.tpdos for entry in _tpdo(tpdo)),
-        *_skin(made, node),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo)),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(tpdo)),
+        *_measuring(made, node),
+        *_condition(made),
+        *_array(OD_SUMS, "Sums", [f"Sum {place}" for place in _places(node.sums)], INTEGER16, "ro", 0, pdo=True),
     ]
 
 
 def _communication(made: Contract, node: NodeContract) -> list[Object]:
     period_us = round(made.layout.sync.period_s * 1e6)
+    errors = [f"Standard error field {place}" for place in _places(ERRORS_KEPT)]
+    watched = [f"Consumer heartbeat time {place}" for place in _places(HEARTBEATS_WATCHED)]
     return [
         Object(OD_DEVICE_TYPE, None, "Device type", UNSIGNED32, "ro", 0),
-        Object(OD_ERROR_REGISTER, None, "Error register", UNSIGNED8, "ro", 0),
+        Object(OD_ERROR_REGISTER, None, "Error register", UNSIGNED8, "ro", 0, pdo=True),
+        Object(OD_ERROR_FIELD, 0, "Number of errors", UNSIGNED8, "rw", 0, group="Pre-defined error field", array=True),
+        *_array(OD_ERROR_FIELD, "Pre-defined error field", errors, UNSIGNED32, "ro", 0)[1:],
         Object(OD_SYNC_COB_ID, None, "COB-ID SYNC message", UNSIGNED32, "rw", SYNC_COB_ID),
         Object(OD_CYCLE_PERIOD_US, None, "Communication cycle period", UNSIGNED32, "rw", period_us),
         Object(OD_WINDOW_US, None, "Synchronous window length", UNSIGNED32, "rw", period_us),
         Object(OD_DEVICE_NAME, None, "Manufacturer device name", VISIBLE_STRING, "const", "canskin SBHE block"),
         Object(OD_HARDWARE_VERSION, None, "Manufacturer hardware version", VISIBLE_STRING, "const", "virtual"),
         Object(OD_SOFTWARE_VERSION, None, "Manufacturer software version", VISIBLE_STRING, "const", "1.0"),
+        *_array(OD_STORE, "Store parameters", ["Save all parameters"], UNSIGNED32, "rw", ON_COMMAND),
+        *_array(OD_RESTORE, "Restore default parameters", ["Restore all defaults"], UNSIGNED32, "rw", ON_COMMAND),
+        Object(OD_EMCY_COB_ID, None, "COB-ID EMCY", UNSIGNED32, "rw", EMCY_BASE + node.node_id),
+        Object(OD_EMCY_INHIBIT_100US, None, "Inhibit time EMCY", UNSIGNED16, "rw", 0),
+        *_array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw", 0),
         Object(OD_HEARTBEAT_MS, None, "Producer heartbeat time", UNSIGNED16, "rw", HEARTBEAT_MS),
-        Object(OD_IDENTITY, 0, "Highest sub-index supported", UNSIGNED8, "const", 4),
-        Object(OD_IDENTITY, 1, "Vendor-ID", UNSIGNED32, "ro", VENDOR_ID),
-        Object(OD_IDENTITY, 2, "Product code", UNSIGNED32, "ro", PRODUCT_CODE),
-        Object(OD_IDENTITY, 3, "Revision number", UNSIGNED32, "ro", REVISION),
-        Object(OD_IDENTITY, 4, "Serial number", UNSIGNED32, "ro", node.block + 1),
+        *_identity(node),
         Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", SYNC_OVERFLOW),
+        *_array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw", 0),
     ]
 
 
-def _tpdo(tpdo: Tpdo) -> list[Object]:
-    """Return the communication record (1800h on) and mapping record (1A00h on) of one TPDO."""
-    communication = OD_TPDO_COMMUNICATION + tpdo.number - 1
-    mapping = OD_TPDO_MAPPING + tpdo.number - 1
+def _identity(node: NodeContract) -> list[Object]:
+    entries = (
+        (0, HIGHEST_SUBINDEX, UNSIGNED8, 4),
+        (1, "Vendor-ID", UNSIGNED32, VENDOR_ID),
+        (2, "Product code", UNSIGNED32, PRODUCT_CODE),
+        (3, "Revision number", UNSIGNED32, REVISION),
+        (4, "Serial number", UNSIGNED32, node.block + 1),
+    )
+    return [Object(OD_IDENTITY, sub, name, kind, "ro", value, group="Identity") for sub, name, kind, value in entries]
+
+
+def _tpdo_communication(tpdo: Tpdo) -> list[Object]:
+    """Return the communication record (1800h on); the predefined RTR bit says that no remote frame is answered."""
+    index, group = OD_TPDO_COMMUNICATION + tpdo.number - 1, f"TPDO {tpdo.number} communication parameter"
+    entries: tuple[tuple[int, str, int, Access, int], ...] = (
+        (0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 6),
+        (1, "COB-ID used by TPDO", UNSIGNED32, "rw", 0x4000_0000 | tpdo.cob_id),
+        (2, "Transmission type", UNSIGNED8, "rw", PHASES),
+        (3, "Inhibit time", UNSIGNED16, "rw", 0),
+        (5, "Event timer", UNSIGNED16, "rw", 0),
+        (6, "SYNC start value", UNSIGNED8, "rw", tpdo.phase + 1),
+    )
+    return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
+
+
+def _tpdo_mapping(tpdo: Tpdo) -> list[Object]:
+    """Return the mapping record (1A00h on): index, sub-index and length in bits of each mapped object."""
+    index, group = OD_TPDO_MAPPING + tpdo.number - 1, f"TPDO {tpdo.number} mapping parameter"
     mapped = [(OD_SUMS << 16) | ((tpdo.first_subindex + place) << 8) | 16 for place in range(tpdo.sums)]
     mapped += [0] * (MAPPABLE - tpdo.sums)
     return [
-        Object(communication, 0, "Highest sub-index supported", UNSIGNED8, "const", 6),
-        Object(communication, 1, "COB-ID used by TPDO", UNSIGNED32, "rw", 0x4000_0000 | tpdo.cob_id),
-        Object(communication, 2, "Transmission type", UNSIGNED8, "rw", PHASES),
-        Object(communication, 3, "Inhibit time", UNSIGNED16, "rw", 0),
-        Object(communication, 5, "Event timer", UNSIGNED16, "rw", 0),
-        Object(communication, 6, "SYNC start value", UNSIGNED8, "rw", tpdo.phase + 1),
-        Object(mapping, 0, "Number of mapped objects", UNSIGNED8, "rw", tpdo.sums),
+        Object(index, 0, "Number of mapped objects", UNSIGNED8, "rw", tpdo.sums, group=group),
         *(
-            Object(mapping, offset + 1, f"Mapped object {offset + 1}", UNSIGNED32, "rw", entry)
-            for offset, entry in enumerate(mapped)
+            Object(index, place, f"Mapped object {place}", UNSIGNED32, "rw", entry, group=group)
+            for place, entry in enumerate(mapped, 1)
         ),
     ]
 
 
-def _skin(made: Contract, node: NodeContract) -> list[Object]:
+def _measuring(made: Contract, node: NodeContract) -> list[Object]:
+    """Return what the node measures: block, seed, rows, and the taxels in the order of the block's daisy chain."""
+    size = made.phi.block_size
+    taxels = made.phi.order[node.block * size : (node.block + 1) * size]
     rows = made.phi.rows_of(node.block)
-    seed = made.layout.measurement.seed
+    seed, fingerprint = made.layout.measurement.seed, made.phi.fingerprint
+    chain = [f"Taxel at place {place}" for place in range(size)]
     return [
         Object(OD_BLOCK, None, "Block index", UNSIGNED16, "ro", node.block),
         Object(OD_PHI_SEED, None, "Seed of the measurement operator", UNSIGNED32, "ro", seed),
-        Object(
-            OD_PHI_FINGERPRINT,
-            None,
-            "Fingerprint of the measurement operator",
-            VISIBLE_STRING,
-            "ro",
-            made.phi.fingerprint,
+        Object(OD_PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", VISIBLE_STRING, "ro", fingerprint),
+        *_array(
+            OD_ROWS, "Hadamard rows", [f"Row of sum {place}" for place in _places(len(rows))], UNSIGNED8, "ro", rows
         ),
-        Object(OD_ROWS, 0, "Number of rows", UNSIGNED8, "const", len(rows)),
-        *(
-            Object(OD_ROWS, place, f"Hadamard row of sum {place}", UNSIGNED8, "ro", row)
-            for place, row in enumerate(rows, 1)
-        ),
-        Object(OD_SUMS, 0, "Number of sums", UNSIGNED8, "const", len(rows)),
-        *(Object(OD_SUMS, place, f"Sum {place}", INTEGER16, "ro", 0, pdo=True) for place in range(1, len(rows) + 1)),
+        *_array(OD_TAXELS, "Taxels", chain, UNSIGNED16, "ro", [int(taxel) for taxel in taxels]),
     ]
+
+
+def _condition(made: Contract) -> list[Object]:
+    """Return calibration, health counters and the test pattern."""
+    chain = [f"Place {place}" for place in range(made.phi.block_size)]
+    health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", "Saturated taxels"]
+    return [
+        *_array(OD_GAIN, "Gain", chain, REAL32, "rw", 1.0),
+        *_array(OD_OFFSET, "Offset in ADC counts", chain, INTEGER16, "rw", 0),
+        *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", 0, pdo=True),
+        Object(OD_TEST_PATTERN, None, "Test pattern", UNSIGNED8, "rw", 0),
+    ]
+
+
+def _places(count: int) -> range:
+    return range(1, count + 1)
+
+
+def _array(
+    index: int,
+    group: str,
+    names: list[str],
+    data_type: int,
+    access: Access,
+    value: Value | list[int],
+    *,
+    pdo: bool = False,
+) -> list[Object]:
+    """Return sub-index 0 and one entry per name; `value` is that of all entries, or one for each."""
+    values = value if isinstance(value, list) else [value] * len(names)
+    entries = [
+        Object(index, place, name, data_type, access, each, pdo, group, array=True)
+        for place, (name, each) in enumerate(zip(names, values, strict=True), 1)
+    ]
+    return [Object(index, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", len(names), group=group, array=True), *entries]

@@ -12,7 +12,7 @@ from typing import Final
 import canopen
 
 from dbc.contract import NMT_COB_ID, NodeContract
-from dbc.dictionary import OD_BLOCK, OD_PHI_FINGERPRINT
+from dbc.indices import OD_BLOCK, OD_PHI_FINGERPRINT
 from gateway.network import MasterNetwork
 from skin.service import say
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from dbc.codec import encode
 from dbc.contract import SYNC_OVERFLOW
-from dbc.dictionary import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING
 from dbc.frame import Frames, frames
+from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING
 from nodes.node import NmtState, SkinNode
 
 #: Bit 31 of a COB-ID object: the PDO does not exist (CiA 301, 7.5.2.37).

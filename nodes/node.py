@@ -5,12 +5,10 @@ from enum import IntEnum
 from typing import Final
 
 from dbc.contract import HEARTBEAT_BASE, NodeContract
-from dbc.dictionary import OD_HEARTBEAT_MS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, Object
+from dbc.dictionary import Object
+from dbc.indices import OD_HEARTBEAT_MS, OD_MANUFACTURER, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING
 from nodes.network import SegmentNetwork
 from nodes.objects import LocalNode, object_dictionary
-
-#: First object behind the communication profile area.
-OD_MANUFACTURER: Final = 0x2000
 
 
 class NmtState(IntEnum):

@@ -1,14 +1,12 @@
 """From the dictionary as data to the ``canopen`` library's object dictionary and local node."""
 
-from typing import cast
+from collections.abc import Callable
+from typing import Any, cast
 
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
-from dbc.dictionary import OD_ROWS, OD_SUMS, Object
-
-#: Objects whose entries are all alike.
-ARRAYS = frozenset({OD_ROWS, OD_SUMS})
+from dbc.dictionary import Object
 
 
 def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
@@ -25,8 +23,7 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
             dictionary.add_object(variable)
             continue
         if each.index not in dictionary:
-            kind = ODArray if each.index in ARRAYS else ODRecord
-            dictionary.add_object(kind(f"Object {each.index:04X}h", each.index))
+            dictionary.add_object((ODArray if each.array else ODRecord)(each.group, each.index))
         group = dictionary[each.index]
         if isinstance(group, ODArray | ODRecord):
             group.add_member(variable)
@@ -39,4 +36,25 @@ class LocalNode(canopen.LocalNode):
     def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary) -> None:
         super().__init__(node_id, dictionary)
         # The library would start a thread per node for the heartbeat.
-        self._write_callbacks.remove(self.nmt.on_write)
+        self._write_callbacks.clear()
+
+    def on_write(self, callback: Callable[..., None]) -> None:
+        """Call ``callback(index=, subindex=, od=, data=)`` before a value is stored; it may raise an abort."""
+        self._write_callbacks.append(callback)
+
+    def on_read(self, callback: Callable[..., Any]) -> None:
+        """Call ``callback(index=, subindex=, od=)`` for every read; None lets the stored value be read."""
+        self._read_callbacks.append(callback)
+
+    def unsigned(self, index: int, subindex: int = 0) -> int:
+        """Return the present value of an unsigned object."""
+        return int.from_bytes(self.get_data(index, subindex), "little")
+
+    def variable(self, index: int, subindex: int) -> ODVariable | None:
+        """Return the description of an object, None when it does not exist."""
+        found = self.object_dictionary.get(index)
+        if isinstance(found, ODVariable):
+            return found if subindex == 0 else None
+        if found is None or subindex not in found.subindices:
+            return None
+        return cast("ODVariable", found.subindices[subindex])

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from dbc.codec import decode, encode
 from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, contract, next_counter, phase_of
-from dbc.dictionary import OD_PHI_FINGERPRINT, OD_SUMS, dictionary
+from dbc.dictionary import dictionary
+from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS
 from skin.errors import LayoutError
 from skin.layout import Layout, load_layout
 

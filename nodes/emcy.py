@@ -1,0 +1,96 @@
+"""Emergency objects (CiA 301, 7.2.7): sent once when an error comes and once when the last one goes, and remembered."""
+
+import struct
+from collections import deque
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Final
+
+from dbc.dictionary import ERRORS_KEPT
+
+EMCY: Final = struct.Struct("<HB5s")  # error code, error register, manufacturer's field
+NO_ERROR: Final = 0x0000
+
+#: Error register bits (1001h).
+GENERIC_ERROR: Final = 0x01
+COMMUNICATION_ERROR: Final = 0x10
+MANUFACTURER_ERROR: Final = 0x80
+
+
+class Emergency(IntEnum):
+    """Error codes a skin node can report (CiA 301, table 26; FF00h on are the manufacturer's)."""
+
+    HEARTBEAT_LOST = 0x8130
+    RECOVERED_FROM_BUS_OFF = 0x8140
+    PDO_LENGTH = 0x8210
+    SYNC_LENGTH = 0x8240
+    WINDOW_MISSED = 0xFF10
+
+
+_REGISTER: Final = {
+    Emergency.HEARTBEAT_LOST: COMMUNICATION_ERROR,
+    Emergency.RECOVERED_FROM_BUS_OFF: COMMUNICATION_ERROR,
+    Emergency.PDO_LENGTH: COMMUNICATION_ERROR,
+    Emergency.SYNC_LENGTH: COMMUNICATION_ERROR,
+    Emergency.WINDOW_MISSED: MANUFACTURER_ERROR,
+}
+
+
+class EmcyProducer:
+    """Errors of one node.
+
+    Parameters
+    ----------
+    send : callable
+        Sends the eight bytes; called at most once per inhibit time.
+    """
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self._active: set[Emergency] = set()
+        self._history: deque[int] = deque(maxlen=ERRORS_KEPT)
+        self._waiting: deque[bytes] = deque(maxlen=ERRORS_KEPT)
+        self._free_at_s = 0.0
+
+    @property
+    def register(self) -> int:
+        """Error register (1001h): the bits of all active errors, with the generic bit."""
+        bits = GENERIC_ERROR if self._active else 0
+        for error in self._active:
+            bits |= _REGISTER[error]
+        return bits
+
+    @property
+    def history(self) -> list[int]:
+        """Pre-defined error field (1003h), newest first: error code, and additional information above it."""
+        return list(self._history)
+
+    def clear_history(self) -> None:
+        """Forget the error field (write 0 to 1003h sub 0)."""
+        self._history.clear()
+
+    def reset(self) -> None:
+        """Forget everything, as a reset does."""
+        self._active.clear()
+        self._history.clear()
+        self._waiting.clear()
+
+    def raised(self, error: Emergency, field: int = 0) -> None:
+        """Report an error that is not active yet; `field` goes to the manufacturer's bytes."""
+        if error in self._active:
+            return
+        self._active.add(error)
+        self._history.appendleft((field & 0xFFFF) << 16 | error)
+        self._waiting.append(EMCY.pack(error, self.register, (field & 0xFF_FFFF_FFFF).to_bytes(5, "little")))
+
+    def gone(self, error: Emergency) -> None:
+        """Report that an active error has gone."""
+        if error in self._active:
+            self._active.discard(error)
+            self._waiting.append(EMCY.pack(NO_ERROR, self.register, error.to_bytes(5, "little")))
+
+    def flush(self, now_s: float, inhibit_s: float) -> None:
+        """Send what waits, one message per inhibit time."""
+        while self._waiting and now_s >= self._free_at_s:
+            self._send(self._waiting.popleft())
+            self._free_at_s = now_s + inhibit_s

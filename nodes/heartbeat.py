@@ -1,0 +1,62 @@
+"""Heartbeat producer and consumer of one node (CiA 301, 7.2.8.3.2)."""
+
+from collections.abc import Callable
+
+
+class HeartbeatProducer:
+    """Sends the NMT state every `period_s`; 0 sends none."""
+
+    def __init__(self, send: Callable[[], None]) -> None:
+        self._send = send
+        self._period_s = 0.0
+        self._due_s = float("inf")
+
+    def set_period(self, period_s: float, now_s: float) -> None:
+        """Change the period; the next message comes one period from now."""
+        self._period_s = period_s
+        self._due_s = now_s + period_s if period_s else float("inf")
+
+    def beat(self, now_s: float) -> None:
+        """Send when due."""
+        if now_s >= self._due_s:
+            self._send()
+            self._due_s = now_s + self._period_s
+
+
+class HeartbeatConsumer:
+    """Watches other nodes; watching one begins with its first heartbeat.
+
+    Attributes
+    ----------
+    lost : set of int
+        Node-IDs whose heartbeat is overdue.
+    """
+
+    def __init__(self) -> None:
+        self._periods_s: dict[int, float] = {}
+        self._due_s: dict[int, float] = {}
+        self.lost: set[int] = set()
+
+    def watch(self, entries: list[int]) -> None:
+        """Set what to watch from the entries of 1016h: node-ID in bits 16 to 22, time in ms in bits 0 to 15."""
+        self._periods_s = {entry >> 16 & 0x7F: (entry & 0xFFFF) / 1000 for entry in entries if entry & 0xFFFF}
+        self._periods_s.pop(0, None)
+        self._due_s = {node: due_s for node, due_s in self._due_s.items() if node in self._periods_s}
+        self.lost &= self._periods_s.keys()
+
+    @property
+    def node_ids(self) -> set[int]:
+        """Whom this node watches."""
+        return set(self._periods_s)
+
+    def heard(self, node_id: int, now_s: float) -> None:
+        """Take note of a heartbeat."""
+        if node_id in self._periods_s:
+            self._due_s[node_id] = now_s + self._periods_s[node_id]
+            self.lost.discard(node_id)
+
+    def check(self, now_s: float) -> None:
+        """Find the heartbeats that are overdue."""
+        for node_id, due_s in self._due_s.items():
+            if now_s > due_s:
+                self.lost.add(node_id)
