@@ -1,0 +1,62 @@
+"""Models of the user's skins, trained once and kept in the cache folder."""
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from classifier.model import VERSION, Model
+from classifier.modelfile import load_model, save_model
+from classifier.touches import load_touches
+from skin.errors import ModelError
+from skin.layout import Layout
+from skin.measurement import Sbhe
+from skin.service import say
+
+#: The live source's default series.
+DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
+TOUCHES_PER_OBJECT: Final = 400
+
+
+def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Return ``$SKIN_CACHE``, else ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``."""
+    if chosen := environment.get("SKIN_CACHE"):
+        return Path(chosen)
+    if shared := environment.get("XDG_CACHE_HOME"):
+        return Path(shared) / "canskin"
+    return Path.home() / ".cache" / "canskin"
+
+
+def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str]) -> Path:
+    """Return where the model of this skin and these objects is kept."""
+    about = msgspec.json.encode([layout.taxels, sorted(objects)])
+    return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
+
+
+def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OBJECTS) -> Model:
+    """Return the cached model of this skin; train and keep it first when there is none that can be used.
+
+    Raises
+    ------
+    InputError
+        If a model must be trained and no touches are to be had.
+    """
+    path = cached_path(layout, phi, objects)
+    if path.exists():
+        try:
+            return load_model(path, layout, phi)
+        except ModelError as error:
+            say("classifier", f"{error}; training another")
+    say("classifier", f"training a model of this skin for {', '.join(objects)}: some seconds, this once")
+    from classifier.training import train  # scikit-learn takes a second to load
+
+    force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0)
+    model = train(force_n, labels, layout)
+    try:
+        save_model(model, path)
+    except ModelError as error:
+        say("classifier", f"{error}; it will be trained again next time")
+    return model

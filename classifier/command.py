@@ -1,0 +1,156 @@
+"""The verbs ``skin classify`` and ``skin train``."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from classifier.cache import DEFAULT_OBJECTS, TOUCHES_PER_OBJECT, cached_path, find_or_train
+from classifier.decide import Classifier
+from classifier.model import Features, Metadata, Model
+from classifier.modelfile import load_model, save_model
+from classifier.samples import NOISE_N
+from classifier.service import ClassifierService
+from classifier.touches import load_touches
+from skin.errors import InputError
+from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from skin.layout import Layout, load_layout
+from skin.service import StopSignal, say
+
+
+def classify(
+    *,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    model: Path | None = None,
+    objects: str = "",
+) -> None:
+    """Name the object that touches the skin, once per measurement.
+
+    Without a model, one is trained for this skin first and kept in the cache folder: ``$SKIN_CACHE``, else
+    ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub.
+    model
+        Model file made by ``skin train`` for this skin.
+    objects
+        Comma-separated names for the model to know when none is given; default: a series of five.
+
+    Examples
+    --------
+    skin classify
+    skin classify --layout palm.toml --model palm.npz
+    """
+    stop = StopSignal().install()
+    skin = load_layout(layout)
+    phi = skin.phi()
+    if model is not None and objects:
+        raise InputError("--model already says which objects there are: leave --objects out")
+    trained = load_model(model, skin, phi) if model else find_or_train(skin, phi, _named(objects))
+    fabric = Fabric(skin.name, "classifier", connect)
+    say("classifier", f"knows {', '.join(trained.metadata.classes)}")
+    try:
+        ClassifierService(Classifier(trained, phi), phi, fabric).run(stop)
+    finally:
+        fabric.close()
+
+
+def train(
+    *,
+    layout: Path | None = None,
+    objects: str = "",
+    touches: int = 0,
+    noise_n: float = NOISE_N,
+    features: Features = "energies",
+    seed: int = 0,
+    out: Path | None = None,
+    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> None:
+    """Train a classifier for a skin on simulated touches.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    objects
+        Comma-separated names of the objects, see ``skin objects``; default: a series of five.
+    touches
+        How many touches to draw in all; default: 400 per object.
+    noise_n
+        Standard deviation of the taxel noise in newtons.
+    features
+        ``energies`` of the smoothed adjoint image, or the raw ``sums`` as in the paper.
+    seed
+        Seed of touches, noise and validation set.
+    out
+        Model file; default: the one in the cache folder that ``skin classify`` uses by itself.
+    json_
+        Print what was trained as one JSON object on stdout.
+
+    Examples
+    --------
+    skin train --objects golf-ball,ring,tuna-can
+    skin train --layout palm.toml --touches 4000 --out palm.npz --json
+    """
+    skin = load_layout(layout)
+    names = _named(objects)
+    if touches < 0 or seed < 0:
+        raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
+    path = out or cached_path(skin, skin.phi(), names)
+    model = _train(skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed)
+    save_model(model, path)
+    _show(model.metadata, path, as_json=json_)
+
+
+def _named(objects: str) -> list[str]:
+    """Split a comma-separated list; each name once."""
+    return list(dict.fromkeys(name.strip() for name in objects.split(",") if name.strip())) or list(DEFAULT_OBJECTS)
+
+
+def _train(skin: Layout, names: list[str], count: int, noise_n: float, features: Features, *, seed: int) -> Model:
+    """Train with a progress bar on a terminal's stderr."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from classifier.training import Plan, train  # scikit-learn takes a second to load
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("drawing touches", total=1.2)
+        force_n, labels = load_touches(names, count, skin, seed=seed)
+
+        def show(doing: str, ratio: float) -> None:
+            progress.update(task, description=doing, completed=0.2 + ratio)
+
+        return train(
+            force_n,
+            labels,
+            skin,
+            plan=Plan(features=features, noise_n=noise_n, seed=seed),
+            progress=show,
+        )
+
+
+def _show(about: Metadata, path: Path, *, as_json: bool) -> None:
+    if as_json:
+        import msgspec
+
+        content = {"model": str(path), **msgspec.to_builtins(about)}
+        sys.stdout.write(msgspec.json.encode(content).decode() + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    card = about.card
+    table = Table("object", "right on validation")
+    for name, accuracy in card.per_object.items():
+        table.add_row(name, f"{accuracy:.1%}")
+    table.add_row("all", f"{card.validation_accuracy:.1%}")
+    Console(file=sys.stdout).print(table)
+    say("train", f"C = {card.C:g}, {card.touches} touches, Φ {about.fingerprint}: {path}")
