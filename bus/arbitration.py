@@ -1,0 +1,20 @@
+"""Who wins the bus when several begin at once."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.frame import EXTENDED, REMOTE, Frames
+
+
+def arbitration_keys(burst: Frames) -> npt.NDArray[np.int64]:
+    """Return numbers that order frames as arbitration does: the lowest stays dominant longest.
+
+    32 bits as on the wire (ISO 11898-1): base identifier 11, RTR or SRR 1, IDE 1, extension 18, RTR 1.
+    So a standard frame beats an extended one with the same base, and data beats remote.
+    """
+    can_id = burst["can_id"].astype(np.int64)
+    remote = (burst["flags"] & REMOTE != 0).astype(np.int64)
+    standard = (can_id & 0x7FF) << 21 | remote << 20
+    extended = (can_id >> 18 & 0x7FF) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1 | remote
+    keys: npt.NDArray[np.int64] = np.where(burst["flags"] & EXTENDED != 0, extended, standard)
+    return keys

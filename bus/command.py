@@ -1,0 +1,83 @@
+"""``skin bus``: the arbitrated virtual buses."""
+
+import json
+import sys
+from dataclasses import asdict
+from typing import Literal
+
+from bus.faults import parse_fault
+from bus.server import BusServer, BusSettings
+from skin.errors import InputError
+from skin.service import StopSignal, say
+
+
+def bus(
+    channels: list[str] | None = None,
+    *,
+    bitrate: int = 1_000_000,
+    data_bitrate: int = 5_000_000,
+    clock: Literal["real", "virtual"] = "real",
+    fault: list[str] | None = None,
+    seed: int = 0,
+    restart_s: float = 0.1,
+    queue_size: int = 256,
+    json_: bool = False,
+) -> None:
+    """Serve virtual CAN buses with bit rate, arbitration, error states and, when wanted, faults.
+
+    Programs reach them as interface ``canskin`` of python-can, and the other verbs with ``--interface canskin``.
+    Runs until Ctrl-C.
+
+    Parameters
+    ----------
+    channels
+        Names of the buses; default bus0 to bus3.
+    bitrate
+        Bits per second.
+    data_bitrate
+        Bits per second in the data phase of CAN FD frames; 0 for buses without CAN FD.
+    clock
+        ``real``: frames take as long as on a real bus. ``virtual``: as fast as possible, time is counted only.
+    fault
+        What shall go wrong, ``KEY=VALUE,…`` with the keys controller, can_id, mask, loss_ratio,
+        duplicate_ratio, delay_ratio, delay_s, bit_error_rate, off. May be given several times.
+    seed
+        Of the faults: same seed, same faults.
+    restart_s
+        How long a bus-off controller waits before it begins to recover.
+    queue_size
+        Frames in the transmit queue of each controller.
+    json_
+        Print the counters of every bus as JSON at the end.
+
+    Examples
+    --------
+    Four buses::
+
+        skin bus bus0 bus1 bus2 bus3
+
+    One at 500 kbit/s that loses every hundredth heartbeat::
+
+        skin bus bus0 --bitrate 500000 --fault can_id=0x700,mask=0x780,loss_ratio=0.01
+    """
+    if bitrate <= 0 or data_bitrate < 0:
+        raise InputError(f"expected bit rates above 0, got {bitrate} and {data_bitrate}")
+    if queue_size < 1 or restart_s < 0:
+        raise InputError(f"expected a queue of 1 or more and a delay of 0 s or more, got {queue_size} and {restart_s}")
+    names = channels or [f"bus{number}" for number in range(4)]
+    settings = BusSettings(
+        bitrate=bitrate,
+        data_bitrate=data_bitrate or None,
+        virtual_clock=clock == "virtual",
+        faults=[parse_fault(text) for text in fault or []],
+        seed=seed,
+        restart_s=restart_s,
+        queue_size=queue_size,
+    )
+    stop = StopSignal().install()
+    with BusServer(names, settings) as server:
+        say("bus", f"ready: {', '.join(names)} at {bitrate} bit/s")
+        server.serve(stop.is_set)
+        if json_:
+            json.dump({name: asdict(one.counts) for name, one in server.buses.items()}, sys.stdout)
+            print()

@@ -1,0 +1,75 @@
+"""Reports of a controller's errors, as FRAME records with the data of SocketCAN's error frames.
+
+Layout: Linux ``include/uapi/linux/can/error.h``. The error class stands in ``can_id`` without CAN_ERR_FLAG, for
+which FRAME has the flag ERROR; byte 1 tells the controller's state, bytes 2 and 3 what the protocol violation was
+and where, bytes 6 and 7 the transmit and receive error counters.
+"""
+
+from enum import IntEnum, IntFlag
+from typing import Final
+
+from dbc.frame import ERROR, Frames, frames
+
+
+class ErrorClass(IntFlag):
+    """Why an error frame was sent; `can_id` of the record."""
+
+    CONTROLLER = 0x004
+    PROTOCOL = 0x008
+    ACK = 0x020
+    BUS_OFF = 0x040
+    BUS_ERROR = 0x080
+    RESTARTED = 0x100
+    COUNTERS = 0x200
+
+
+class State(IntEnum):
+    """State of a controller, or of the worst of several; each one is worse than the one before it."""
+
+    ACTIVE = 0
+    WARNING = 1
+    PASSIVE = 2
+    BUS_OFF = 3
+    #: Not a state of CAN: the bus's process or the interface is gone.
+    LOST = 4
+
+
+#: Byte 1: receive or transmit counter at 96 or more, above 127, or back below.
+_WARNING: Final = {"receive": 0x04, "transmit": 0x08}
+_PASSIVE: Final = {"receive": 0x10, "transmit": 0x20}
+_ACTIVE: Final = 0x40
+#: Byte 2: a bit error, seen while transmitting. Byte 3: in the ACK slot.
+_PROTOCOL_TRANSMIT: Final = 0x80
+_PROTOCOL_BIT: Final = 0x01
+_LOCATION_ACK: Final = 0x19
+
+
+def state_report(state: State, transmit_errors: int, receive_errors: int, *, restarted: bool = False) -> Frames:
+    """Return the one-record report of a controller that came into `state`."""
+    counters = ErrorClass.COUNTERS
+    if state is State.BUS_OFF:
+        return _report(ErrorClass.BUS_OFF | counters, (0, 0, 0), transmit_errors, receive_errors)
+    side = "transmit" if transmit_errors >= receive_errors else "receive"
+    control = {State.WARNING: _WARNING[side], State.PASSIVE: _PASSIVE[side]}.get(state, _ACTIVE)
+    why = ErrorClass.CONTROLLER | counters | (ErrorClass.RESTARTED if restarted else ErrorClass(0))
+    return _report(why, (control, 0, 0), transmit_errors, receive_errors)
+
+
+def ack_report(transmit_errors: int, receive_errors: int) -> Frames:
+    """Return the report of a frame that nobody acknowledged."""
+    why = ErrorClass.ACK | ErrorClass.BUS_ERROR | ErrorClass.COUNTERS
+    return _report(why, (0, _PROTOCOL_TRANSMIT, _LOCATION_ACK), transmit_errors, receive_errors)
+
+
+def bit_report(transmit_errors: int, receive_errors: int) -> Frames:
+    """Return the report of a transmitter that read back another bit than it sent."""
+    why = ErrorClass.PROTOCOL | ErrorClass.BUS_ERROR | ErrorClass.COUNTERS
+    return _report(why, (0, _PROTOCOL_TRANSMIT | _PROTOCOL_BIT, 0), transmit_errors, receive_errors)
+
+
+def _report(why: ErrorClass, detail: tuple[int, int, int], transmit_errors: int, receive_errors: int) -> Frames:
+    one = frames(1)
+    one["can_id"], one["flags"], one["length"] = why, ERROR, 8
+    one["data"][0, 1:4] = detail
+    one["data"][0, 6:8] = min(transmit_errors, 255), min(receive_errors, 255)
+    return one

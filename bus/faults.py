@@ -1,0 +1,114 @@
+"""Faults as data: what shall go wrong on a bus, how often, and for whom."""
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from typing import Annotated, NamedTuple
+
+import msgspec
+
+from skin.errors import InputError
+
+Ratio = Annotated[float, msgspec.Meta(ge=0, le=1)]
+
+
+class Fault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One rule; where several rules meet, the largest value of each field counts.
+
+    Attributes
+    ----------
+    controller : str
+        Which controllers, by ``STATION:PORT`` with shell wildcards.
+    can_id, mask : int
+        Which of their frames: those with ``identifier & mask == can_id & mask``. Mask 0 is every frame.
+    loss_ratio : float
+        Sent and acknowledged, but no receiver gets it (an overrun receive buffer).
+    duplicate_ratio : float
+        An error in the last bit of end of frame: receivers have taken the frame, and it is sent again.
+    delay_ratio, delay_s : float
+        How often, and how much later than its end of frame, receivers get it.
+    bit_error_rate : float
+        Probability that one bit is disturbed: an error frame, and the frame is sent again.
+    off : bool
+        The controller has no power; `can_id` and `mask` do not matter.
+    """
+
+    controller: str = "*"
+    can_id: int = 0
+    mask: int = 0
+    loss_ratio: Ratio = 0.0
+    duplicate_ratio: Ratio = 0.0
+    delay_ratio: Ratio = 0.0
+    delay_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    bit_error_rate: Ratio = 0.0
+    off: bool = False
+
+
+class Odds(NamedTuple):
+    """What may happen to one frame."""
+
+    loss: float
+    duplicate: float
+    delay: float
+    delay_ns: int
+    bit_error: float
+
+
+class FaultBook:
+    """The rules in force, looked up once per controller and identifier."""
+
+    def __init__(self, faults: Sequence[Fault] = ()) -> None:
+        self._faults = tuple(faults)
+        self._known: dict[tuple[str, int], Odds] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._faults)
+
+    def is_off(self, controller: str) -> bool:
+        """Tell whether `controller` has no power."""
+        return any(fault.off and fnmatchcase(controller, fault.controller) for fault in self._faults)
+
+    def odds(self, controller: str, can_id: int) -> Odds:
+        """Return what may happen to a frame of `controller` with `can_id`."""
+        odds = self._known.get((controller, can_id))
+        if odds is None:
+            if len(self._known) >= 65536:  # a flood of random 29-bit identifiers must not fill the memory
+                self._known.clear()
+            odds = self._known[controller, can_id] = self._combine(controller, can_id)
+        return odds
+
+    def _combine(self, controller: str, can_id: int) -> Odds:
+        rules = [
+            fault
+            for fault in self._faults
+            if fnmatchcase(controller, fault.controller) and not (can_id ^ fault.can_id) & fault.mask
+        ]
+        return Odds(
+            loss=max((rule.loss_ratio for rule in rules), default=0.0),
+            duplicate=max((rule.duplicate_ratio for rule in rules), default=0.0),
+            delay=max((rule.delay_ratio for rule in rules), default=0.0),
+            delay_ns=max((round(rule.delay_s * 1e9) for rule in rules), default=0),
+            bit_error=max((rule.bit_error_rate for rule in rules), default=0.0),
+        )
+
+
+def parse_fault(text: str) -> Fault:
+    """Read a rule from ``KEY=VALUE[,KEY=VALUE…]``, numbers decimal or 0x….
+
+    Raises
+    ------
+    InputError
+        If a key is unknown or a value does not fit it.
+    """
+    fields: dict[str, object] = {}
+    for part in filter(None, text.split(",")):
+        key, equals, value = part.partition("=")
+        fields[key.strip()] = _value(value.strip()) if equals else True
+    try:
+        return msgspec.convert(fields, Fault, strict=False)
+    except msgspec.ValidationError as error:
+        keys = ", ".join(Fault.__struct_fields__)
+        raise InputError(f"fault '{text}': {error}; expected KEY=VALUE,… with keys {keys}") from error
+
+
+def _value(text: str) -> object:
+    return int(text, 16) if text.lower().startswith("0x") else text

@@ -1,0 +1,74 @@
+"""What the bus has to tell its stations, kept until its time has come."""
+
+from bisect import bisect_left
+from itertools import count
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.pool import FramePool
+from dbc.frame import ECHO, ERROR, Frames, frames
+
+#: Who gets a record: every other station, the station that sent the frame, or both.
+OTHERS: Final = 1
+OWNER: Final = 2
+#: Flags of a frame that left its transmit queue without being sent.
+DISCARDED: Final = ECHO | ERROR
+
+
+class Events(NamedTuple):
+    """What ended on the bus, ordered by time.
+
+    Attributes
+    ----------
+    frames : array of FRAME, shape (n,)
+        `time_ns` is the end of frame, `port` the controller's number at its station. ECHO is not set.
+    owner : array of int, shape (n,)
+        Number of the station that sent the frame, or that the report is for.
+    audience : array of uint8, shape (n,)
+        OTHERS, OWNER or both.
+    """
+
+    frames: Frames
+    owner: npt.NDArray[np.int64]
+    audience: npt.NDArray[np.uint8]
+
+
+_NOTHING: Final = Events(frames(0), np.zeros(0, np.int64), np.zeros(0, np.uint8))
+
+
+class Outbox:
+    """Records with their times; frames stay in the pool's slots until they are collected."""
+
+    def __init__(self, pool: FramePool) -> None:
+        self._pool = pool
+        self._order = count()
+        #: (time_ns, order, slot, owner, audience, flags to set)
+        self._entries: list[tuple[int, int, int, int, int, int]] = []
+
+    def post(self, time_ns: int, slot: int, owner: int, audience: int, flags: int = 0) -> None:
+        """Announce the frame in `slot` at `time_ns`; collecting it frees the slot."""
+        self._entries.append((time_ns, next(self._order), slot, owner, audience, flags))
+
+    def post_copy(self, time_ns: int, record: Frames, owner: int, audience: int) -> None:
+        """Announce a frame that has no slot of its own."""
+        self.post(time_ns, self._pool.store(record)[0], owner, audience)
+
+    def next_ns(self) -> int | None:
+        """Return the earliest time announced."""
+        return min(self._entries)[0] if self._entries else None
+
+    def collect(self, time_ns: int | None) -> Events:
+        """Return everything announced up to `time_ns`, or simply everything."""
+        self._entries.sort()
+        end = len(self._entries) if time_ns is None else bisect_left(self._entries, (time_ns + 1,))
+        if not end:
+            return _NOTHING
+        times, _, slots, owners, audiences, flags = zip(*self._entries[:end], strict=True)
+        del self._entries[:end]
+        collected = self._pool.take(slots)
+        collected["time_ns"] = times
+        if any(flags):
+            collected["flags"] |= np.array(flags, np.uint8)
+        return Events(collected, np.array(owners), np.array(audiences, np.uint8))

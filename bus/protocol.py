@@ -1,0 +1,177 @@
+"""What travels between the process of a bus and its clients: packets on a local Unix socket.
+
+The socket is of type SOCK_SEQPACKET, so that one packet is one message: a header, then either FRAME records or
+JSON. A client says HELLO and gets WELCOME or REFUSED; from then on both sides send FRAMES, and a client may send
+FAULTS.
+"""
+
+import os
+import tempfile
+from enum import IntEnum
+from pathlib import Path
+from struct import Struct
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from bandwidth.frame_bits import padded_length
+from bus.error_frames import State
+from dbc.frame import BRS, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
+from skin.errors import InputError
+
+MAGIC: Final = b"CSK1"
+#: Frames per packet; a packet must fit a default send buffer.
+MAX_FRAMES: Final = 512
+#: Controllers behind one connection.
+MAX_PORTS: Final = 256
+#: magic, kind, state, frames, frames dropped so far, bus time in ns.
+HEADER: Final = Struct("<4sBBHQq")
+MAX_PACKET: Final = HEADER.size + MAX_FRAMES * FRAME.itemsize
+
+_SENDABLE: Final = EXTENDED | REMOTE | FD | BRS | ESI
+
+
+class Kind(IntEnum):
+    """What a packet is."""
+
+    HELLO = 1
+    WELCOME = 2
+    REFUSED = 3
+    FRAMES = 4
+    FAULTS = 5
+
+
+class Header(NamedTuple):
+    """The fixed start of every packet; the last three fields matter in FRAMES from the bus."""
+
+    kind: int
+    state: int
+    frames: int
+    dropped: int
+    time_ns: int
+
+
+class Filter(msgspec.Struct, frozen=True, array_like=True):
+    """Lets a frame pass whose ``identifier & mask == can_id & mask``; `extended` None means either format."""
+
+    can_id: int
+    mask: int
+    extended: bool | None = None
+
+
+class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a client asks for."""
+
+    name: str
+    bitrate: int | None = None
+    data_bitrate: int | None = None
+    fd: bool = False
+    filters: tuple[Filter, ...] = ()
+    listen_only: bool = False
+
+
+class Welcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What the bus answers."""
+
+    bitrate: int
+    data_bitrate: int | None
+    virtual_clock: bool
+    queue_size: int
+
+
+class ProtocolError(Exception):
+    """A packet that no client of ours would send."""
+
+
+def pack(kind: Kind, payload: bytes = b"", *, count: int = 0) -> bytes:
+    """Return one packet without the fields that only the bus fills."""
+    return HEADER.pack(MAGIC, kind, State.ACTIVE, count, 0, 0) + payload
+
+
+def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
+    """Split a packet.
+
+    Raises
+    ------
+    ProtocolError
+        If it does not begin with a header.
+    """
+    if len(packet) < HEADER.size:
+        raise ProtocolError(f"a packet of {len(packet)} bytes")
+    magic, *fields = HEADER.unpack_from(packet)
+    if magic != MAGIC:
+        raise ProtocolError(f"a packet that begins with {magic!r}")
+    return Header(*fields), memoryview(packet)[HEADER.size :]
+
+
+def unpack_frames(header: Header, payload: memoryview) -> Frames:
+    """Return the records of a FRAMES packet, a view of it.
+
+    Raises
+    ------
+    ProtocolError
+        If the length does not match the header.
+    """
+    if len(payload) != header.frames * FRAME.itemsize:
+        raise ProtocolError(f"{len(payload)} bytes for {header.frames} frames")
+    return np.frombuffer(payload, FRAME)
+
+
+def check_frames(burst: Frames, *, fd: bool) -> None:
+    """Refuse frames that no controller could send.
+
+    Raises
+    ------
+    InputError
+        Naming the first bad frame and what is wrong with it.
+    """
+    flags, length, can_id = burst["flags"], burst["length"], burst["can_id"]
+    is_fd = flags & FD != 0
+    highest = np.where(flags & EXTENDED, 0x1FFFFFFF, 0x7FF)
+    longest = np.where(is_fd, 64, 8)
+    faults = (
+        (flags & ~np.uint8(_SENDABLE) != 0, "flags that only a receiver sees"),
+        (can_id > highest, "an identifier that does not fit its format"),
+        (length > longest, "more than 8 bytes, or 64 with CAN FD"),
+        (is_fd & (flags & REMOTE != 0), "a remote frame of CAN FD, which does not exist"),
+        (~is_fd & (flags & (BRS | ESI) != 0), "BRS or ESI without FD"),
+        (is_fd & (not fd), "CAN FD on a classical link"),
+        (burst["port"] >= MAX_PORTS, f"a port above {MAX_PORTS - 1}"),
+    )
+    for wrong, what in faults:
+        if wrong.any():
+            place = int(wrong.argmax())
+            raise InputError(f"frame {place} (identifier 0x{int(can_id[place]):X}) has {what}")
+
+
+def pad_lengths(burst: Frames) -> None:
+    """Round the lengths of CAN FD frames up to ones that have a DLC, in place; the data is padded already."""
+    is_fd = burst["flags"] & FD != 0
+    if is_fd.any():
+        burst["length"][is_fd] = padded_length(burst["length"][is_fd])
+
+
+def runtime_folder() -> Path:
+    """Return the folder of the buses' sockets: SKIN_BUS_DIR, else below XDG_RUNTIME_DIR, else one per user."""
+    if chosen := os.environ.get("SKIN_BUS_DIR"):
+        return Path(chosen)
+    if runtime := os.environ.get("XDG_RUNTIME_DIR"):
+        return Path(runtime) / "canskin"
+    return Path(tempfile.gettempdir()) / f"canskin-{os.getuid()}"
+
+
+def socket_path(channel: str, folder: Path | None = None) -> Path:
+    """Return where the bus `channel` listens.
+
+    Raises
+    ------
+    InputError
+        If the name cannot be a file's, or the path is too long for a Unix socket.
+    """
+    path = (folder or runtime_folder()) / f"{channel}.can"
+    if not channel or "/" in channel or channel.startswith("."):
+        raise InputError(f"'{channel}' cannot name a bus: expected a word such as bus0")
+    if len(os.fsencode(path)) > 107:
+        raise InputError(f"{path} is too long for a socket: set SKIN_BUS_DIR to a shorter folder")
+    return path

@@ -1,0 +1,357 @@
+"""The process of the arbitrated virtual bus: named buses on Unix sockets, in real or in virtual time."""
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Self
+
+import msgspec
+
+from bandwidth.frame_bits import frame_time_ns
+from bus.core import Bus
+from bus.faults import Fault
+from bus.protocol import (
+    MAX_PACKET,
+    Hello,
+    Kind,
+    ProtocolError,
+    Welcome,
+    check_frames,
+    pack,
+    runtime_folder,
+    socket_path,
+    unpack,
+    unpack_frames,
+)
+from bus.session import Session
+from dbc.frame import frames
+from skin.errors import BusError, InputError
+from skin.service import say
+
+#: While a bus is busy its frames are handed over at most this often.
+TICK_NS: Final = 1_000_000
+#: Longest sleep, after which the stop condition is looked at.
+IDLE_S: Final = 0.1
+#: Every wait uses select(), whose timeout has microseconds but which knows no descriptor above 1023.
+MAX_CLIENTS: Final = 500
+#: Packets taken from one client before the others get their turn.
+PACKETS_PER_TURN: Final = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusSettings:
+    """What every bus of a server is like.
+
+    Attributes
+    ----------
+    bitrate, data_bitrate : int
+        Bits per second; without `data_bitrate` CAN FD frames are refused.
+    virtual_clock : bool
+        As fast as possible: time is only what the frames take, and jumps to their release times.
+    faults : sequence of Fault
+    seed : int
+        Of the faults; each bus adds its place in the list.
+    restart_s : float
+        How long a bus-off controller waits before it begins to recover.
+    queue_size : int
+        Frames in the transmit queue of each controller.
+    """
+
+    bitrate: int = 1_000_000
+    data_bitrate: int | None = 5_000_000
+    virtual_clock: bool = False
+    faults: Sequence[Fault] = ()
+    seed: int = 0
+    restart_s: float = 0.1
+    queue_size: int = 256
+
+
+@dataclass(eq=False)
+class _Line:
+    """One bus, its socket and its clients."""
+
+    channel: str
+    bus: Bus
+    listener: socket.socket
+    path: Path
+    guests: list[socket.socket] = field(default_factory=list)
+    sessions: list[Session] = field(default_factory=list)
+    delivered_ns: int = 0
+
+    def fileno(self) -> int:
+        return self.listener.fileno()
+
+
+class BusServer:
+    """Hosts buses; a context manager that takes the sockets away again.
+
+    Raises
+    ------
+    BusError
+        If a bus of that name is already served, or its socket cannot be made.
+    InputError
+        If a name cannot be used.
+    """
+
+    def __init__(self, channels: Sequence[str], settings: BusSettings, folder: Path | None = None) -> None:
+        self.settings = settings
+        self._lines: list[_Line] = []
+        self._buffer = bytearray(MAX_PACKET + 1)
+        frame_time_ns(frames(1), settings.bitrate)  # compile before the first client comes
+        folder = folder or runtime_folder()
+        try:
+            _own_folder(folder)
+            for place, channel in enumerate(channels):
+                self._lines.append(self._open(channel, place, folder))
+        except OSError as error:
+            self.close()
+            raise BusError(f"cannot make the buses' sockets in {folder}: {error.strerror}") from error
+        except (BusError, InputError):
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def buses(self) -> dict[str, Bus]:
+        """The buses by name."""
+        return {line.channel: line.bus for line in self._lines}
+
+    def serve(self, stopped: Callable[[], bool]) -> None:
+        """Carry frames until `stopped` says so; it is asked at least ten times a second."""
+        while not stopped():
+            self.turn()
+
+    def turn(self) -> None:
+        """Sleep until a client or a frame wants something, and do it."""
+        readers: list[_Line | socket.socket | Session] = [*self._lines]
+        for line in self._lines:
+            readers += [*line.guests, *line.sessions]
+        writers = [session for line in self._lines for session in line.sessions if session.blocked]
+        readable, writable, _ = select.select(readers, writers, [], self._sleep_s())
+        ready = set(readable)
+        for line in self._lines:
+            if line in ready:
+                self._accept(line)
+            for guest in [guest for guest in line.guests if guest in ready]:
+                self._greet(line, guest)
+            for session in [session for session in line.sessions if session in ready]:
+                self._read(line, session)
+        for line in self._lines:
+            self._deliver(line)
+            for session in [session for session in line.sessions if session in writable]:
+                self._flush(line, session)
+
+    def close(self) -> None:
+        """Disconnect everybody and remove the sockets."""
+        for line in self._lines:
+            line.path.unlink(missing_ok=True)
+            for one in (line.listener, *line.guests, *(session.connection for session in line.sessions)):
+                one.close()
+        self._lines.clear()
+
+    def _sleep_s(self) -> float:
+        """Return how long nothing can happen but a client's wish."""
+        wakes = [wake for line in self._lines if (wake := self._wake_ns(line)) is not None]
+        if not wakes:
+            return IDLE_S
+        if self.settings.virtual_clock:
+            return 0.0
+        return min(max(min(wakes) - time.monotonic_ns(), 0) * 1e-9, IDLE_S)
+
+    @staticmethod
+    def _wake_ns(line: _Line) -> int | None:
+        """Return when a bus has something to hand over: not before the next tick, which all buses share."""
+        event_ns = line.bus.next_event_ns()
+        if event_ns is None:
+            return None
+        return max(event_ns, (line.delivered_ns // TICK_NS + 1) * TICK_NS)
+
+    def _open(self, channel: str, place: int, folder: Path) -> _Line:
+        path = socket_path(channel, folder)
+        settings = self.settings
+        bus = Bus(
+            settings.bitrate,
+            settings.data_bitrate,
+            faults=settings.faults,
+            seed=settings.seed + place,
+            restart_s=settings.restart_s,
+        )
+        return _Line(channel, bus, _listen(path, channel), path)
+
+    def _accept(self, line: _Line) -> None:
+        try:
+            connection, _ = line.listener.accept()
+        except OSError:  # it left again, or descriptors ran out
+            return
+        connection.setblocking(False)
+        line.guests.append(connection)
+        if sum(len(one.guests) + len(one.sessions) for one in self._lines) > MAX_CLIENTS:
+            self._refuse(line, connection, f"more than {MAX_CLIENTS} clients")
+
+    def _greet(self, line: _Line, guest: socket.socket) -> None:
+        """Let a client in that has said what it wants."""
+        try:
+            hello = _read_hello(guest)
+        except BlockingIOError:
+            return
+        except (OSError, ProtocolError, msgspec.MsgspecError) as error:
+            self._refuse(line, guest, f"not understood: {error}")
+            return
+        settings = self.settings
+        if hello.bitrate not in (None, settings.bitrate):
+            self._refuse(line, guest, f"it runs at {settings.bitrate} bit/s, not {hello.bitrate}")
+        elif hello.fd and settings.data_bitrate is None:
+            self._refuse(line, guest, "it has no CAN FD: start it with --data-bitrate")
+        elif hello.fd and hello.data_bitrate not in (None, settings.data_bitrate):
+            self._refuse(line, guest, f"its data rate is {settings.data_bitrate} bit/s, not {hello.data_bitrate}")
+        else:
+            self._welcome(line, guest, hello)
+
+    def _welcome(self, line: _Line, guest: socket.socket, hello: Hello) -> None:
+        settings = self.settings
+        welcome = Welcome(
+            bitrate=settings.bitrate,
+            data_bitrate=settings.data_bitrate,
+            virtual_clock=settings.virtual_clock,
+            queue_size=settings.queue_size,
+        )
+        try:
+            guest.send(pack(Kind.WELCOME, msgspec.json.encode(welcome)))
+        except OSError:
+            self._refuse(line, guest, "")
+            return
+        line.guests.remove(guest)
+        station = line.bus.attach(hello.name, settings.queue_size, listen_only=hello.listen_only)
+        line.sessions.append(Session(guest, station, hello.filters))
+
+    @staticmethod
+    def _refuse(line: _Line, guest: socket.socket, reason: str) -> None:
+        with contextlib.suppress(OSError):
+            guest.send(pack(Kind.REFUSED, reason.encode()))
+        guest.close()
+        line.guests.remove(guest)
+
+    def _read(self, line: _Line, session: Session) -> None:
+        """Take what a client sends; whoever sends garbage is disconnected, and nobody else notices."""
+        try:
+            for _ in range(PACKETS_PER_TURN):
+                size = session.connection.recv_into(self._buffer)
+                if not size:
+                    self._lose(line, session, "")
+                    return
+                self._take(line, session, memoryview(self._buffer)[:size])
+        except BlockingIOError:
+            return
+        except (OSError, ProtocolError, InputError, msgspec.MsgspecError) as error:
+            self._lose(line, session, f"disconnected: {error}")
+
+    def _take(self, line: _Line, session: Session, packet: memoryview) -> None:
+        header, payload = unpack(packet)
+        if header.kind == Kind.FAULTS:
+            line.bus.set_faults(msgspec.json.decode(payload, type=list[Fault]))
+            return
+        if header.kind != Kind.FRAMES or not session.station.controllers:
+            raise ProtocolError(f"a packet of kind {header.kind}")
+        burst = unpack_frames(header, payload)
+        check_frames(burst, fd=self.settings.data_bitrate is not None)
+        now_ns = line.bus.now_ns if self.settings.virtual_clock else time.monotonic_ns()
+        if line.bus.submit(session.station, burst, now_ns) < len(burst):
+            raise ProtocolError("more frames than its transmit queue holds")
+
+    def _deliver(self, line: _Line) -> None:
+        """Hand over what has ended on a bus."""
+        now_ns = time.monotonic_ns()
+        wake_ns = self._wake_ns(line)
+        if wake_ns is None or (wake_ns > now_ns and not self.settings.virtual_clock):
+            return
+        events = line.bus.run_until(None if self.settings.virtual_clock else now_ns)
+        if not len(events.frames):
+            return
+        line.delivered_ns = 0 if self.settings.virtual_clock else now_ns
+        for session in list(line.sessions):
+            try:
+                session.offer(events, line.bus.now_ns)
+            except OSError:
+                self._lose(line, session, "")
+
+    def _flush(self, line: _Line, session: Session) -> None:
+        try:
+            session.flush(line.bus.now_ns)
+        except OSError:
+            self._lose(line, session, "")
+
+    @staticmethod
+    def _lose(line: _Line, session: Session, why: str) -> None:
+        """Forget a client that has gone, or that must go."""
+        if why:
+            say("bus", f"{line.channel}: client '{session.station.name}' {why}")
+        line.sessions.remove(session)
+        line.bus.detach(session.station)
+        session.connection.close()
+
+
+def _listen(path: Path, channel: str) -> socket.socket:
+    """Open a bus's socket; one that nobody serves any more is replaced.
+
+    Raises
+    ------
+    BusError
+        If another process serves it.
+    """
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    listener.setblocking(False)
+    try:
+        try:
+            listener.bind(os.fspath(path))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            _remove_stale(path, channel)
+            listener.bind(os.fspath(path))
+        listener.listen(64)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def _remove_stale(path: Path, channel: str) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+        try:
+            probe.connect(os.fspath(path))
+        except ConnectionRefusedError:
+            path.unlink(missing_ok=True)
+        else:
+            raise BusError(f"{channel} is already served at {path}: stop that process, or set SKIN_BUS_DIR")
+
+
+def _own_folder(folder: Path) -> None:
+    """Make the sockets' folder, or make sure that nobody else can put sockets there.
+
+    Raises
+    ------
+    BusError
+        If it belongs to somebody else.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    status = folder.stat()
+    if status.st_uid != os.getuid() or status.st_mode & 0o022:
+        raise BusError(f"{folder} can be written by others: set SKIN_BUS_DIR to a folder of your own")
+
+
+def _read_hello(guest: socket.socket) -> Hello:
+    header, payload = unpack(guest.recv(MAX_PACKET))
+    if header.kind != Kind.HELLO:
+        raise ProtocolError(f"expected a greeting, got a packet of kind {header.kind}")
+    return msgspec.json.decode(payload, type=Hello)
