@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.contract import SYNC_OVERFLOW
+from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from skin.measurement import Sbhe
 from skin.messages import Truth
@@ -20,40 +21,67 @@ class Sampler:
 
     The step of the taxel source follows the SYNC counter, so that several processes of nodes that were
     started before the first SYNC feel the same touch, also when one of them misses a SYNC.
+
+    Attributes
+    ----------
+    sums : array of int16, shape (m,)
+        The newest sums.
     """
 
     def __init__(self, phi: Sbhe, source: TaxelSource, electronics: Electronics) -> None:
+        self.sums = np.zeros(phi.shape[0], np.int16)
         self._phi = phi
         self._source = source
         self._electronics = electronics
         self._step = -1
         self._counter = 0
         self._time_ns = 0
-        self._sums = np.zeros(phi.shape[0], np.int16)
+        self._counts = np.zeros(phi.shape[1], np.int16)
         self._truth: Truth | None = None
+
+    def first_sum(self, block: int) -> int:
+        """Return where the sums of `block` begin."""
+        return int(self._phi.starts[block])
+
+    def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
+        """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
+        size = self._phi.block_size
+        chain = self._phi.order[block * size : (block + 1) * size]
+        if index == OD_GAIN and 1 <= subindex <= size:
+            self._electronics.gain[chain[subindex - 1]] = value
+        elif index == OD_OFFSET and 1 <= subindex <= size:
+            self._electronics.offset[chain[subindex - 1]] = value
+        elif index == OD_TEST_PATTERN:
+            self._electronics.set_pattern(chain, int(value))
+
+    def saturated(self, block: int) -> int:
+        """Count the taxels of `block` at the top of their range."""
+        size = self._phi.block_size
+        chain = self._phi.order[block * size : (block + 1) * size]
+        return int((self._counts[chain] >= self._electronics.top).sum())
 
     def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int16]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen at `time_ns`."""
         elapsed_ns = time_ns - self._time_ns
         if self._step >= 0 and counter == self._counter and elapsed_ns < SAME_CYCLE_NS:
-            return self._sums
+            return self.sums
         if self._step < 0:
             self._step = max(0, counter - 1)
         else:
             self._step += (counter - self._counter) % SYNC_OVERFLOW or 1
         self._counter, self._time_ns = counter, time_ns
         frame = self._source.frame(self._step)
-        counts = self._electronics.read(frame.force_n)
-        self._sums = self._phi.block_sums(counts)
+        self._counts = self._electronics.read(frame.force_n)
+        self.sums = self._phi.block_sums(self._counts)
         self._truth = Truth(
             step=self._step,
             sync_counter=counter,
             sync_mono_ns=time_ns,
             true=frame.force_n.astype("<f4").tobytes(),
-            sensor=self._electronics.newtons(counts).astype("<f4").tobytes(),
+            sensor=self._electronics.newtons(self._counts).astype("<f4").tobytes(),
             label=frame.label,
         )
-        return self._sums
+        return self.sums
 
     def take_truth(self) -> Truth | None:
         """Return what the skin felt in the newest cycle, once."""

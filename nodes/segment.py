@@ -1,17 +1,27 @@
 """All virtual nodes of one bus behind one link: what comes in, and what answers."""
 
 from collections.abc import Collection
+from typing import Final
 
 import numpy as np
-from bus.link import Link
 
-from dbc.contract import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, Contract
+from bus.link import Link
+from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, Contract
 from dbc.dictionary import dictionary
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
+from dbc.indices import OD_SYNC_OVERFLOW
 from nodes.burst import Burst
+from nodes.emcy import Emergency
 from nodes.network import SegmentNetwork
+from nodes.nmt import NmtState
 from nodes.node import SkinNode
 from nodes.sampler import Sampler
+from nodes.tpdo import Tpdo
+
+#: A node answers this long after the end of the SYNC frame, on the bus's clock, as a microcontroller would.
+REACTION_NS: Final = 100_000
+#: Every SDO frame is 8 bytes (CiA 301, 7.2.4.3).
+SDO_BYTES: Final = 8
 
 
 class Segment:
@@ -24,66 +34,97 @@ class Segment:
         Number of the bus in the layout.
     node_ids : collection of int
         Which of its nodes live here.
+    link : Link
+    sampler : Sampler
+
+    Attributes
+    ----------
+    frames_sent, frames_dropped : int
+        TPDOs handed to the controllers; TPDOs that found no room there.
+    frames_rejected : int
+        Received frames that made the CANopen library raise; they are dropped.
     """
 
     def __init__(self, made: Contract, bus: int, node_ids: Collection[int], link: Link, sampler: Sampler) -> None:
         self.link = link
-        self.frames_sent = 0
-        self.frames_dropped = 0
+        self.frames_sent = self.frames_dropped = self.frames_rejected = 0
         self.syncs_seen = 0
-        #: Frames that made the CANopen library raise; they are dropped.
-        self.frames_rejected = 0
         self._sampler = sampler
-        self._starts = made.phi.starts
         self._network = SegmentNetwork(link)
         self.nodes = [
-            SkinNode(node, dictionary(made, node), self._network)
+            SkinNode(node, dictionary(made, node), self._network, sampler)
             for node in made.on_bus(bus)
             if node.node_id in node_ids
         ]
         self._by_id = {node.contract.node_id: node for node in self.nodes}
-        self._burst = Burst(self.nodes, self._starts)
+        self._compile()
 
     def boot(self, now_s: float) -> None:
         """Power all nodes up."""
         for node in self.nodes:
             node.boot(now_s)
+        self._compile()
 
-    def beat(self, now_s: float) -> None:
-        """Send the heartbeats that are due."""
+    def tick(self, now_s: float) -> None:
+        """Do what time alone calls for."""
+        changed = [node.refresh(now_s) for node in self.nodes]
+        if any(changed):
+            self._compile()
         for node in self.nodes:
-            node.beat(now_s)
+            node.tick(now_s)
 
     def receive(self, now_s: float) -> None:
         """Handle every frame that waits on the link."""
         arrived = self.link.receive()
-        if not len(arrived):
-            return
-        ours = arrived[arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0]
-        known = (ours["can_id"] == SYNC_COB_ID) | (ours["can_id"] == NMT_COB_ID)
-        known |= (ours["can_id"] > SDO_REQUEST_BASE) & (ours["can_id"] <= SDO_REQUEST_BASE + 127)
-        for frame in ours[known]:
+        can_id = arrived["can_id"]
+        plain = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
+        heartbeat = (can_id > HEARTBEAT_BASE) & (can_id <= HEARTBEAT_BASE + HIGHEST_NODE_ID)
+        request = (can_id > SDO_REQUEST_BASE) & (can_id <= SDO_REQUEST_BASE + HIGHEST_NODE_ID)
+        for frame in arrived[plain & (heartbeat | request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
             self._handle(frame, now_s)
 
     def _handle(self, frame: np.void, now_s: float) -> None:
-        can_id, length = int(frame["can_id"]), int(frame["length"])
-        data = frame["data"][:length].tobytes()
+        can_id = int(frame["can_id"])
+        data = frame["data"][: frame["length"]].tobytes()
         if can_id == SYNC_COB_ID:
-            self._sync(data[0] if length else 0, int(frame["time_ns"]))
+            self._sync(data, int(frame["time_ns"]))
         elif can_id == NMT_COB_ID:
             self._nmt(data, now_s)
-        elif length == 8:
-            self._sdo(can_id, data, frame)
+        elif can_id > HEARTBEAT_BASE:
+            for node in self.nodes:
+                node.heard(can_id - HEARTBEAT_BASE, now_s)
+        elif len(data) == SDO_BYTES:
+            self._sdo(can_id, data, now_s)
 
-    def _sync(self, counter: int, time_ns: int) -> None:
+    def _sync(self, data: bytes, time_ns: int) -> None:
         self.syncs_seen += 1
-        if any(node.pdo_changed for node in self.nodes):
-            self._compile()
+        listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
+        self._judge_sync(listening, len(data))
+        counter = data[0] if len(data) == 1 else 0
         sums = self._sampler.sample(counter, time_ns)
-        burst: Frames = self._burst.frames(counter, sums)
+        operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
+        burst = self._burst.frames(counter, sums, operational)
+        burst["time_ns"] = time_ns + REACTION_NS
         accepted = self.link.send(burst)
         self.frames_sent += accepted
         self.frames_dropped += len(burst) - accepted
+        for node_id, sent in zip(*np.unique(burst["port"][:accepted], return_counts=True), strict=True):
+            self._by_id[int(node_id)].health[1] += sent
+        for node, tpdo in self._mixed:
+            if node.state is NmtState.OPERATIONAL:
+                payload = tpdo.at_sync(counter, node.local)
+                if payload is not None:
+                    node.send(tpdo, payload)
+                    self.frames_sent += 1
+
+    def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
+        """Report a SYNC whose length is not what 1019h says (CiA 301, 7.2.5.2: EMCY 8240h)."""
+        for node in listening:
+            node.health[0] += 1
+            if length == self._sync_length[node.contract.node_id]:
+                node.emcy.gone(Emergency.SYNC_LENGTH)
+            else:
+                node.emcy.raised(Emergency.SYNC_LENGTH, length)
 
     def _nmt(self, data: bytes, now_s: float) -> None:
         if len(data) < 2:
@@ -92,16 +133,23 @@ class Segment:
         for node in self.nodes if node_id == 0 else filter(None, [self._by_id.get(node_id)]):
             node.command(command, now_s)
 
-    def _sdo(self, can_id: int, data: bytes, frame: np.void) -> None:
+    def _sdo(self, can_id: int, data: bytes, now_s: float) -> None:
         node = self._by_id.get(can_id - SDO_REQUEST_BASE)
         if node is None or not node.answers_sdo:
             return
         try:
-            self._network.notify(can_id, bytearray(data), int(frame["time_ns"]) * 1e-9)
+            self._network.notify(can_id, bytearray(data), now_s)
         except Exception:  # noqa: BLE001 - nothing that arrives may end the receive loop
             self.frames_rejected += 1
 
     def _compile(self) -> None:
-        self._burst = Burst(self.nodes, self._starts)
-        for node in self.nodes:
-            node.pdo_changed = False
+        """Split the TPDOs into those a burst of arrays can carry and the others."""
+        plain: list[tuple[int, int, int, Tpdo]] = []
+        self._mixed: list[tuple[SkinNode, Tpdo]] = []
+        self._sync_length: dict[int, int] = {}
+        for place, node in enumerate(self.nodes):
+            node_id, first_sum = node.contract.node_id, self._sampler.first_sum(node.contract.block)
+            self._sync_length[node_id] = 1 if node.local.unsigned(OD_SYNC_OVERFLOW) else 0
+            plain += [(place, node_id, first_sum, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
+            self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
+        self._burst = Burst(plain)

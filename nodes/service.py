@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping
 from typing import Final
 
 from bus.link import Link
-
 from dbc.contract import Contract
 from nodes.sampler import Sampler
 from nodes.segment import Segment
@@ -60,7 +59,7 @@ class NodesService:
                 for key, _ in ready:
                     key.data.receive(now_s)
                 for segment in self.segments:
-                    segment.beat(now_s)
+                    segment.tick(now_s)
                 self._publish(now_s)
         self.publish_status()
 

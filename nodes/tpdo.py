@@ -1,0 +1,117 @@
+"""One transmit PDO as its records describe it now (CiA 301, 7.2.2), and when it is due."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from canopen import SdoAbortedError
+
+from dbc.contract import SYNC_OVERFLOW
+from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING
+from nodes.access import LAST_SYNCHRONOUS, PDO_INVALID
+from nodes.objects import LocalNode
+
+EVENT_MANUFACTURER: Final = 254
+EVENT_PROFILE: Final = 255
+FRAME_BYTES: Final = 8
+
+
+@dataclass
+class Tpdo:
+    """A transmit PDO.
+
+    Attributes
+    ----------
+    every : int
+        Transmission type: 0 acyclic synchronous, 1 to 240 every so many SYNCs, 254 and 255 event-driven.
+    start : int
+        SYNC start value; 0 counts SYNCs from the first.
+    inhibit_s, event_s : float
+        Least time between two, and longest time without one; 0 for none. Event-driven PDOs only.
+    mapped : list of (int, int)
+        Index and sub-index of each mapped object, in the order of the bytes.
+    length : int
+        Payload in bytes.
+    """
+
+    cob_id: int
+    every: int
+    start: int
+    inhibit_s: float
+    event_s: float
+    mapped: list[tuple[int, int]]
+    length: int
+    _syncs: int = 0
+    _last: bytes | None = None
+    _sent_at_s: float = field(default=float("-inf"))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is cyclic and carries nothing but sums, so that a burst can be made of arrays."""
+        return 1 <= self.every <= LAST_SYNCHRONOUS and all(index == OD_SUMS for index, _ in self.mapped)
+
+    def payload(self, node: LocalNode) -> bytes:
+        """Return the bytes to send now."""
+        return b"".join(node.get_data(index, subindex) for index, subindex in self.mapped)
+
+    def at_sync(self, counter: int, node: LocalNode) -> bytes | None:
+        """Return the payload when SYNC `counter` calls for it."""
+        self._syncs += 1
+        if self.every > LAST_SYNCHRONOUS or not is_turn(self.every or 1, self.start, counter, self._syncs):
+            return None
+        payload = self.payload(node)
+        if self.every == 0 and payload == self._last:
+            return None
+        self._last = payload
+        return payload
+
+    def at_event(self, now_s: float, node: LocalNode) -> bytes | None:
+        """Return the payload of an event-driven PDO when it has changed or its event timer has run out."""
+        if self.every < EVENT_MANUFACTURER or now_s < self._sent_at_s + self.inhibit_s:
+            return None
+        payload = self.payload(node)
+        overdue = self.event_s and now_s >= self._sent_at_s + self.event_s
+        if payload == self._last and not overdue:
+            return None
+        self._last, self._sent_at_s = payload, now_s
+        return payload
+
+
+def is_turn(every: int, start: int, counter: int, syncs: int) -> bool:
+    """Tell whether a cyclic PDO is due at a SYNC.
+
+    With a SYNC start value the counter decides and not the number of SYNCs seen, so that a missed SYNC does
+    not shift the turn.
+    """
+    if start and counter:
+        return (counter - start) % SYNC_OVERFLOW % every == 0
+    return syncs % every == 0
+
+
+def read_tpdos(node: LocalNode, numbers: list[int]) -> list[Tpdo]:
+    """Read the TPDOs that exist from a node's dictionary; one whose mapping cannot be read does not exist."""
+    found = []
+    for number in numbers:
+        try:
+            tpdo = _read(node, OD_TPDO_COMMUNICATION + number - 1, OD_TPDO_MAPPING + number - 1)
+        except SdoAbortedError:
+            continue
+        if tpdo is not None:
+            found.append(tpdo)
+    return found
+
+
+def _read(node: LocalNode, communication: int, mapping: int) -> Tpdo | None:
+    cob_id = node.unsigned(communication, 1)
+    entries = [node.unsigned(mapping, place) for place in range(1, node.unsigned(mapping, 0) + 1)]
+    length = sum(entry & 0xFF for entry in entries) // 8
+    if cob_id & PDO_INVALID or not entries or length > FRAME_BYTES:
+        return None
+    return Tpdo(
+        cob_id=cob_id & 0x7FF,
+        every=node.unsigned(communication, 2),
+        start=node.unsigned(communication, 6),
+        inhibit_s=node.unsigned(communication, 3) * 1e-4,
+        event_s=node.unsigned(communication, 5) * 1e-3,
+        mapped=[(entry >> 16, entry >> 8 & 0xFF) for entry in entries],
+        length=length,
+    )
