@@ -1,0 +1,56 @@
+"""``skin reconstruct``: the tactile image of every cycle."""
+
+from pathlib import Path
+from typing import Literal
+
+from reconstructor.engine import LIVE, PAPER, Reconstructor, Settings
+from reconstructor.service import ReconstructorService
+from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from skin.layout import load_layout
+from skin.service import StopSignal, say
+
+
+def reconstruct(
+    *,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    solver: Literal["live", "paper"] = "live",
+    iterations: int | None = None,
+    penalty_n: float | None = None,
+) -> None:
+    """Turn measurements into tactile images and publish them.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub, the gateway.
+    solver
+        ``live``: Haar pyramid with cycle spinning and non-negative forces. ``paper``: tensor Haar, L = 2B.
+    iterations
+        FISTA iterations per image; without it the solver's own, 20.
+    penalty_n
+        λ in newtons; without it the solver's own.
+
+    Examples
+    --------
+    skin reconstruct
+    skin reconstruct --layout palm.toml --solver paper --iterations 5
+    """
+    stop = StopSignal().install()
+    skin = load_layout(layout)
+    settings: Settings = (LIVE if solver == "live" else PAPER).copy()
+    if iterations is not None:
+        settings["iterations"] = iterations
+    if penalty_n is not None:
+        settings["penalty_n"] = penalty_n
+    engine = Reconstructor(skin.phi(), skin.taxels.rows, skin.taxels.columns, **settings)
+    engine.warm_up()
+    fabric = Fabric(skin.name, "reconstructor", connect)
+    try:
+        service = ReconstructorService(skin, engine, fabric)
+        say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {settings['iterations']} iterations")
+        service.run(stop)
+    finally:
+        fabric.close()

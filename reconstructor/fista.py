@@ -1,0 +1,146 @@
+"""FISTA for any Φ and Ψ, plainly written: the reference that the compiled kernel must equal.
+
+    min over s of  ½‖ΦΨs - y‖² + λ‖s‖₁,   x = Ψs
+
+after Beck and Teboulle 2009. With Φ of ±1 and forces in newtons, λ is in newtons. The paper takes L as twice the
+largest eigenvalue of (ΦΨ)ᵀΦΨ; for SBHE and an orthonormal Ψ that eigenvalue is B exactly, and L = B suffices.
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.bases import Basis
+from reconstructor.proximal import Proximal, soft
+
+Values = npt.NDArray[np.floating[Any]]
+#: Called with the number of the iteration, from 1, and the estimate after it.
+Observer = Callable[[int, Values], None]
+
+
+class Measuring(Protocol):
+    """Φ: `forward` from taxels (n,) to sums (m,), `adjoint` back."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(m, n)."""
+        ...
+
+    def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+        """Return Φ x."""
+        ...
+
+    def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+        """Return Φᵀ y."""
+        ...
+
+
+def momentum(iterations: int) -> npt.NDArray[np.float64]:
+    """Return (t_k - 1) / t_{k+1} for k = 1 … iterations, with t_1 = 1 and t_{k+1} = (1 + √(1 + 4t_k²)) / 2."""
+    times = np.ones(iterations + 1)
+    for k in range(iterations):
+        times[k + 1] = (1 + np.sqrt(1 + 4 * times[k] ** 2)) / 2
+    return (times[:-1] - 1) / times[1:]
+
+
+def fista(
+    phi: Measuring,
+    psi: Basis,
+    sums_n: Values,
+    *,
+    penalty_n: float,
+    lipschitz: float,
+    iterations: int,
+    start: Values | None = None,
+    observe: Observer | None = None,
+) -> Values:
+    """Return the coefficients s after a fixed number of iterations.
+
+    Parameters
+    ----------
+    phi, psi : operators
+        Φ of shape (m, n) and Ψ, whose image has n pixels.
+    sums_n : array, shape (m,)
+        y in newtons.
+    penalty_n : float
+        λ in newtons.
+    lipschitz : float
+        L, at least the largest eigenvalue of (ΦΨ)ᵀΦΨ.
+    start : array, shape psi.shape
+        Coefficients to start from, zeros without; the previous cycle's for a warm start.
+    observe : callable
+        Sees every estimate; must not change it.
+    """
+
+    def gradient(s: Values) -> Values:
+        residual = phi.forward(psi.adjoint(s).reshape(-1)) - sums_n
+        return psi.forward(phi.adjoint(residual).reshape(psi.image_shape))
+
+    begin = np.zeros(psi.shape, sums_n.dtype) if start is None else start
+    shrink = penalty_n / lipschitz
+    return _accelerated(
+        gradient,
+        lambda s, _: soft(s, shrink),
+        begin,
+        lipschitz=lipschitz,
+        iterations=iterations,
+        observe=observe,
+    )
+
+
+def fista_image(
+    phi: Measuring,
+    proximal: Proximal,
+    sums_n: Values,
+    *,
+    penalty_n: float,
+    lipschitz: float,
+    iterations: int,
+    start: Values,
+    observe: Observer | None = None,
+) -> Values:
+    """Return the image x, shape (rows, columns), with `proximal` in place of the shrinkage of coefficients.
+
+    The same iteration as `fista` when `proximal` shrinks the coefficients of one orthonormal Ψ.
+    """
+
+    def gradient(x: Values) -> Values:
+        return phi.adjoint(phi.forward(x.reshape(-1)) - sums_n).reshape(x.shape)
+
+    shrink = penalty_n / lipschitz
+    return _accelerated(
+        gradient,
+        lambda x, k: proximal(x, shrink, k),
+        start,
+        lipschitz=lipschitz,
+        iterations=iterations,
+        observe=observe,
+    )
+
+
+def _accelerated(
+    gradient: Callable[[Values], Values],
+    proximal: Callable[[Values, int], Values],
+    start: Values,
+    *,
+    lipschitz: float,
+    iterations: int,
+    observe: Observer | None,
+) -> Values:
+    """Proximal gradient steps of 1/L, each from a point ahead of the last estimate."""
+    estimate = ahead = start
+    for k, weight in enumerate(momentum(iterations)):
+        previous = estimate
+        estimate = proximal(ahead - gradient(ahead) / lipschitz, k)
+        ahead = estimate + weight * (estimate - previous)
+        if observe is not None:
+            observe(k + 1, estimate)
+    return estimate
+
+
+def objective(phi: Measuring, psi: Basis, sums_n: Values, coefficients: Values, penalty_n: float) -> float:
+    """Return ½‖ΦΨs - y‖² + λ‖s‖₁, newtons squared."""
+    residual = phi.forward(psi.adjoint(coefficients).reshape(-1)) - sums_n
+    return float(0.5 * residual @ residual + penalty_n * np.abs(coefficients).sum())

@@ -1,0 +1,1 @@
+"""The solver as one compiled loop: SBHE and Haar, in place, without a temporary."""
