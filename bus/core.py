@@ -4,7 +4,6 @@ Controllers submit frames with a release time; whenever the wire is free, the pe
 identifier is sent and takes exactly as long as its bits. `Bus.run_until` returns what ended until then.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import count
 from random import Random
@@ -132,6 +131,8 @@ class Bus:
     def _membership_changed(self) -> None:
         """Count who acknowledges, and give frames that found nobody another try."""
         self._takers = sum(controller.takes_part for controller in self._controllers())
+        for station in self.stations.values():
+            station.refresh()
         self._pending.unpark(self.now_ns)
 
     # --- frames in, events out ---------------------------------------------------------------------------
@@ -155,16 +156,19 @@ class Bus:
         if not len(accepted):
             return 0
         self.now_ns = max(self.now_ns, time_ns)
-        durations = frame_time_ns(accepted, self.bitrate, self.data_bitrate).tolist()
         releases = np.maximum(accepted["time_ns"], self.now_ns).tolist()
-        keys = arbitration_keys(accepted).tolist()
-        slots = self._pool.store(accepted)
-        ports = accepted["port"].tolist()
-        for key, slot, duration, port, release in zip(keys, slots, durations, ports, releases, strict=True):
-            controller = self._controller(station, port)
-            item = Waiting(key, next(self._sequence), slot, duration, controller)
-            controller.waiting += 1
-            if controller.takes_part:
+        controllers = [self._controller(station, port) for port in accepted["port"].tolist()]
+        fields = zip(
+            arbitration_keys(accepted).tolist(),
+            self._sequence,
+            self._pool.store(accepted),
+            frame_time_ns(accepted, self.bitrate, self.data_bitrate).tolist(),
+            controllers,
+            strict=False,  # the sequence has no end
+        )
+        for item, release in zip(map(Waiting._make, fields), releases, strict=True):
+            item.controller.waiting += 1
+            if item.controller.takes_part:
                 self._pending.add(item, release)
             else:
                 self._discard([item], release)
@@ -180,7 +184,10 @@ class Bus:
             if start is None or (time_ns is not None and start > time_ns):
                 break
             self.now_ns = max(self.now_ns, start)
-            self._transmit(self._pending.winner(start), start)
+            if self._book or self._disturbed or self._recovering or self._takers < 2:
+                self._transmit(self._pending.winner(start), start)
+            else:
+                self._carry(start, time_ns)
         events = self._outbox.collect(time_ns)
         ended = int(events.frames["time_ns"][-1]) if len(events.frames) else 0
         self.now_ns = max(self.now_ns, time_ns or 0, ended)
@@ -193,14 +200,24 @@ class Bus:
         times += [time for time in coming if time is not None]
         return min(times, default=None)
 
+    @property
+    def crowded(self) -> bool:
+        """Whether frames wait for the wire."""
+        return self._pending.crowded
+
     def _fitting(self, station: Station, burst: Frames) -> int:
         """Count the leading frames that fit their transmit queues."""
-        waiting = Counter({port: one.waiting for port, one in station.controllers.items()})
-        for index, port in enumerate(burst["port"].tolist()):
-            if waiting[port] == station.queue_size:
-                return index
-            waiting[port] += 1
-        return len(burst)
+        ports = burst["port"].tolist()
+        room = dict.fromkeys(ports, station.queue_size)
+        for port in room.keys() & station.controllers.keys():
+            room[port] -= station.controllers[port].waiting
+        if len(ports) <= min(room.values(), default=0):
+            return len(ports)
+        for place, port in enumerate(ports):
+            if not room[port]:
+                return place
+            room[port] -= 1
+        return len(ports)
 
     def _discard(self, items: Iterable[Waiting], time_ns: int) -> None:
         """Hand frames back to their senders unsent."""
@@ -214,12 +231,26 @@ class Bus:
     def _bits_ns(self, bits: int) -> int:
         return round(bits * 1e9 / self.bitrate)
 
+    def _carry(self, start: int, time_ns: int | None) -> None:
+        """Send frames as long as nothing can go wrong; the same as `_transmit` would do, without its questions."""
+        pending, post = self._pending, self._outbox.post
+        coming: int | None = start
+        while coming is not None and (time_ns is None or coming <= time_ns):
+            item = pending.winner(coming)
+            if pending.contests(item):
+                self._transmit(item, coming)
+                return
+            free = self._free_ns = coming + item.duration_ns
+            post(free - self._intermission_ns, item.slot, item.controller.station, OTHERS | OWNER)
+            item.controller.waiting -= 1
+            self.counts.transmitted += 1
+            self.counts.busy_ns += item.duration_ns
+            coming = pending.next_start_ns(free)
+
     def _transmit(self, item: Waiting, start: int) -> None:
         """Send the winner of an arbitration, or find out why that fails."""
         contested = self._pending.contests(item)
-        if not (contested or self._book or self._disturbed) and self._takers > 1:
-            self._succeed([item], start)  # nothing can go wrong
-        elif item.controller.suspended_until_ns > start:
+        if item.controller.suspended_until_ns > start:
             self._pending.add(item, item.controller.suspended_until_ns)
         else:
             self._attempt([item, *self._pending.rivals(item)] if contested else [item], start)
@@ -316,6 +347,7 @@ class Bus:
                 continue
             if controller.judge():
                 errors = controller.transmit_errors, controller.receive_errors
+                self.stations[controller.station].refresh()
                 self._report(controller, time_ns, state_report(controller.state, *errors))
             if controller.state is State.PASSIVE:
                 controller.suspended_until_ns = self._free_ns + self._bits_ns(SUSPEND_BITS)

@@ -28,14 +28,17 @@ class Events(NamedTuple):
         Number of the station that sent the frame, or that the report is for.
     audience : array of uint8, shape (n,)
         OTHERS, OWNER or both.
+    plain : bool
+        Whether these are only frames that everybody gets.
     """
 
     frames: Frames
     owner: npt.NDArray[np.int64]
     audience: npt.NDArray[np.uint8]
+    plain: bool
 
 
-_NOTHING: Final = Events(frames(0), np.zeros(0, np.int64), np.zeros(0, np.uint8))
+_NOTHING: Final = Events(frames(0), np.zeros(0, np.int64), np.zeros(0, np.uint8), plain=True)
 
 
 class Outbox:
@@ -71,4 +74,6 @@ class Outbox:
         collected["time_ns"] = times
         if any(flags):
             collected["flags"] |= np.array(flags, np.uint8)
-        return Events(collected, np.array(owners), np.array(audiences, np.uint8))
+        audience = np.array(audiences, np.uint8)
+        plain = not any(flags) and min(audiences) == OTHERS | OWNER
+        return Events(collected, np.array(owners), audience, plain)

@@ -44,11 +44,17 @@ class Pending:
             return free_ns
         return max(free_ns, self._future[0][0]) if self._future else None
 
+    @property
+    def crowded(self) -> bool:
+        """Whether frames wait that were released."""
+        return bool(self._ready)
+
     def winner(self, start_ns: int) -> Waiting:
         """Take the frame that wins the arbitration at `start_ns`."""
-        while self._future and self._future[0][0] <= start_ns:
-            heapq.heappush(self._ready, heapq.heappop(self._future)[1])
-        return heapq.heappop(self._ready)
+        ready, future = self._ready, self._future
+        while future and future[0][0] <= start_ns:
+            heapq.heappush(ready, heapq.heappop(future)[1])
+        return heapq.heappop(ready)
 
     def contests(self, item: Waiting) -> bool:
         """Tell whether a frame with the same identifier is ready, too."""

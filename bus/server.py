@@ -29,12 +29,12 @@ from bus.protocol import (
     unpack,
     unpack_frames,
 )
-from bus.session import Session
+from bus.session import Batch, Session
 from dbc.frame import frames
 from skin.errors import BusError, InputError
 from skin.service import say
 
-#: While a bus is busy its frames are handed over at most this often.
+#: While frames wait for a bus, those that have ended are handed over at most this often.
 TICK_NS: Final = 1_000_000
 #: Longest sleep, after which the stop condition is looked at.
 IDLE_S: Final = 0.1
@@ -171,11 +171,16 @@ class BusServer:
 
     @staticmethod
     def _wake_ns(line: _Line) -> int | None:
-        """Return when a bus has something to hand over: not before the next tick, which all buses share."""
+        """Return when a bus has something to hand over.
+
+        In the middle of a burst that is the next tick, which all buses share; its end comes without delay.
+        """
         event_ns = line.bus.next_event_ns()
         if event_ns is None:
             return None
-        return max(event_ns, (line.delivered_ns // TICK_NS + 1) * TICK_NS)
+        if line.bus.crowded:
+            return max(event_ns, (line.delivered_ns // TICK_NS + 1) * TICK_NS)
+        return max(event_ns, line.delivered_ns + TICK_NS // 4)
 
     def _open(self, channel: str, place: int, folder: Path) -> _Line:
         path = socket_path(channel, folder)
@@ -279,9 +284,10 @@ class BusServer:
         if not len(events.frames):
             return
         line.delivered_ns = 0 if self.settings.virtual_clock else now_ns
+        batch = Batch(events)
         for session in list(line.sessions):
             try:
-                session.offer(events, line.bus.now_ns)
+                session.offer(batch, line.bus.now_ns)
             except OSError:
                 self._lose(line, session, "")
 

@@ -2,6 +2,7 @@
 
 import socket
 from collections import deque
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -14,6 +15,27 @@ from dbc.frame import ECHO, ERROR, EXTENDED, Frames
 
 #: Received frames that wait in this process for a client that does not read; later ones are lost, and counted.
 BACKLOG_FRAMES: Final = 16384
+
+
+class Batch:
+    """What ended on a bus at once, with the form that most stations get made only once."""
+
+    def __init__(self, events: Events) -> None:
+        self.events = events
+        self.owners = frozenset(events.owner.tolist())
+
+    @cached_property
+    def others(self) -> Frames:
+        """What a station gets that sent none of it."""
+        every = self.events.frames
+        frames: Frames = every.copy() if self.events.plain else every[self.events.audience & OTHERS != 0]
+        frames["port"] = 0
+        return frames
+
+    @cached_property
+    def payload(self) -> bytes:
+        """`others` as it is sent."""
+        return self.others.tobytes()
 
 
 class Session:
@@ -40,26 +62,32 @@ class Session:
         """Whether frames wait until the client reads."""
         return bool(self._backlog)
 
-    def offer(self, events: Events, now_ns: int) -> None:
+    def offer(self, batch: Batch, now_ns: int) -> None:
         """Send the client what concerns it."""
-        chosen = self._select(events)
-        if not len(chosen):
+        if self.station.number in batch.owners:
+            chosen = self._with_echoes(batch.events)
+        elif self.station.off:
+            return
+        else:
+            chosen = batch.others[self._passes(batch.others)] if self._filters else batch.others
+        if chosen is batch.others and len(chosen) <= MAX_FRAMES and not self._backlog:
+            if len(chosen) and not self._send(len(chosen), batch.payload, now_ns):
+                self._keep(chosen)
             return
         for first in range(0, len(chosen), MAX_FRAMES):
             part = chosen[first : first + MAX_FRAMES]
-            if self._backlog or not self._send(part, now_ns):
+            if self._backlog or not self._send(len(part), part.tobytes(), now_ns):
                 self._keep(part)
 
     def flush(self, now_ns: int) -> None:
         """Send what waits, as far as the client reads."""
-        while self._backlog and self._send(self._backlog[0], now_ns):
+        while self._backlog and self._send(len(self._backlog[0]), self._backlog[0].tobytes(), now_ns):
             self._waiting -= int(np.count_nonzero(self._backlog.popleft()["flags"] & ECHO == 0))
 
-    def _send(self, part: Frames, now_ns: int) -> bool:
-        state = self.station.state
-        header = HEADER.pack(MAGIC, Kind.FRAMES, state, len(part), self.dropped, now_ns)
+    def _send(self, count: int, payload: bytes, now_ns: int) -> bool:
+        header = HEADER.pack(MAGIC, Kind.FRAMES, self.station.state, count, self.dropped, now_ns)
         try:
-            self.connection.sendmsg([header, part.tobytes()])
+            self.connection.sendmsg((header, payload))
         except BlockingIOError:
             return False
         return True
@@ -79,25 +107,25 @@ class Session:
         else:
             self._backlog.append(kept)
 
-    def _select(self, events: Events) -> Frames:
+    def _with_echoes(self, events: Events) -> Frames:
         """Choose the records for this station, and mark its own frames as echoes."""
+        if events.plain and not (events.owner - self.station.number).any():
+            echoes: Frames = events.frames.copy()
+            echoes["flags"] |= ECHO
+            return echoes
         mine = events.owner == self.station.number
-        if not mine.any():
-            wanted = (events.audience & OTHERS != 0) & self._passes(events.frames)
-            chosen: Frames = events.frames[wanted]
-            chosen["port"] = 0
-            return chosen[:0] if self.station.off else chosen
-        theirs = (events.audience & OTHERS != 0) & self._passes(events.frames) & (not self.station.off)
-        keep = np.where(mine, events.audience & OWNER != 0, theirs)
-        chosen, own = events.frames[keep], mine[keep]
-        chosen["port"][~own] = 0
-        chosen["flags"][own & (chosen["flags"] & ERROR == 0)] |= ECHO
+        wanted = np.where(mine, OWNER, 0 if self.station.off else OTHERS)
+        keep = events.audience & wanted != 0
+        if self._filters:
+            keep &= mine | self._passes(events.frames)
+        chosen: Frames = events.frames[keep]
+        own = mine[keep]
+        chosen["port"] *= own
+        chosen["flags"] |= np.where(own & (chosen["flags"] & ERROR == 0), np.uint8(ECHO), np.uint8(0))
         return chosen
 
     def _passes(self, arrived: Frames) -> npt.NDArray[np.bool_]:
         """Tell which frames the client's filters let through."""
-        if not self._filters:
-            return np.ones(len(arrived), np.bool_)
         passed = np.zeros(len(arrived), np.bool_)
         extended = arrived["flags"] & EXTENDED != 0
         for one in self._filters:

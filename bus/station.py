@@ -6,24 +6,29 @@ from bus.controller import Controller
 from bus.error_frames import State
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class Station:
-    """One connection to the bus and its controllers by port; without any it listens and does not acknowledge."""
+    """One connection to the bus and its controllers by port; without any it listens and does not acknowledge.
+
+    Attributes
+    ----------
+    state : State
+        The worst state of its controllers.
+    off : bool
+        Whether every controller is without power, so that nothing is received either.
+    """
 
     number: int
     name: str
     queue_size: int
     controllers: dict[int, Controller] = field(default_factory=dict)
+    state: State = State.ACTIVE
+    off: bool = False
 
-    @property
-    def state(self) -> State:
-        """The worst state of its controllers."""
-        return max((controller.state for controller in self.controllers.values()), default=State.ACTIVE)
-
-    @property
-    def off(self) -> bool:
-        """Whether every controller is without power, so that nothing is received either."""
-        return bool(self.controllers) and all(one.off for one in self.controllers.values())
+    def refresh(self) -> None:
+        """Derive `state` and `off` anew, after a controller came or changed."""
+        self.state = max((one.state for one in self.controllers.values()), default=State.ACTIVE)
+        self.off = bool(self.controllers) and all(one.off for one in self.controllers.values())
 
 
 @dataclass(slots=True)
