@@ -8,7 +8,6 @@ import hashlib
 import io
 import os
 import tempfile
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +74,7 @@ def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
         If the file is missing, unreadable, damaged, of another version, or was trained for another skin.
     """
     entries = _entries(path)
-    metadata = bytes(entries["metadata"].astype(np.uint8).tobytes())
+    metadata = entries["metadata"].tobytes()
     arrays = {name: entries[name] for name in ARRAYS}
     try:
         version = msgspec.json.decode(metadata, type=_Version).version
@@ -94,17 +93,18 @@ def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
 def _entries(path: Path) -> Arrays:
     wanted = (*ARRAYS, "metadata", "digest")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise ModelError(f"{path}: not a model: expected an .npz made by 'skin train'")
-            missing = [name for name in wanted if name not in file]
-            if missing:
-                raise ModelError(f"{path}: not a model: it lacks {', '.join(missing)}")
-            return {name: file[name] for name in wanted}
+        content = io.BytesIO(path.read_bytes())
     except OSError as error:
         raise ModelError(f"{path}: cannot read the model: {error.strerror or error}") from error
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, NotImplementedError, MemoryError) as error:
-        raise ModelError(f"{path}: not a readable model: {error}") from error
+    try:
+        with np.lib.npyio.NpzFile(content, allow_pickle=False) as file:
+            missing = [name for name in wanted if name not in file]
+            entries = {name: np.asarray(file[name]) for name in wanted if name in file}
+    except Exception as error:  # the zip and npy decoders have no common error for damage
+        raise ModelError(f"{path}: not a readable model ({error}): expected an .npz made by 'skin train'") from error
+    if missing:
+        raise ModelError(f"{path}: not a model: it lacks {', '.join(missing)}")
+    return entries
 
 
 def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:

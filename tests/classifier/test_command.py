@@ -1,0 +1,186 @@
+"""The verbs, the cache, and where touches come from."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from classifier import touches as touches_module
+from classifier.cache import cache_folder, cached_path, find_or_train
+from classifier.command import classify, train
+from classifier.model import Model
+from classifier.modelfile import load_model, save_model
+from classifier.touches import load_touches
+from skin.errors import InputError, ModelError
+from skin.fabric import Fabric
+from skin.layout import Layout, load_layout
+from skin.measurement import Sbhe
+
+NAMES = ("dome", "plate")
+
+
+class Offer:
+    """Stands in for an installed entry point."""
+
+    name = "random"
+
+    def __init__(self, force_n: np.ndarray, labels: np.ndarray) -> None:
+        self.touches = force_n, labels
+        self.calls: list[tuple[list[str], int]] = []
+
+    def load(self) -> "Offer":
+        return self
+
+    def __call__(
+        self, names: Sequence[str], count: int, *, rows: int, columns: int, pitch_m: float, seed: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        assert (rows, columns, pitch_m, seed) == (32, 32, 0.004, 0)
+        self.calls.append((list(names), count))
+        return self.touches
+
+
+@pytest.fixture
+def offer(monkeypatch: pytest.MonkeyPatch, touches: tuple[np.ndarray, np.ndarray]) -> Offer:
+    made = Offer(*touches)
+    monkeypatch.setattr(touches_module, "entry_points", lambda **_: [made])
+    return made
+
+
+@pytest.fixture(autouse=True)
+def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setenv("SKIN_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    file = tmp_path / "small.toml"
+    file.write_text(
+        'name = "small"\n[taxels]\nrows = 32\ncolumns = 32\n[measurement]\nsums = 512\n'
+        '[[bus]]\nname = "bus0"\nnodes = 32\n'
+    )
+    return file
+
+
+def test_cache_folder_follows_the_environment() -> None:
+    assert cache_folder({"SKIN_CACHE": "/a", "XDG_CACHE_HOME": "/b"}) == Path("/a")
+    assert cache_folder({"XDG_CACHE_HOME": "/b"}) == Path("/b/canskin")
+    assert cache_folder({}) == Path.home() / ".cache" / "canskin"
+
+
+def test_train_writes_a_model_and_tells(
+    offer: Offer, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.npz"
+    train(layout=small, objects="dome, plate,dome", touches=240, out=out, json_=True)
+    told = json.loads(capsys.readouterr().out)
+    assert offer.calls == [(["dome", "plate"], 240)]
+    assert told["model"] == str(out)
+    assert told["card"]["per_object"].keys() == set(NAMES)
+    skin = load_layout(small)
+    assert load_model(out, skin, skin.phi()).metadata.fingerprint == told["fingerprint"]
+
+
+def test_train_prints_a_table_and_keeps_the_model_for_classify(
+    offer: Offer, small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    train(layout=small, objects="dome,plate", touches=240)
+    captured = capsys.readouterr()
+    assert "dome" in captured.out
+    assert "C = " in captured.err
+    skin = load_layout(small)
+    assert find_or_train(skin, skin.phi(), NAMES).metadata.classes == ["dome", "plate"]
+    assert len(offer.calls) == 1  # not trained again
+
+
+def test_missing_model_is_trained_once_with_a_word(
+    offer: Offer, layout: Layout, phi: Sbhe, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = find_or_train(layout, phi, NAMES)
+    again = find_or_train(layout, phi, NAMES)
+    assert first.metadata == again.metadata
+    assert offer.calls == [(["dome", "plate"], 800)]
+    assert capsys.readouterr().err.count("training a model of this skin for dome, plate") == 1
+
+
+def test_damaged_cache_is_replaced(offer: Offer, layout: Layout, phi: Sbhe, capsys: pytest.CaptureFixture[str]) -> None:
+    path = cached_path(layout, phi, NAMES)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"not a model")
+    model = find_or_train(layout, phi, NAMES)
+    assert "training another" in capsys.readouterr().err
+    assert load_model(path, layout, phi).metadata == model.metadata
+
+
+def test_cache_that_cannot_be_written_is_no_obstacle(
+    offer: Offer, layout: Layout, phi: Sbhe, cache: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cache.write_text("a file where the folder should be")
+    assert find_or_train(layout, phi, NAMES).metadata.classes == ["dome", "plate"]
+    assert "again next time" in capsys.readouterr().err
+
+
+def test_no_touches_offered(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> None:
+    monkeypatch.setattr(touches_module, "entry_points", lambda **_: [])
+    with pytest.raises(InputError, match="nothing installed offers 'random' touches"):
+        load_touches(NAMES, 20, layout, seed=0)
+
+
+def test_wrong_options(small: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--touches -1"):
+        train(layout=small, touches=-1)
+    with pytest.raises(InputError, match="leave --objects out"):
+        classify(layout=small, model=tmp_path / "x.npz", objects="ring")
+    with pytest.raises(ModelError, match="cannot read the model"):
+        classify(layout=small, model=tmp_path / "x.npz")
+
+
+def test_verbs_load_without_scikit_learn() -> None:
+    code = "import sys, classifier.command; sys.exit('sklearn' in sys.modules or 'scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def hub(endpoint: str) -> Iterator[Fabric]:
+    fabric = Fabric("small", "hub", endpoint, hub=True)
+    yield fabric
+    fabric.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_service_comes_alive_and_ends_quietly(
+    model: Model, small: Path, hub: Fabric, endpoint: str, number: signal.Signals
+) -> None:
+    out = small.with_suffix(".npz")
+    save_model(model, out)
+    alive: list[str] = []
+    hub.watch(lambda name, there: alive.append(name) if there else None)
+    command = [sys.executable, "-c", "from skin.command import main; main()", "classify"]
+    options = ["--layout", str(small), "--model", str(out), "--connect", endpoint]
+    process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+    try:
+        deadline = time.monotonic() + 30
+        while "classifier" not in alive and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert "classifier" in alive
+        process.send_signal(number)
+        _, said = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert "Traceback" not in said

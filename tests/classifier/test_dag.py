@@ -1,0 +1,40 @@
+"""The decision graph: every walk leaves one class, and asks M - 1 pairs."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from classifier.dag import DecisionGraph, pairs
+
+
+@given(st.integers(2, 9), st.integers(0, 2**32 - 1))
+def test_walk_leaves_exactly_the_winner(classes: int, seed: int) -> None:
+    margins = np.random.default_rng(seed).normal(size=len(pairs(classes)))
+    graph = DecisionGraph(classes)
+    losers = [loser for loser, _ in graph.walk(margins)]
+    winner, confidence = graph.decide(margins)
+    assert sorted([*losers, winner]) == list(range(classes))
+    assert 0 < confidence < 1
+
+
+@given(st.integers(2, 9), st.integers(0, 2**32 - 1), st.data())
+def test_class_that_wins_all_its_pairs_is_chosen(classes: int, seed: int, data: st.DataObject) -> None:
+    best = data.draw(st.integers(0, classes - 1))
+    margins = np.random.default_rng(seed).normal(size=len(pairs(classes)))
+    for index, (first, second) in enumerate(pairs(classes)):
+        if best in {first, second}:
+            margins[index] = 1.0 if best == first else -1.0
+    assert DecisionGraph(classes).decide(margins)[0] == best
+
+
+def test_order_matters_only_in_a_cycle() -> None:
+    # 0 beats 1, 1 beats 2, 2 beats 0: the graph asks (0, 2) first and then (1, 2).
+    winner, _ = DecisionGraph(3).decide(np.array([1.0, -1.0, 1.0]))
+    assert winner == 1
+
+
+def test_confidence_is_the_product_along_the_path() -> None:
+    _, confidence = DecisionGraph(3).decide(np.array([2.0, 1.0, -7.0]))  # asks (0, 2), then (0, 1)
+    assert confidence == pytest.approx(1 / (1 + np.exp(-1.0)) / (1 + np.exp(-2.0)))
+    assert DecisionGraph(2).decide(np.array([1000.0])) == (0, 1.0)

@@ -1,0 +1,112 @@
+"""Decisions cycle by cycle: silence, settling, loss, forgetting."""
+
+import numpy as np
+import pytest
+
+from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.model import Model
+from classifier.samples import simulate_sums
+from skin.layout import Layout
+from skin.measurement import Sbhe
+
+Sums = np.ndarray
+
+
+@pytest.fixture
+def valid(phi: Sbhe) -> np.ndarray:
+    return np.ones(phi.blocks, np.uint8)
+
+
+@pytest.fixture(scope="module")
+def idle(layout: Layout, phi: Sbhe) -> Sums:
+    still = np.zeros((3000, 32, 32), np.float32)
+    return simulate_sums(still, layout, phi, 0.001, np.random.default_rng(77))
+
+
+@pytest.fixture(scope="module")
+def pressed(layout: Layout, phi: Sbhe, unseen: tuple[np.ndarray, np.ndarray]) -> dict[str, Sums]:
+    """Twenty cycles of a clear touch of each object."""
+    force_n, labels = unseen
+    rng = np.random.default_rng(8)
+    found = {}
+    for name in ("dome", "plate"):
+        of_name = np.flatnonzero(labels == name)
+        deepest = of_name[np.argmax(force_n[of_name].max(axis=(1, 2)))]
+        held = np.repeat(force_n[deepest][None], 20, axis=0)
+        found[name] = simulate_sums(held, layout, phi, 0.001, rng)
+    return found
+
+
+def test_untouched_skin_is_silent_as_often_as_stated(model: Model, phi: Sbhe, idle: Sums, valid: np.ndarray) -> None:
+    single = Classifier(model, phi, settling=1.0)
+    alarms = sum(single.decide(y, valid).label != "" for y in idle)
+    assert alarms <= 4 * model.metadata.false_alarm_ratio * len(idle)
+    settled = Classifier(model, phi)
+    assert all(settled.decide(y, valid).label == "" for y in idle)
+
+
+def test_new_label_within_three_cycles(
+    model: Model, phi: Sbhe, idle: Sums, pressed: dict[str, Sums], valid: np.ndarray
+) -> None:
+    classifier = Classifier(model, phi)
+    for before, after, name in (
+        (idle[:20], pressed["dome"], "dome"),
+        (pressed["dome"], pressed["plate"], "plate"),
+        (pressed["plate"], idle[:20], ""),
+    ):
+        for y in before:
+            classifier.decide(y, valid)
+        labels = [classifier.decide(y, valid).label for y in after]
+        assert labels[2:] == [name] * 18
+
+
+def test_one_odd_cycle_is_hidden(model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray) -> None:
+    classifier = Classifier(model, phi)
+    series = [*pressed["dome"][:10], pressed["plate"][0], *pressed["dome"][10:]]
+    assert {classifier.decide(y, valid).label for y in series} == {"dome"}
+
+
+def test_confidence_and_belief(model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray) -> None:
+    classifier = Classifier(model, phi)
+    for y in pressed["plate"]:
+        decision = classifier.decide(y, valid)
+        assert 0 <= decision.confidence <= 1
+        assert classifier._belief.sum() == pytest.approx(1)
+    assert decision.confidence > 0.9
+
+
+def test_sums_of_invalid_blocks_are_ignored(
+    model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
+) -> None:
+    valid[::8] = 0
+    one, other = Classifier(model, phi), Classifier(model, phi)
+    garbage = np.where(phi.sums_of_blocks(valid > 0), 0, -30000).astype(np.int32)
+    for y in pressed["dome"]:
+        assert one.decide(y, valid) == other.decide(y + garbage, valid)
+    assert one.decide(pressed["dome"][0], valid).label == "dome"
+
+
+def test_hardly_any_block_says_nothing(model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray) -> None:
+    classifier = Classifier(model, phi)
+    classifier.decide(pressed["dome"][0], valid)
+    valid[phi.blocks // 5 :] = 0
+    assert classifier.decide(pressed["dome"][1], valid) == ("", 0.0)
+    valid[:] = 0
+    assert classifier.decide(pressed["dome"][1], valid) == ("", 0.0)
+
+
+@pytest.mark.parametrize("step", [FORGET_CYCLES + 1, 0, -100])
+def test_past_is_forgotten_after_a_gap_or_a_restart(
+    model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray, step: int
+) -> None:
+    classifier = Classifier(model, phi)
+    for cycle, y in enumerate(pressed["dome"], start=1000):
+        classifier.decide(y, valid, cycle)
+    assert classifier.decide(pressed["plate"][0], valid, 1019 + step).label == "plate"
+
+
+def test_extreme_sums_give_a_decision(model: Model, phi: Sbhe, valid: np.ndarray) -> None:
+    classifier = Classifier(model, phi)
+    for value in (-(2**31), 2**31 - 1, 0):
+        decision = classifier.decide(np.full(phi.shape[0], value, np.int32), valid)
+        assert 0 <= decision.confidence <= 1

@@ -1,0 +1,45 @@
+"""The goal: the right name on the simulator's live series."""
+
+import numpy as np
+import pytest
+
+from classifier.cache import DEFAULT_OBJECTS, TOUCHES_PER_OBJECT
+from classifier.decide import Classifier
+from classifier.model import Model
+from classifier.samples import simulate_sums
+from classifier.touches import load_touches
+from classifier.training import train
+from skin.layout import load_layout
+from skin.sources import load_source
+
+pytestmark = pytest.mark.slow
+
+STEPS = 5 * 310  # each object once
+
+
+@pytest.fixture(scope="module")
+def trained() -> Model:
+    layout = load_layout()
+    count = TOUCHES_PER_OBJECT * len(DEFAULT_OBJECTS)
+    return train(*load_touches(DEFAULT_OBJECTS, count, layout, seed=0), layout)
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize(("lost_blocks", "least"), [(0, 0.98), (16, 0.97), (32, 0.95)])
+def test_labelled_frames_get_their_name(trained: Model, seed: int, lost_blocks: int, least: float) -> None:
+    layout = load_layout()
+    phi = layout.phi()
+    source = load_source("objects", rows=64, columns=64, pitch_m=0.004, rate_hz=100.0, seed=seed)
+    rng = np.random.default_rng(seed)
+    valid = np.ones(phi.blocks, np.uint8)
+    valid[:lost_blocks] = 0
+    classifier = Classifier(trained, phi)
+    right = []
+    for step in range(STEPS):
+        force_n, label = source.frame(step)
+        sums = simulate_sums(force_n[None], layout, phi, 0.001, rng)[0]
+        said = classifier.decide(sums, valid, step + 1).label
+        if label:
+            right.append(said == label)
+    assert len(right) > STEPS / 2
+    assert np.mean(right) >= least

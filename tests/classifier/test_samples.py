@@ -1,0 +1,35 @@
+"""Simulated sums: noise, clipping, ADC, Φ."""
+
+import numpy as np
+
+from classifier.features import Float32
+from classifier.samples import FALSE_ALARM_RATIO, observe_untouched, simulate_sums
+from skin.layout import Layout
+from skin.measurement import Sbhe
+
+
+def test_without_noise_sums_are_phi_of_the_counts(layout: Layout, phi: Sbhe) -> None:
+    rng = np.random.default_rng(0)
+    force_n: Float32 = rng.uniform(-0.01, 0.03, (300, 32, 32)).astype(np.float32)
+    counts = np.rint(np.clip(force_n, 0, np.float32(0.02)) / layout.taxels.newton_per_count).astype(int)
+    sums = simulate_sums(force_n, layout, phi, 0.0, rng)
+    assert sums.dtype == np.int32
+    np.testing.assert_array_equal(sums, phi.forward(counts.reshape(300, -1)))
+    assert counts.max() == 1023
+
+
+def test_noise_has_the_asked_deviation(layout: Layout, phi: Sbhe) -> None:
+    force_n = np.full((200, 32, 32), 0.01, np.float32)  # mid-range: nothing is clipped
+    noise_n = np.where(np.arange(200) < 100, 0.001, 0.0005)
+    sums = simulate_sums(force_n, layout, phi, noise_n, np.random.default_rng(1))
+    plain = sums[:, phi.row_of_sum != 0] * layout.taxels.newton_per_count / np.sqrt(phi.block_size)
+    np.testing.assert_allclose(plain[:100].std(), 0.001, rtol=0.02)
+    np.testing.assert_allclose(plain[100:].std(), 0.0005, rtol=0.02)
+
+
+def test_threshold_is_passed_as_often_as_stated(layout: Layout, phi: Sbhe) -> None:
+    one = observe_untouched(layout, phi, 0.001, 3000, np.random.default_rng(0))
+    other = observe_untouched(layout, phi, 0.001, 3000, np.random.default_rng(1))
+    assert FALSE_ALARM_RATIO == 0.002
+    np.testing.assert_allclose(one.contact_threshold, other.contact_threshold, atol=1.2)
+    np.testing.assert_allclose(one.no_touch, other.no_touch, rtol=0.1)

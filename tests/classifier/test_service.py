@@ -1,0 +1,104 @@
+"""The service: labels for measurements of its Φ, one complaint about others."""
+
+import socket
+import threading
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pytest
+
+from classifier.decide import Classifier
+from classifier.model import Model
+from classifier.samples import simulate_sums
+from classifier.service import ClassifierService
+from skin.fabric import Fabric
+from skin.layout import Layout
+from skin.measurement import Sbhe
+from skin.messages import LABEL, MEASUREMENT, Label, Measurement
+from skin.service import StopSignal
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def hub(endpoint: str) -> Iterator[Fabric]:
+    fabric = Fabric("small", "hub", endpoint, hub=True)
+    yield fabric
+    fabric.close()
+
+
+@pytest.fixture
+def service(hub: Fabric, endpoint: str, model: Model, phi: Sbhe) -> Iterator[ClassifierService]:
+    fabric = Fabric("small", "classifier", endpoint)
+    yield ClassifierService(Classifier(model, phi), phi, fabric)
+    fabric.close()
+
+
+@pytest.fixture
+def measurement(layout: Layout, phi: Sbhe, unseen: tuple[np.ndarray, np.ndarray]) -> Measurement:
+    force_n, _ = unseen  # the second is a plate
+    sums = simulate_sums(force_n[1:2], layout, phi, 0.001, np.random.default_rng(0))[0]
+    return Measurement(
+        cycle=7,
+        sync_counter=9,
+        sync_mono_ns=123,
+        time_ns=456,
+        sums=sums.astype("<i4").tobytes(),
+        valid=np.ones(phi.blocks, np.uint8).tobytes(),
+        fingerprint=phi.fingerprint,
+    )
+
+
+def test_label_carries_the_cycle(service: ClassifierService, measurement: Measurement) -> None:
+    label = service.label(measurement)
+    assert label is not None
+    assert (label.cycle, label.sync_counter, label.sync_mono_ns) == (7, 9, 123)
+    assert label.label == "plate"
+    assert label.valid_sums == 512
+    assert 0.5 < label.confidence <= 1
+
+
+def test_valid_sums_count_the_valid_blocks(service: ClassifierService, measurement: Measurement, phi: Sbhe) -> None:
+    valid = np.ones(phi.blocks, np.uint8)
+    valid[:3] = 0
+    label = service.label(msgspec.structs.replace(measurement, valid=valid.tobytes()))
+    assert label is not None
+    assert label.valid_sums == 512 - phi.starts[3]
+
+
+def test_other_measurements_are_refused_and_said_once(
+    service: ClassifierService, measurement: Measurement, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for odd in ({"fingerprint": "0" * 16}, {"sums": b"\0" * 12}, {"sums": b"\0"}, {"valid": b""}):
+        assert service.label(msgspec.structs.replace(measurement, **odd)) is None
+    assert service.refused == 4
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert "0000000000000000" in said[0]
+    assert service.label(measurement) is not None
+    assert service.labelled == 1
+
+
+def test_over_the_fabric_until_told_to_stop(service: ClassifierService, hub: Fabric, measurement: Measurement) -> None:
+    heard = threading.Event()
+    got: list[Label] = []
+    hub.subscribe(LABEL, lambda label: (got.append(label), heard.set()))
+    stop = StopSignal()
+    thread = threading.Thread(target=service.run, args=(stop,))
+    thread.start()
+    try:
+        for _ in range(500):
+            hub.publish(MEASUREMENT, measurement)
+            if heard.wait(0.02):
+                break
+    finally:
+        stop.set()
+        thread.join(10)
+    assert not thread.is_alive()
+    assert got[0].label == "plate"
