@@ -1,0 +1,71 @@
+"""The page's server: the page and its files, the live frames, and the state for programs."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Collection
+from importlib.resources import files
+from typing import Final
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket
+
+from viewer.feed import Feed
+from viewer.guard import LOOPBACK, Guard
+from viewer.stream import FrameStream, serve_page
+from viewer.wire import frame, greeting
+
+STATIC: Final = str(files("viewer") / "static")
+
+
+def build_app(feed: Feed, hosts: Collection[str] | None = LOOPBACK) -> Starlette:
+    """Return the application that shows `feed`.
+
+    Paths: ``/`` the page, ``/static`` its files, ``/ws`` a greeting as text and then frames (`viewer.wire`), of
+    which the page acknowledges each with a text message, ``/api/state`` the snapshot as JSON, ``/healthz``.
+
+    Parameters
+    ----------
+    feed : Feed
+    hosts : collection of str, or None
+        See `viewer.guard.Guard`.
+    """
+    stream = FrameStream(lambda: frame(*feed.snapshot()))
+    hello = msgspec.json.encode(greeting(feed.layout)).decode()
+
+    async def page(_request: Request) -> Response:
+        return FileResponse(f"{STATIC}/index.html", media_type="text/html")
+
+    async def state(_request: Request) -> Response:
+        return Response(msgspec.json.encode(feed.snapshot()[0]), media_type="application/json")
+
+    async def health(_request: Request) -> Response:
+        return Response(b'{"status":"ok"}', media_type="application/json")
+
+    async def live(websocket: WebSocket) -> None:
+        await websocket.accept()
+        await websocket.send_text(hello)
+        await serve_page(websocket, stream)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_app: Starlette) -> AsyncIterator[None]:
+        streaming = asyncio.create_task(stream.run())
+        yield
+        streaming.cancel()
+
+    return Starlette(
+        routes=[
+            Route("/", page),
+            Route("/api/state", state),
+            Route("/healthz", health),
+            WebSocketRoute("/ws", live),
+            Mount("/static", StaticFiles(directory=STATIC)),
+        ],
+        middleware=[Middleware(Guard, hosts=hosts)],
+        lifespan=lifespan,
+    )

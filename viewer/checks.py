@@ -1,0 +1,37 @@
+"""Whether a message that decoded well also fits the skin shown: sizes and ranges, before anything is drawn."""
+
+import math
+
+import numpy as np
+
+from skin.layout import Layout
+from skin.messages import GatewayStatus, Image, Label, Truth
+
+FLOAT_BYTES = 4
+
+
+def image_fits(image: Image, layout: Layout) -> bool:
+    """Tell whether an image has this skin's taxels and blocks, and finite forces."""
+    return len(image.valid) == layout.blocks and _pixels_fit(image.pixels, layout) and math.isfinite(image.solve_s)
+
+
+def truth_fits(truth: Truth, layout: Layout) -> bool:
+    """Tell whether a truth has this skin's taxels, and finite forces."""
+    return _pixels_fit(truth.true, layout) and _pixels_fit(truth.sensor, layout)
+
+
+def label_fits(label: Label) -> bool:
+    """Tell whether a label's confidence is one."""
+    return 0.0 <= label.confidence <= 1.0
+
+
+def status_fits(status: GatewayStatus) -> bool:
+    """Tell whether every bus has a state for each of its nodes, and every figure is a number."""
+    numbers = [status.sync_rate_hz, *status.mean_load_ratio, *(bus.load_ratio for bus in status.buses)]
+    return all(len(bus.nmt) == len(bus.nodes) for bus in status.buses) and all(map(math.isfinite, numbers))
+
+
+def _pixels_fit(pixels: bytes, layout: Layout) -> bool:
+    if len(pixels) != layout.taxels.count * FLOAT_BYTES:
+        return False
+    return bool(np.isfinite(np.frombuffer(pixels, "<f4")).all())

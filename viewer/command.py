@@ -1,0 +1,127 @@
+"""``skin view``: the live page."""
+
+import errno
+import socket
+from collections.abc import Collection
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Final
+
+import uvicorn
+
+from skin.errors import InputError
+from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from skin.layout import load_layout
+from skin.service import StopSignal, say
+from viewer.app import build_app
+from viewer.feed import Feed
+from viewer.guard import LOOPBACK
+
+BACKLOG: Final = 64
+#: Pages are told to come again and get this long to hang up when the server ends.
+FAREWELL_S: Final = 1
+#: Pages send acknowledgements only.
+MESSAGE_LIMIT_BYTES: Final = 1024
+
+
+def view(
+    *,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    host: str = "127.0.0.1",
+    port: int = 8765,
+) -> None:
+    """Show the skin in a browser: images, object, buses and nodes, live.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub, usually the gateway.
+    host
+        Address to listen on. Anything but loopback shows the skin to the whole network.
+    port
+        Port to listen on; 0 takes a free one and prints it.
+
+    Examples
+    --------
+    skin view
+    skin view --layout palm.toml --connect tcp/10.0.0.5:7447 --port 0
+    """
+    stop = StopSignal().install()
+    skin = load_layout(layout)
+    with _listen(host, port) as listener:
+        fabric = Fabric(skin.name, "viewer", connect)
+        try:
+            if not stop.is_set():
+                feed = Feed(skin)
+                feed.join(fabric)
+                _serve(feed, listener, host)
+        finally:
+            fabric.close()
+
+
+class _Server(uvicorn.Server):
+    """Says where the page is once it can be opened."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start serving, then say so."""
+        await super().startup(sockets)
+        for listener in sockets or []:
+            host, port = listener.getsockname()[:2]
+            say("viewer", f"live page at http://{f'[{host}]' if ':' in host else host}:{port}/")
+
+
+def _serve(feed: Feed, listener: socket.socket, host: str) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    config = uvicorn.Config(
+        build_app(feed, _hosts(host)),
+        log_config=None,
+        access_log=False,
+        lifespan="on",
+        server_header=False,
+        ws_max_size=MESSAGE_LIMIT_BYTES,
+        # Frames are floats that change at every turn: deflating them costs more than the loopback gains.
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=FAREWELL_S,
+    )
+    _Server(config).run(sockets=[listener])
+
+
+def _hosts(host: str) -> Collection[str] | None:
+    """Return the host names a server bound to `host` answers to; None when nobody can list them."""
+    try:
+        address = ip_address(host)
+    except ValueError:
+        return (*LOOPBACK, host)
+    return None if address.is_unspecified else (*LOOPBACK, host)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Open the socket the page is served on.
+
+    Raises
+    ------
+    InputError
+        If the address cannot be used.
+    """
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port: expected 0 to 65535, got {port}")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise InputError(f"--host {host}: cannot listen there: {error.strerror or error}") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(BACKLOG)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise InputError(
+                f"port {port} of {host} is in use: give another with --port, or --port 0 for a free one"
+            ) from error
+        raise InputError(f"--host {host} --port {port}: cannot listen there: {error.strerror or error}") from error
+    return listener

@@ -1,0 +1,60 @@
+"""From the fabric to the model: every message is noted under a lock, and a snapshot can be taken at any time."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from skin.fabric import Fabric
+from skin.layout import Layout
+from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH, Topic
+from viewer.snapshot import Pictures, Snapshot
+from viewer.state import ViewState
+
+
+class Feed:
+    """A `ViewState` that the fabric's threads fill and the page's server reads.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the skin shown.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self._state = ViewState(layout, time.time() - time.monotonic())
+        self._lock = threading.Lock()
+        self._fabric: Fabric | None = None
+
+    def join(self, fabric: Fabric) -> None:
+        """Subscribe to everything the page shows."""
+        state = self._state
+        handlers: tuple[tuple[Topic, Callable[[Any, float], None]], ...] = (
+            (IMAGE, state.take_image),
+            (TRUTH, state.take_truth),
+            (LABEL, state.take_label),
+            (GATEWAY, state.take_gateway),
+            (NODES, state.take_nodes),
+        )
+        self._fabric = fabric
+        for topic, take in handlers:
+            fabric.subscribe(topic, self._noting(take))
+        fabric.watch(self._changed)
+
+    def snapshot(self) -> tuple[Snapshot, Pictures]:
+        """Return what the page shows now."""
+        undecodable = self._fabric.malformed if self._fabric else 0
+        with self._lock:
+            return self._state.snapshot(time.monotonic(), undecodable)
+
+    def _noting(self, take: Callable[[Any, float], None]) -> Callable[[Any], None]:
+        def note(message: Any) -> None:
+            with self._lock:
+                take(message, time.monotonic())
+
+        return note
+
+    def _changed(self, service: str, alive: bool) -> None:
+        with self._lock:
+            self._state.take_service(service, alive, time.monotonic())

@@ -1,0 +1,75 @@
+"""Who may talk to the page's server, and what a browser may do with its answers."""
+
+from collections.abc import Collection
+from typing import Final
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
+
+HEADERS: Final = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-cache",
+}
+LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
+
+
+class Guard:
+    """Middleware: refuse foreign hosts and origins, and add the security headers to every answer.
+
+    A page of another site can neither open the WebSocket (its ``Origin`` differs from ``Host``) nor read
+    through a name it points at this machine (its ``Host`` is not one of `hosts`).
+
+    Parameters
+    ----------
+    app : ASGI application
+    hosts : collection of str, or None
+        Host names the server answers to; None answers to any.
+    """
+
+    def __init__(self, app: ASGIApp, hosts: Collection[str] | None) -> None:
+        self._app = app
+        self._hosts = hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection."""
+        if scope["type"] not in {"http", "websocket"}:
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        refusal = self._refusal(headers, scope["type"])
+        if refusal and scope["type"] == "websocket":
+            await WebSocketClose(code=1008, reason=refusal)(scope, receive, send)
+        elif refusal:
+            await PlainTextResponse(f"{refusal}\n", status_code=403)(scope, receive, send)
+        else:
+            await self._app(scope, receive, _with_headers(send))
+
+    def _refusal(self, headers: Headers, kind: str) -> str:
+        host = headers.get("host", "")
+        if self._hosts is not None and (urlsplit(f"//{host}").hostname or "") not in self._hosts:
+            return f"this server does not answer to the host '{host}'"
+        origin = headers.get("origin")
+        if kind == "websocket" and origin is not None and urlsplit(origin).netloc != host:
+            return f"pages of {origin} may not read this skin"
+        return ""
+
+
+def _with_headers(send: Send) -> Send:
+    async def send_with_headers(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers[name] = value
+        await send(message)
+
+    return send_with_headers

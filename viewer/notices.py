@@ -1,0 +1,99 @@
+"""What a person must be told, from the state alone: what stopped, since when, and because of whom."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import msgspec
+
+from viewer.snapshot import BusView, Notice, Service, Snapshot
+
+#: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2); 255 is the gateway's word for silence.
+OFF_DUTY: Final = {0: "booting", 4: "stopped", 127: "pre-operational", 255: "silent"}
+#: Node-IDs named in one notice; the tiles show the rest.
+NAMED: Final = 8
+
+
+def notices(state: Snapshot) -> Snapshot:
+    """Return `state` with its notices, the gravest first."""
+    found = [*_gateway(state), *_images(state), *_labels(state), *_nodes(state), *_ignored(state)]
+    grave = ("error", "warning", "info")
+    return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
+
+
+def _gateway(state: Snapshot) -> Iterator[Notice]:
+    token, status = state.services.get("gateway"), state.gateway
+    if token is not None and not token.alive:
+        yield _error("measurements stopped: gateway is gone", token.since_time_s)
+    elif status is not None and status.stale:
+        yield _error("the state of the buses is unknown: gateway sends no status", state.time_s - status.age_s)
+    elif status is None:
+        yield Notice(level="info", text="waiting for the gateway")
+    elif status.cycles == 0:
+        yield Notice(level="info", text="gateway is booting the nodes; SYNC has not started")
+
+
+def _images(state: Snapshot) -> Iterator[Notice]:
+    token, image = state.services.get("reconstructor"), state.image
+    if image is None:
+        if token is not None and not token.alive:
+            yield _error("no images: reconstructor is gone", token.since_time_s)
+        else:
+            yield Notice(level="info", text="waiting for the first image")
+    elif image.stale:
+        yield _error(f"images stopped: {_why(state, token)}", state.time_s - image.age_s)
+
+
+def _why(state: Snapshot, token: Service | None) -> str:
+    """Name the service that keeps images from coming."""
+    if token is None or not token.alive:
+        return "reconstructor is gone"
+    gateway = state.services.get("gateway")
+    if gateway is None or not gateway.alive:
+        return "no measurements without the gateway"
+    return "reconstructor is there but sends none"
+
+
+def _labels(state: Snapshot) -> Iterator[Notice]:
+    token, label = state.services.get("classifier"), state.label
+    if token is not None and not token.alive:
+        yield Notice(level="error", text="labels stopped: classifier is gone", since_time_s=token.since_time_s)
+    elif label is not None and label.stale and _measures(state):
+        since_time_s = state.time_s - label.age_s
+        text = "labels stopped: classifier is there but sends none" if token else "labels stopped: classifier is gone"
+        yield _error(text, since_time_s)
+
+
+def _nodes(state: Snapshot) -> Iterator[Notice]:
+    for name, token in state.services.items():
+        if (name == "nodes" or name.startswith("nodes-")) and not token.alive:
+            yield _error(f"no sums from the virtual {name}: the process is gone", token.since_time_s)
+    if state.gateway is not None and not state.gateway.stale:
+        for bus in state.gateway.buses:
+            yield from _off_duty(bus)
+
+
+def _off_duty(bus: BusView) -> Iterator[Notice]:
+    """Name the nodes of a bus that do not measure, one notice for each reason."""
+    for nmt, word in OFF_DUTY.items():
+        nodes = [node for node, state in zip(bus.nodes, bus.nmt, strict=True) if state == nmt]
+        if nodes and len(nodes) == len(bus.nodes):
+            yield Notice(level="warning", text=f"{bus.name}: all {len(nodes)} nodes {word}")
+        elif nodes:
+            named = ", ".join(map(str, nodes[:NAMED]))
+            more = f" and {len(nodes) - NAMED} more" if len(nodes) > NAMED else ""
+            plural = "s" if len(nodes) > 1 else ""
+            yield Notice(level="warning", text=f"{bus.name}: node{plural} {named}{more} {word}")
+
+
+def _ignored(state: Snapshot) -> Iterator[Notice]:
+    if state.ignored:
+        text = f"{state.ignored} messages ignored that do not fit this skin: is every service given the same layout?"
+        yield Notice(level="warning", text=text)
+
+
+def _measures(state: Snapshot) -> bool:
+    return state.gateway is not None and not state.gateway.stale
+
+
+def _error(text: str, since_time_s: float) -> Notice:
+    return Notice(level="error", text=text, since_time_s=since_time_s)

@@ -1,0 +1,153 @@
+"""What the page shows at one instant, as plain data: the answer of ``/api/state`` and the header of every frame."""
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+Pixels = npt.NDArray[np.float32]
+
+
+class Notice(msgspec.Struct, frozen=True, kw_only=True):
+    """One line a person should read.
+
+    Attributes
+    ----------
+    level : str
+        "info" (something is still to come), "warning" (degraded) or "error" (stopped).
+    since_time_s : float or None
+        Wall-clock time when it began.
+    """
+
+    level: str
+    text: str
+    since_time_s: float | None = None
+
+
+class Service(msgspec.Struct, frozen=True, kw_only=True):
+    """A service as its liveliness token tells: there or gone, and since when."""
+
+    alive: bool
+    since_time_s: float
+
+
+class ImageState(msgspec.Struct, frozen=True, kw_only=True):
+    """The newest image; ``stale`` when it must not be taken for what the skin feels now.
+
+    Attributes
+    ----------
+    invalid_blocks : list of int
+        Blocks that were not measured in this cycle; the pixels of their taxels are guesses.
+    """
+
+    cycle: int
+    age_s: float
+    stale: bool
+    invalid_blocks: list[int]
+    valid_sums: int
+    solve_s: float
+
+
+class TruthState(msgspec.Struct, frozen=True, kw_only=True):
+    """The true and the sensor image; ``of_image`` when they belong to the very cycle of the image shown."""
+
+    step: int
+    label: str
+    age_s: float
+    stale: bool
+    of_image: bool
+
+
+class LabelState(msgspec.Struct, frozen=True, kw_only=True):
+    """What the classifier said last; an empty ``label`` means no contact."""
+
+    label: str
+    confidence: float
+    age_s: float
+    stale: bool
+
+
+class Figures(msgspec.Struct, frozen=True, kw_only=True):
+    """Figures of the last seconds; None where nothing was measured.
+
+    Attributes
+    ----------
+    latency_p50_s, latency_p99_s : float or None
+        SYNC to published image.
+    psnr_image_db, psnr_sensor_db : float or None
+        Mean over the contact cycles of the last second, against the truth.
+    valid_blocks, valid_blocks_low : int or None
+        Blocks measured in the newest image, and the fewest in the last second.
+    """
+
+    images_hz: float
+    latency_p50_s: float | None
+    latency_p99_s: float | None
+    psnr_image_db: float | None
+    psnr_sensor_db: float | None
+    valid_blocks: int | None
+    valid_blocks_low: int | None
+    blocks: int
+
+
+class BusView(msgspec.Struct, frozen=True, kw_only=True):
+    """One bus: `load_ratio` now, `mean_load_ratio` since SYNC started, and the NMT state of each node."""
+
+    name: str
+    load_ratio: float
+    mean_load_ratio: float | None
+    nodes: list[int]
+    nmt: list[int]
+
+
+class GatewayState(msgspec.Struct, frozen=True, kw_only=True):
+    """The gateway's newest counters."""
+
+    age_s: float
+    stale: bool
+    sync_rate_hz: float
+    cycles: int
+    cycles_complete: int
+    frames_received: int
+    frames_missing: int
+    frames_late: int
+    frames_duplicate: int
+    frames_malformed: int
+    frames_foreign: int
+    buses: list[BusView]
+
+
+class NodesState(msgspec.Struct, frozen=True, kw_only=True):
+    """One process of virtual nodes."""
+
+    process: str
+    age_s: float
+    stale: bool
+    frames_sent: int
+    frames_dropped: int
+
+
+class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything the page shows, but the pixels."""
+
+    time_s: float
+    skin: str
+    image: ImageState | None
+    truth: TruthState | None
+    label: LabelState | None
+    figures: Figures
+    gateway: GatewayState | None
+    nodes: list[NodesState]
+    services: dict[str, Service]
+    ignored: int
+    notices: list[Notice]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The pixels that go with a snapshot, newtons, shape (rows, columns); None where there is nothing to show."""
+
+    image: Pixels | None
+    true: Pixels | None
+    sensor: Pixels | None

@@ -1,0 +1,259 @@
+"""The page's model: messages in, one snapshot out. No clock, no thread and no connection of its own."""
+
+from typing import Final, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from skin.layout import Layout
+from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
+from viewer.checks import image_fits, label_fits, status_fits, truth_fits
+from viewer.notices import notices
+from viewer.pairing import Pairing, psnr_db
+from viewer.snapshot import (
+    BusView,
+    Figures,
+    GatewayState,
+    ImageState,
+    LabelState,
+    NodesState,
+    Pictures,
+    Pixels,
+    Service,
+    Snapshot,
+    TruthState,
+)
+from viewer.window import Window
+
+#: Images, labels and truths older than this are stale.
+FRESH_S: Final = 0.5
+#: The gateway and the nodes publish their counters a few times a second.
+STATUS_FRESH_S: Final = 1.5
+#: Nobody publishes the truth any more: hide it.
+TRUTH_GONE_S: Final = 3.0
+#: Processes of nodes shown at most; a name nobody has used for long makes room.
+PROCESSES: Final = 64
+#: PSNR is that of contact cycles: the largest true force is at least this part of the range.
+CONTACT_RATIO: Final = 0.1
+LATENCY_SPAN_S: Final = 5.0
+SPAN_S: Final = 1.0
+
+Message = TypeVar("Message")
+
+
+class Last(NamedTuple, Generic[Message]):
+    """A message and when it came."""
+
+    message: Message
+    at_s: float
+
+
+class ViewState:
+    """What is known of one skin.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the skin shown; messages that do not fit it are counted in `ignored` and not shown.
+    epoch_s : float
+        Wall-clock time of ``now_s = 0``, so that notices can say since when.
+    """
+
+    def __init__(self, layout: Layout, epoch_s: float = 0.0) -> None:
+        self.ignored = 0
+        self._layout = layout
+        self._epoch_s = epoch_s
+        self._image: Last[Image] | None = None
+        self._truth: Last[Truth] | None = None
+        self._label: Last[Label] | None = None
+        self._gateway: Last[GatewayStatus] | None = None
+        self._nodes: dict[str, Last[NodesStatus]] = {}
+        self._services: dict[str, Service] = {}
+        self._pairing = Pairing()
+        self._latency_s = Window(LATENCY_SPAN_S)
+        self._valid = Window(SPAN_S)
+        self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
+
+    def take_image(self, image: Image, now_s: float) -> None:
+        """Use an image that came at `now_s`."""
+        if not image_fits(image, self._layout):
+            self.ignored += 1
+            return
+        self._image = Last(image, now_s)
+        self._latency_s.add(now_s, (image.published_mono_ns - image.sync_mono_ns) * 1e-9)
+        self._valid.add(now_s, self._valid_blocks(image))
+        truth = self._pairing.take_image(image)
+        if truth is not None:
+            self._compare(image, truth, now_s)
+
+    def take_truth(self, truth: Truth, now_s: float) -> None:
+        """Use a truth that came at `now_s`."""
+        if not truth_fits(truth, self._layout):
+            self.ignored += 1
+            return
+        self._truth = Last(truth, now_s)
+        image = self._pairing.take_truth(truth)
+        if image is not None:
+            self._compare(image, truth, now_s)
+
+    def take_label(self, label: Label, now_s: float) -> None:
+        """Use a label that came at `now_s`."""
+        if not label_fits(label):
+            self.ignored += 1
+            return
+        self._label = Last(label, now_s)
+
+    def take_gateway(self, status: GatewayStatus, now_s: float) -> None:
+        """Use the gateway's counters that came at `now_s`."""
+        if not status_fits(status):
+            self.ignored += 1
+            return
+        self._gateway = Last(status, now_s)
+
+    def take_nodes(self, status: NodesStatus, now_s: float) -> None:
+        """Use the counters of one process of nodes that came at `now_s`."""
+        self._nodes.pop(status.process, None)
+        self._nodes[status.process] = Last(status, now_s)
+        while len(self._nodes) > PROCESSES:
+            del self._nodes[next(iter(self._nodes))]
+
+    def take_service(self, name: str, alive: bool, now_s: float) -> None:
+        """Note that a service came or went at `now_s`."""
+        known = self._services.get(name)
+        if known is None or known.alive != alive:
+            self._services[name] = Service(alive=alive, since_time_s=self._epoch_s + now_s)
+
+    def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
+        """Return what the page shows at `now_s`; `undecodable` messages never got here but are told of."""
+        truth = self._truth_shown(now_s)
+        bare = Snapshot(
+            time_s=self._epoch_s + now_s,
+            skin=self._layout.name,
+            image=self._image_state(now_s),
+            truth=truth[0] if truth else None,
+            label=self._label_state(now_s),
+            figures=self._figures(now_s),
+            gateway=self._gateway_state(now_s),
+            nodes=[_nodes_state(self._nodes[name], now_s) for name in sorted(self._nodes)],
+            services=dict(sorted(self._services.items())),
+            ignored=self.ignored + undecodable,
+            notices=[],
+        )
+        pictures = Pictures(
+            image=self._grid(self._image.message.pixels) if self._image else None,
+            true=self._grid(truth[1].true) if truth else None,
+            sensor=self._grid(truth[1].sensor) if truth else None,
+        )
+        return notices(bare), pictures
+
+    def _compare(self, image: Image, truth: Truth, now_s: float) -> None:
+        peak_n = self._layout.taxels.force_max_n
+        true = self._grid(truth.true)
+        if float(true.max()) < CONTACT_RATIO * peak_n:
+            return
+        self._psnr_image_db.add(now_s, psnr_db(true, self._grid(image.pixels), peak_n))
+        self._psnr_sensor_db.add(now_s, psnr_db(true, self._grid(truth.sensor), peak_n))
+
+    def _image_state(self, now_s: float) -> ImageState | None:
+        if self._image is None:
+            return None
+        image, at_s = self._image
+        invalid = np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0)
+        return ImageState(
+            cycle=image.cycle,
+            age_s=now_s - at_s,
+            stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S),
+            invalid_blocks=[int(block) for block in invalid],
+            valid_sums=image.valid_sums,
+            solve_s=image.solve_s,
+        )
+
+    def _truth_shown(self, now_s: float) -> tuple[TruthState, Truth] | None:
+        """Choose the truth of the image shown while images come, else the newest; None when nobody says it."""
+        if self._truth is None or now_s - self._truth.at_s > TRUTH_GONE_S:
+            return None
+        age_s = now_s - self._truth.at_s
+        shown, of_image = self._truth.message, False
+        if self._image is not None and now_s - self._image.at_s <= FRESH_S:
+            own = self._pairing.truth_of(self._image.message)
+            shown, of_image = own or shown, own is not None
+        return TruthState(
+            step=shown.step, label=shown.label, age_s=age_s, stale=age_s > FRESH_S, of_image=of_image
+        ), shown
+
+    def _label_state(self, now_s: float) -> LabelState | None:
+        if self._label is None:
+            return None
+        label, at_s = self._label
+        return LabelState(
+            label=label.label,
+            confidence=label.confidence,
+            age_s=now_s - at_s,
+            stale=self._is_stale("classifier", at_s, now_s, FRESH_S),
+        )
+
+    def _figures(self, now_s: float) -> Figures:
+        latency_s = self._latency_s.values(now_s)
+        low = self._valid.values(now_s)
+        return Figures(
+            images_hz=self._valid.rate_hz(now_s),
+            latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
+            latency_p99_s=float(np.percentile(latency_s, 99)) if latency_s else None,
+            psnr_image_db=self._psnr_image_db.mean(now_s),
+            psnr_sensor_db=self._psnr_sensor_db.mean(now_s),
+            valid_blocks=self._valid_blocks(self._image.message) if self._image else None,
+            valid_blocks_low=int(min(low)) if low else None,
+            blocks=self._layout.blocks,
+        )
+
+    def _gateway_state(self, now_s: float) -> GatewayState | None:
+        if self._gateway is None:
+            return None
+        status, at_s = self._gateway
+        return GatewayState(
+            age_s=now_s - at_s,
+            stale=self._is_stale("gateway", at_s, now_s, STATUS_FRESH_S),
+            sync_rate_hz=status.sync_rate_hz,
+            cycles=status.cycles,
+            cycles_complete=status.cycles_complete,
+            frames_received=status.frames_received,
+            frames_missing=status.frames_missing,
+            frames_late=status.frames_late,
+            frames_duplicate=status.frames_duplicate,
+            frames_malformed=status.frames_malformed,
+            frames_foreign=status.frames_foreign,
+            buses=[_bus_view(bus, place, status.mean_load_ratio) for place, bus in enumerate(status.buses)],
+        )
+
+    def _is_stale(self, service: str, at_s: float, now_s: float, fresh_s: float) -> bool:
+        """Tell whether a message of `service` that came at `at_s` is too old, or its sender has gone since."""
+        token = self._services.get(service)
+        gone = token is not None and not token.alive and token.since_time_s >= self._epoch_s + at_s
+        return gone or now_s - at_s > fresh_s
+
+    def _grid(self, pixels: bytes) -> Pixels:
+        return np.frombuffer(pixels, "<f4").reshape(self._layout.taxels.rows, self._layout.taxels.columns)
+
+    @staticmethod
+    def _valid_blocks(image: Image) -> int:
+        return int(np.count_nonzero(np.frombuffer(image.valid, np.uint8)))
+
+
+def _bus_view(bus: BusState, place: int, mean_load_ratio: list[float]) -> BusView:
+    return BusView(
+        name=bus.name,
+        load_ratio=bus.load_ratio,
+        mean_load_ratio=mean_load_ratio[place] if place < len(mean_load_ratio) else None,
+        nodes=bus.nodes,
+        nmt=list(bus.nmt),
+    )
+
+
+def _nodes_state(last: Last[NodesStatus], now_s: float) -> NodesState:
+    status, at_s = last
+    return NodesState(
+        process=status.process,
+        age_s=now_s - at_s,
+        stale=now_s - at_s > STATUS_FRESH_S,
+        frames_sent=status.frames_sent,
+        frames_dropped=status.frames_dropped,
+    )

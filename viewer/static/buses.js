@@ -1,0 +1,111 @@
+// The wires: a card for each bus with its load and one tile per node, and the frame counters.
+
+import { count, make, percent, span, write } from "./words.js";
+
+const NMT = { 0: "booting", 4: "stopped", 5: "operational", 127: "pre-operational", 255: "silent" };
+const GLYPH = { booting: "b", stopped: "s", operational: "", "pre-operational": "p", silent: "×", unknown: "?" };
+const COUNTERS = ["received", "missing", "late", "duplicate", "malformed", "foreign"];
+
+export const nmtName = (state) => NMT[state] ?? "unknown";
+
+export class Buses {
+  /** `pointed(block or null)` is called when the pointer moves over a node. */
+  constructor(skin, pointed) {
+    this.tiles = []; // by block
+    this.cards = new Map();
+    const root = document.getElementById("buses");
+    root.replaceChildren(...skin.buses.map((bus) => this.card(bus, pointed)));
+    this.counters = document.querySelector("#frames dl");
+  }
+
+  card(bus, pointed) {
+    const card = make("div", "card bus");
+    const head = make("h2", "", bus.name);
+    const load = make("span", "load", "–");
+    head.append(make("small", "", `${bus.bitrate / 1000} kbit/s`), load);
+    const meter = make("div", "meter");
+    const [fill, mean] = [make("div"), make("i")];
+    meter.append(fill, mean);
+    const nodes = make("div", "nodes");
+    for (let node = 1; node <= bus.nodes; node++) {
+      const tile = make("i", "tile unknown", "?");
+      const block = bus.first_block + node - 1;
+      tile.onpointerenter = () => pointed(block);
+      tile.onpointerleave = () => pointed(null);
+      this.tiles[block] = tile;
+      nodes.append(tile);
+    }
+    const detail = make("p", "detail", "no status yet");
+    card.append(head, meter, nodes, detail);
+    this.cards.set(bus.name, { bus, card, load, fill, mean, detail });
+    return card;
+  }
+
+  /** Draw the gateway's status, or say that there is none. */
+  draw(gateway) {
+    for (const each of this.cards.values()) {
+      const seen = gateway?.buses.find(({ name }) => name === each.bus.name);
+      each.card.classList.toggle("stale", !seen || gateway.stale);
+      if (seen) this.drawBus(each, seen, gateway);
+      else write(each.detail, gateway ? "the gateway does not serve this bus" : "no status yet");
+    }
+    document.getElementById("frames").classList.toggle("stale", !gateway || gateway.stale);
+    if (gateway) this.drawCounters(gateway);
+  }
+
+  drawBus({ bus, load, fill, mean, detail }, seen, gateway) {
+    write(load, percent(seen.load_ratio, 1));
+    fill.style.width = `${100 * Math.min(1, seen.load_ratio)}%`;
+    fill.className = seen.load_ratio > 0.95 ? "full" : "";
+    mean.hidden = seen.mean_load_ratio === null;
+    mean.style.left = `${100 * Math.min(1, seen.mean_load_ratio ?? 0)}%`;
+    let operational = 0;
+    seen.nodes.forEach((node, place) => {
+      const tile = node >= 1 && node <= bus.nodes ? this.tiles[bus.first_block + node - 1] : null;
+      const state = nmtName(seen.nmt[place]);
+      operational += state === "operational";
+      if (!tile || tile.dataset.state === state) return;
+      tile.dataset.state = state;
+      tile.className = `tile ${state}`;
+      tile.textContent = GLYPH[state];
+      tile.title = `${bus.name}, node ${node}: ${state}`;
+    });
+    const nodes = `${operational} of ${seen.nodes.length} nodes operational`;
+    write(detail, gateway.stale ? `${nodes} ${span(gateway.age_s)} ago` : nodes);
+  }
+
+  drawCounters(gateway) {
+    const rows = [["cycles complete", gateway.cycles ? percent(gateway.cycles_complete / gateway.cycles, 2) : "–", false]];
+    for (const name of COUNTERS) {
+      const value = gateway[`frames_${name}`];
+      rows.push([name, count(value), value > 0 && name !== "received" && name !== "foreign"]);
+    }
+    if (this.counters.childElementCount !== 2 * rows.length) {
+      this.counters.replaceChildren(...rows.flatMap(([name]) => [make("dt", "", name), make("dd")]));
+    }
+    rows.forEach(([, value, isBad], place) => {
+      const cell = this.counters.children[2 * place + 1];
+      write(cell, value);
+      cell.classList.toggle("bad", isBad);
+    });
+  }
+
+  /** Mark the tile of `block`, or none. */
+  mark(block) {
+    this.marked?.classList.remove("marked");
+    this.marked = block === null ? null : this.tiles[block];
+    this.marked?.classList.add("marked");
+  }
+
+  /** Name the bus and node of `block`. */
+  place(block) {
+    for (const { bus } of this.cards.values()) {
+      if (block >= bus.first_block && block < bus.first_block + bus.nodes) return `${bus.name} node ${block - bus.first_block + 1}`;
+    }
+    return "";
+  }
+
+  state(block) {
+    return this.tiles[block].dataset.state ?? "unknown";
+  }
+}

@@ -1,0 +1,104 @@
+// The tactile images side by side, their common scale, and the readout of the taxel under the pointer.
+
+import { Heatmap } from "./heatmap.js";
+import { Scale } from "./scale.js";
+import { span, write } from "./words.js";
+
+const NAMES = ["image", "true", "sensor"];
+const BAR_PX = 64;
+const GAP_PX = 12;
+// What stands above and below the images, and the smallest taxel worth looking at.
+const AROUND_PX = { beside: 420, alone: 290 };
+const SMALLEST_PX = 4;
+
+export class Images {
+  constructor(skin, buses) {
+    this.skin = skin;
+    this.buses = buses;
+    this.taxel = null;
+    this.block = null;
+    this.taxelsOf = Array.from({ length: skin.blocks }, () => []);
+    skin.block_of_taxel.forEach((block, taxel) => this.taxelsOf[block].push(taxel));
+    this.maps = Object.fromEntries(
+      NAMES.map((name) => [name, new Heatmap(document.getElementById(`map-${name}`), skin, (taxel) => this.point(taxel))]),
+    );
+    this.scale = new Scale(document.getElementById("scale"), document.getElementById("scaling"), skin);
+    this.sized = "";
+  }
+
+  point(taxel) {
+    this.taxel = taxel;
+    this.block = taxel === null ? null : this.skin.block_of_taxel[taxel];
+    this.buses.mark(this.block);
+  }
+
+  pointBlock(block) {
+    this.taxel = null;
+    this.block = block;
+    this.buses.mark(block);
+  }
+
+  /** Draw a frame; `lost` says that frames no longer come. */
+  draw({ snapshot, pictures }, lost) {
+    this.show(snapshot);
+    this.fit(Boolean(snapshot.truth));
+    const forces = Object.values(pictures);
+    const peak = forces.reduce((most, each) => each.reduce((high, value) => Math.max(high, value), most), 0);
+    const top = this.scale.top(peak);
+    const hatched = (snapshot.image?.invalid_blocks ?? []).flatMap((block) => this.taxelsOf[block]);
+    const marked = this.block === null ? [] : this.taxelsOf[this.block];
+    for (const name of NAMES) {
+      if (pictures[name]) this.maps[name].draw(pictures[name], top, name === "image" ? hatched : [], marked, this.taxel);
+    }
+    this.explain(snapshot, lost);
+    write(document.getElementById("readout"), this.readout(snapshot, pictures));
+  }
+
+  show({ truth }) {
+    document.body.classList.toggle("alone", !truth);
+    for (const name of ["true", "sensor"]) this.maps[name].figure.hidden = !truth;
+  }
+
+  /** Captions and stale marks. */
+  explain({ image, truth }, lost) {
+    const old = (age_s) => `stale: ${span(age_s)} old`;
+    const { image: rebuilt, true: real, sensor } = this.maps;
+    write(rebuilt.caption, image ? `cycle ${image.cycle}` : "");
+    rebuilt.setStale(lost || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
+    if (!truth) return;
+    write(real.caption, truth.of_image ? `same cycle, ${truth.label || "no object"}` : `step ${truth.step}, ${truth.label || "no object"}`);
+    write(sensor.caption, "true with noise, in ADC steps");
+    for (const map of [real, sensor]) map.setStale(lost || (truth.stale ? old(truth.age_s) : ""));
+  }
+
+  readout({ image }, pictures) {
+    if (this.block === null) return "Point at a taxel for its force, at a node for its taxels.";
+    const measured = image && !image.invalid_blocks.includes(this.block) ? "" : ", not measured";
+    const where = `block ${this.block} · ${this.buses.place(this.block)}, ${this.buses.state(this.block)}${measured}`;
+    if (this.taxel === null) return `${where} · ${this.taxelsOf[this.block].length} taxels outlined`;
+    const row = Math.floor(this.taxel / this.skin.columns);
+    const mn = (name) => `${(1000 * pictures[name][this.taxel]).toFixed(2)} mN`;
+    const forces = NAMES.filter((name) => pictures[name]).map((name) => {
+      if (name !== "image") return `${name} ${mn(name)}`;
+      return measured ? `guessed ${mn(name)}` : mn(name);
+    });
+    return `row ${row}, column ${this.taxel % this.skin.columns}: ${forces.join(" · ")} · ${where}`;
+  }
+
+  /** Choose the largest whole number of device pixels per taxel that the window has room for. */
+  fit(beside) {
+    const width = document.getElementById("images").clientWidth;
+    const wanted = `${width} ${innerHeight} ${innerWidth} ${devicePixelRatio} ${beside}`;
+    if (wanted === this.sized) return;
+    this.sized = wanted;
+    const { rows, columns } = this.skin;
+    const perRow = !beside || innerWidth < 560 ? 1 : innerWidth < 960 ? 2 : 3;
+    const room = beside || innerWidth < 960 ? width : innerWidth * 0.5;
+    const wide = (room - BAR_PX - perRow * GAP_PX) / perRow / columns;
+    const high = Math.max(SMALLEST_PX, (innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / rows);
+    const cell = Math.max(1, Math.floor((innerWidth < 960 ? wide : Math.min(wide, high)) * devicePixelRatio));
+    for (const map of Object.values(this.maps)) map.resize(cell);
+    this.scale.resize((rows * cell) / devicePixelRatio);
+    document.getElementById("maps").style.setProperty("--per-row", perRow);
+  }
+}

@@ -1,0 +1,64 @@
+// The page: takes frames from the connection and draws the newest at the screen's own rhythm.
+
+import { Buses } from "./buses.js";
+import { drawFigures } from "./figures.js";
+import { Images } from "./images.js";
+import { drawNotices, drawServices } from "./notices.js";
+import { Connection } from "./socket.js";
+import { write } from "./words.js";
+
+// Frames come 25 times a second; without any for this long, nothing on the page is fresh.
+const LOST_MS = 1000;
+
+let skin = "";
+let images = null;
+let buses = null;
+let frame = null;
+let isDue = false;
+let lastFrameTime = Date.now();
+
+function setSkin(greeting) {
+  const content = JSON.stringify(greeting);
+  if (content === skin) return;
+  skin = content;
+  frame = null;
+  buses = new Buses(greeting, (block) => images.pointBlock(block));
+  images = new Images(greeting, buses);
+  document.title = `${greeting.skin} – canskin`;
+  const { rows, columns, blocks, sums } = greeting;
+  write(document.getElementById("skin"), `${greeting.skin} · ${rows} × ${columns} taxels · ${blocks} blocks · ${sums} sums a cycle`);
+}
+
+function schedule() {
+  if (isDue) return;
+  isDue = true;
+  requestAnimationFrame(() => {
+    isDue = false;
+    draw();
+  });
+}
+
+function draw() {
+  const isLost = connection.silence() > LOST_MS;
+  document.body.classList.toggle("unconnected", isLost);
+  if (isLost) {
+    const text = frame ? "connection to the viewer is lost; trying again" : "connecting to the viewer";
+    drawNotices([{ level: frame ? "error" : "info", text, since_time_s: frame ? lastFrameTime / 1000 : null }], Date.now() / 1000);
+  }
+  if (!frame) return;
+  const { snapshot } = frame;
+  if (!isLost) {
+    drawNotices(snapshot.notices, snapshot.time_s);
+    drawServices(snapshot.services);
+    drawFigures(snapshot);
+    buses.draw(snapshot.gateway);
+  }
+  images.draw(frame, isLost ? "stale: connection lost" : "");
+}
+
+const connection = new Connection(setSkin, (newest) => {
+  frame = newest;
+  lastFrameTime = Date.now();
+  schedule();
+});
+setInterval(schedule, 250);

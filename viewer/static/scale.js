@@ -1,0 +1,70 @@
+// The colour scale: its top, fixed or following the images, and the bar that explains it.
+
+import { COLOURS, roundUp } from "./colour.js";
+
+const MN = 1000;
+const TICKS = 5;
+// Of the largest force: below it, an automatic scale would only show noise.
+const LEAST = 0.05;
+// An automatic scale shrinks only when the images stay below this part of it for HOLD_MS.
+const SHRINK_BELOW = 0.8;
+const HOLD_MS = 1500;
+
+export class Scale {
+  constructor(root, choice, skin) {
+    this.skin = skin;
+    this.canvas = root.querySelector("canvas");
+    this.labels = root.querySelector("ol");
+    this.choice = choice;
+    this.auto = 0;
+    this.lowSince = null;
+    this.shown = null;
+    this.paint();
+  }
+
+  resize(height) {
+    this.canvas.style.height = this.labels.style.height = `${height}px`;
+  }
+
+  /** The top of the scale in newtons for images whose largest force is `peak`. */
+  top(peak) {
+    const isAuto = this.choice.querySelector("input:checked").value === "auto";
+    const top = isAuto ? this.follow(peak) : this.skin.force_max_n;
+    if (top !== this.shown) this.label(top);
+    this.shown = top;
+    return top;
+  }
+
+  follow(peak) {
+    const wanted = roundUp(Math.max(peak, LEAST * this.skin.force_max_n));
+    const now = performance.now();
+    if (wanted > this.auto || this.auto === 0) this.auto = wanted;
+    if (wanted === this.auto || peak > SHRINK_BELOW * this.auto) this.lowSince = null;
+    else this.lowSince ??= now;
+    if (this.lowSince !== null && now - this.lowSince > HOLD_MS) {
+      this.auto = wanted;
+      this.lowSince = null;
+    }
+    return this.auto;
+  }
+
+  label(top) {
+    this.labels.replaceChildren();
+    for (let tick = TICKS - 1; tick >= 0; tick--) {
+      const item = document.createElement("li");
+      item.textContent = String(Number(((top * MN * tick) / (TICKS - 1)).toPrecision(3)));
+      this.labels.append(item);
+    }
+  }
+
+  paint() {
+    const steps = COLOURS.length / 3;
+    this.canvas.width = 1;
+    this.canvas.height = steps;
+    const brush = this.canvas.getContext("2d");
+    for (let step = 0; step < steps; step++) {
+      brush.fillStyle = `rgb(${COLOURS.slice(3 * step, 3 * step + 3).join(" ")})`;
+      brush.fillRect(0, steps - 1 - step, 1, 1);
+    }
+  }
+}

@@ -1,0 +1,50 @@
+"""What travels from the server to the page.
+
+A frame is one binary WebSocket message: the length of the header as uint32, the header (the JSON of a
+`viewer.snapshot.Snapshot` and ``pictures``, the names of the pictures that follow), spaces up to a multiple of
+four bytes, then each picture as float32, shape (rows, columns), newtons. All little-endian.
+"""
+
+import struct
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from skin.layout import Layout
+from viewer.snapshot import Pictures, Snapshot
+
+
+def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
+    """Return the frame of a snapshot and its pictures."""
+    there = {
+        name: picture
+        for name, picture in (("image", pictures.image), ("true", pictures.true), ("sensor", pictures.sensor))
+        if picture is not None
+    }
+    header = msgspec.json.encode({"pictures": list(there), "snapshot": snapshot})
+    header += b" " * (-len(header) % 4)
+    content = (np.ascontiguousarray(picture, "<f4").tobytes() for picture in there.values())
+    return b"".join((struct.pack("<I", len(header)), header, *content))
+
+
+def greeting(layout: Layout) -> dict[str, Any]:
+    """Return what the page must know of the skin once: its grid, its buses, and which block measures each taxel."""
+    taxels, phi = layout.taxels, layout.phi()
+    block_of_taxel = np.empty(taxels.count, np.int32)
+    block_of_taxel[phi.order] = np.arange(taxels.count) // phi.block_size
+    buses = [
+        {"name": bus.name, "nodes": bus.nodes, "bitrate": bus.bitrate, "first_block": layout.first_block(place)}
+        for place, bus in enumerate(layout.bus)
+    ]
+    return {
+        "skin": layout.name,
+        "rows": taxels.rows,
+        "columns": taxels.columns,
+        "force_max_n": taxels.force_max_n,
+        "sums": layout.measurement.sums,
+        "rate_hz": layout.sync.rate_hz,
+        "blocks": layout.blocks,
+        "block_of_taxel": block_of_taxel.tolist(),
+        "buses": buses,
+    }
