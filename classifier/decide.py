@@ -17,6 +17,8 @@ MIN_VALID_RATIO: Final = 0.25
 SETTLING: Final = 0.4
 #: After this many missing cycles the past says nothing any more.
 FORGET_CYCLES: Final = 10
+#: A block that is missing keeps its last sums for this many cycles, then it is left out.
+HOLD_CYCLES: Final = 4
 #: Peaks below this part of their no-touch mean count as this part of it.
 _LEAST_PEAK: Final = 0.05
 
@@ -80,6 +82,10 @@ class Classifier:
         self._labels = (*about.classes, "")
         self._graph = DecisionGraph(len(about.classes))
         self._observer = Observer(phi, about.rows, about.columns, model.no_touch)
+        self._held = np.zeros(about.sums, np.int32)
+        self._age = np.full(phi.blocks, HOLD_CYCLES, np.int32)
+        self._came = np.ones(phi.blocks, np.bool_)
+        self._came_sums = np.ones(about.sums, np.bool_)
         self._valid = np.ones(phi.blocks, np.float32)
         self._valid_sums = np.ones(about.sums, np.float32)
         self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
@@ -98,32 +104,45 @@ class Classifier:
         sums : array of int32, shape (m,)
             ADC counts.
         valid : array of uint8, shape (blocks,)
-            Sums of blocks that are 0 here are ignored.
+            Sums of blocks that are 0 here are ignored; see `HOLD_CYCLES`.
         cycle : int, optional
             Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, the past is forgotten.
         """
+        step = 1
         if cycle is not None:
-            if self._cycle is not None and not 0 < cycle - self._cycle <= FORGET_CYCLES:
-                self._fresh = True
+            step = 1 if self._cycle is None else cycle - self._cycle
             self._cycle = cycle
-        np.copyto(self._valid, valid)
-        valid_ratio = float(self._valid.mean())
+        if not 0 < step <= FORGET_CYCLES:
+            self._fresh = True
+            self._age.fill(HOLD_CYCLES)
+        valid_ratio = self._gather(sums, valid, step)
         if valid_ratio < MIN_VALID_RATIO:
             self._fresh = True
             return Decision("", 0.0)
-        winner, confidence, contact = self._observe(sums, valid_ratio)
+        winner, confidence, contact = self._observe(valid_ratio)
         self._settle(winner, confidence, contact)
         best = int(self._belief.argmax())
         return Decision(self._labels[best], float(self._belief[best]))
 
-    def _observe(self, sums: npt.NDArray[np.int32], valid_ratio: float) -> tuple[int, float, float]:
-        """Return the winning class, its confidence, and that of contact, of one measurement by itself."""
+    def _gather(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.uint8], step: int) -> float:
+        """Take the new sums and the recent ones of missing blocks; return the part of the blocks in use."""
+        np.not_equal(valid, 0, out=self._came)
+        np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
+        np.copyto(self._held, sums, where=self._came_sums)
+        self._age += max(1, min(step, HOLD_CYCLES))
+        np.minimum(self._age, HOLD_CYCLES + 1, out=self._age)
+        np.copyto(self._age, 0, where=self._came)
+        np.less_equal(self._age, HOLD_CYCLES, out=self._valid, casting="unsafe")
+        return float(self._valid.mean())
+
+    def _observe(self, valid_ratio: float) -> tuple[int, float, float]:
+        """Return the winning class, its confidence, and that of contact, of the gathered sums by themselves."""
         model, about = self._model, self._model.metadata
-        peak = self._observer.look(sums, self._valid, valid_ratio)
+        peak = self._observer.look(self._held, self._valid, valid_ratio)
         contact = _logistic(peak - about.contact_threshold)
         if about.features == "sums":
             np.take(self._valid, self._block_of_sum, out=self._valid_sums, mode="clip")
-            np.multiply(self._valid_sums, sums, out=self._features)
+            np.multiply(self._valid_sums, self._held, out=self._features)
         else:
             np.copyto(self._features, self._observer.features)
         self._features -= model.offset

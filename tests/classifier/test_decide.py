@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.decide import FORGET_CYCLES, HOLD_CYCLES, Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
 from skin.layout import Layout
@@ -88,11 +88,37 @@ def test_sums_of_invalid_blocks_are_ignored(
 
 def test_hardly_any_block_says_nothing(model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray) -> None:
     classifier = Classifier(model, phi)
-    classifier.decide(pressed["dome"][0], valid)
-    valid[phi.blocks // 5 :] = 0
-    assert classifier.decide(pressed["dome"][1], valid) == ("", 0.0)
-    valid[:] = 0
-    assert classifier.decide(pressed["dome"][1], valid) == ("", 0.0)
+    few = valid.copy()
+    few[phi.blocks // 5 :] = 0
+    assert classifier.decide(pressed["dome"][0], few) == ("", 0.0)
+    assert classifier.decide(pressed["dome"][0], 0 * valid) == ("", 0.0)
+    assert classifier.decide(pressed["dome"][0], valid).label == "dome"
+
+
+def test_lost_sums_are_held_for_some_cycles_only(
+    model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
+) -> None:
+    classifier = Classifier(model, phi)
+    for y in pressed["dome"]:
+        classifier.decide(y, valid)
+    silence = np.zeros(phi.shape[0], np.int32)
+    labels = [classifier.decide(silence, 0 * valid).label for _ in range(HOLD_CYCLES + 2)]
+    assert labels == ["dome"] * HOLD_CYCLES + ["", ""]
+    classifier.decide(pressed["dome"][0], valid, 100)
+    assert classifier.decide(silence, 0 * valid, 100 + HOLD_CYCLES).label == "dome"
+    assert classifier.decide(silence, 0 * valid, 100 + HOLD_CYCLES + 1).label == ""
+
+
+def test_blocks_that_come_by_turns_are_enough(
+    model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
+) -> None:
+    classifier = Classifier(model, phi)
+    labels = []
+    for cycle, y in enumerate(pressed["plate"]):
+        turn = (np.arange(phi.blocks) % 5 == cycle % 5).astype(np.uint8)  # a fifth: too few by themselves
+        labels.append(classifier.decide(y, turn).label)
+    assert labels[0] == ""
+    assert set(labels[5:]) == {"plate"}
 
 
 @pytest.mark.parametrize("step", [FORGET_CYCLES + 1, 0, -100])
