@@ -104,5 +104,5 @@ class ReconstructorService:
             valid_sums=valid_sums,
             solve_s=solve_s,
         )
-        self._fabric.publish(IMAGE, message)
         self.images += 1
+        self._fabric.publish(IMAGE, message)

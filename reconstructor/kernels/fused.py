@@ -47,7 +47,7 @@ class FusedHaar:
     nonnegative : bool
         Lift negative taxels to 0 in every iteration.
     matched : bool
-        Scale each start first by the factor, 0 to 1, with which it explains the sums best.
+        First scale each start by max(0, 2a - 1), where a is the factor, at most 1, that explains the sums best.
     dtype : float32 or float64
 
     Raises

@@ -31,7 +31,7 @@ class Problem(NamedTuple):
     levels : int
         Levels of the pyramid, 0 for the tensor transform.
     matched : bool
-        Scale the start first so that it explains the sums best.
+        First take from the start what does not explain the sums.
     """
 
     sums: Table
@@ -124,7 +124,10 @@ def _load(sums: Flat, valid: npt.NDArray[np.bool_], problem: Problem, scratch: S
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _match(estimate: Flat, blocks: int, scratch: Scratch) -> None:
-    """Scale `estimate` by the factor, 0 to 1, that explains the sums best in least squares."""
+    """Scale `estimate` by max(0, 2a - 1), where a is the factor, at most 1, that explains the sums best.
+
+    Not by a itself: images of different touches share their noise and a few taxels, and explain a part of each other.
+    """
     gain, target, work = scratch.gain, scratch.target, scratch.work
     work[:] = estimate
     hadamard(work, blocks)
@@ -134,7 +137,8 @@ def _match(estimate: Flat, blocks: int, scratch: Scratch) -> None:
         seen = gain[k] * work[k]
         explained += seen * target[k]
         energy += seen * seen
-    if explained <= 0:
+    excess = explained + explained - energy
+    if excess <= 0:
         estimate[:] = 0
-    elif explained < energy:
-        estimate *= explained / energy
+    elif excess < energy:
+        estimate *= excess / energy

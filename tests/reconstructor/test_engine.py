@@ -1,0 +1,134 @@
+"""The engine: better than the sensor, never negative, no ghosts, and sensible where blocks are silent."""
+
+import numpy as np
+import pytest
+
+from reconstructor.engine import LIVE, PAPER, Reconstructor, Settings
+from skin.errors import InputError
+from skin.measurement import Sbhe
+from tests.reconstructor.conftest import Scene, ball, psnr_db, sense
+
+ALL_VALID = np.ones(1024, np.bool_)
+
+
+def images(phi: Sbhe, scene: Scene, settings: Settings = LIVE, *, cold: bool = False) -> np.ndarray:
+    engine = Reconstructor(phi, 64, 64, **settings)
+    frames = []
+    for sums in scene.sums:
+        if cold:
+            engine.reset()
+        frames.append(engine.solve(sums, ALL_VALID))
+    return np.stack(frames)
+
+
+def test_image_is_better_than_the_sensor_and_than_the_papers_mode(phi: Sbhe, golf: Scene) -> None:
+    sensor = psnr_db(golf.sensor, golf.true).mean()
+    live = psnr_db(images(phi, golf), golf.true)
+    paper = psnr_db(images(phi, golf, PAPER), golf.true)
+    assert sensor == pytest.approx(29.0, abs=0.2)
+    assert paper.mean() == pytest.approx(31.2, abs=0.6)  # Table III, golf ball, Haar, 20 iterations: 31.1 dB
+    assert live.mean() > sensor + 3
+    assert live.mean() > paper.mean() + 0.5
+    assert live.min() > sensor + 1.5
+
+
+@pytest.mark.parametrize("settings", [LIVE, PAPER])
+def test_never_negative_and_float32(phi: Sbhe, golf: Scene, settings: Settings) -> None:
+    made = images(phi, golf, settings)
+    assert made.dtype == np.float32
+    assert made.min() >= 0
+    assert made.max() < 0.02
+
+
+@pytest.mark.parametrize("iterations", [5, 20])
+def test_warm_start_is_no_worse_than_a_cold_one_when_all_changes_at_once(phi: Sbhe, iterations: int) -> None:
+    rng = np.random.default_rng(2)
+    jumps = sense(phi, np.stack([ball(*rng.uniform(-0.1, 0.1, 2), 0.01) for _ in range(60)]))
+    settings: Settings = {**LIVE, "iterations": iterations}
+    warm, cold = (psnr_db(images(phi, jumps, settings, cold=each), jumps.true).mean() for each in (False, True))
+    assert warm > cold - 0.2
+
+
+def test_without_the_match_a_ghost_stays(phi: Sbhe) -> None:
+    """What the match is for: five iterations do not wipe out a touch that is gone."""
+    scene = sense(phi, np.stack([ball(-0.05, 0, 0.01)] * 5 + [ball(0.05, 0, 0.01)]))
+    old_place = scene.true[0] > 0.002
+    matched, plain = (
+        images(phi, scene, {**LIVE, "iterations": 5, "matched": each})[-1][old_place].mean() for each in (True, False)
+    )
+    assert matched < 0.0007 < plain
+
+
+def test_warm_start_is_better_than_a_cold_one_on_a_slow_touch(phi: Sbhe, golf: Scene) -> None:
+    settings: Settings = {**LIVE, "iterations": 5}
+    warm, cold = (psnr_db(images(phi, golf, settings, cold=each), golf.true).mean() for each in (False, True))
+    assert warm > cold + 0.2
+
+
+def loudest_block(phi: Sbhe, image: np.ndarray) -> int:
+    return int(image.reshape(-1)[phi.order].reshape(phi.blocks, -1).sum(axis=1).argmax())
+
+
+def test_silent_block_shows_what_its_neighbours_make_likely(phi: Sbhe) -> None:
+    """Its taxels follow a touch that leaves and one that comes although none of them is measured."""
+    touch, nothing = ball(0, 0, 0.01), np.zeros((64, 64))
+    block = loudest_block(phi, touch)
+    taxels = phi.order[block * phi.block_size : (block + 1) * phi.block_size]
+    valid = phi.sums_of_blocks(np.arange(phi.blocks) != block)
+    scene = sense(phi, np.stack([touch] * 3 + [nothing] * 6 + [touch] * 20))
+    engine = Reconstructor(phi, 64, 64)
+    for sums in scene.sums[:3]:
+        engine.solve(sums, ALL_VALID)
+    left = np.stack([engine.solve(sums, valid).reshape(-1)[taxels] for sums in scene.sums[3:9]])
+    assert left[1:].max() < 0.0015  # idle taxels read up to about as much
+    back = np.stack([engine.solve(sums, valid).reshape(-1)[taxels] for sums in scene.sums[9:]]).mean(axis=0)
+    felt = touch.reshape(-1)[taxels]
+    pressed = felt > 0.008
+    assert pressed.any()
+    assert (back[pressed] > 0.4 * felt[pressed]).all()
+    assert back[felt == 0].max() < 0.0015
+
+
+def test_half_the_blocks_still_show_the_touch(phi: Sbhe, golf: Scene) -> None:
+    valid = phi.sums_of_blocks(np.arange(phi.blocks) % 2 == 0)
+    engine = Reconstructor(phi, 64, 64)
+    for sums in golf.sums[:30]:
+        image = engine.solve(sums, valid)
+    peak = np.unravel_index(image.argmax(), image.shape)
+    assert golf.true[29][peak] > 0.005
+
+
+def test_no_valid_sum_gives_zeros_and_forgets(phi: Sbhe, golf: Scene) -> None:
+    engine, fresh = Reconstructor(phi, 64, 64), Reconstructor(phi, 64, 64)
+    engine.solve(golf.sums[30], ALL_VALID)
+    assert not engine.solve(golf.sums[31], ~ALL_VALID).any()
+    np.testing.assert_array_equal(engine.solve(golf.sums[32], ALL_VALID), fresh.solve(golf.sums[32], ALL_VALID))
+
+
+def test_invalid_sums_may_hold_anything(phi: Sbhe, golf: Scene) -> None:
+    valid = np.arange(1024) % 3 > 0
+    clean, dirty = Reconstructor(phi, 64, 64), Reconstructor(phi, 64, 64)
+    spoilt = np.where(valid, golf.sums[30], np.float32(np.nan))
+    np.testing.assert_array_equal(dirty.solve(spoilt, valid), clean.solve(golf.sums[30], valid))
+    assert np.isnan(spoilt).any()
+
+
+def test_warm_up_leaves_no_trace_and_images_are_the_callers(phi: Sbhe, golf: Scene) -> None:
+    warmed, fresh = Reconstructor(phi, 64, 64), Reconstructor(phi, 64, 64)
+    warmed.warm_up()
+    first = warmed.solve(golf.sums[30], ALL_VALID)
+    kept = first.copy()
+    np.testing.assert_array_equal(first, fresh.solve(golf.sums[30], ALL_VALID))
+    warmed.solve(golf.sums[0], ALL_VALID)
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_wrong_input_is_refused_and_does_no_harm(phi: Sbhe, golf: Scene) -> None:
+    engine, fresh = Reconstructor(phi, 64, 64), Reconstructor(phi, 64, 64)
+    with pytest.raises(InputError, match="1024 sums"):
+        engine.solve(golf.sums[0][:-1], ALL_VALID)
+    with pytest.raises(InputError, match="1024 sums"):
+        engine.solve(golf.sums[0], ALL_VALID[:-1])
+    with pytest.raises(InputError, match="not finite"):
+        engine.solve(np.full(1024, np.inf, np.float32), ALL_VALID)
+    np.testing.assert_array_equal(engine.solve(golf.sums[30], ALL_VALID), fresh.solve(golf.sums[30], ALL_VALID))

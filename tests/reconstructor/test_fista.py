@@ -1,0 +1,75 @@
+"""The reference solver: it minimises what it says it minimises."""
+
+import numpy as np
+import pytest
+
+from reconstructor.bases import Dct, HaarPyramid, daubechies4, haar_tensor
+from reconstructor.fista import fista, fista_image, momentum, objective
+from reconstructor.proximal import Shrinkage, soft
+from skin.measurement import sbhe
+
+PHI = sbhe(256, 64, block_size=16, seed=3)
+SUMS = np.random.default_rng(0).normal(0, 0.02, 64)
+PENALTY_N = 0.01
+
+
+def test_momentum_is_that_of_beck_and_teboulle() -> None:
+    np.testing.assert_allclose(momentum(3), [0, 0.28175, 0.43404], atol=5e-6)  # t = 1, 1.61803, 2.19353, 2.74979
+
+
+def test_soft_threshold() -> None:
+    np.testing.assert_array_equal(soft(np.array([-3.0, -1.0, 0.5, 2.0]), 1.0), [-2, 0, 0, 1])
+
+
+@pytest.mark.parametrize("psi", [HaarPyramid(16, 16), haar_tensor(16, 16), daubechies4(16, 16), Dct(16, 16)])
+def test_reaches_the_minimum(psi: Dct) -> None:
+    """Optimality of the lasso: correlations with the residual are λ·sign(s) where s ≠ 0, and at most λ elsewhere."""
+    s = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=16, iterations=3000)
+    residual = SUMS - PHI.forward(psi.adjoint(s).reshape(-1))
+    correlation = psi.forward(PHI.adjoint(residual).reshape(16, 16))
+    support = np.abs(s) > 1e-9
+    assert support.any()
+    np.testing.assert_allclose(correlation[support], PENALTY_N * np.sign(s[support]), atol=1e-7)
+    assert np.abs(correlation).max() <= PENALTY_N * (1 + 1e-6)
+
+
+def test_objective_falls_towards_a_long_run_and_observers_see_it() -> None:
+    psi = HaarPyramid(16, 16)
+    seen: list[float] = []
+
+    def observe(k: int, s: np.ndarray) -> None:
+        assert k == len(seen) + 1
+        seen.append(objective(PHI, psi, SUMS, s, PENALTY_N))
+
+    fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=16, iterations=2000, observe=observe)
+    best = min(seen)
+    assert seen[-1] == pytest.approx(best, rel=1e-9)
+    for k in (5, 10, 20, 40):
+        # Theorem 4.4 of Beck and Teboulle, with ‖s*‖² generously from above.
+        assert seen[k - 1] - best <= 2 * 16 * np.sum((SUMS / 4) ** 2) / (k + 1) ** 2
+    assert seen[19] - best < 0.1 * (seen[0] - best)
+
+
+def test_start_at_the_solution_stays_there() -> None:
+    psi = HaarPyramid(16, 16)
+    solution = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=16, iterations=5000)
+    again = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=16, iterations=5, start=solution)
+    np.testing.assert_allclose(again, solution, atol=1e-9)
+
+
+def test_image_form_is_the_coefficient_form() -> None:
+    psi = haar_tensor(16, 16)
+    s = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=32, iterations=20)
+    x = fista_image(
+        PHI, Shrinkage(psi), SUMS, penalty_n=PENALTY_N, lipschitz=32, iterations=20, start=np.zeros((16, 16))
+    )
+    np.testing.assert_allclose(x, psi.adjoint(s), atol=1e-14)
+
+
+def test_cycle_spinning_moves_the_basis_and_not_the_image() -> None:
+    image = np.random.default_rng(1).normal(size=(16, 16))
+    plain, spun = Shrinkage(HaarPyramid(16, 16)), Shrinkage(HaarPyramid(16, 16), [(0, 0), (3, 5)])
+    moved = np.roll(plain(np.roll(image, (3, 5), (0, 1)), 0.1, 0), (-3, -5), (0, 1))
+    np.testing.assert_allclose(spun(image, 0.1, 1), moved)
+    np.testing.assert_allclose(spun(image, 0.0, 1), image)
+    assert Shrinkage(HaarPyramid(16, 16), nonnegative=True)(image, 0.0, 0).min() == 0

@@ -1,0 +1,141 @@
+"""The compiled solver against the plain one."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reconstructor.bases import HaarPyramid, haar_tensor
+from reconstructor.fista import fista_image
+from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
+from reconstructor.kernels.fused import FusedHaar
+from reconstructor.proximal import Shrinkage
+from skin.errors import InputError
+from skin.measurement import Sbhe, sbhe
+
+BASES = {"pyramid": HaarPyramid, "tensor": haar_tensor}
+
+
+class Rows:
+    """Φ with rows deleted."""
+
+    def __init__(self, phi: Sbhe, kept: np.ndarray) -> None:
+        self._phi, self._kept = phi, kept
+        self.shape = (int(kept.sum()), phi.shape[1])
+
+    def forward(self, x: np.ndarray) -> Any:
+        return self._phi.forward(x)[self._kept]
+
+    def adjoint(self, y: np.ndarray) -> Any:
+        full = np.zeros(self._kept.size, y.dtype)
+        full[self._kept] = y
+        return self._phi.adjoint(full)
+
+
+@st.composite
+def problems(draw: st.DrawFn) -> dict[str, Any]:
+    rows, columns = draw(st.sampled_from([(8, 8), (16, 16), (32, 32), (64, 64), (8, 32), (64, 16), (256, 8)]))
+    block_size = 2 ** draw(st.integers(1, min(8, (rows * columns).bit_length() - 1)))
+    selection = draw(st.sampled_from(["balanced", "uniform"]))
+    blocks = rows * columns // block_size
+    sums = blocks * draw(st.integers(1, block_size))
+    seed = draw(st.integers(0, 2**31))
+    return {
+        "phi": sbhe(rows * columns, sums, block_size=block_size, selection=selection, seed=seed),
+        "grid": (rows, columns),
+        "basis": draw(st.sampled_from(sorted(BASES))),
+        "spins": draw(st.sampled_from([1, 3, 64])),
+        "nonnegative": draw(st.booleans()),
+        "lipschitz_ratio": draw(st.sampled_from([1.0, 2.0])),
+        "iterations": draw(st.integers(1, 12)),
+        "missing_ratio": draw(st.sampled_from([0.0, 0.1, 0.9])),
+        "seed": seed,
+    }
+
+
+def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
+    """Solve with the kernel, and with the reference after deleting the invalid rows."""
+    phi, (rows, columns), rng = problem["phi"], problem["grid"], np.random.default_rng(problem["seed"])
+    start = np.abs(rng.normal(0, 0.005, (rows, columns)))
+    sums = rng.normal(0, 0.03, phi.shape[0])
+    valid = rng.random(phi.shape[0]) >= problem["missing_ratio"]
+    options = {name: problem[name] for name in ("basis", "spins", "nonnegative", "lipschitz_ratio", "iterations")}
+    kernel = FusedHaar(phi, rows, columns, penalty_n=0.01, dtype=dtype, **options)
+    estimate = kernel.blocks_of(start)
+    assert kernel.solve(estimate, np.where(valid, sums, 1e6).astype(dtype), valid) == valid.sum()
+    reference = fista_image(
+        Rows(phi, valid),
+        Shrinkage(BASES[problem["basis"]](rows, columns), kernel.shifts, problem["nonnegative"]),
+        sums[valid],
+        penalty_n=0.01,
+        lipschitz=problem["lipschitz_ratio"] * phi.block_size,
+        iterations=problem["iterations"],
+        start=start,
+    )
+    return kernel.image_of(estimate), reference
+
+
+@given(problems())
+@settings(max_examples=50, deadline=None)
+def test_equals_the_reference_with_rows_deleted(problem: dict[str, Any]) -> None:
+    image, reference = both(problem, np.float64)
+    np.testing.assert_allclose(image, reference, atol=1e-13)
+
+
+@given(problems())
+@settings(max_examples=25, deadline=None)
+def test_equals_the_reference_in_single_precision(problem: dict[str, Any]) -> None:
+    image, reference = both(problem, np.float32)
+    assert image.dtype == np.float32
+    np.testing.assert_allclose(image, reference, atol=1e-6)
+
+
+def test_largest_grid() -> None:
+    problem = {
+        "phi": sbhe(65536, 8192, block_size=256),
+        "grid": (256, 256),
+        "basis": "pyramid",
+        "spins": 2,
+        "nonnegative": True,
+        "lipschitz_ratio": 1.0,
+        "iterations": 3,
+        "missing_ratio": 0.1,
+        "seed": 1,
+    }
+    image, reference = both(problem, np.float64)
+    np.testing.assert_allclose(image, reference, atol=1e-13)
+
+
+@pytest.mark.parametrize("grid", [(8, 8), (64, 64), (8, 256), (32, 16)])
+def test_addresses_are_permutations(grid: tuple[int, int]) -> None:
+    for addresses in (pyramid_addresses(*grid), tensor_addresses(*grid)):
+        assert addresses.shape == grid
+        assert np.array_equal(np.sort(addresses, axis=None), np.arange(grid[0] * grid[1]))
+
+
+def test_shifts_differ_and_begin_with_none() -> None:
+    assert len(set(spin_shifts(64, 64, 64))) == 64
+    assert spin_shifts(1, 64, 64) == [(0, 0)]
+    assert (
+        {down for down, _ in spin_shifts(8, 64, 64)} == {right for _, right in spin_shifts(8, 64, 64)} == set(range(8))
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"rows": 32}, "4096 taxels but the grid has 32 x 64"),
+        ({"rows": 512, "columns": 8}, "powers of two, 8 to 256"),
+        ({"iterations": 0}, "at least 1 iteration"),
+        ({"penalty_n": -1.0}, "penalty"),
+        ({"penalty_n": float("nan")}, "penalty"),
+        ({"lipschitz_ratio": 0.5}, "diverges"),
+        ({"basis": "dct"}, "expected one of pyramid, tensor"),
+        ({"spins": 65}, "1 to 64 shifts"),
+    ],
+)
+def test_wrong_options_are_named(phi: Sbhe, options: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        FusedHaar(phi, **{"rows": 64, "columns": 64, "iterations": 5, "penalty_n": 0.01, **options})

@@ -1,0 +1,166 @@
+"""The service between two ends of a fabric, and the verb as a process."""
+
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pytest
+
+from reconstructor.engine import Reconstructor
+from reconstructor.service import ReconstructorService
+from skin.fabric import Fabric
+from skin.layout import Layout, load_layout
+from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from skin.service import StopSignal
+from tests.reconstructor.conftest import Scene
+
+LAYOUT: Layout = load_layout()
+
+
+def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None) -> Measurement:
+    phi = LAYOUT.phi()
+    counts = np.round(force_n / LAYOUT.taxels.newton_per_count).astype(np.uint16)
+    valid = np.ones(phi.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
+    sums = phi.block_sums(counts.reshape(-1)).astype("<i4") * phi.sums_of_blocks(valid != 0)
+    return Measurement(
+        cycle=cycle,
+        sync_counter=cycle % 240 + 1,
+        sync_mono_ns=1000 * cycle,
+        time_ns=2000 * cycle,
+        sums=sums.astype("<i4").tobytes(),
+        valid=valid.tobytes(),
+        fingerprint=phi.fingerprint,
+    )
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def hub(endpoint: str) -> Iterator[Fabric]:
+    fabric = Fabric(LAYOUT.name, "gateway", endpoint, hub=True)
+    yield fabric
+    fabric.close()
+
+
+@pytest.fixture
+def service(hub: Fabric, endpoint: str) -> Iterator[ReconstructorService]:
+    fabric = Fabric(LAYOUT.name, "reconstructor", endpoint)
+    engine = Reconstructor(LAYOUT.phi(), LAYOUT.taxels.rows, LAYOUT.taxels.columns)
+    engine.warm_up()
+    made = ReconstructorService(LAYOUT, engine, fabric)
+    stop = StopSignal()
+    thread = threading.Thread(target=made.run, args=(stop,))
+    thread.start()
+    yield made
+    stop.set()
+    thread.join()
+    fabric.close()
+
+
+class Exchange:
+    """Sends measurements and waits for their images."""
+
+    def __init__(self, hub: Fabric) -> None:
+        self._hub = hub
+        self._images: queue.Queue[Image] = queue.Queue()
+        hub.subscribe(IMAGE, self._images.put)
+
+    def image_of(self, sent: Measurement) -> Image:
+        """Send until the image of that cycle comes; the first subscriptions take their time."""
+        for _ in range(100):
+            self._hub.publish(MEASUREMENT, sent)
+            try:
+                while True:
+                    image = self._images.get(timeout=0.1)
+                    if image.cycle == sent.cycle:
+                        return image
+            except queue.Empty:
+                continue
+        pytest.fail("no image came")
+
+
+def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
+    image = Exchange(hub).image_of(measurement(7, golf.sensor[30]))
+    assert (image.sync_counter, image.sync_mono_ns, image.valid_sums) == (8, 7000, 1024)
+    assert image.valid == bytes([1]) * 128
+    assert image.solve_s > 0
+    assert image.published_mono_ns <= time.monotonic_ns()
+    pixels = np.frombuffer(image.pixels, "<f4").reshape(64, 64)
+    assert np.mean((pixels - golf.true[30]) ** 2) < np.mean((golf.sensor[30] - golf.true[30]) ** 2)
+    assert service.images >= 1
+    assert service.refused == 0
+
+
+def test_missing_blocks_and_an_empty_cycle(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
+    exchange = Exchange(hub)
+    some = np.arange(128) % 4 > 0
+    image = exchange.image_of(measurement(1, golf.sensor[30], some))
+    assert image.valid_sums == 768
+    assert np.array_equal(np.frombuffer(image.valid, np.uint8) != 0, some)
+    empty = exchange.image_of(measurement(2, golf.sensor[30], np.zeros(128)))
+    assert empty.valid_sums == 0
+    assert not np.frombuffer(empty.pixels, "<f4").any()
+
+
+def test_what_does_not_fit_is_refused_and_told_once(
+    hub: Fabric, service: ReconstructorService, golf: Scene, capfd: pytest.CaptureFixture[str]
+) -> None:
+    exchange = Exchange(hub)
+    good = measurement(1, golf.sensor[30])
+    exchange.image_of(good)
+    bad = [
+        msgspec.structs.replace(good, cycle=2, fingerprint="0" * 16),
+        msgspec.structs.replace(good, cycle=3, fingerprint="\x1b[2J" * 1000),
+        msgspec.structs.replace(good, cycle=4, sums=good.sums[:-1]),
+        msgspec.structs.replace(good, cycle=5, valid=good.valid + b"\1"),
+        msgspec.structs.replace(good, cycle=6, sums=b""),
+    ]
+    before = service.refused
+    for each in bad:
+        service.take(each)
+    assert service.refused == before + len(bad)
+    exchange.image_of(msgspec.structs.replace(good, cycle=9))
+    said = capfd.readouterr().err
+    assert said.count("measurement refused") == 1
+    assert "expected " + good.fingerprint in said
+
+
+def test_extreme_counts_do_no_harm(service: ReconstructorService, golf: Scene) -> None:
+    good = measurement(1, golf.sensor[30])
+    for value in (-(2**31), 2**31 - 1):
+        service.take(msgspec.structs.replace(good, sums=np.full(1024, value, "<i4").tobytes()))
+    assert service.refused == 0
+    assert service.images == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_verb_is_ready_and_ends_quietly(hub: Fabric, endpoint: str, golf: Scene, number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "skin", "reconstruct", "--connect", endpoint, "--iterations", "5"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline() == "reconstructor: 64 x 64 taxels, 5 iterations\n"
+        assert Exchange(hub).image_of(measurement(1, golf.sensor[30])).valid_sums == 1024
+        process.send_signal(number)
+        out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (0, "", "")
+
+
+def test_wrong_option_is_one_line() -> None:
+    command = [sys.executable, "-m", "skin", "reconstruct", "--penalty-n", "-1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith("skin: ")
+    assert done.stderr.count("\n") == 1

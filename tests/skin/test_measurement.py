@@ -1,0 +1,117 @@
+"""Φ of an SBHE: an exact operator with orthogonal rows of ±1."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skin.errors import InputError
+from skin.measurement import Sbhe, fast_hadamard, sbhe
+
+
+@st.composite
+def operators(draw: st.DrawFn) -> Sbhe:
+    block_size = 2 ** draw(st.integers(1, 8))
+    blocks = draw(st.integers(1, 6))
+    taxels = block_size * blocks
+    seed = draw(st.integers(0, 2**32 - 1))
+    if draw(st.booleans()):
+        sums = blocks * draw(st.integers(1, block_size))
+        return sbhe(taxels, sums, block_size=block_size, seed=seed)
+    sums = draw(st.integers(1, taxels))
+    return sbhe(taxels, sums, block_size=block_size, selection="uniform", seed=seed)
+
+
+def dense(phi: Sbhe) -> np.ndarray:
+    """Φ as a matrix, from its definition: (-1)^(number of common bits) at the taxels of the block."""
+    matrix = np.zeros(phi.shape)
+    for index, (block, row) in enumerate(zip(phi.block_of_sum, phi.row_of_sum, strict=True)):
+        for place in range(phi.block_size):
+            taxel = phi.order[block * phi.block_size + place]
+            matrix[index, taxel] = (-1) ** (int(row) & place).bit_count()
+    return matrix
+
+
+@given(operators())
+@settings(max_examples=30, deadline=None)
+def test_equals_its_definition_and_has_orthogonal_rows(phi: Sbhe) -> None:
+    matrix = dense(phi)
+    x = np.random.default_rng(0).normal(size=phi.shape[1])
+    np.testing.assert_allclose(phi.forward(x), matrix @ x, atol=1e-12)
+    assert np.array_equal(matrix @ matrix.T, phi.block_size * np.eye(phi.shape[0]))
+
+
+@given(operators(), st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_dot_product(phi: Sbhe, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=phi.shape[1]), rng.normal(size=phi.shape[0])
+    assert phi.forward(x) @ y == pytest.approx(x @ phi.adjoint(y), rel=1e-10, abs=1e-10)
+
+
+@given(operators(), st.integers(0, 2**32 - 1), st.floats(-10, 10), st.floats(-10, 10))
+@settings(max_examples=50, deadline=None)
+def test_linear(phi: Sbhe, seed: int, a: float, b: float) -> None:
+    u, v = np.random.default_rng(seed).normal(size=(2, phi.shape[1]))
+    np.testing.assert_allclose(phi.forward(a * u + b * v), a * phi.forward(u) + b * phi.forward(v), atol=1e-10)
+
+
+@given(operators(), st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_integers_are_exact(phi: Sbhe, seed: int) -> None:
+    bits = 15 - (phi.block_size.bit_length() - 1)  # as many as a layout allows
+    counts = np.random.default_rng(seed).integers(0, 2**bits, (3, phi.shape[1]), dtype=np.uint16)
+    counts[0] = 2**bits - 1
+    sums = phi.block_sums(counts)
+    assert sums.dtype == np.int16
+    assert np.array_equal(sums, phi.forward(counts.astype(np.float64)))
+
+
+def test_too_many_bits_overflow_loudly() -> None:
+    phi = sbhe(64, 64, block_size=32)
+    with pytest.raises(OverflowError, match="int16"):
+        phi.block_sums(np.full(64, 4095))
+
+
+def test_hadamard_squared_is_its_size() -> None:
+    assert np.array_equal(fast_hadamard(fast_hadamard(np.eye(16, dtype=np.int64))), 16 * np.eye(16))
+
+
+def test_balanced_blocks_send_alike_and_uniform_ones_do_not() -> None:
+    assert set(np.diff(sbhe(4096, 1024).starts)) == {8}
+    uniform = sbhe(4096, 1024, selection="uniform")
+    assert uniform.shape == (1024, 4096)
+    assert len(set(np.diff(uniform.starts))) > 1
+    assert [len(uniform.rows_of(block)) for block in range(3)] == list(np.diff(uniform.starts)[:3])
+
+
+def test_seed_and_fingerprint_tell_operators_apart() -> None:
+    assert sbhe(4096, 1024, seed=1).fingerprint == sbhe(4096, 1024, seed=1).fingerprint
+    others = [
+        sbhe(4096, 1024, seed=1),
+        sbhe(4096, 1024, seed=2),
+        sbhe(4096, 896, seed=1),
+        sbhe(4096, 1024, seed=1, selection="uniform"),
+        sbhe(4096, 1024, seed=1, block_size=16),
+    ]
+    for one, other in itertools.combinations(others, 2):
+        assert one.fingerprint != other.fingerprint
+
+
+def test_validity_of_blocks_spreads_to_their_sums() -> None:
+    phi = sbhe(256, 40, selection="uniform")
+    valid = np.arange(phi.blocks) % 2 == 0
+    assert np.array_equal(phi.sums_of_blocks(valid), phi.block_of_sum % 2 == 0)
+
+
+@pytest.mark.parametrize(("taxels", "sums", "block_size"), [(100, 10, 32), (96, 0, 32), (96, 97, 32), (96, 10, 24)])
+def test_sizes_that_do_not_fit(taxels: int, sums: int, block_size: int) -> None:
+    with pytest.raises(InputError, match="no SBHE"):
+        sbhe(taxels, sums, block_size=block_size, selection="uniform")
+
+
+def test_balanced_needs_a_multiple() -> None:
+    with pytest.raises(InputError, match="multiple of 3 blocks"):
+        sbhe(96, 10)
