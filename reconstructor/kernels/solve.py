@@ -4,7 +4,7 @@ The image is kept in the order of the blocks: row r of block b at ``r * blocks +
 transform and a mask. Gradient and momentum are formed there; only the shrinkage goes through the image order.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -72,32 +72,54 @@ def solve(estimate: Flat, sums: Flat, valid: npt.NDArray[np.bool_], problem: Pro
     count = _load(sums, valid, problem, scratch)
     if problem.matched:
         _match(estimate, problem.blocks, scratch)
-    size = estimate.size
     ahead[:] = estimate
+    work[:] = estimate
     for turn in range(problem.momentum.size):
-        gather = problem.to_image[turn % problem.to_image.shape[0]]
-        scatter = problem.to_blocks[turn % problem.to_blocks.shape[0]]
-        work[:] = ahead
+        shift = turn % problem.to_image.shape[0]
         hadamard(work, problem.blocks)
-        for k in range(size):
-            work[k] = gain[k] * work[k] - target[k]
+        _subtract_target(work, gain, target)
         hadamard(work, problem.blocks)
-        for k in range(size):
-            work[k] = ahead[k] - work[k]
-        for k in range(size):
-            image[k] = work[gather[k]]
+        _descend(work, ahead)
+        _gather(image, work, problem.to_image[shift])
         if problem.levels:
             shrink_pyramid(image, problem.levels, threshold, half)
         else:
             shrink_tensor(image, problem.columns, threshold, root_half)
-        for k in range(size):
-            work[k] = max(floor, image[scatter[k]])
-        beta = problem.momentum[turn]
-        for k in range(size):
-            new = work[k]
-            ahead[k] = new + beta * (new - estimate[k])
-            estimate[k] = new
+        _gather(work, image, problem.to_blocks[shift])
+        _advance(work, estimate, ahead, floor, problem.momentum[turn])
     return count
+
+
+# Each loop is a function of its own: written inside `solve` not all of them are vectorised.
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _subtract_target(work: Flat, gain: Flat, target: Flat) -> None:
+    for k in range(work.size):
+        work[k] = gain[k] * work[k] - target[k]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _descend(work: Flat, ahead: Flat) -> None:
+    for k in range(work.size):
+        work[k] = ahead[k] - work[k]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _gather(target: Flat, source: Flat, index: Table) -> None:
+    for k in range(target.size):
+        target[k] = source[index[k]]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _advance(work: Flat, estimate: Flat, ahead: Flat, floor: Any, momentum: Any) -> None:
+    """Take the new estimate from `work`, lift it to `floor`, and leave the next point in `ahead` and `work`."""
+    for k in range(work.size):
+        new = max(floor, work[k])
+        beyond = new + momentum * (new - estimate[k])
+        estimate[k] = new
+        ahead[k] = beyond
+        work[k] = beyond
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
