@@ -53,9 +53,9 @@ class Reconstructor:
     the null space of Φ, so the start is first scaled by how well it explains the new sums (`matched`): all of it
     while a touch moves slowly, nothing of it when another touch has taken its place.
 
-    The taxels of a block whose sums are not valid are not measured. A short gap keeps what they felt; then the
-    shrinkage lets go of all that neither their neighbours in the image nor a valid sum supports, and they show
-    what their measured neighbours make likely. Without any valid sum the image is zero and the past is forgotten.
+    The taxels of a block whose sums are not valid are not measured: within a cycle or two they show what the measured
+    taxels around them make likely, somewhat too little, and nothing of the past stays frozen there. Without any valid
+    sum the image is zero and the past is forgotten.
 
     Parameters
     ----------
