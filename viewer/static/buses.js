@@ -3,10 +3,17 @@
 import { count, make, percent, span, write } from "./words.js";
 
 const NMT = { 0: "booting", 4: "stopped", 5: "operational", 127: "pre-operational", 255: "silent" };
-const GLYPH = { booting: "b", stopped: "s", operational: "", "pre-operational": "p", silent: "×", unknown: "?" };
 const COUNTERS = ["received", "missing", "late", "duplicate", "malformed", "foreign"];
 
+const bitrate = (bits) => (bits < 1e6 ? `${bits / 1e3} kbit/s` : `${bits / 1e6} Mbit/s`);
+
 export const nmtName = (state) => NMT[state] ?? "unknown";
+
+function counter(name) {
+  const row = make("div");
+  row.append(make("dt", "", name), make("dd"));
+  return row;
+}
 
 export class Buses {
   /** `pointed(block or null)` is called when the pointer moves over a node. */
@@ -22,13 +29,13 @@ export class Buses {
     const card = make("div", "card bus");
     const head = make("h2", "", bus.name);
     const load = make("span", "load", "–");
-    head.append(make("small", "", `${bus.bitrate / 1000} kbit/s`), load);
+    head.append(make("small", "", bitrate(bus.bitrate)), load);
     const meter = make("div", "meter");
     const [fill, mean] = [make("div"), make("i")];
     meter.append(fill, mean);
     const nodes = make("div", "nodes");
     for (let node = 1; node <= bus.nodes; node++) {
-      const tile = make("i", "tile unknown", "?");
+      const tile = make("i", "tile unknown", String(node));
       const block = bus.first_block + node - 1;
       tile.onpointerenter = () => pointed(block);
       tile.onpointerleave = () => pointed(null);
@@ -67,7 +74,6 @@ export class Buses {
       if (!tile || tile.dataset.state === state) return;
       tile.dataset.state = state;
       tile.className = `tile ${state}`;
-      tile.textContent = GLYPH[state];
       tile.title = `${bus.name}, node ${node}: ${state}`;
     });
     const nodes = `${operational} of ${seen.nodes.length} nodes operational`;
@@ -80,11 +86,9 @@ export class Buses {
       const value = gateway[`frames_${name}`];
       rows.push([name, count(value), value > 0 && name !== "received" && name !== "foreign"]);
     }
-    if (this.counters.childElementCount !== 2 * rows.length) {
-      this.counters.replaceChildren(...rows.flatMap(([name]) => [make("dt", "", name), make("dd")]));
-    }
+    if (this.counters.childElementCount !== rows.length) this.counters.replaceChildren(...rows.map(([name]) => counter(name)));
     rows.forEach(([, value, isBad], place) => {
-      const cell = this.counters.children[2 * place + 1];
+      const cell = this.counters.children[place].lastChild;
       write(cell, value);
       cell.classList.toggle("bad", isBad);
     });

@@ -25,7 +25,7 @@ const inGamut = (rgb) => rgb.every((part) => part >= -1e-4 && part <= 1 + 1e-4);
 function pathAt(t) {
   const lightness = 0.17 + 0.79 * t;
   const hue = 285 - 180 * t ** 1.15;
-  let chroma = 0.05 + 0.11 * Math.sin(Math.PI * Math.min(1, 0.12 + 0.85 * t));
+  let chroma = 0.045 + 0.072 * Math.sin(Math.PI * Math.min(1, 0.12 + 0.85 * t));
   while (chroma > 0 && !inGamut(linearFrom(lightness, chroma, hue))) chroma -= 0.002;
   const radians = (hue * Math.PI) / 180;
   return { lab: [lightness, chroma * Math.cos(radians), chroma * Math.sin(radians)], rgb: linearFrom(lightness, chroma, hue) };

@@ -1,6 +1,6 @@
 // The figures above the images.
 
-import { fixed, percent, span, write } from "./words.js";
+import { fixed, percent, span, spoken, write } from "./words.js";
 
 const parts = (id) => {
   const root = document.getElementById(id);
@@ -14,8 +14,6 @@ function set(id, value, detail, { stale = false, alert = false } = {}) {
   figure.root.classList.toggle("stale", stale);
   figure.root.classList.toggle("alert", alert);
 }
-
-const spoken = (label) => label.replaceAll(/[-_]/g, " ");
 
 function drawObject({ label, truth }) {
   const meter = document.querySelector("#object .meter > div");

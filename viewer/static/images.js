@@ -2,14 +2,14 @@
 
 import { Heatmap } from "./heatmap.js";
 import { Scale } from "./scale.js";
-import { span, write } from "./words.js";
+import { span, spoken, write } from "./words.js";
 
 const NAMES = ["image", "true", "sensor"];
 const BAR_PX = 64;
 const GAP_PX = 12;
 // What stands above and below the images, and the smallest taxel worth looking at.
-const AROUND_PX = { beside: 420, alone: 290 };
-const SMALLEST_PX = 4;
+const AROUND_PX = { beside: 400, alone: 240 };
+const SMALLEST_PX = 5;
 
 export class Images {
   constructor(skin, buses) {
@@ -66,7 +66,8 @@ export class Images {
     write(rebuilt.caption, image ? `cycle ${image.cycle}` : "");
     rebuilt.setStale(lost || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
     if (!truth) return;
-    write(real.caption, truth.of_image ? `same cycle, ${truth.label || "no object"}` : `step ${truth.step}, ${truth.label || "no object"}`);
+    const object = truth.label ? spoken(truth.label) : "no object named";
+    write(real.caption, `${truth.of_image ? "same cycle" : `step ${truth.step}`}, ${object}`);
     write(sensor.caption, "true with noise, in ADC steps");
     for (const map of [real, sensor]) map.setStale(lost || (truth.stale ? old(truth.age_s) : ""));
   }

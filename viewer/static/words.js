@@ -14,6 +14,9 @@ export function span(seconds) {
   return seconds < 7200 ? `${Math.round(seconds / 60)} min` : `${Math.round(seconds / 3600)} h`;
 }
 
+/** What a label says to a person: golf-ball is a golf ball. */
+export const spoken = (label) => label.replaceAll(/[-_]/g, " ");
+
 /** Write `text` into `element` if it is not there yet: a page that changes nothing repaints nothing. */
 export function write(element, text) {
   if (element.textContent !== text) element.textContent = text;

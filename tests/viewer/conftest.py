@@ -1,0 +1,125 @@
+"""Messages of a small skin, and a hub to send them through."""
+
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from skin.fabric import Fabric
+from skin.layout import Bus, Layout, Measuring, Taxels
+from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
+
+SECOND_NS = 1_000_000_000
+
+
+def small_layout() -> Layout:
+    """16 x 16 taxels in 8 blocks on two buses."""
+    return Layout(
+        name="palm",
+        taxels=Taxels(rows=16, columns=16),
+        measurement=Measuring(block_size=32, sums=64),
+        bus=[Bus(name="left", nodes=4), Bus(name="right", nodes=4)],
+    )
+
+
+@dataclass
+class Messages:
+    """Builds messages that fit the small skin; ``force_n`` is the peak of a round contact."""
+
+    layout: Layout = field(default_factory=small_layout)
+
+    def grid(self, force_n: float = 0.01) -> npt.NDArray[np.float32]:
+        rows, columns = np.mgrid[0 : self.layout.taxels.rows, 0 : self.layout.taxels.columns]
+        distance = np.hypot(rows - 7.5, columns - 6.0)
+        return (force_n * np.clip(1 - distance / 6, 0, None)).astype("<f4")
+
+    def image(
+        self,
+        cycle: int = 1,
+        *,
+        sync_s: float = 1.0,
+        latency_s: float = 0.005,
+        pixels: npt.NDArray[np.float32] | None = None,
+        invalid: tuple[int, ...] = (),
+    ) -> Image:
+        valid = np.ones(self.layout.blocks, np.uint8)
+        valid[list(invalid)] = 0
+        sync_ns = round(sync_s * SECOND_NS)
+        return Image(
+            cycle=cycle,
+            sync_counter=(cycle - 1) % 240 + 1,
+            sync_mono_ns=sync_ns,
+            published_mono_ns=sync_ns + round(latency_s * SECOND_NS),
+            pixels=(self.grid() if pixels is None else pixels).tobytes(),
+            valid=valid.tobytes(),
+            valid_sums=int(valid.sum()) * 8,
+            solve_s=0.003,
+        )
+
+    def truth(
+        self,
+        cycle: int = 1,
+        *,
+        sync_s: float = 1.0,
+        true: npt.NDArray[np.float32] | None = None,
+        sensor: npt.NDArray[np.float32] | None = None,
+    ) -> Truth:
+        real = self.grid() if true is None else true
+        return Truth(
+            step=cycle,
+            sync_counter=(cycle - 1) % 240 + 1,
+            sync_mono_ns=round(sync_s * SECOND_NS),
+            true=real.tobytes(),
+            sensor=(real if sensor is None else sensor).tobytes(),
+            label="golf-ball",
+        )
+
+    def label(self, label: str = "golf-ball", confidence: float = 0.93) -> Label:
+        return Label(cycle=1, sync_counter=1, sync_mono_ns=0, label=label, confidence=confidence, valid_sums=64)
+
+    def gateway(self, *, cycles: int = 10, missing: int = 0, nmt: tuple[tuple[int, ...], ...] = ()) -> GatewayStatus:
+        states = nmt or ((5, 5, 5, 5), (5, 5, 5, 5))
+        buses = [
+            BusState(name=bus.name, load_ratio=0.8, nodes=list(range(1, bus.nodes + 1)), nmt=bytes(state))
+            for bus, state in zip(self.layout.bus, states, strict=True)
+        ]
+        return GatewayStatus(
+            time_ns=0,
+            cycles=cycles,
+            cycles_complete=cycles,
+            frames_received=16 * cycles,
+            frames_accepted=16 * cycles,
+            frames_missing=missing,
+            frames_late=0,
+            frames_duplicate=0,
+            frames_malformed=0,
+            frames_foreign=0,
+            sync_rate_hz=100.0,
+            buses=buses,
+            mean_load_ratio=[0.8, 0.8],
+        )
+
+    def nodes(self, process: str = "nodes") -> NodesStatus:
+        return NodesStatus(time_ns=0, process=process, frames_sent=160, frames_dropped=0, syncs_seen=10)
+
+
+@pytest.fixture
+def messages() -> Messages:
+    return Messages()
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def hub(endpoint: str, messages: Messages) -> Iterator[Fabric]:
+    fabric = Fabric(messages.layout.name, "gateway", endpoint, hub=True)
+    yield fabric
+    fabric.close()

@@ -1,0 +1,141 @@
+"""Rates, latencies, and the image against the truth of its own cycle."""
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skin.messages import Image, Truth
+from viewer.pairing import REMEMBERED, Pairing, psnr_db
+from viewer.state import ViewState
+from viewer.window import Window
+
+
+@pytest.fixture
+def state(messages: Any) -> ViewState:
+    return ViewState(messages.layout)
+
+
+def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -> None:
+    latencies_s = np.linspace(0.004, 0.012, 300)
+    for cycle, latency_s in enumerate(latencies_s, 1):
+        state.take_image(messages.image(cycle, latency_s=latency_s), cycle / 100)
+    figures = state.snapshot(3.0)[0].figures
+    assert figures.images_hz == pytest.approx(100, rel=0.02)
+    assert figures.latency_p50_s == pytest.approx(np.percentile(latencies_s, 50), abs=1e-6)
+    assert figures.latency_p99_s == pytest.approx(np.percentile(latencies_s, 99), abs=1e-6)
+    later = state.snapshot(9.0)[0].figures
+    assert (later.images_hz, later.latency_p50_s, later.latency_p99_s) == (0.0, None, None)
+
+
+@pytest.mark.parametrize("truth_first", [True, False])
+def test_psnr_is_that_of_the_same_cycle(state: ViewState, messages: Any, truth_first: bool) -> None:
+    true = messages.grid(0.01)
+    sensor, pixels = true + np.float32(0.002), true + np.float32(0.001)
+    takes: list[Callable[[], None]] = [
+        lambda: state.take_truth(messages.truth(3, true=true, sensor=sensor), 1.0),
+        lambda: state.take_image(messages.image(3, pixels=pixels), 1.0),
+    ]
+    for take in takes if truth_first else reversed(takes):
+        take()
+    figures = state.snapshot(1.1)[0].figures
+    assert figures.psnr_image_db == pytest.approx(20 * np.log10(0.02 / 0.001), abs=1e-3)
+    assert figures.psnr_sensor_db == pytest.approx(20 * np.log10(0.02 / 0.002), abs=1e-3)
+    assert state.snapshot(2.1)[0].figures.psnr_image_db is None
+
+
+def test_same_counter_one_round_later_is_another_cycle(state: ViewState, messages: Any) -> None:
+    state.take_truth(messages.truth(3, sync_s=1.0), 1.0)
+    state.take_image(messages.image(243, sync_s=3.4), 3.4)
+    snapshot, _ = state.snapshot(3.4)
+    assert snapshot.figures.psnr_image_db is None
+    assert snapshot.truth is not None
+    assert not snapshot.truth.of_image
+
+
+def test_psnr_leaves_out_cycles_without_contact(state: ViewState, messages: Any) -> None:
+    state.take_truth(messages.truth(1, true=messages.grid(0.001)), 1.0)
+    state.take_image(messages.image(1), 1.0)
+    assert state.snapshot(1.0)[0].figures.psnr_image_db is None
+
+
+def test_truth_shown_is_that_of_the_image_while_images_come(state: ViewState, messages: Any) -> None:
+    state.take_truth(messages.truth(1, true=messages.grid(0.005)), 1.0)
+    state.take_image(messages.image(1), 1.0)
+    state.take_truth(messages.truth(2, sync_s=1.01, true=messages.grid(0.015)), 1.01)
+    snapshot, pictures = state.snapshot(1.1)
+    assert snapshot.truth is not None
+    assert (snapshot.truth.step, snapshot.truth.of_image, snapshot.truth.label) == (1, True, "golf-ball")
+    np.testing.assert_array_equal(pictures.true, messages.grid(0.005))
+    state.take_truth(messages.truth(3, sync_s=2.0), 2.0)
+    snapshot, _ = state.snapshot(2.1)
+    assert snapshot.truth is not None
+    assert (snapshot.truth.step, snapshot.truth.of_image, snapshot.truth.stale) == (3, False, False)
+
+
+def test_truth_goes_stale_and_then_away(state: ViewState, messages: Any) -> None:
+    state.take_truth(messages.truth(1), 1.0)
+    snapshot, pictures = state.snapshot(2.0)
+    assert snapshot.truth is not None
+    assert snapshot.truth.stale
+    assert pictures.sensor is not None
+    snapshot, pictures = state.snapshot(5.0)
+    assert (snapshot.truth, pictures.true, pictures.sensor) == (None, None, None)
+
+
+def test_psnr_of_equal_images_is_finite(messages: Any) -> None:
+    assert psnr_db(messages.grid(), messages.grid(), 0.02) == pytest.approx(200)
+
+
+@given(order=st.permutations([(kind, cycle) for kind in ("image", "truth") for cycle in range(1, 9)]))
+def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]) -> None:
+    pairing = Pairing()
+    pairs: list[int] = []
+    for kind, cycle in order:
+        common: dict[str, Any] = {"sync_counter": cycle, "sync_mono_ns": cycle * 10_000_000}
+        if kind == "image":
+            rest: dict[str, Any] = {
+                "cycle": cycle,
+                "published_mono_ns": 0,
+                "pixels": b"",
+                "valid": b"",
+                "valid_sums": 0,
+                "solve_s": 0.0,
+            }
+            truth = pairing.take_image(Image(**common, **rest))
+            pairs += [truth.sync_counter] if truth else []
+        else:
+            image = pairing.take_truth(Truth(step=cycle, true=b"", sensor=b"", label="", **common))
+            pairs += [image.cycle] if image else []
+    assert sorted(pairs) == list(range(1, 9))
+
+
+def test_pairing_forgets_what_nobody_pairs(messages: Any) -> None:
+    pairing = Pairing()
+    for counter in range(1000):  # counters no SYNC has
+        pairing.take_image(msgspec.structs.replace(messages.image(), sync_counter=counter))
+        pairing.take_truth(msgspec.structs.replace(messages.truth(), sync_counter=counter + 5000))
+    assert max(len(pairing._images), len(pairing._truths)) == REMEMBERED
+
+
+@given(times=st.lists(st.floats(0, 100), min_size=1, max_size=60), now_s=st.floats(0, 110))
+def test_window_holds_exactly_the_last_span(times: list[float], now_s: float) -> None:
+    window = Window(2.0)
+    times.sort()
+    for time_s in times:
+        window.add(time_s, time_s)
+    now_s = max(now_s, times[-1])
+    assert window.values(now_s) == [time_s for time_s in times if time_s > now_s - 2.0]
+
+
+def test_rate_of_one_value_is_not_known() -> None:
+    window = Window(1.0)
+    assert window.rate_hz(0.0) == 0.0
+    window.add(0.0, 1.0)
+    assert window.rate_hz(0.0) == 0.0
+    window.add(0.0, 1.0)
+    assert window.rate_hz(0.0) > 0.0

@@ -1,0 +1,183 @@
+"""The model: what is fresh, what is stale, what is counted."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from viewer.state import PROCESSES, ViewState
+
+EPOCH_S = 1000.0
+
+
+@pytest.fixture
+def state(messages: Any) -> ViewState:
+    return ViewState(messages.layout, EPOCH_S)
+
+
+def texts(state: ViewState, now_s: float, level: str = "error") -> list[str]:
+    return [notice.text for notice in state.snapshot(now_s)[0].notices if notice.level == level]
+
+
+def test_nothing_is_shown_before_anything_came(state: ViewState) -> None:
+    snapshot, pictures = state.snapshot(0.0)
+    assert (snapshot.image, snapshot.truth, snapshot.label, snapshot.gateway) == (None, None, None, None)
+    assert (pictures.image, pictures.true, pictures.sensor) == (None, None, None)
+    assert texts(state, 0.0, "info") == ["waiting for the gateway", "waiting for the first image"]
+
+
+def test_image_ages(state: ViewState, messages: Any) -> None:
+    state.take_image(messages.image(7), 1.0)
+    snapshot, pictures = state.snapshot(1.4)
+    assert snapshot.image is not None
+    assert (snapshot.image.cycle, snapshot.image.stale) == (7, False)
+    np.testing.assert_array_equal(pictures.image, messages.grid())
+    snapshot, _ = state.snapshot(1.6)
+    assert snapshot.image is not None
+    assert snapshot.image.stale
+    assert snapshot.image.age_s == pytest.approx(0.6)
+
+
+def test_reconstructor_that_leaves_makes_the_image_stale_at_once(state: ViewState, messages: Any) -> None:
+    state.take_service("gateway", True, 0.0)
+    state.take_service("reconstructor", True, 0.0)
+    state.take_image(messages.image(), 1.0)
+    state.take_service("reconstructor", False, 1.1)
+    snapshot, _ = state.snapshot(1.2)
+    assert snapshot.image is not None
+    assert snapshot.image.stale
+    (notice,) = [notice for notice in snapshot.notices if notice.level == "error"]
+    assert notice.text == "images stopped: reconstructor is gone"
+    assert notice.since_time_s == pytest.approx(EPOCH_S + 1.0)
+    state.take_service("reconstructor", True, 2.0)
+    state.take_image(messages.image(), 2.1)
+    assert texts(state, 2.2) == []
+
+
+def test_image_that_came_after_its_sender_was_missed_is_fresh(state: ViewState, messages: Any) -> None:
+    state.take_service("reconstructor", True, 0.0)
+    state.take_service("reconstructor", False, 1.0)
+    state.take_image(messages.image(), 1.1)
+    snapshot, _ = state.snapshot(1.2)
+    assert snapshot.image is not None
+    assert not snapshot.image.stale
+
+
+@pytest.mark.parametrize(
+    ("gateway", "reconstructor", "expected"),
+    [
+        (True, True, "images stopped: reconstructor is there but sends none"),
+        (False, True, "images stopped: no measurements without the gateway"),
+        (True, False, "images stopped: reconstructor is gone"),
+    ],
+)
+def test_notice_names_who_keeps_images_from_coming(
+    state: ViewState, messages: Any, gateway: bool, reconstructor: bool, expected: str
+) -> None:
+    for name, alive in (("gateway", gateway), ("reconstructor", reconstructor)):
+        state.take_service(name, True, 0.0)
+        state.take_service(name, alive, 1.0)
+    state.take_image(messages.image(), 0.5)
+    assert expected in texts(state, 2.0)
+
+
+def test_gateway_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
+    state.take_service("gateway", True, 0.0)
+    state.take_gateway(messages.gateway(), 1.0)
+    assert texts(state, 1.2) == []
+    assert texts(state, 3.0) == ["the state of the buses is unknown: gateway sends no status"]
+    state.take_service("gateway", False, 3.5)
+    snapshot, _ = state.snapshot(4.0)
+    assert snapshot.gateway is not None
+    assert snapshot.gateway.stale
+    assert texts(state, 4.0) == ["measurements stopped: gateway is gone"]
+
+
+def test_classifier_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
+    state.take_service("classifier", True, 0.0)
+    state.take_label(messages.label(), 1.0)
+    state.take_gateway(messages.gateway(), 2.0)
+    snapshot, _ = state.snapshot(2.0)
+    assert snapshot.label is not None
+    assert snapshot.label.stale
+    assert texts(state, 2.0) == ["labels stopped: classifier is there but sends none"]
+    state.take_service("classifier", False, 2.1)
+    assert texts(state, 2.2) == ["labels stopped: classifier is gone"]
+
+
+def test_virtual_nodes_that_leave_are_told(state: ViewState) -> None:
+    for name in ("nodes", "nodes-2", "demo"):
+        state.take_service(name, True, 0.0)
+        state.take_service(name, False, 1.0)
+    assert texts(state, 1.0) == [
+        "no sums from the virtual nodes: the process is gone",
+        "no sums from the virtual nodes-2: the process is gone",
+    ]
+
+
+def test_nodes_off_duty_are_named(state: ViewState, messages: Any) -> None:
+    state.take_gateway(messages.gateway(nmt=((5, 255, 127, 255), (4, 4, 4, 4))), 1.0)
+    assert texts(state, 1.1, "warning") == [
+        "left: node 3 pre-operational",
+        "left: nodes 2, 4 silent",
+        "right: all 4 nodes stopped",
+    ]
+
+
+def test_sync_that_has_not_started_is_no_error(state: ViewState, messages: Any) -> None:
+    state.take_gateway(messages.gateway(cycles=0), 1.0)
+    assert texts(state, 1.1) == []
+    assert "gateway is booting the nodes; SYNC has not started" in texts(state, 1.1, "info")
+
+
+def test_invalid_blocks_are_listed_and_counted(state: ViewState, messages: Any) -> None:
+    state.take_image(messages.image(1, invalid=(0, 5, 6)), 1.0)
+    state.take_image(messages.image(2, invalid=(5,)), 1.1)
+    snapshot, _ = state.snapshot(1.2)
+    assert snapshot.image is not None
+    assert snapshot.image.invalid_blocks == [5]
+    figures = snapshot.figures
+    assert (figures.valid_blocks, figures.valid_blocks_low, figures.blocks) == (7, 5, 8)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"pixels": b"\0" * 12}, {"valid": b"\1" * 9}, {"pixels": np.full(256, np.nan, "<f4").tobytes()}],
+)
+def test_image_of_another_skin_is_counted_and_not_shown(
+    state: ViewState, messages: Any, change: dict[str, bytes]
+) -> None:
+    state.take_image(messages.image(1), 1.0)
+    state.take_image(msgspec.structs.replace(messages.image(2), **change), 1.1)
+    snapshot, _ = state.snapshot(1.2, undecodable=2)
+    assert snapshot.image is not None
+    assert (snapshot.image.cycle, snapshot.ignored) == (1, 3)
+    assert texts(state, 1.2, "warning")[0].startswith("1 messages ignored")
+
+
+def test_other_messages_that_do_not_fit_are_ignored(state: ViewState, messages: Any) -> None:
+    status = messages.gateway()
+    short = msgspec.structs.replace(status, buses=[msgspec.structs.replace(status.buses[0], nmt=b"\5")])
+    state.take_gateway(short, 1.0)
+    state.take_gateway(msgspec.structs.replace(status, sync_rate_hz=float("inf")), 1.0)
+    state.take_label(messages.label(confidence=float("nan")), 1.0)
+    state.take_truth(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
+    snapshot, _ = state.snapshot(1.0)
+    assert (snapshot.gateway, snapshot.label, snapshot.truth) == (None, None, None)
+    assert snapshot.ignored == 4
+
+
+def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None:
+    state.take_label(messages.label("", 0.0), 1.0)
+    snapshot, _ = state.snapshot(1.1)
+    assert snapshot.label is not None
+    assert (snapshot.label.label, snapshot.label.stale) == ("", False)
+
+
+def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> None:
+    for number in range(PROCESSES + 10):
+        state.take_nodes(messages.nodes(f"nodes-{number}"), 1.0)
+    snapshot, _ = state.snapshot(3.0)
+    assert len(snapshot.nodes) == PROCESSES
+    assert all(each.stale for each in snapshot.nodes)

@@ -1,0 +1,48 @@
+"""Frames and the greeting."""
+
+import struct
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from viewer.state import ViewState
+from viewer.wire import frame, greeting
+
+
+def test_frame_can_be_taken_apart(messages: Any) -> None:
+    state = ViewState(messages.layout)
+    state.take_image(messages.image(4, invalid=(2,)), 1.0)
+    state.take_truth(messages.truth(4, sensor=messages.grid(0.02)), 1.0)
+    content = frame(*state.snapshot(1.1))
+    (length,) = struct.unpack_from("<I", content)
+    header = msgspec.json.decode(content[4 : 4 + length])
+    assert length % 4 == 0
+    assert header["pictures"] == ["image", "true", "sensor"]
+    assert header["snapshot"]["image"]["invalid_blocks"] == [2]
+    pictures = np.frombuffer(content, "<f4", offset=4 + length).reshape(3, 16, 16)
+    np.testing.assert_array_equal(pictures[0], messages.grid())
+    np.testing.assert_array_equal(pictures[2], messages.grid(0.02))
+
+
+def test_frame_without_pictures_is_a_header(messages: Any) -> None:
+    content = frame(*ViewState(messages.layout).snapshot(0.0))
+    (length,) = struct.unpack_from("<I", content)
+    assert len(content) == 4 + length
+    assert msgspec.json.decode(content[4:])["pictures"] == []
+
+
+def test_greeting_names_the_block_that_measures_each_taxel(messages: Any) -> None:
+    layout = messages.layout
+    phi, block_of_taxel = layout.phi(), greeting(layout)["block_of_taxel"]
+    for taxel in range(layout.taxels.count):
+        alone = np.zeros(layout.taxels.count, np.int32)
+        alone[taxel] = 1
+        assert set(phi.block_of_sum[phi.forward(alone) != 0]) == {block_of_taxel[taxel]}
+
+
+def test_greeting_names_the_first_block_of_each_bus(messages: Any) -> None:
+    assert [(bus["name"], bus["first_block"], bus["nodes"]) for bus in greeting(messages.layout)["buses"]] == [
+        ("left", 0, 4),
+        ("right", 4, 4),
+    ]
