@@ -8,6 +8,8 @@ and where, bytes 6 and 7 the transmit and receive error counters.
 from enum import IntEnum, IntFlag
 from typing import Final
 
+import numpy as np
+
 from dbc.frame import ERROR, Frames, frames
 
 
@@ -73,3 +75,20 @@ def _report(why: ErrorClass, detail: tuple[int, int, int], transmit_errors: int,
     one["data"][0, 1:4] = detail
     one["data"][0, 6:8] = min(transmit_errors, 255), min(receive_errors, 255)
     return one
+
+
+def state_of_report(report: np.void, before: State) -> State:
+    """Return the state a controller is in after a report, `before` when the report does not tell."""
+    why, control = int(report["can_id"]), int(report["data"][1])
+    if why & ErrorClass.BUS_OFF:
+        return State.BUS_OFF
+    if why & ErrorClass.RESTARTED:
+        return State.ACTIVE
+    if why & ErrorClass.CONTROLLER:
+        if control & sum(_PASSIVE.values()):
+            return State.PASSIVE
+        if control & sum(_WARNING.values()):
+            return State.WARNING
+        if control & _ACTIVE:
+            return State.ACTIVE
+    return before

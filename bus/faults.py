@@ -1,5 +1,6 @@
 """Faults as data: what shall go wrong on a bus, how often, and for whom."""
 
+import contextlib
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Annotated, NamedTuple
@@ -111,4 +112,8 @@ def parse_fault(text: str) -> Fault:
 
 
 def _value(text: str) -> object:
-    return int(text, 16) if text.lower().startswith("0x") else text
+    """Read hexadecimal numbers; the rest is left to the fields' types."""
+    with contextlib.suppress(ValueError):
+        if text.lower().startswith("0x"):
+            return int(text, 16)
+    return text

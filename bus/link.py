@@ -6,7 +6,6 @@ from typing import Protocol
 from bus.error_frames import State
 from bus.protocol import Filter, Hello
 from dbc.frame import Frames
-from skin.errors import BusError
 
 __all__ = ["Filter", "Link", "State", "open_link"]
 
@@ -89,4 +88,10 @@ def open_link(
 
         hello = Hello(name=name, bitrate=bitrate, data_bitrate=data_bitrate, fd=fd, filters=allowed)
         return ArbitratedLink(channel, hello, wait_s=wait_s)
-    raise BusError(f"cannot open {channel} of interface '{interface}': not known")
+    if interface == "socketcan":
+        from bus.socketcan import SocketCanLink
+
+        return SocketCanLink(channel, fd=fd, filters=allowed)
+    from bus.python_can import PythonCanLink
+
+    return PythonCanLink(interface, channel, bitrate, fd=fd, data_bitrate=data_bitrate, filters=allowed)

@@ -35,7 +35,7 @@ from skin.errors import BusError, InputError
 from skin.service import say
 
 #: While frames wait for a bus, those that have ended are handed over at most this often.
-TICK_NS: Final = 1_000_000
+TICK_NS: Final = 2_000_000
 #: Longest sleep, after which the stop condition is looked at.
 IDLE_S: Final = 0.1
 #: Every wait uses select(), whose timeout has microseconds but which knows no descriptor above 1023.
@@ -102,6 +102,7 @@ class BusServer:
     def __init__(self, channels: Sequence[str], settings: BusSettings, folder: Path | None = None) -> None:
         self.settings = settings
         self._lines: list[_Line] = []
+        self._now_ns = 0
         self._buffer = bytearray(MAX_PACKET + 1)
         frame_time_ns(frames(1), settings.bitrate)  # compile before the first client comes
         folder = folder or runtime_folder()
@@ -140,6 +141,7 @@ class BusServer:
         writers = [session for line in self._lines for session in line.sessions if session.blocked]
         readable, writable, _ = select.select(readers, writers, [], self._sleep_s())
         ready = set(readable)
+        self._now_ns = time.monotonic_ns()  # what comes in one turn arbitrates together
         for line in self._lines:
             if line in ready:
                 self._accept(line)
@@ -270,8 +272,7 @@ class BusServer:
             raise ProtocolError(f"a packet of kind {header.kind}")
         burst = unpack_frames(header, payload)
         check_frames(burst, fd=self.settings.data_bitrate is not None)
-        now_ns = line.bus.now_ns if self.settings.virtual_clock else time.monotonic_ns()
-        if line.bus.submit(session.station, burst, now_ns) < len(burst):
+        if line.bus.submit(session.station, burst, 0 if self.settings.virtual_clock else self._now_ns) < len(burst):
             raise ProtocolError("more frames than its transmit queue holds")
 
     def _deliver(self, line: _Line) -> None:

@@ -80,9 +80,7 @@ octets = st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0xFF, 0x0F, 0xF0,
 
 @settings(max_examples=400, deadline=None)
 @given(identifiers, st.lists(octets, max_size=8).map(bytes), st.booleans())
-def test_exact_classic_agrees_with_the_bit_string(
-    identifier: tuple[int, int], data: bytes, remote: bool
-) -> None:
+def test_exact_classic_agrees_with_the_bit_string(identifier: tuple[int, int], data: bytes, remote: bool) -> None:
     flags, can_id = identifier
     nominal, fast = wire_bits(frame(can_id, data, flags | (REMOTE if remote else 0)))
     slow = slow_classic(can_id, data, extended=bool(flags), remote=remote, dlc=len(data))
@@ -168,14 +166,10 @@ def test_error_reports_are_not_on_the_wire() -> None:
 
 
 def test_mixed_read_only_and_empty_input() -> None:
-    mixed = np.concatenate(
-        [frame(0x80, b"\x01"), frame(0x1234567, bytes(8), EXTENDED), frame(1, bytes(12), FD | BRS)]
-    )
+    mixed = np.concatenate([frame(0x80, b"\x01"), frame(0x1234567, bytes(8), EXTENDED), frame(1, bytes(12), FD | BRS)])
     one_by_one = [wire_bits(mixed[i : i + 1]) for i in range(3)]
     nominal, fast = wire_bits(np.frombuffer(mixed.tobytes(), mixed.dtype))
-    assert [(int(a[0]), int(b[0])) for a, b in one_by_one] == list(
-        zip(nominal.tolist(), fast.tolist(), strict=True)
-    )
+    assert [(int(a[0]), int(b[0])) for a, b in one_by_one] == list(zip(nominal.tolist(), fast.tolist(), strict=True))
     assert wire_bits(frames(0))[0].shape == (0,)
 
 

@@ -1,0 +1,152 @@
+"""Many datagrams per system call: recvmmsg(2) and sendmmsg(2) on arrays, which Python itself does not offer."""
+
+import ctypes
+import errno
+import os
+import socket
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+#: Control data of one message: a time stamp (cmsghdr 16, timespec 16) and a drop count (cmsghdr 16, u32 and padding).
+_CONTROL_BYTES: Final = 64
+SO_TIMESTAMPNS: Final = 35
+SO_RXQ_OVFL: Final = 40
+
+
+class _Header(ctypes.Structure):
+    """``struct msghdr``."""
+
+    _fields_ = (
+        ("name", ctypes.c_void_p),
+        ("name_length", ctypes.c_uint),
+        ("vectors", ctypes.c_void_p),
+        ("vector_count", ctypes.c_size_t),
+        ("control", ctypes.c_void_p),
+        ("control_length", ctypes.c_size_t),
+        ("flags", ctypes.c_int),
+    )
+
+
+class _Message(ctypes.Structure):
+    """``struct mmsghdr``."""
+
+    _fields_ = (("header", _Header), ("length", ctypes.c_uint))
+
+
+class _Vector(ctypes.Structure):
+    """``struct iovec``."""
+
+    _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
+
+
+class Received(NamedTuple):
+    """One batch: views of the buffers, valid until the next batch.
+
+    Attributes
+    ----------
+    rows : array of uint8, shape (n, size)
+    lengths, flags : arrays of int, shape (n,)
+        Bytes and MSG_* flags of each datagram.
+    time_ns : array of int64, shape (n,)
+        Wall-clock time of arrival, 0 where the socket does not tell.
+    dropped : int or None
+        The socket's total of dropped datagrams, when it told.
+    """
+
+    rows: npt.NDArray[np.uint8]
+    lengths: npt.NDArray[np.uint32]
+    flags: npt.NDArray[np.int32]
+    time_ns: npt.NDArray[np.int64]
+    dropped: int | None
+
+
+class BatchSocket:
+    """Buffers for batches of up to `count` datagrams of up to `size` bytes on one socket, which stays the caller's."""
+
+    def __init__(self, connection: socket.socket, count: int, size: int) -> None:
+        self._socket = connection
+        self._rows = np.zeros((count, size), np.uint8)
+        self._control = np.zeros((count, _CONTROL_BYTES), np.uint8)
+        self._vectors = (_Vector * count)()
+        self._messages = (_Message * count)()
+        for place in range(count):
+            self._vectors[place].base = self._rows.ctypes.data + place * size
+            header = self._messages[place].header
+            header.vectors = ctypes.addressof(self._vectors) + place * ctypes.sizeof(_Vector)
+            header.vector_count = 1
+        self._sizes = _field(self._vectors, _Vector, _Vector.length.offset, np.dtype(np.uintp))
+        start = _Message.header.offset
+        self._controls = _field(self._messages, _Message, start + _Header.control.offset, np.dtype(np.uintp))
+        self._control_sizes = _field(
+            self._messages, _Message, start + _Header.control_length.offset, np.dtype(np.uintp)
+        )
+        self._flags = _field(self._messages, _Message, start + _Header.flags.offset, np.dtype(np.int32))
+        self._lengths = _field(self._messages, _Message, _Message.length.offset, np.dtype(np.uint32))
+        self._libc = ctypes.CDLL(None, use_errno=True)
+
+    def receive(self) -> Received:
+        """Take the datagrams that wait, without waiting.
+
+        Raises
+        ------
+        OSError
+            What recvmmsg reports, but for an empty queue.
+        """
+        self._sizes[:] = self._rows.shape[1]
+        self._controls[:] = self._control.ctypes.data + _CONTROL_BYTES * np.arange(len(self._rows))
+        self._control_sizes[:] = _CONTROL_BYTES
+        count = self._call("recvmmsg", len(self._rows), None)
+        time_ns, dropped = _read_control(self._control[:count], self._control_sizes[:count])
+        return Received(self._rows[:count], self._lengths[:count], self._flags[:count], time_ns, dropped)
+
+    def send(self, rows: npt.NDArray[np.uint8], lengths: npt.NDArray[np.integer]) -> int:
+        """Send datagrams; return how many the socket took before it was full.
+
+        Raises
+        ------
+        OSError
+            What sendmmsg reports, but for a full queue.
+        """
+        count = min(len(rows), len(self._rows))
+        self._rows[:count] = rows[:count]
+        self._sizes[:count] = lengths[:count]
+        self._controls[:] = 0
+        self._control_sizes[:] = 0
+        return self._call("sendmmsg", count)
+
+    def _call(self, name: str, count: int, *more: Any) -> int:
+        if not count:
+            return 0
+        done = getattr(self._libc, name)(
+            self._socket.fileno(), ctypes.byref(self._messages), count, socket.MSG_DONTWAIT, *more
+        )
+        if done >= 0:
+            return int(done)
+        code = ctypes.get_errno()
+        if code in {errno.EAGAIN, errno.ENOBUFS, errno.EINTR}:
+            return 0
+        raise OSError(code, os.strerror(code))
+
+
+def _field(records: Any, record: Any, offset: int, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Return one field of an array of C structures as an array."""
+    columns = np.dtype({"names": ["it"], "formats": [dtype], "offsets": [offset], "itemsize": ctypes.sizeof(record)})
+    view: npt.NDArray[Any] = np.frombuffer(records, columns)["it"]
+    return view
+
+
+def _read_control(
+    control: npt.NDArray[np.uint8], sizes: npt.NDArray[np.uintp]
+) -> tuple[npt.NDArray[np.int64], int | None]:
+    """Read time stamps and the drop count; Linux writes them in this order, each only where there is one."""
+    times = np.zeros(len(control), np.int64)
+    words = control.view(np.int64)  # cmsghdr: length 8, level 4, type 4; so word 1 is level and type
+    kinds = words[:, 1::4] >> 32
+    stamped = (sizes >= 32) & (kinds[:, 0] == SO_TIMESTAMPNS)
+    times[stamped] = words[stamped, 2] * 1_000_000_000 + words[stamped, 3]
+    second = (sizes >= 52) & stamped & (kinds[:, 1] == SO_RXQ_OVFL)
+    first = (sizes >= 20) & (kinds[:, 0] == SO_RXQ_OVFL)
+    counts = np.concatenate((words[first, 2], words[second, 6])) & 0xFFFFFFFF
+    return times, int(counts.max()) if len(counts) else None

@@ -1,0 +1,55 @@
+"""Between python-can's messages and FRAME records."""
+
+import time
+from typing import Final
+
+import can
+import numpy as np
+
+from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
+
+_FLAG_OF: Final = (
+    ("is_extended_id", EXTENDED),
+    ("is_remote_frame", REMOTE),
+    ("is_error_frame", ERROR),
+    ("is_fd", FD),
+    ("bitrate_switch", BRS),
+    ("error_state_indicator", ESI),
+)
+#: Time stamps this close to the wall clock are taken for wall-clock times.
+_PLAUSIBLE_NS: Final = 3600 * 10**9
+
+
+def epoch_offset_ns() -> int:
+    """Return what CLOCK_MONOTONIC lacks to the wall clock."""
+    return time.time_ns() - time.monotonic_ns()
+
+
+def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
+    """Make a message of one record; its time stamp is in seconds since the epoch."""
+    flags, length = int(record["flags"]), int(record["length"])
+    message = can.Message(
+        timestamp=(int(record["time_ns"]) + offset_ns) * 1e-9,
+        arbitration_id=int(record["can_id"]),
+        channel=channel,
+        dlc=length,
+        data=None if flags & REMOTE else record["data"][:length].tobytes(),
+        is_rx=not flags & ECHO,
+    )
+    for name, flag in _FLAG_OF:
+        setattr(message, name, bool(flags & flag))
+    return message
+
+
+def to_frame(message: can.Message) -> Frames:
+    """Make an array of one record of a message; without a plausible wall-clock time stamp its time is now."""
+    frame = frames(1)
+    frame["can_id"] = message.arbitration_id
+    frame["flags"] = sum(flag for name, flag in _FLAG_OF if getattr(message, name))
+    frame["length"] = message.dlc
+    data = bytes(message.data or b"")[:64]
+    frame["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
+    now_ns = time.monotonic_ns()
+    stamp_ns = round(message.timestamp * 1e9) - epoch_offset_ns()
+    frame["time_ns"] = stamp_ns if abs(now_ns - stamp_ns) < _PLAUSIBLE_NS else now_ns
+    return frame

@@ -1,0 +1,171 @@
+"""The link to any interface of python-can: for adapters that have no SocketCAN driver."""
+
+import contextlib
+import os
+import select
+import threading
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, Final
+
+import can
+import numpy as np
+
+from bus.error_frames import State
+from bus.messages import to_frame, to_message
+from bus.protocol import Filter, check_frames
+from dbc.frame import ECHO, Frames, frames
+from skin.errors import BusError
+
+#: Frames kept for a caller that does not receive; later ones are lost, and counted.
+QUEUE_FRAMES: Final = 16384
+FRAMES_PER_CALL: Final = 1024
+_STATE_OF: Final = {
+    can.BusState.ACTIVE: State.ACTIVE,
+    can.BusState.PASSIVE: State.PASSIVE,
+    can.BusState.ERROR: State.BUS_OFF,
+}
+
+
+class PythonCanLink:
+    """A python-can bus as a link.
+
+    Interfaces without a file descriptor are read by a thread. A sent frame is echoed as soon as the interface
+    accepts it, which may be before it is on the wire.
+
+    Raises
+    ------
+    BusError
+        If python-can cannot open the interface.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        channel: str,
+        bitrate: int,
+        *,
+        fd: bool = False,
+        data_bitrate: int | None = None,
+        filters: Sequence[Filter] = (),
+    ) -> None:
+        options: dict[str, Any] = {"bitrate": bitrate}
+        if fd:
+            options |= {"fd": True, "data_bitrate": data_bitrate or bitrate}
+        if filters:
+            options["can_filters"] = [_can_filter(one) for one in filters]
+        try:
+            self._bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+            reason = " ".join(str(error).split())
+            raise BusError(f"cannot open {channel} of python-can's interface '{interface}': {reason}") from error
+        self.dropped = 0
+        self._channel = channel
+        self._fd = fd
+        self._lost = False
+        self._closing = False
+        self._queue: deque[Frames] = deque()
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK)
+        self._epoll = select.epoll()
+        self._epoll.register(self._wake, select.EPOLLIN)
+        self._thread: threading.Thread | None = None
+        self._descriptor = self._bus_fileno()
+        if self._descriptor >= 0:
+            self._epoll.register(self._descriptor, select.EPOLLIN)
+        else:
+            self._thread = threading.Thread(target=self._read, name=f"read {channel}", daemon=True)
+            self._thread.start()
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when frames wait."""
+        return self._epoll.fileno()
+
+    @property
+    def state(self) -> State:
+        """What the interface says of its controller; LOST when reading it failed."""
+        if self._lost:
+            return State.LOST
+        try:
+            return _STATE_OF[self._bus.state]
+        except (NotImplementedError, can.CanError):
+            return State.ACTIVE  # many interfaces do not know
+
+    def receive(self) -> Frames:
+        """Return all frames that wait, echoes of sent ones included."""
+        if self._thread is None and not self._lost:
+            for _ in range(FRAMES_PER_CALL):
+                if not self._take_one(0.0):
+                    break
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self._wake)
+        arrived = [self._queue.popleft() for _ in range(len(self._queue))]
+        return np.concatenate(arrived) if arrived else frames(0)
+
+    def send(self, burst: Frames) -> int:
+        """Hand frames to the interface; return how many it accepted, from the first.
+
+        Raises
+        ------
+        InputError
+            If a frame is none that a controller could send.
+        """
+        check_frames(burst, fd=self._fd)
+        for place, record in enumerate(burst):
+            message = to_message(record, self._channel, 0)
+            try:
+                self._bus.send(message)
+            except can.CanError:
+                return place
+            message.timestamp = 0.0
+            echo = to_frame(message)
+            echo["flags"] |= ECHO
+            echo["port"] = record["port"]
+            self._put(echo)
+        return len(burst)
+
+    def close(self) -> None:
+        """End the reader and close the interface."""
+        if self._closing:
+            return
+        self._closing = True
+        if self._thread is not None:
+            self._thread.join()
+        self._epoll.close()
+        os.close(self._wake)
+        self._bus.shutdown()
+
+    def _bus_fileno(self) -> int:
+        try:
+            return self._bus.fileno()
+        except NotImplementedError:
+            return -1
+
+    def _read(self) -> None:
+        while not self._closing and not self._lost:
+            self._take_one(0.1)
+
+    def _take_one(self, timeout_s: float) -> bool:
+        try:
+            message = self._bus.recv(timeout_s)
+        except (can.CanError, OSError):
+            self._lost = True
+            if self._descriptor >= 0:  # it would stay readable
+                self._epoll.unregister(self._descriptor)
+                self._descriptor = -1
+            return False
+        if message is None:
+            return False
+        self._put(to_frame(message))
+        return True
+
+    def _put(self, frame: Frames) -> None:
+        if len(self._queue) >= QUEUE_FRAMES:
+            self.dropped += 1
+            return
+        self._queue.append(frame)
+        os.eventfd_write(self._wake, 1)
+
+
+def _can_filter(one: Filter) -> dict[str, Any]:
+    wanted: dict[str, Any] = {"can_id": one.can_id, "can_mask": one.mask}
+    return wanted if one.extended is None else {**wanted, "extended": one.extended}

@@ -1,0 +1,279 @@
+"""The link to Linux SocketCAN: one raw socket, many frames per system call, every kernel drop counted."""
+
+import contextlib
+import errno
+import select
+import socket
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.batch_io import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received
+from bus.error_frames import State, state_of_report
+from bus.protocol import Filter, check_frames, pad_lengths
+from bus.retry import Backoff
+from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
+from skin.errors import BusError
+
+BATCH_FRAMES: Final = 256
+#: Asked of the kernel: about 5,000 frames, where the default holds some 250.
+RECEIVE_BUFFER_BYTES: Final = 4 * 1024 * 1024
+
+#: ``struct canfd_frame``; ``struct can_frame`` is its first 16 bytes.
+WIRE: Final = np.dtype(
+    [("can_id", "=u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "u1", (2,)), ("data", "u1", (64,))]
+)
+CLASSIC_BYTES: Final = 16
+FD_BYTES: Final = 72
+_EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
+_FD_BRS, _FD_ESI = 0x01, 0x02
+#: Set by the kernel on a frame that this very socket sent.
+_MSG_CONFIRM: Final = 0x800
+_SO_RCVBUFFORCE: Final = 33
+_CAN_RAW_ERR_FILTER: Final = 2
+_IFF_UP: Final = 1
+
+
+def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
+    """Return frames as rows of 72 bytes and how many bytes of each to send."""
+    wire = np.zeros(len(burst), WIRE)
+    flags = burst["flags"]
+    is_fd = flags & FD != 0
+    wire["can_id"] = burst["can_id"]
+    wire["can_id"] |= np.where(flags & EXTENDED, np.uint32(_EFF), np.uint32(0))
+    wire["can_id"] |= np.where(flags & REMOTE, np.uint32(_RTR), np.uint32(0))
+    wire["length"], wire["data"] = burst["length"], burst["data"]
+    wire["flags"] = np.where(flags & BRS, _FD_BRS, 0) | np.where(flags & ESI, _FD_ESI, 0)
+    return wire.view(np.uint8).reshape(-1, FD_BYTES), np.where(is_fd, FD_BYTES, CLASSIC_BYTES)
+
+
+def decode(batch: Received, offset_ns: int) -> Frames:
+    """Make records of received datagrams; `offset_ns` is what CLOCK_MONOTONIC lacks to the wall clock."""
+    known = (batch.lengths == CLASSIC_BYTES) | (batch.lengths == FD_BYTES)
+    wire = np.ascontiguousarray(batch.rows[known]).view(WIRE).reshape(-1)
+    is_fd = batch.lengths[known] == FD_BYTES
+    word = wire["can_id"]
+    arrived = frames(len(wire))
+    arrived["can_id"] = word & np.where(word & (_EFF | _ERR), np.uint32(0x1FFFFFFF), np.uint32(0x7FF))
+    arrived["length"] = np.minimum(wire["length"], np.where(is_fd, 64, 8))
+    flags = np.zeros(len(wire), np.uint8)
+    for there, flag in (
+        (word & _EFF != 0, EXTENDED),
+        (word & _RTR != 0, REMOTE),
+        (word & _ERR != 0, ERROR),
+        (is_fd, FD),
+        (is_fd & (wire["flags"] & _FD_BRS != 0), BRS),
+        (is_fd & (wire["flags"] & _FD_ESI != 0), ESI),
+        (batch.flags[known] & _MSG_CONFIRM != 0, ECHO),
+    ):
+        flags |= np.where(there, np.uint8(flag), np.uint8(0))
+    arrived["flags"] = flags
+    # The buffer is used again and again: what lies behind a frame's data is of an older one.
+    inside = np.arange(64) < arrived["length"][:, None]
+    arrived["data"] = np.where(inside & (flags & REMOTE == 0)[:, None], wire["data"], 0)
+    stamps = batch.time_ns[known]
+    arrived["time_ns"] = np.where(stamps > 0, stamps - offset_ns, time.monotonic_ns())
+    return arrived
+
+
+class SocketCanLink:
+    """A raw CAN socket; when the interface goes, it is opened again as soon as it is back.
+
+    Raises
+    ------
+    BusError
+        If the kernel has no CAN, or no such interface.
+    """
+
+    def __init__(self, channel: str, *, fd: bool = False, filters: Sequence[Filter] = ()) -> None:
+        self._channel = channel
+        self._fd = fd
+        self._filters = tuple(filters)
+        self._lock = threading.RLock()
+        self._backoff = Backoff()
+        self._state = State.ACTIVE
+        self._dropped = self._dropped_before = 0
+        self._epoll = select.epoll()
+        self._socket: socket.socket | None = None
+        self._batch: BatchSocket | None = None
+        self._sender: BatchSocket | None = None
+        try:
+            self._open()
+        except OSError as error:
+            self._epoll.close()
+            raise BusError(_why(channel, error)) from error
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when frames wait."""
+        return self._epoll.fileno()
+
+    @property
+    def state(self) -> State:
+        """What the controller's error frames said last; LOST while the interface is down or gone."""
+        return State.LOST if self._socket is None else self._state
+
+    @property
+    def dropped(self) -> int:
+        """Frames the kernel dropped because `receive` was not called in time."""
+        return self._dropped_before + self._dropped
+
+    def receive(self) -> Frames:
+        """Return all frames that wait, own ones as echoes."""
+        arrived: list[Frames] = []
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        for _ in range(64):
+            batch = self._receive_batch()
+            if batch is None or not len(batch.rows):
+                break
+            if batch.dropped is not None:
+                self._dropped = batch.dropped
+            arrived.append(decode(batch, offset_ns))
+            if len(batch.rows) < BATCH_FRAMES:
+                break
+        together = np.concatenate(arrived) if arrived else frames(0)
+        for report in together[together["flags"] & ERROR != 0]:
+            self._state = state_of_report(report, self._state)
+        return together
+
+    def send(self, burst: Frames) -> int:
+        """Hand frames to the interface's queue; return how many fitted, from the first.
+
+        Raises
+        ------
+        InputError
+            If a frame is none that a controller could send.
+        """
+        check_frames(burst, fd=self._fd)
+        burst = burst.copy()
+        pad_lengths(burst)
+        rows, lengths = encode(burst)
+        sent = 0
+        with self._lock:
+            while sent < len(rows) and self._reopened() is not None and self._sender is not None:
+                try:
+                    done = self._sender.send(rows[sent:], lengths[sent:])
+                except OSError:
+                    self._lose()
+                    break
+                if not done:
+                    break
+                sent += done
+        return sent
+
+    def close(self) -> None:
+        """Close the socket."""
+        with self._lock:
+            self._backoff.give_up()
+            if self._socket is not None:
+                self._socket.close()
+                self._socket = None
+            self._epoll.close()
+
+    def _receive_batch(self) -> Received | None:
+        if self._reopened() is None or self._batch is None:
+            return None
+        try:
+            return self._batch.receive()
+        except OSError:  # ENETDOWN, ENODEV: the interface is down or gone
+            self._lose()
+            return None
+
+    def _reopened(self) -> socket.socket | None:
+        """Return the socket; when it is lost, try again, but not too often."""
+        if self._socket is None and self._backoff.due:
+            with self._lock:
+                self._try_open()
+        return self._socket
+
+    def _try_open(self) -> None:
+        if self._socket is None:
+            try:
+                self._open()
+            except OSError:
+                self._backoff.failed()
+
+    def _lose(self) -> None:
+        with self._lock:
+            if self._socket is not None:
+                self._epoll.unregister(self._socket)
+                self._socket.close()
+                self._socket = None
+                self._dropped_before, self._dropped = self.dropped, 0
+            self._backoff.failed()
+
+    def _open(self) -> None:
+        """Open and bind a new socket.
+
+        Raises
+        ------
+        OSError
+            If that fails, or the interface is down.
+        """
+        if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
+            raise OSError(errno.EAFNOSUPPORT, "no CAN sockets on this system")
+        _require_up(self._channel)
+        connection = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        try:
+            self._configure(connection)
+            connection.bind((self._channel,))
+        except BaseException:
+            connection.close()
+            raise
+        self._batch = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
+        self._sender = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
+        self._epoll.register(connection, select.EPOLLIN)
+        self._state = State.ACTIVE
+        self._backoff.worked()
+        self._socket = connection
+
+    def _configure(self, connection: socket.socket) -> None:
+        raw, level = socket.SOL_CAN_RAW, socket.SOL_SOCKET
+        connection.setblocking(False)
+        connection.setsockopt(raw, socket.CAN_RAW_RECV_OWN_MSGS, 1)
+        connection.setsockopt(raw, _CAN_RAW_ERR_FILTER, 0x1FFFFFFF)
+        if self._fd:
+            connection.setsockopt(raw, socket.CAN_RAW_FD_FRAMES, 1)
+        if self._filters:
+            connection.setsockopt(raw, socket.CAN_RAW_FILTER, _kernel_filters(self._filters))
+        connection.setsockopt(level, SO_TIMESTAMPNS, 1)
+        connection.setsockopt(level, SO_RXQ_OVFL, 1)
+        connection.setsockopt(level, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        with contextlib.suppress(PermissionError):  # beyond the system's limit, where that is allowed
+            connection.setsockopt(level, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
+
+
+def _kernel_filters(filters: Sequence[Filter]) -> bytes:
+    """Return an array of ``struct can_filter``."""
+    words = np.zeros((len(filters), 2), "=u4")
+    for place, one in enumerate(filters):
+        wanted = _EFF if one.extended else 0
+        words[place] = one.can_id | wanted, one.mask | (0 if one.extended is None else _EFF)
+    return words.tobytes()
+
+
+def _require_up(channel: str) -> None:
+    """Find out what binding does not tell: that the interface is down."""
+    flags = Path("/sys/class/net", channel, "flags")
+    try:
+        up = int(flags.read_text(), 16) & _IFF_UP
+    except (OSError, ValueError):
+        return  # no sysfs, or no such interface: bind will say so
+    if not up:
+        raise OSError(errno.ENETDOWN, "the interface is down")
+
+
+def _why(channel: str, error: OSError) -> str:
+    """Say what is wrong with an interface and what to do."""
+    if error.errno in {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}:
+        return f"cannot open {channel}: this system has no CAN sockets; load can_raw, or use --interface canskin"
+    if error.errno == errno.ENODEV:
+        return f"cannot open {channel}: no such interface; 'ip link' lists them"
+    if error.errno == errno.ENETDOWN:
+        return f"cannot open {channel}: it is down; 'ip link set {channel} up' with its bit rate"
+    return f"cannot open {channel}: {error.strerror or error}"

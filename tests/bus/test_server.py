@@ -1,0 +1,301 @@
+"""The process of a bus and its clients, on real sockets and in real time."""
+
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns
+from bus.error_frames import ErrorClass, State
+from bus.faults import Fault
+from bus.link import Filter, open_link
+from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Kind, pack, runtime_folder, socket_path
+from bus.server import BusServer, BusSettings
+from dbc.frame import BRS, ECHO, ERROR, EXTENDED, FD
+from skin.errors import BusError, InputError
+from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame, linked, serving
+
+
+def test_a_burst_arrives_in_order_and_in_its_exact_time() -> None:
+    sent = burst(range(0x1C0, 0x180, -1))
+    lasts_ns = int(frame_time_ns(sent, 1_000_000).sum())
+    with serving("bus0"), linked("sender", "receiver") as (sender, receiver):
+        before_ns = time.monotonic_ns()
+        assert sender.send(sent) == 64
+        arrived, echoed = collect(receiver, 64), collect(sender, 64)
+        after_ns = time.monotonic_ns()
+    assert list(arrived["can_id"]) == list(range(0x181, 0x1C1))
+    first_ns = int(frame_time_ns(arrived[:1], 1_000_000)[0])
+    assert arrived["time_ns"][-1] - arrived["time_ns"][0] == lasts_ns - first_ns
+    assert before_ns + lasts_ns - INTERMISSION_BITS * 1000 <= arrived["time_ns"][-1] <= after_ns
+    assert (echoed["flags"] == ECHO).all()
+    echoed["flags"] = 0
+    assert echoed.tobytes() == arrived.tobytes()
+
+
+def test_echoes_stand_where_the_frames_stood_on_the_wire() -> None:
+    with serving("bus0"), linked("gateway", "nodes") as (gateway, nodes):
+        gateway.send(frame(0x300, b"\x01"))
+        collect(nodes, 1)
+        nodes.send(burst([0x181, 0x481]))
+        gateway.send(frame(0x200, b"\x02"))
+        seen = collect(gateway, 4)
+        others = collect(nodes, 3)
+    assert (seen["can_id"][0], seen["flags"][0]) == (0x300, ECHO)
+    assert (np.diff(seen["time_ns"]) > 0).all()
+    by_id = {int(f["can_id"]): f for f in seen}
+    assert by_id[0x200]["flags"] == ECHO
+    assert by_id[0x181]["flags"] == 0
+    assert [int(f["can_id"]) for f in others] == [int(f["can_id"]) for f in seen[1:]]
+
+
+def test_ports_are_controllers_of_one_connection() -> None:
+    sent = np.concatenate([frame(0x180 + port, port=port) for port in (3, 1, 2)])
+    with serving("bus0"), linked("nodes", "gateway") as (nodes, gateway):
+        nodes.send(sent)
+        echoes, arrived = collect(nodes, 3), collect(gateway, 3)
+    assert list(echoes["port"]) == [1, 2, 3]
+    assert list(arrived["port"]) == [0, 0, 0]
+
+
+def test_filters_hold_frames_back_but_not_echoes() -> None:
+    filters = [Filter(0x180, 0x780), Filter(0x123, 0x1FFFFFFF, extended=True)]
+    with (
+        serving("bus0"),
+        linked("sender") as (sender,),
+        linked("receiver", filters=filters) as (receiver,),
+    ):
+        sender.send(np.concatenate([burst([0x100, 0x123, 0x181, 0x1FF, 0x200]), frame(0x123, flags=EXTENDED)]))
+        collect(sender, 6)
+        receiver.send(frame(0x700))
+        arrived = collect(receiver, 4)
+    assert list(arrived["can_id"]) == [0x123, 0x181, 0x1FF, 0x700]
+    assert list(arrived["flags"]) == [EXTENDED, 0, 0, ECHO]
+
+
+def test_fd_frames_are_padded_to_a_length_with_a_dlc() -> None:
+    with serving("bus0"), linked("a", "b", fd=True, data_bitrate=5_000_000) as (a, b):
+        a.send(frame(0x181, bytes(range(1, 41)), FD | BRS))
+        arrived = collect(b, 1)[0]
+    assert arrived["length"] == 48
+    assert bytes(arrived["data"][:48]) == bytes(range(1, 41)) + bytes(8)
+
+
+def test_the_transmit_queue_is_bounded_and_credit_comes_back() -> None:
+    with serving("bus0", queue_size=8), linked("a", "b") as (a, b):
+        assert a.send(burst(range(20))) == 8
+        collect(a, 8)
+        assert a.send(burst(range(20, 26))) == 6
+        assert len(collect(b, 14)) == 14
+
+
+def test_a_client_that_does_not_read_loses_frames_and_nobody_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bus.session.BACKLOG_FRAMES", 200)
+    sent = 0
+    with (
+        serving("bus0", virtual_clock=True),
+        linked("sender", "reader", "sleeper") as (sender, reader, sleeper),
+    ):
+        seen = 0
+        while sent < 12_000:
+            accepted = sender.send(burst(range(0x100, 0x180)))
+            sent += accepted
+            seen += len(collect(reader, accepted))
+            collect(sender, accepted)
+        awake = [sleeper.receive()]
+        while (size := len(awake[-1])) or sum(map(len, awake)) == 0:
+            time.sleep(0.01)
+            awake.append(sleeper.receive())
+            assert size <= sent
+        sender.send(frame(0x7FF))  # the next packet carries the count
+        collect(sleeper, 1)
+        got = sum(map(len, awake))
+        assert seen == sent
+        assert sleeper.dropped > 0
+        assert got + sleeper.dropped == sent
+        assert (reader.dropped, sender.dropped) == (0, 0)
+
+
+def test_alone_on_the_bus_the_sender_hears_of_missing_acknowledgements() -> None:
+    with serving("bus0"), linked("alone") as (alone,):
+        alone.send(frame(0x700, b"\x00"))
+        await_state(alone, State.PASSIVE)
+        with linked("listener") as (listener,):
+            assert collect(listener, 1)["can_id"][0] == 0x700
+            seen = collect(alone, 1)
+            while not (seen["flags"] & ECHO).any():
+                seen = collect(alone, 1)
+    assert seen["can_id"][seen["flags"] == ECHO].tolist() == [0x700]
+
+
+def test_bus_off_is_reported_and_heals() -> None:
+    with serving("bus0", restart_s=0.05), linked("bad", "good") as (bad, good):
+        bad.set_faults([Fault(controller="bad:0", bit_error_rate=1.0)])  # type: ignore[attr-defined]
+        bad.send(frame(0x181))
+        seen = [collect(bad, 1)]
+        while not (seen[-1]["can_id"] & ErrorClass.BUS_OFF != 0).any():
+            seen.append(collect(bad, 1))
+        good.set_faults([])  # type: ignore[attr-defined]
+        await_state(bad, State.ACTIVE)
+        assert bad.send(frame(0x182)) == 1
+        assert collect(good, 1)["can_id"][-1] == 0x182
+    reports = np.concatenate(seen)
+    assert (reports["flags"] == ERROR).all()
+    assert bad.discarded == 1  # type: ignore[attr-defined]
+
+
+def test_lost_frames_are_counted() -> None:
+    with serving("bus0", faults=[Fault(loss_ratio=0.25)], seed=5) as server, linked("a", "b") as (a, b):
+        a.send(burst(range(200)))
+        collect(a, 200)
+        counts = server.buses["bus0"].counts
+        arrived = collect(b, 200 - counts.lost)
+    assert counts.transmitted == 200
+    assert 20 < counts.lost < 80
+    assert len(arrived) == 200 - counts.lost
+
+
+def test_a_virtual_clock_counts_time_without_spending_it() -> None:
+    with serving("bus0", virtual_clock=True), linked("a", "b") as (a, b):
+        a.send(np.concatenate([frame(0x080, b"\x01", time_ns=k * 3_600_000_000_000) for k in range(1, 25)]))
+        arrived = collect(b, 24)
+    starts = arrived["time_ns"] + 3000 - frame_time_ns(arrived, 1_000_000)
+    assert list(starts // 1_000_000_000) == [3600 * k for k in range(1, 25)]
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\n\r\n",
+        pack(Kind.FRAMES, b"short", count=1),
+        pack(Kind.FRAMES, burst([1]).tobytes(), count=2),
+        pack(Kind.FRAMES, frame(0x800).tobytes(), count=1),
+        pack(Kind.FRAMES, frame(1, flags=ECHO).tobytes(), count=1),
+        pack(Kind.FRAMES, burst(range(300)).tobytes(), count=300),
+        pack(Kind.FAULTS, b"{"),
+        pack(Kind.WELCOME),
+        HEADER.pack(MAGIC, 99, 99, 9999, 2**63, -1),
+        bytes(HEADER.size + 80 * MAX_FRAMES),
+    ],
+)
+def test_garbage_disconnects_its_sender_alone(garbage: bytes) -> None:
+    with serving("bus0"), linked("good", "other") as (good, other):
+        for greet in (False, True):
+            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as bad:
+                bad.settimeout(PATIENCE_S)
+                bad.connect(str(socket_path("bus0")))
+                if greet:
+                    bad.send(pack(Kind.HELLO, b'{"name":"bad"}'))
+                    assert bad.recv(1000)[4] == Kind.WELCOME
+                if garbage:
+                    bad.send(garbage)
+                    while bad.recv(100_000)[4:5] not in (b"", bytes([Kind.REFUSED])):
+                        pass  # frames may come before the end
+        good.send(frame(0x123))
+        assert collect(other, 1)["can_id"][0] == 0x123
+
+
+@pytest.mark.parametrize(
+    ("bad", "what"),
+    [
+        (frame(0x800), "identifier"),
+        (frame(0x20000000, flags=EXTENDED), "identifier"),
+        (frame(1, flags=ERROR), "receiver"),
+        (frame(1, bytes(9)), "8 bytes"),
+        (frame(1, flags=BRS), "without FD"),
+        (frame(1, port=256), "port"),
+    ],
+)
+def test_a_link_refuses_frames_that_cannot_be_sent(bad: np.ndarray, what: str) -> None:
+    with serving("bus0"), linked("a") as (a,), pytest.raises(InputError, match=what):
+        a.send(np.concatenate([frame(5), bad]))
+
+
+def test_wrong_rates_and_missing_buses_are_one_line() -> None:
+    with serving("bus0", data_bitrate=None):
+        for options, what in (
+            ({"bitrate": 500_000}, "1000000 bit/s, not 500000"),
+            ({"bitrate": 1_000_000, "fd": True}, "no CAN FD"),
+        ):
+            with pytest.raises(BusError, match=what) as caught:
+                open_link("canskin", "bus0", **options)  # type: ignore[arg-type]
+            assert "\n" not in str(caught.value)
+    with pytest.raises(BusError, match="skin bus bus0"):
+        open_link("canskin", "bus0", 1_000_000)
+    with pytest.raises(InputError, match="cannot name a bus"):
+        open_link("canskin", "../bus0", 1_000_000)
+
+
+def test_a_stale_socket_is_replaced_and_a_live_one_is_not() -> None:
+    path = socket_path("bus0")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stale:
+        stale.bind(str(path))
+    with serving("bus0"):
+        with pytest.raises(BusError, match="already served"):
+            BusServer(["bus1", "bus0"], BusSettings())
+        assert not socket_path("bus1").exists()
+        with linked("a"):
+            pass
+    assert not path.exists()
+
+
+def test_a_folder_that_others_can_write_is_refused(tmp_path: Path) -> None:
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o777)
+    with pytest.raises(BusError, match="SKIN_BUS_DIR"):
+        BusServer(["bus0"], BusSettings(), shared)
+
+
+def test_sockets_lie_where_the_environment_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert runtime_folder() == Path(os.environ["SKIN_BUS_DIR"])
+    monkeypatch.delenv("SKIN_BUS_DIR")
+    assert runtime_folder() == tmp_path / "canskin"
+    with serving("bus0"):
+        assert stat.S_IMODE((tmp_path / "canskin").stat().st_mode) == 0o700
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert runtime_folder().name == f"canskin-{os.getuid()}"
+
+
+def test_a_killed_process_is_noticed_and_a_new_one_is_found() -> None:
+    command = [sys.executable, "-m", "skin", "bus", "bus0"]
+    first = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        with linked("a", "b") as (a, b):
+            a.send(frame(0x181))
+            collect(b, 1)
+            first.kill()
+            first.wait()
+            await_state(a, State.LOST)
+            await_state(b, State.LOST)
+            assert a.send(frame(0x181)) == 0
+            assert len(b.receive()) == 0
+            second = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+            try:
+                await_state(a, State.ACTIVE)
+                await_state(b, State.ACTIVE)
+                a.send(frame(0x182))
+                assert collect(b, 1)["can_id"][-1] == 0x182
+            finally:
+                second.send_signal(signal.SIGTERM)
+                said = second.communicate(timeout=PATIENCE_S)[1]
+            assert second.returncode == 0
+            assert said == "bus: ready: bus0 at 1000000 bit/s\n"
+    finally:
+        first.kill()
+        first.communicate()
+
+
+def test_a_link_may_be_closed_twice() -> None:
+    with serving("bus0"), linked("a") as (a,):
+        a.close()
+        assert (a.send(frame(1)), len(a.receive())) == (0, 0)

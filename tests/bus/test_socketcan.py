@@ -1,0 +1,127 @@
+"""The parts of the SocketCAN link that need no CAN in the kernel: the frame layout and the batched system calls."""
+
+import socket
+import struct
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.batch_io import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
+from bus.link import Filter, open_link
+from bus.socketcan import FD_BYTES, _kernel_filters, decode, encode
+from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames
+from skin.errors import BusError
+from tests.bus.harness import burst, frame
+
+
+def through(sent: Frames, msg_flags: int = 0, stamp_ns: int = 0) -> Frames:
+    rows, lengths = encode(sent)
+    count = len(rows)
+    received = Received(
+        rows, lengths.astype(np.uint32), np.full(count, msg_flags, np.int32), np.full(count, stamp_ns, np.int64), None
+    )
+    return decode(received, 500)
+
+
+@pytest.mark.parametrize(
+    ("one", "wire"),
+    [
+        (frame(0x123, b"\x01\x02"), struct.pack("=IB3x8s", 0x123, 2, b"\x01\x02")),
+        (frame(0x1ABCDEF0, flags=EXTENDED), struct.pack("=IB3x8s", 0x9ABCDEF0, 0, b"")),
+        (frame(0x701, flags=REMOTE), struct.pack("=IB3x8s", 0x40000701, 0, b"")),
+        (frame(0x181, bytes(12), FD | BRS | ESI), struct.pack("=IBB2x64s", 0x181, 12, 3, b"")),
+    ],
+)
+def test_frames_are_laid_out_as_the_kernel_wants_them(one: Frames, wire: bytes) -> None:
+    rows, lengths = encode(one)
+    assert bytes(rows[0, : lengths[0]]) == wire
+
+
+@given(st.integers(0, 0x1FFFFFFF), st.sampled_from([0, FD, FD | BRS, FD | ESI]), st.booleans(), st.binary(max_size=8))
+def test_decoding_undoes_encoding(number: int, kind: int, extended: bool, data: bytes) -> None:
+    sent = frame(number if extended else number & 0x7FF, data, kind | (EXTENDED if extended else 0))
+    got = through(sent, stamp_ns=1_000_500)
+    assert got["time_ns"][0] == 1_000_000
+    got["time_ns"] = 0
+    assert got.tobytes() == sent.tobytes()
+
+
+def test_own_frames_errors_and_missing_stamps() -> None:
+    assert through(frame(0x80), msg_flags=0x800)["flags"][0] == ECHO
+    error = np.zeros((1, FD_BYTES), np.uint8)
+    error[0, :16] = np.frombuffer(struct.pack("=IB3x8s", 0x20000204, 8, bytes([0, 0x20, 0, 0, 0, 0, 130, 0])), np.uint8)
+    before_ns = time.monotonic_ns()
+    got = decode(Received(error, np.array([16], np.uint32), np.zeros(1, np.int32), np.zeros(1, np.int64), None), 0)[0]
+    assert (got["can_id"], got["flags"], got["data"][6]) == (0x204, ERROR, 130)
+    assert got["time_ns"] >= before_ns
+
+
+def test_what_an_older_frame_left_in_the_buffer_is_not_seen() -> None:
+    rows = np.full((2, FD_BYTES), 0xAA, np.uint8)
+    rows[0, :16] = np.frombuffer(struct.pack("=IB3x8s", 0x181, 3, b"\x01\x02\x03\xee\xee\xee\xee\xee"), np.uint8)
+    lengths = np.array([16, 5], np.uint32)  # the second is no CAN frame
+    got = decode(Received(rows, lengths, np.zeros(2, np.int32), np.zeros(2, np.int64), None), 0)
+    assert len(got) == 1
+    assert bytes(got["data"][0]) == b"\x01\x02\x03" + bytes(61)
+
+
+def test_hundreds_of_datagrams_in_a_few_system_calls() -> None:
+    left, right = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with left, right:
+        left.setblocking(False)
+        right.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        sender, receiver = BatchSocket(left, 64, FD_BYTES), BatchSocket(right, 64, FD_BYTES)
+        assert len(receiver.receive().rows) == 0
+        sent = np.concatenate([burst(range(30)), frame(0x7FF, bytes(64), FD)])
+        rows, lengths = encode(sent)
+        done, got = 0, []
+        while done < len(sent):  # such a socket holds few datagrams
+            done += sender.send(rows[done:], lengths[done:])
+            got.append(decode(receiver.receive(), time.time_ns() - time.monotonic_ns()))
+        arrived = np.concatenate(got)
+        assert abs(arrived["time_ns"] - time.monotonic_ns()).max() < 60e9
+        arrived["time_ns"] = 0
+        assert arrived.tobytes() == sent.tobytes()
+        right.close()
+        with pytest.raises(ConnectionRefusedError):
+            sender.send(rows, lengths)
+
+
+def control(*messages: tuple[int, bytes]) -> tuple[bytes, int]:
+    packed = b""
+    for kind, data in messages:
+        packed += struct.pack("=Qii", 16 + len(data), socket.SOL_SOCKET, kind) + data.ljust(
+            -(-len(data) // 8) * 8, b"\0"
+        )
+    return packed.ljust(64, b"\xff"), len(packed)
+
+
+def test_stamps_and_drop_counts_are_read_where_they_are() -> None:
+    stamp, drops = struct.pack("=qq", 7, 5), struct.pack("=I", 42)
+    made = [
+        control((SO_TIMESTAMPNS, stamp)),
+        control((SO_TIMESTAMPNS, stamp), (SO_RXQ_OVFL, drops)),
+        control((SO_RXQ_OVFL, drops[:1] + b"\0\0\0")),
+        control(),
+    ]
+    rows = np.frombuffer(b"".join(one for one, _ in made), np.uint8).reshape(-1, 64)
+    times, dropped = _read_control(rows, np.array([size for _, size in made], np.uintp))
+    assert times.tolist() == [7_000_000_005, 7_000_000_005, 0, 0]
+    assert dropped == 42
+    assert _read_control(rows[:1], np.array([32], np.uintp))[1] is None
+
+
+def test_filters_are_laid_out_as_the_kernel_wants_them() -> None:
+    filters = (Filter(0x180, 0x780), Filter(0x181, 0x7FF, extended=False), Filter(0x181, 0x7FF, extended=True))
+    assert struct.unpack("=6I", _kernel_filters(filters)) == (
+        0x180, 0x780, 0x181, 0x800007FF, 0x80000181, 0x800007FF,
+    )  # fmt: skip
+
+
+def test_a_missing_interface_is_one_line() -> None:
+    with pytest.raises(BusError, match="cannot open nocan9") as caught:
+        open_link("socketcan", "nocan9", 1_000_000)
+    assert "\n" not in str(caught.value)
