@@ -34,7 +34,8 @@ class Messages:
     def grid(self, force_n: float = 0.01) -> npt.NDArray[np.float32]:
         rows, columns = np.mgrid[0 : self.layout.taxels.rows, 0 : self.layout.taxels.columns]
         distance = np.hypot(rows - 7.5, columns - 6.0)
-        return (force_n * np.clip(1 - distance / 6, 0, None)).astype("<f4")
+        force: npt.NDArray[np.float32] = (force_n * np.clip(1 - distance / 6, 0, None)).astype("<f4")
+        return force
 
     def image(
         self,

@@ -18,7 +18,7 @@ function set(id, value, detail, { stale = false, alert = false } = {}) {
 function drawObject({ label, truth }) {
   const meter = document.querySelector("#object .meter > div");
   const said = label && label.label;
-  const really = truth && !truth.stale ? (truth.label ? `really: ${spoken(truth.label)}` : "really: none or unknown") : "";
+  const really = truth && !truth.stale ? (truth.label ? `truth: ${spoken(truth.label)}` : "truth: none or unnamed") : "";
   if (!label) set("object", "–", "no label yet", { stale: true });
   else if (label.stale) set("object", said ? spoken(said) : "no contact", `said ${span(label.age_s)} ago`, { stale: true });
   else {
@@ -36,8 +36,9 @@ export function drawFigures(snapshot) {
   drawObject(snapshot);
 
   const gain = figures.psnr_image_db !== null ? figures.psnr_image_db - figures.psnr_sensor_db : null;
+  const nothing = stale ? "no image in the last second" : "no contact in the last second";
   const against = gain === null
-    ? (snapshot.truth ? "no contact in the last second" : "no truth published")
+    ? (snapshot.truth ? nothing : "no truth published")
     : `sensor ${fixed(figures.psnr_sensor_db, 1)} dB · ${gain < 0 ? "−" : "+"}${Math.abs(gain).toFixed(1)} dB`;
   set("psnr", gain === null ? "–" : `${fixed(figures.psnr_image_db, 1)} dB`, against, { stale });
 

@@ -95,11 +95,11 @@ export class Images {
     const { rows, columns } = this.skin;
     const perRow = !beside || innerWidth < 560 ? 1 : innerWidth < 960 ? 2 : 3;
     const room = beside || innerWidth < 960 ? width : innerWidth * 0.5;
-    const wide = (room - BAR_PX - perRow * GAP_PX) / perRow / columns;
+    const wide = (room - BAR_PX - (perRow - 1) * GAP_PX) / perRow / columns;
     const high = Math.max(SMALLEST_PX, (innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / rows);
     const cell = Math.max(1, Math.floor((innerWidth < 960 ? wide : Math.min(wide, high)) * devicePixelRatio));
     for (const map of Object.values(this.maps)) map.resize(cell);
     this.scale.resize((rows * cell) / devicePixelRatio);
-    document.getElementById("maps").style.setProperty("--per-row", perRow);
+    document.getElementById("pictures").style.setProperty("--per-row", perRow);
   }
 }

@@ -1,0 +1,303 @@
+"""The page in a real browser: Debian's chromium, spoken to over its DevTools protocol."""
+
+import itertools
+import json
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+import uvicorn
+from websockets.sync.client import ClientConnection, connect
+
+from skin.fabric import Fabric
+from skin.messages import GATEWAY, IMAGE, LABEL, TRUTH
+from viewer.app import build_app
+from viewer.feed import Feed
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--remote-debugging-port=0",
+)
+PATIENCE_S = 20.0
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="NO CHROMIUM ON PATH: the page is not tested in any browser"),
+]
+
+
+class Browser:
+    """One page of a headless chromium."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self._numbers = itertools.count(1)
+        self.complaints: list[str] = []
+        for domain in ("Runtime", "Log", "Page"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Call a method of the protocol; what the page complains of meanwhile is kept."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self._socket.recv(PATIENCE_S))
+            if message.get("id") == number:
+                assert "error" not in message, message
+                return message["result"]
+            entry = message.get("params", {}).get("entry", {})
+            if message["method"] == "Runtime.exceptionThrown" or entry.get("level") == "error":
+                self.complaints.append(json.dumps(message["params"]))
+
+    def open(self, address: str, width: int = 1280, height: int = 800) -> None:
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.call("Page.navigate", url=address)
+
+    def ask(self, expression: str) -> Any:
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def text(self, selector: str) -> str:
+        return str(self.ask(f"document.querySelector({json.dumps(selector)})?.innerText ?? ''"))
+
+    def until(self, holds: Callable[[], bool], what: str) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not holds():
+            if time.monotonic() > deadline_s:
+                pytest.fail(f"{what}; the page says: {self.text('body')}; complaints: {self.complaints}")
+
+    def point(self, x: float, y: float) -> None:
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+
+@contextmanager
+def chromium(profile: Path) -> Iterator[Browser]:
+    assert CHROMIUM is not None
+    command = [CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+    with (profile / "stderr").open("w+") as said:
+        process = subprocess.Popen(command, stderr=said, stdout=subprocess.DEVNULL)
+        try:
+            port_file = profile / "DevToolsActivePort"
+            deadline_s = time.monotonic() + PATIENCE_S
+            while not (port_file.exists() and port_file.read_text().count("\n")):
+                assert process.poll() is None, (profile / "stderr").read_text()
+                assert time.monotonic() < deadline_s, "chromium does not start"
+                time.sleep(0.05)
+            pages = httpx.get(f"http://127.0.0.1:{port_file.read_text().split()[0]}/json").json()
+            address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
+            with connect(address, max_size=None) as devtools:
+                yield Browser(devtools)
+        finally:
+            process.terminate()
+            process.wait(PATIENCE_S)
+
+
+class Chain:
+    """Stands for the services: publishes a small skin's messages 50 times a second."""
+
+    def __init__(self, messages: Any, hub: Fabric, endpoint: str) -> None:
+        self.images, self.truths = True, True
+        self.invalid: tuple[int, ...] = ()
+        self.nmt: tuple[tuple[int, ...], ...] = ()
+        self._messages, self._hub = messages, hub
+        self.reconstructor = Fabric(messages.layout.name, "reconstructor", endpoint)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        for cycle in itertools.count(1):
+            sync_s = time.monotonic()
+            if self.truths:
+                self._hub.publish(TRUTH, self._messages.truth(cycle, sync_s=sync_s))
+            if self.images:
+                image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid)
+                self._hub.publish(IMAGE, image)
+            self._hub.publish(LABEL, self._messages.label())
+            self._hub.publish(GATEWAY, self._messages.gateway(cycles=cycle, nmt=self.nmt))
+            if self._stop.wait(0.02):
+                return
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.reconstructor.close()
+
+
+class Server:
+    """The page's server in this process, on a port that stays the same when it is started again."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self.port = 0
+        self.start()
+
+    def start(self) -> None:
+        listener = socket.create_server(("127.0.0.1", self.port))
+        self.port = listener.getsockname()[1]
+        config = uvicorn.Config(build_app(self._feed), log_config=None, timeout_graceful_shutdown=1)
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, args=([listener],))
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._server.should_exit = True
+        self._thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as browser:
+        yield browser
+
+
+@pytest.fixture
+def chain(messages: Any, hub: Fabric, endpoint: str) -> Iterator[Chain]:
+    chain = Chain(messages, hub, endpoint)
+    yield chain
+    chain.close()
+
+
+@pytest.fixture
+def server(messages: Any, chain: Chain, endpoint: str) -> Iterator[Server]:
+    fabric = Fabric(messages.layout.name, "viewer", endpoint)
+    feed = Feed(messages.layout)
+    feed.join(fabric)
+    server = Server(feed)
+    yield server
+    server.stop()
+    fabric.close()
+
+
+@pytest.fixture
+def page(browser: Browser, server: Server) -> Browser:
+    browser.complaints.clear()
+    browser.open(f"http://127.0.0.1:{server.port}/")
+    browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
+    return browser
+
+
+def pixels(page: Browser, name: str) -> Any:
+    """Colours in the middle of every taxel, shape (16, 16, 3)."""
+    script = f"""(() => {{
+      const canvas = document.querySelector("#map-{name} canvas"), cell = canvas.width / 16;
+      const brush = canvas.getContext("2d"), found = [];
+      for (let row = 0; row < 16; row++) for (let column = 0; column < 16; column++)
+        found.push(...brush.getImageData((column + .5) * cell, (row + .5) * cell, 1, 1).data.slice(0, 3));
+      return found;
+    }})()"""
+    return np.array(page.ask(script)).reshape(16, 16, 3)
+
+
+def test_page_shows_images_figures_and_buses(page: Browser, messages: Any) -> None:
+    page.until(lambda: "dB" in page.text("#psnr"), "no PSNR was shown")
+    assert "93 % sure" in page.text("#object")
+    assert "5.0 ms" in page.text("#latency")
+    assert "8 / 8" in page.text("#blocks")
+    assert page.ask("document.querySelectorAll('.tile.operational[title]').length") == 8
+    assert page.text("#notices") == ""
+    # The brighter the taxel, the larger its force: luminance orders the taxels as the forces do.
+    luminance = pixels(page, "image") @ [0.2126, 0.7152, 0.0722]
+    force = messages.grid()
+    order = np.argsort(force, axis=None)
+    assert (np.diff(luminance.flat[order]) >= -1.0).all()
+    assert luminance.flat[order[-1]] > luminance.flat[order[0]] + 40
+    np.testing.assert_array_equal(pixels(page, "image"), pixels(page, "true"))
+    assert not page.complaints
+
+
+def test_taxels_of_invalid_blocks_are_hatched(page: Browser, chain: Chain, messages: Any) -> None:
+    chain.invalid = (3,)
+    page.until(lambda: "7 / 8" in page.text("#blocks"), "the invalid block was not counted")
+    size = messages.layout.measurement.block_size
+    hatched = set(messages.layout.phi().order[3 * size : 4 * size].tolist())
+    differs = (pixels(page, "image") != pixels(page, "true")).any(axis=2)
+    assert set(np.flatnonzero(differs).tolist()) == hatched
+
+
+def test_pointer_names_force_block_and_node(page: Browser, messages: Any) -> None:
+    box = page.ask("JSON.parse(JSON.stringify(document.querySelector('#map-image canvas').getBoundingClientRect()))")
+    page.point(box["x"] + box["width"] * 6.5 / 16, box["y"] + box["height"] * 7.5 / 16)
+    order = messages.layout.phi().order
+    block = int(np.flatnonzero(order == 7 * 16 + 6)[0]) // 32
+    bus, node = ("left", "right")[block // 4], block % 4 + 1
+    page.until(lambda: "row 7, column 6" in page.text("#readout"), "the pointer was not followed")
+    readout = page.text("#readout")
+    assert f"{1000 * messages.grid()[7, 6]:.2f} mN" in readout
+    assert f"block {block} · {bus} node {node}, operational" in readout
+    assert page.ask("document.querySelector('.tile.marked').title") == f"{bus}, node {node}: operational"
+
+
+def test_images_that_stop_are_marked_and_explained(page: Browser, chain: Chain) -> None:
+    chain.images = False
+    chain.reconstructor.close()
+    page.until(lambda: "images stopped: reconstructor is gone (since" in page.text("#notices"), "no notice")
+    assert "stale" in page.text("#map-image .veil")
+    assert page.ask("document.querySelector('#map-image').classList.contains('stale')")
+    assert not page.ask("document.querySelector('#map-true').classList.contains('stale')")
+
+
+def test_without_truth_only_the_image_is_there(page: Browser, chain: Chain) -> None:
+    assert page.ask("document.querySelector('#map-true').hidden") is False
+    chain.truths = False
+    page.until(lambda: page.ask("document.querySelector('#map-true').hidden"), "the true image stayed")
+    assert page.ask("document.querySelector('#map-sensor').hidden")
+    assert "no truth published" in page.text("#psnr")
+
+
+def test_nodes_off_duty_are_seen(page: Browser, chain: Chain) -> None:
+    chain.nmt = ((5, 255, 127, 4), (5, 5, 5, 5))
+    page.until(lambda: "left: node 2 silent" in page.text("#notices"), "no notice")
+    assert page.ask("[...document.querySelectorAll('#buses .tile')].map((tile) => tile.dataset.state).slice(0, 5)") == [
+        "operational",
+        "silent",
+        "pre-operational",
+        "stopped",
+        "operational",
+    ]
+
+
+def test_lost_connection_is_told_and_mended(page: Browser, server: Server) -> None:
+    server.stop()
+    page.until(lambda: "connection to the viewer is lost" in page.text("#notices"), "no notice")
+    assert page.text("#map-image .veil") == "stale: connection lost"
+    assert page.ask("document.body.classList.contains('unconnected')")
+    server.start()
+    page.until(lambda: page.text("#notices") == "", "it did not connect again")
+    assert not page.ask("document.body.classList.contains('unconnected')")
+    assert page.text("#map-image .veil") == ""
+
+
+@pytest.mark.parametrize("width", [1280, 1000, 800, 420])
+def test_page_fits_its_window(browser: Browser, server: Server, width: int) -> None:
+    browser.open(f"http://127.0.0.1:{server.port}/", width=width)
+    browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
+    assert browser.ask("document.documentElement.scrollWidth") <= width
+    assert browser.ask("document.querySelector('#map-image canvas').width % 16") == 0
+    assert browser.ask("document.querySelector('#map-image').clientWidth") >= min(256, width / 2)
+
+
+def test_automatic_scale_follows_the_images(page: Browser) -> None:
+    assert page.text("#scale li") == "20"
+    page.ask("document.querySelector('#scaling input[value=auto]').click()")
+    page.until(lambda: page.text("#scale li") == "10", "the scale stayed")
