@@ -28,6 +28,8 @@ FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 #: Intermission, counted into every frame.
 INTERMISSION_BITS: Final = 3
 
+#: The compiled kernel reads can_id, length, flags, port and data as they follow each other in FRAME.
+_FIRST_BYTE: Final = FRAME.itemsize - 72
 _DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np.int32)
 _PADDED: Final = np.array(FD_LENGTHS, np.int32)[_DLC]
 #: CRC delimiter, ACK slot and delimiter, end of frame, intermission.
@@ -122,7 +124,7 @@ def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bit
 def _exact_stuff(frames: Frames) -> tuple[Bits, Bits]:
     from bandwidth.kernels import count_stuff
 
-    rows = np.ascontiguousarray(frames).view(np.uint8).reshape(-1, FRAME.itemsize)
+    rows = np.ascontiguousarray(frames).view(np.uint8).reshape(-1, FRAME.itemsize)[:, _FIRST_BYTE:]
     nominal, data = np.empty(len(rows), np.int32), np.empty(len(rows), np.int32)
     count_stuff(rows, _DLC[frames["length"]], _PADDED[frames["length"]], nominal, data)
     return nominal, data

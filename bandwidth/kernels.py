@@ -8,10 +8,10 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 
 #: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1 (ISO 11898-1, CRC of classical frames).
 CRC_15: Final = 0x4599
-#: Where the fields of a FRAME record start; the kernel reads records as rows of bytes.
-_CAN_ID, _LENGTH, _FLAGS, _DATA = 8, 12, 13, 16
-_ROWS: Final = types.Array(uint8, 2, "C", readonly=True)
+#: Records as rows of bytes, each from its identifier on: the places below count from there.
+_ROWS: Final = types.Array(uint8, 2, "A", readonly=True)
 _INTS: Final = int32[::1]
+_CAN_ID, _LENGTH, _FLAGS, _DATA = 0, 4, 5, 8
 
 
 @njit(cache=True, nogil=True)
@@ -94,8 +94,8 @@ def count_stuff(rows: Any, dlcs: Any, lengths: Any, nominal: Any, data: Any) -> 
 
     Parameters
     ----------
-    rows : array of uint8, shape (n, 80)
-        FRAME records as bytes.
+    rows : array of uint8, shape (n, 72)
+        FRAME records as bytes, from `can_id` to the end.
     dlcs, lengths : arrays of int32, shape (n,)
         DLC and padded payload bytes, used for CAN FD frames.
     nominal, data : arrays of int32, shape (n,)

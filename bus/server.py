@@ -140,8 +140,16 @@ class BusServer:
             readers += [*line.guests, *line.sessions]
         writers = [session for line in self._lines for session in line.sessions if session.blocked]
         readable, writable, _ = select.select(readers, writers, [], self._sleep_s())
-        ready = set(readable)
         self._now_ns = time.monotonic_ns()  # what comes in one turn arbitrates together
+        if readable:
+            self._hear(set(readable))
+        for line in self._lines:
+            self._deliver(line)
+            for session in [session for session in line.sessions if session in writable]:
+                self._flush(line, session)
+
+    def _hear(self, ready: set[_Line | socket.socket | Session]) -> None:
+        """Take what clients want."""
         for line in self._lines:
             if line in ready:
                 self._accept(line)
@@ -149,10 +157,6 @@ class BusServer:
                 self._greet(line, guest)
             for session in [session for session in line.sessions if session in ready]:
                 self._read(line, session)
-        for line in self._lines:
-            self._deliver(line)
-            for session in [session for session in line.sessions if session in writable]:
-                self._flush(line, session)
 
     def close(self) -> None:
         """Disconnect everybody and remove the sockets."""
@@ -277,7 +281,7 @@ class BusServer:
 
     def _deliver(self, line: _Line) -> None:
         """Hand over what has ended on a bus."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._now_ns
         wake_ns = self._wake_ns(line)
         if wake_ns is None or (wake_ns > now_ns and not self.settings.virtual_clock):
             return

@@ -2,7 +2,6 @@
 
 import socket
 from collections import deque
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -18,24 +17,23 @@ BACKLOG_FRAMES: Final = 16384
 
 
 class Batch:
-    """What ended on a bus at once, with the form that most stations get made only once."""
+    """What ended on a bus at once, with the form that most stations get made only once.
+
+    Attributes
+    ----------
+    owners : set of int
+        Stations that sent some of it or that a report is for.
+    others : array of FRAME
+        What a station gets that is not among them; `payload` is the same as it is sent.
+    """
 
     def __init__(self, events: Events) -> None:
         self.events = events
-        self.owners = frozenset(events.owner.tolist())
-
-    @cached_property
-    def others(self) -> Frames:
-        """What a station gets that sent none of it."""
-        every = self.events.frames
-        frames: Frames = every.copy() if self.events.plain else every[self.events.audience & OTHERS != 0]
-        frames["port"] = 0
-        return frames
-
-    @cached_property
-    def payload(self) -> bytes:
-        """`others` as it is sent."""
-        return self.others.tobytes()
+        self.owners = set(events.owner.tolist())
+        every = events.frames
+        self.others: Frames = every.copy() if events.plain else every[events.audience & OTHERS != 0]
+        self.others["port"] = 0
+        self.payload = self.others.tobytes()
 
 
 class Session:
@@ -65,7 +63,7 @@ class Session:
     def offer(self, batch: Batch, now_ns: int) -> None:
         """Send the client what concerns it."""
         if self.station.number in batch.owners:
-            chosen = self._with_echoes(batch.events)
+            chosen = self._with_echoes(batch)
         elif self.station.off:
             return
         else:
@@ -107,9 +105,10 @@ class Session:
         else:
             self._backlog.append(kept)
 
-    def _with_echoes(self, events: Events) -> Frames:
+    def _with_echoes(self, batch: Batch) -> Frames:
         """Choose the records for this station, and mark its own frames as echoes."""
-        if events.plain and not (events.owner - self.station.number).any():
+        events = batch.events
+        if events.plain and len(batch.owners) == 1:
             echoes: Frames = events.frames.copy()
             echoes["flags"] |= ECHO
             return echoes

@@ -176,3 +176,13 @@ def test_mixed_read_only_and_empty_input() -> None:
 def test_time_is_bits_over_rate() -> None:
     one = frame(0x80, b"\x01")
     assert frame_time_ns(one, 500_000)[0] == wire_bits(one)[0][0] * 2000
+
+
+def test_the_kernel_reads_the_fields_where_the_record_has_them() -> None:
+    """The last 72 bytes of a FRAME are what the compiled kernel expects; a new field belongs before them."""
+    fields = frames(0).dtype.fields
+    assert fields is not None
+    first = fields["can_id"][1]
+    places = {name: place[1] - first for name, place in fields.items() if place[1] >= first}
+    assert places == {"can_id": 0, "length": 4, "flags": 5, "port": 6, "data": 8}
+    assert frames(0).dtype.itemsize - first == 72
