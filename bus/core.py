@@ -143,7 +143,7 @@ class Bus:
         Parameters
         ----------
         burst : array of FRAME, shape (n,)
-            Valid frames; `time_ns` is the earliest start of each, 0 for now.
+            Valid frames; `time_ns` is the earliest start of each, 0 for now, and `expires_ns` the latest, 0 for any.
         time_ns : int
             Now.
 
@@ -166,6 +166,7 @@ class Bus:
             self._pool.store(accepted),
             frame_time_ns(accepted, self.bitrate, self.data_bitrate).tolist(),
             controllers,
+            accepted["expires_ns"].tolist(),
             strict=False,  # the sequence has no end
         )
         for item, release in zip(map(Waiting._make, fields), releases, strict=True):
@@ -190,6 +191,9 @@ class Bus:
                 self._transmit(self._pending.winner(start), start)
             else:
                 self._carry(start, time_ns)
+            if self._pending.expired:
+                self._discard(self._pending.expired, self.now_ns)
+                self._pending.expired.clear()
         events = self._outbox.collect(time_ns)
         ended = int(events.frames["time_ns"][-1]) if len(events.frames) else 0
         self.now_ns = max(self.now_ns, time_ns or 0, ended)
@@ -223,7 +227,7 @@ class Bus:
 
     def _discard(self, items: Iterable[Waiting], time_ns: int) -> None:
         """Hand frames back to their senders unsent."""
-        for _, _, slot, _, controller in items:
+        for _, _, slot, _, controller, _ in items:
             controller.waiting -= 1
             self.counts.discarded += 1
             self._outbox.post(time_ns, slot, controller.station, OWNER, DISCARDED)
@@ -239,7 +243,7 @@ class Bus:
         coming: int | None = start
         while coming is not None and (time_ns is None or coming <= time_ns):
             item = pending.winner(coming)
-            if pending.contests(item):
+            if item is None or pending.contests(item):
                 self._transmit(item, coming)
                 return
             free = self._free_ns = coming + item.duration_ns
@@ -249,8 +253,10 @@ class Bus:
             self.counts.busy_ns += item.duration_ns
             coming = pending.next_start_ns(free)
 
-    def _transmit(self, item: Waiting, start: int) -> None:
-        """Send the winner of an arbitration, or find out why that fails."""
+    def _transmit(self, item: Waiting | None, start: int) -> None:
+        """Send the winner of an arbitration, if there is one, or find out why that fails."""
+        if item is None:
+            return
         contested = self._pending.contests(item)
         if item.controller.suspended_until_ns > start:
             self._pending.add(item, item.controller.suspended_until_ns)
@@ -259,7 +265,7 @@ class Bus:
 
     def _attempt(self, items: list[Waiting], start: int) -> None:
         """Send a frame, or equal frames of several controllers, where something may go wrong."""
-        _, sequence, slot, duration, sender = items[0]
+        _, sequence, slot, duration, sender, _ = items[0]
         clash_bits = clash(self._pool.slots[[item.slot for item in items]]) if len(items) > 1 else None
         odds = self._book.odds(sender.name, int(self._pool.slots["can_id"][slot]))
         intact = (1 - odds.bit_error) ** (duration * self.bitrate / 1e9)

@@ -14,6 +14,7 @@ class Waiting(NamedTuple):
     slot: int
     duration_ns: int
     controller: Controller
+    expires_ns: int
 
 
 class Pending:
@@ -23,6 +24,8 @@ class Pending:
         self._ready: list[Waiting] = []
         self._future: list[tuple[int, Waiting]] = []
         self._parked: list[Waiting] = []
+        #: Frames whose time has run out, until their owner takes them from here.
+        self.expired: list[Waiting] = []
 
     def add(self, item: Waiting, release_ns: int) -> None:
         """Let `item` take part in arbitration from `release_ns` on."""
@@ -49,12 +52,17 @@ class Pending:
         """Whether frames wait that were released."""
         return bool(self._ready)
 
-    def winner(self, start_ns: int) -> Waiting:
-        """Take the frame that wins the arbitration at `start_ns`."""
+    def winner(self, start_ns: int) -> Waiting | None:
+        """Take the frame that wins the arbitration at `start_ns`; None when all that were ready had expired."""
         ready, future = self._ready, self._future
         while future and future[0][0] <= start_ns:
             heapq.heappush(ready, heapq.heappop(future)[1])
-        return heapq.heappop(ready)
+        while ready:
+            item = heapq.heappop(ready)
+            if not 0 < item.expires_ns < start_ns:
+                return item
+            self.expired.append(item)
+        return None
 
     def contests(self, item: Waiting) -> bool:
         """Tell whether a frame with the same identifier is ready, too."""

@@ -35,7 +35,7 @@ from skin.errors import BusError, InputError
 from skin.service import say
 
 #: While frames wait for a bus, those that have ended are handed over at most this often.
-TICK_NS: Final = 2_000_000
+TICK_NS: Final = 1_000_000
 #: Longest sleep, after which the stop condition is looked at.
 IDLE_S: Final = 0.1
 #: Every wait uses select(), whose timeout has microseconds but which knows no descriptor above 1023.

@@ -55,6 +55,8 @@ VENDOR_ID: Final = 0
 PRODUCT_CODE: Final = 0x534B_494E
 REVISION: Final = 0x0001_0000
 HEARTBEAT_MS: Final = 1000
+#: Part of the cycle in which TPDOs may be sent: the next SYNC shall find a free bus.
+WINDOW_RATIO: Final = 0.98
 #: Entries of a mapping record: eight objects of one byte fill a classic frame.
 MAPPABLE: Final = 8
 #: Entries of the pre-defined error field.
@@ -89,7 +91,7 @@ def dictionary(made: Contract, node: NodeContract) -> list[Object]:
         *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(tpdo)),
         *_measuring(made, node),
         *_condition(made),
-        *_array(OD_SUMS, "Sums", [f"Sum {place}" for place in _places(node.sums)], INTEGER16, "ro", 0, pdo=True),
+        *_array(OD_SUMS, "Sums", [f"Sum {place}" for place in _places(node.sums)], INTEGER16, "ro", pdo=True),
     ]
 
 
@@ -101,22 +103,22 @@ def _communication(made: Contract, node: NodeContract) -> list[Object]:
         Object(OD_DEVICE_TYPE, None, "Device type", UNSIGNED32, "ro", 0),
         Object(OD_ERROR_REGISTER, None, "Error register", UNSIGNED8, "ro", 0, pdo=True),
         Object(OD_ERROR_FIELD, 0, "Number of errors", UNSIGNED8, "rw", 0, group="Pre-defined error field", array=True),
-        *_array(OD_ERROR_FIELD, "Pre-defined error field", errors, UNSIGNED32, "ro", 0)[1:],
+        *_array(OD_ERROR_FIELD, "Pre-defined error field", errors, UNSIGNED32, "ro")[1:],
         Object(OD_SYNC_COB_ID, None, "COB-ID SYNC message", UNSIGNED32, "rw", SYNC_COB_ID),
         Object(OD_CYCLE_PERIOD_US, None, "Communication cycle period", UNSIGNED32, "rw", period_us),
-        Object(OD_WINDOW_US, None, "Synchronous window length", UNSIGNED32, "rw", period_us),
+        Object(OD_WINDOW_US, None, "Synchronous window length", UNSIGNED32, "rw", round(WINDOW_RATIO * period_us)),
         Object(OD_DEVICE_NAME, None, "Manufacturer device name", VISIBLE_STRING, "const", "canskin SBHE block"),
         Object(OD_HARDWARE_VERSION, None, "Manufacturer hardware version", VISIBLE_STRING, "const", "virtual"),
         Object(OD_SOFTWARE_VERSION, None, "Manufacturer software version", VISIBLE_STRING, "const", "1.0"),
-        *_array(OD_STORE, "Store parameters", ["Save all parameters"], UNSIGNED32, "rw", ON_COMMAND),
-        *_array(OD_RESTORE, "Restore default parameters", ["Restore all defaults"], UNSIGNED32, "rw", ON_COMMAND),
+        *_array(OD_STORE, "Store parameters", ["Save all parameters"], UNSIGNED32, "rw", value=ON_COMMAND),
+        *_array(OD_RESTORE, "Restore default parameters", ["Restore all defaults"], UNSIGNED32, "rw", value=ON_COMMAND),
         Object(OD_EMCY_COB_ID, None, "COB-ID EMCY", UNSIGNED32, "rw", EMCY_BASE + node.node_id),
         Object(OD_EMCY_INHIBIT_100US, None, "Inhibit time EMCY", UNSIGNED16, "rw", 0),
-        *_array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw", 0),
+        *_array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw"),
         Object(OD_HEARTBEAT_MS, None, "Producer heartbeat time", UNSIGNED16, "rw", HEARTBEAT_MS),
         *_identity(node),
         Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", SYNC_OVERFLOW),
-        *_array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw", 0),
+        *_array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw"),
     ]
 
 
@@ -171,9 +173,14 @@ def _measuring(made: Contract, node: NodeContract) -> list[Object]:
         Object(OD_PHI_SEED, None, "Seed of the measurement operator", UNSIGNED32, "ro", seed),
         Object(OD_PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", VISIBLE_STRING, "ro", fingerprint),
         *_array(
-            OD_ROWS, "Hadamard rows", [f"Row of sum {place}" for place in _places(len(rows))], UNSIGNED8, "ro", rows
+            OD_ROWS,
+            "Hadamard rows",
+            [f"Row of sum {place}" for place in _places(len(rows))],
+            UNSIGNED8,
+            "ro",
+            value=rows,
         ),
-        *_array(OD_TAXELS, "Taxels", chain, UNSIGNED16, "ro", [int(taxel) for taxel in taxels]),
+        *_array(OD_TAXELS, "Taxels", chain, UNSIGNED16, "ro", value=[int(taxel) for taxel in taxels]),
     ]
 
 
@@ -182,9 +189,9 @@ def _condition(made: Contract) -> list[Object]:
     chain = [f"Place {place}" for place in range(made.phi.block_size)]
     health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", "Saturated taxels"]
     return [
-        *_array(OD_GAIN, "Gain", chain, REAL32, "rw", 1.0),
-        *_array(OD_OFFSET, "Offset in ADC counts", chain, INTEGER16, "rw", 0),
-        *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", 0, pdo=True),
+        *_array(OD_GAIN, "Gain", chain, REAL32, "rw", value=1.0),
+        *_array(OD_OFFSET, "Offset in ADC counts", chain, INTEGER16, "rw"),
+        *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
         Object(OD_TEST_PATTERN, None, "Test pattern", UNSIGNED8, "rw", 0),
     ]
 
@@ -199,8 +206,8 @@ def _array(
     names: list[str],
     data_type: int,
     access: Access,
-    value: Value | list[int],
     *,
+    value: Value | list[int] = 0,
     pdo: bool = False,
 ) -> list[Object]:
     """Return sub-index 0 and one entry per name; `value` is that of all entries, or one for each."""

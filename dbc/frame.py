@@ -18,11 +18,13 @@ ESI: Final = 0x20
 #: A frame this very connection sent, reported back when it had been transmitted.
 ECHO: Final = 0x40
 
-#: One frame: `time_ns` of the end of frame, `length` in bytes (not DLC), `port` the sending controller when
-#: one connection carries several, `data` padded with zeros.
+#: One frame: `time_ns` of the end of frame (of one to send: its earliest start), `expires_ns` when a waiting frame
+#: is given up (0: never), `length` in bytes (not DLC), `port` the sending controller when one connection carries
+#: several, `data` padded with zeros.
 FRAME: Final = np.dtype(
     [
         ("time_ns", "<i8"),
+        ("expires_ns", "<i8"),
         ("can_id", "<u4"),
         ("length", "u1"),
         ("flags", "u1"),

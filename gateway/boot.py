@@ -4,6 +4,7 @@ Runs beside the receive loop, because an SDO transfer waits for answers. A node 
 when it shows itself by a boot-up message or a heartbeat.
 """
 
+import logging
 import queue
 import threading
 from collections.abc import Callable, Iterable
@@ -19,6 +20,9 @@ from skin.service import say
 NMT_START: Final = 1
 #: An SDO answer waits behind a whole burst of sums; five SYNC periods are ample.
 SDO_TIMEOUT_S: Final = 0.3
+
+# The library logs each transfer without answer; a node that is not there is no news.
+logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
 
 class Boot:

@@ -7,7 +7,7 @@ import numpy as np
 
 from bandwidth.frame_bits import frame_time_ns
 from dbc.contract import HEARTBEAT_BASE, Contract
-from dbc.frame import ERROR, Frames
+from dbc.frame import ERROR, Frames, frames
 from skin.messages import BusState
 
 #: Reported instead of an NMT state while a node is silent.
@@ -24,6 +24,7 @@ class BusMonitor:
 
     def __init__(self, made: Contract, bus: int, heartbeat_s: float) -> None:
         self._layout = made.layout.bus[bus]
+        frame_time_ns(frames(1), self._layout.bitrate)  # compiled before the first cycle
         self._nodes = [node.node_id for node in made.on_bus(bus)]
         self._silent_after_s = PATIENCE * heartbeat_s
         self._nmt = np.full(len(self._nodes), SILENT, np.uint8)

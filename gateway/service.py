@@ -19,11 +19,13 @@ from gateway.monitor import BusMonitor
 from gateway.network import MasterNetwork
 from skin.fabric import Fabric
 from skin.messages import GATEWAY, MEASUREMENT, GatewayStatus, Measurement
-from skin.service import StopSignal
+from skin.service import StopSignal, settle_memory
 
 STATUS_PERIOD_S: Final = 0.2
 #: SYNC starts when every node has been asked, or after this time.
 BOOT_PATIENCE_S: Final = 3.0
+#: The last node that was started gets this long to be ready.
+SETTLE_S: Final = 0.1
 #: A cycle is closed this fraction of a period after the next SYNC, if a bus does not show that SYNC.
 GRACE: Final = 0.5
 NMT_ENTER_PRE_OPERATIONAL: Final = 128
@@ -75,6 +77,7 @@ class GatewayService:
         """Boot the nodes, then serve until `stop`; cycles in flight are finished first."""
         for line in self._lines.values():
             line.boot.start()
+        settle_memory()
         patience_s = time.monotonic() + BOOT_PATIENCE_S
         while not stop.is_set():
             now_s = self._turn()
@@ -167,7 +170,7 @@ class GatewayService:
             line.network.notify(int(frame["can_id"]), data, int(frame["time_ns"]) * 1e-9)
 
     def _start_sync(self, now_s: float) -> None:
-        self._sync_start_s = self._next_sync_s = now_s
+        self._sync_start_s = self._next_sync_s = now_s + SETTLE_S
         for line in self._lines.values():
             line.monitor.restart()
 
@@ -181,13 +184,15 @@ class GatewayService:
         sync = frames(1)
         sync["can_id"], sync["length"] = SYNC_COB_ID, 1
         sync["data"][0, 0] = self._counter
-        sent_ns, time_ns = time.monotonic_ns(), time.time_ns()
+        # When it was due, so that on a virtual bus a late turn of this loop is no jitter of the SYNC.
+        sync["time_ns"] = sync_ns = round(self._next_sync_s * 1e9)
+        time_ns = time.time_ns() - time.monotonic_ns() + sync_ns
         for line in self._lines.values():
             line.network.send_frames(sync)
         # Absolute deadlines: lateness of one SYNC does not move the next; whole missed periods are skipped.
         self._next_sync_s += self._period_s * max(1, int((now_s - self._next_sync_s) / self._period_s) + 1)
         closes_s = self._next_sync_s + GRACE * self._period_s
-        self._flying.append(_Cycle(self._cycles, self._counter, sent_ns, time_ns, closes_s))
+        self._flying.append(_Cycle(self._cycles, self._counter, sync_ns, time_ns, closes_s))
 
     def _publish(self, cycle: _Cycle) -> None:
         gathered: Gathered = self.collector.close(cycle.counter)

@@ -11,10 +11,11 @@ class HeartbeatProducer:
         self._period_s = 0.0
         self._due_s = float("inf")
 
-    def set_period(self, period_s: float, now_s: float) -> None:
-        """Change the period; the next message comes one period from now."""
-        self._period_s = period_s
-        self._due_s = now_s + period_s if period_s else float("inf")
+    def set_period(self, period_s: float, now_s: float, part: float = 1.0) -> None:
+        """Change the period; the next message comes after that `part` of it."""
+        if period_s != self._period_s or part != 1.0:
+            self._period_s = period_s
+            self._due_s = now_s + part * period_s if period_s else float("inf")
 
     def beat(self, now_s: float) -> None:
         """Send when due."""

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dbc.contract import HEARTBEAT_BASE, NodeContract
+from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, Object
 from dbc.indices import (
     OD_CONSUMER_HEARTBEAT,
@@ -100,7 +100,9 @@ class SkinNode:
         self.refresh(now_s)
         self._send_state()
         self.state = NmtState.PRE_OPERATIONAL
-        self.heartbeat.set_period(self.local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s)
+        # Boards that are powered together would all beat together, in the middle of a burst of sums.
+        part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
+        self.heartbeat.set_period(self.local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s, part)
 
     def command(self, command: int, now_s: float) -> None:
         """Obey an NMT command; unknown ones are ignored."""

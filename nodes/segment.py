@@ -8,8 +8,8 @@ import numpy as np
 from bus.link import Link
 from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, Contract
 from dbc.dictionary import dictionary
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
-from dbc.indices import OD_SYNC_OVERFLOW
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from dbc.indices import OD_SYNC_OVERFLOW, OD_WINDOW_US
 from nodes.burst import Burst
 from nodes.emcy import Emergency
 from nodes.network import SegmentNetwork
@@ -20,6 +20,12 @@ from nodes.tpdo import Tpdo
 
 #: A node answers this long after the end of the SYNC frame, on the bus's clock, as a microcontroller would.
 REACTION_NS: Final = 100_000
+#: Eight bytes, 11-bit identifier, worst stuffing.
+LONGEST_FRAME_BITS: Final = 135
+#: 1007h is 0: there is no limit.
+NO_WINDOW_NS: Final = 1 << 62
+#: How a link marks an own frame that was given up: not transmitted, but no longer waiting.
+DISCARDED: Final = ECHO | ERROR
 #: Every SDO frame is 8 bytes (CiA 301, 7.2.4.3).
 SDO_BYTES: Final = 8
 
@@ -49,6 +55,7 @@ class Segment:
         self.link = link
         self.frames_sent = self.frames_dropped = self.frames_rejected = 0
         self.syncs_seen = 0
+        self._frame_ns = LONGEST_FRAME_BITS * 1_000_000_000 // made.layout.bus[bus].bitrate
         self._sampler = sampler
         self._network = SegmentNetwork(link)
         self.nodes = [
@@ -76,6 +83,7 @@ class Segment:
     def receive(self, now_s: float) -> None:
         """Handle every frame that waits on the link."""
         arrived = self.link.receive()
+        self._count_expired(arrived[arrived["flags"] & DISCARDED == DISCARDED])
         can_id = arrived["can_id"]
         plain = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
         heartbeat = (can_id > HEARTBEAT_BASE) & (can_id <= HEARTBEAT_BASE + HIGHEST_NODE_ID)
@@ -105,6 +113,7 @@ class Segment:
         operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
         burst = self._burst.frames(counter, sums, operational)
         burst["time_ns"] = time_ns + REACTION_NS
+        burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
         accepted = self.link.send(burst)
         self.frames_sent += accepted
         self.frames_dropped += len(burst) - accepted
@@ -116,6 +125,18 @@ class Segment:
                 if payload is not None:
                     node.send(tpdo, payload)
                     self.frames_sent += 1
+
+    def _count_expired(self, unsent: Frames) -> None:
+        """Take note of TPDOs that found no room on the bus within the window (1007h), and report them."""
+        if not len(unsent):
+            return
+        self.frames_sent -= len(unsent)
+        self.frames_dropped += len(unsent)
+        for node_id, count in zip(*np.unique(unsent["port"], return_counts=True), strict=True):
+            node = self._by_id.get(int(node_id))
+            if node is not None:
+                node.health[2] += count
+                node.emcy.raised(Emergency.WINDOW_MISSED, int(node.health[2]))
 
     def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
         """Report a SYNC whose length is not what 1019h says (CiA 301, 7.2.5.2: EMCY 8240h)."""
@@ -147,9 +168,13 @@ class Segment:
         plain: list[tuple[int, int, int, Tpdo]] = []
         self._mixed: list[tuple[SkinNode, Tpdo]] = []
         self._sync_length: dict[int, int] = {}
+        # Latest start of a frame after the SYNC: it has to end inside the window.
+        self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
         for place, node in enumerate(self.nodes):
             node_id, first_sum = node.contract.node_id, self._sampler.first_sum(node.contract.block)
             self._sync_length[node_id] = 1 if node.local.unsigned(OD_SYNC_OVERFLOW) else 0
+            window_us = node.local.unsigned(OD_WINDOW_US)
+            self._window_ns[node_id] = max(1, window_us * 1000 - self._frame_ns) if window_us else NO_WINDOW_NS
             plain += [(place, node_id, first_sum, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
             self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
         self._burst = Burst(plain)
