@@ -15,6 +15,10 @@ NAMED: Final = 8
 
 def notices(state: Snapshot) -> Snapshot:
     """Return `state` with its notices, the gravest first."""
+    own = state.services.get("viewer")
+    if own is not None and not own.alive:  # who else is gone cannot be told from here
+        text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
+        return msgspec.structs.replace(state, notices=[_error(text, own.since_time_s)])
     found = [*_gateway(state), *_images(state), *_labels(state), *_nodes(state), *_ignored(state)]
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))

@@ -181,3 +181,17 @@ def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> N
     snapshot, _ = state.snapshot(3.0)
     assert len(snapshot.nodes) == PROCESSES
     assert all(each.stale for each in snapshot.nodes)
+
+
+def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, messages: Any) -> None:
+    for name in ("viewer", "gateway", "reconstructor", "nodes"):
+        state.take_service(name, True, 0.0)
+    state.take_image(messages.image(), 1.0)
+    for name in ("viewer", "gateway", "reconstructor", "nodes"):
+        state.take_service(name, False, 2.0)
+    snapshot, _ = state.snapshot(3.0)
+    assert [(notice.text, notice.since_time_s) for notice in snapshot.notices] == [
+        ("nothing arrives: the fabric's hub, usually the gateway, is out of reach", EPOCH_S + 2.0)
+    ]
+    assert snapshot.image is not None
+    assert snapshot.image.stale

@@ -3,6 +3,7 @@
 import { clock, make, span } from "./words.js";
 
 const EXPECTED = ["gateway", "reconstructor", "classifier"];
+const WORD = { gone: "gone", unreached: "out of reach", unseen: "not seen" };
 const bar = document.getElementById("notices");
 const list = document.getElementById("services");
 let written = "";
@@ -19,16 +20,18 @@ export function drawNotices(notices, time_s) {
   bar.replaceChildren(...lines.map(({ level, text }) => make("p", level, text)));
 }
 
-/** One chip per service: there, gone, or not seen yet. */
+/** One chip per service: there, gone, out of reach with the whole fabric, or not seen yet. */
 export function drawServices(services) {
   const names = [...EXPECTED, ...Object.keys(services).filter((name) => name.startsWith("nodes"))];
-  const chips = names.map((name) => ({ name, state: services[name] ? (services[name].alive ? "there" : "gone") : "unseen" }));
+  const isCutOff = services.viewer?.alive === false;
+  const state = (name) => (services[name] ? (services[name].alive ? "there" : isCutOff ? "unreached" : "gone") : "unseen");
+  const chips = names.map((name) => ({ name, state: state(name) }));
   const wanted = JSON.stringify(chips);
   if (list.dataset.written === wanted) return;
   list.dataset.written = wanted;
   list.replaceChildren(...chips.map(({ name, state }) => {
     const chip = make("li", state, name);
-    if (state !== "there") chip.append(make("small", "", state === "gone" ? "gone" : "not seen"));
+    if (state !== "there") chip.append(make("small", "", WORD[state]));
     return chip;
   }));
 }
