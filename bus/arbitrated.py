@@ -13,7 +13,6 @@ import numpy as np
 
 from bus.error_frames import State
 from bus.faults import Fault
-from bus.outbox import DISCARDED
 from bus.protocol import (
     MAX_FRAMES,
     MAX_PACKET,
@@ -61,7 +60,6 @@ class ArbitratedLink:
 
     def __init__(self, channel: str, hello: Hello, *, wait_s: float = 0.0) -> None:
         self.channel = channel
-        self.discarded = 0
         self.bus_time_ns = 0
         self._hello = hello
         self._path = socket_path(channel)
@@ -117,7 +115,7 @@ class ArbitratedLink:
         Parameters
         ----------
         burst : array of FRAME, shape (n,)
-            `time_ns` is the earliest start on the bus's clock, 0 for at once.
+            `time_ns` is the earliest start on the bus's clock, 0 for at once; `expires_ns` the latest, 0 for none.
 
         Returns
         -------
@@ -195,10 +193,6 @@ class ArbitratedLink:
         if not own.any():
             return arrived
         self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)
-        unsent = arrived["flags"] & DISCARDED == DISCARDED
-        if unsent.any():
-            self.discarded += int(unsent.sum())
-            arrived = arrived[~unsent]
         return arrived
 
     def _lose(self, connection: socket.socket | None) -> None:

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from bus.error_frames import State
+from bus.outbox import DISCARDED
 from bus.protocol import Filter, Hello
 from dbc.frame import Frames
 
-__all__ = ["Filter", "Link", "State", "open_link"]
+__all__ = ["DISCARDED", "Filter", "Link", "State", "open_link"]
 
 #: The interface name of `skin bus`.
 ARBITRATED = "canskin"
@@ -17,7 +18,8 @@ class Link(Protocol):
     """A connection to one CAN bus.
 
     Times of frames are CLOCK_MONOTONIC nanoseconds. A frame this link sent comes back from `receive` with ECHO
-    when it had been transmitted, in its place among the received ones; reports of errors come with ERROR.
+    when it had been transmitted, in its place among the received ones, or with DISCARDED, which is ECHO and ERROR,
+    when it was given up. Reports of errors come with ERROR.
     """
 
     def fileno(self) -> int:

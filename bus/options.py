@@ -53,8 +53,10 @@ def channels(layout: Layout, options: BusOptions) -> list[str]:
     return given
 
 
-def open_links(layout: Layout, options: BusOptions, wanted: Iterable[int] | None = None) -> dict[int, Link]:
-    """Open the links of the buses numbered `wanted`, default all.
+def open_links(
+    layout: Layout, options: BusOptions, wanted: Iterable[int] | None = None, *, name: str = "link"
+) -> dict[int, Link]:
+    """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus are aimed at `name`.
 
     Raises
     ------
@@ -64,6 +66,6 @@ def open_links(layout: Layout, options: BusOptions, wanted: Iterable[int] | None
     names = channels(layout, options)
     numbers = range(len(names)) if wanted is None else sorted(wanted)
     return {
-        number: open_link(options.interface, names[number], layout.bus[number].bitrate, wait_s=OPEN_WAIT_S)
+        number: open_link(options.interface, names[number], layout.bus[number].bitrate, name=name, wait_s=OPEN_WAIT_S)
         for number in numbers
     }

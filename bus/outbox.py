@@ -72,6 +72,7 @@ class Outbox:
         del self._entries[:end]
         collected = self._pool.take(slots)
         collected["time_ns"] = times
+        collected["expires_ns"] = 0  # its sender's concern
         if any(flags):
             collected["flags"] |= np.array(flags, np.uint8)
         audience = np.array(audiences, np.uint8)

@@ -15,7 +15,7 @@ from bus.arbitrated import ArbitratedLink
 from bus.error_frames import State
 from bus.messages import epoch_offset_ns, to_frame, to_message
 from bus.protocol import Hello, runtime_folder
-from dbc.frame import ECHO
+from dbc.frame import ECHO, ERROR
 from skin.errors import SkinError
 
 #: How often a sender that waits for room looks again; whoever receives meanwhile makes the room.
@@ -163,7 +163,8 @@ class ArbitratedBus(can.BusABC):
             if not self._messages or not take:
                 offset_ns = epoch_offset_ns()
                 for record in self._link.receive():
-                    if self._own or not record["flags"] & ECHO:
+                    flags = record["flags"]
+                    if not flags & ECHO or (self._own and not flags & ERROR):
                         self._messages.append(to_message(record, self._channel, offset_ns))
                 if self._messages:
                     os.eventfd_write(self._waiting, 1)

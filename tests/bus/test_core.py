@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns
 from bus.core import Bus
-from bus.outbox import OTHERS, OWNER
+from bus.outbox import DISCARDED, OTHERS, OWNER
 from dbc.frame import BRS, EXTENDED, FD, FRAME, REMOTE, Frames
 from tests.bus.harness import burst, frame
 
@@ -79,6 +79,19 @@ def test_a_release_time_in_the_future_is_kept() -> None:
     late = bus.run_until()
     ends = 10_000_000 + frame_time_ns(frame(0x080, b"\x01"), 1_000_000)[0] - INTERMISSION_NS
     assert late.frames["time_ns"].tolist() == [ends]
+
+
+def test_a_frame_that_cannot_start_in_time_is_given_back() -> None:
+    bus, (one, _) = pair()
+    sent = burst([0x100, 0x200, 0x300])
+    lasts = frame_time_ns(sent, 1_000_000)
+    sent["expires_ns"] = [0, lasts[0], lasts[0] + lasts[1] - 1]
+    bus.submit(one, sent, 0)
+    events = bus.run_until()
+    given_back = events.frames["flags"] == DISCARDED
+    assert events.frames["can_id"][given_back].tolist() == [0x300]
+    assert events.frames["can_id"][~given_back].tolist() == [0x100, 0x200]
+    assert (bus.counts.transmitted, bus.counts.discarded, one.controllers[0].waiting) == (2, 1, 0)
 
 
 def test_nothing_is_told_before_its_end_of_frame() -> None:

@@ -15,7 +15,7 @@ import pytest
 from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns
 from bus.error_frames import ErrorClass, State
 from bus.faults import Fault
-from bus.link import Filter, open_link
+from bus.link import DISCARDED, Filter, open_link
 from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Kind, pack, runtime_folder, socket_path
 from bus.server import BusServer, BusSettings
 from dbc.frame import BRS, ECHO, ERROR, EXTENDED, FD
@@ -147,8 +147,20 @@ def test_bus_off_is_reported_and_heals() -> None:
         assert bad.send(frame(0x182)) == 1
         assert collect(good, 1)["can_id"][-1] == 0x182
     reports = np.concatenate(seen)
-    assert (reports["flags"] == ERROR).all()
-    assert bad.discarded == 1  # type: ignore[attr-defined]
+    given_up = reports["flags"] == DISCARDED
+    assert reports["can_id"][given_up].tolist() == [0x181]
+    assert (reports["flags"][~given_up] == ERROR).all()
+
+
+def test_a_frame_that_waited_too_long_comes_back_unsent() -> None:
+    late = burst([0x300, 0x301])
+    with serving("bus0"), linked("a", "b") as (a, b):
+        late["expires_ns"] = time.monotonic_ns() + 300_000
+        assert a.send(np.concatenate([burst(range(0x100, 0x110)), late])) == 18
+        mine, theirs = collect(a, 18), collect(b, 16)
+    assert mine["can_id"][mine["flags"] == DISCARDED].tolist() == [0x300, 0x301]
+    assert theirs["can_id"].tolist() == list(range(0x100, 0x110))
+    assert not mine["expires_ns"].any()
 
 
 def test_lost_frames_are_counted() -> None:
