@@ -127,6 +127,7 @@ class Score:
             "frames_sent": sent,
             "frames_received": received,
             "frames_lost": sent - received,
+            "frames_dropped": sum(status.frames_dropped for status in self.nodes.values()),
             "frames_missing": gateway.frames_missing if gateway else 0,
             "frames_late": gateway.frames_late if gateway else 0,
             "psnr_sensor_db": _mean(self.psnr_sensor_db),

@@ -90,7 +90,8 @@ class Collector:
     def take(self, bus: int, arrived: Frames) -> None:
         """Use what arrived on a bus, in the order of the wire; a SYNC's echo starts its cycle there."""
         begin = 0
-        for place in np.flatnonzero((arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & ECHO != 0)):
+        sent = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ECHO | ERROR) == ECHO)
+        for place in np.flatnonzero(sent):
             self._take(bus, arrived[begin:place])
             self._on_wire[bus] = int(arrived["data"][place, 0])
             begin = int(place) + 1

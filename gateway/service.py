@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from bus.link import Link
 
+from bus.link import Link
 from dbc.contract import NMT_COB_ID, SDO_RESPONSE_BASE, SYNC_COB_ID, Contract, NodeContract, next_counter
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames

@@ -1,11 +1,12 @@
 """All virtual nodes of one bus behind one link: what comes in, and what answers."""
 
+import time
 from collections.abc import Collection
 from typing import Final
 
 import numpy as np
 
-from bus.link import Link
+from bus.link import DISCARDED, Link
 from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, Contract
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
@@ -20,12 +21,14 @@ from nodes.tpdo import Tpdo
 
 #: A node answers this long after the end of the SYNC frame, on the bus's clock, as a microcontroller would.
 REACTION_NS: Final = 100_000
+#: Resolution of heartbeats, event timers and inhibit times.
+TICK_S: Final = 0.005
+#: When the next SYNC is due, in periods after the last.
+QUIET_FROM, QUIET_TO = 0.7, 2.0
 #: Eight bytes, 11-bit identifier, worst stuffing.
 LONGEST_FRAME_BITS: Final = 135
 #: 1007h is 0: there is no limit.
 NO_WINDOW_NS: Final = 1 << 62
-#: How a link marks an own frame that was given up: not transmitted, but no longer waiting.
-DISCARDED: Final = ECHO | ERROR
 #: Every SDO frame is 8 bytes (CiA 301, 7.2.4.3).
 SDO_BYTES: Final = 8
 
@@ -56,6 +59,8 @@ class Segment:
         self.frames_sent = self.frames_dropped = self.frames_rejected = 0
         self.syncs_seen = 0
         self._frame_ns = LONGEST_FRAME_BITS * 1_000_000_000 // made.layout.bus[bus].bitrate
+        self._period_s = made.layout.sync.period_s
+        self._sync_at_s = self._tick_at_s = float("-inf")
         self._sampler = sampler
         self._network = SegmentNetwork(link)
         self.nodes = [
@@ -73,7 +78,16 @@ class Segment:
         self._compile()
 
     def tick(self, now_s: float) -> None:
-        """Do what time alone calls for."""
+        """Do what time alone calls for, but not while the next SYNC is due.
+
+        A heartbeat that is sent when the SYNC waits to be read would be on the bus before the burst that
+        answers it.
+        """
+        since_s = now_s - self._sync_at_s
+        quiet = QUIET_FROM * self._period_s < since_s < QUIET_TO * self._period_s
+        if quiet or now_s < self._tick_at_s:
+            return
+        self._tick_at_s = now_s + TICK_S
         changed = [node.refresh(now_s) for node in self.nodes]
         if any(changed):
             self._compile()
@@ -106,6 +120,7 @@ class Segment:
 
     def _sync(self, data: bytes, time_ns: int) -> None:
         self.syncs_seen += 1
+        self._sync_at_s = time.monotonic()
         listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
         self._judge_sync(listening, len(data))
         counter = data[0] if len(data) == 1 else 0

@@ -14,10 +14,8 @@ from skin.fabric import Fabric
 from skin.messages import NODES, TRUTH, NodesStatus
 from skin.service import StopSignal, settle_memory
 
-#: The stop signal is looked at least this often.
-TURN_S: Final = 0.05
-#: Resolution of heartbeats, event timers and inhibit times.
-TICK_S: Final = 0.005
+#: Time is looked at least this often.
+TURN_S: Final = 0.005
 STATUS_PERIOD_S: Final = 0.2
 
 
@@ -56,16 +54,13 @@ class NodesService:
                 selector.register(segment.link.fileno(), selectors.EVENT_READ, segment)
                 segment.boot(time.monotonic())
             settle_memory()
-            tick_at_s = 0.0
             while not stop.is_set():
-                ready = selector.select(TICK_S)
+                ready = selector.select(TURN_S)
                 now_s = time.monotonic()
                 for key, _ in ready:
                     key.data.receive(now_s)
-                if now_s >= tick_at_s:
-                    tick_at_s = now_s + TICK_S
-                    for segment in self.segments:
-                        segment.tick(now_s)
+                for segment in self.segments:
+                    segment.tick(now_s)
                 self._publish(now_s)
         self.publish_status()
 
