@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from bandwidth.frame_bits import frame_time_ns
-from dbc.contract import HEARTBEAT_BASE, Contract
+from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, Contract
 from dbc.frame import ERROR, Frames, frames
 from skin.messages import BusState
 
@@ -29,6 +29,7 @@ class BusMonitor:
         self._silent_after_s = PATIENCE * heartbeat_s
         self._nmt = np.full(len(self._nodes), SILENT, np.uint8)
         self._heard_s = np.full(len(self._nodes), -np.inf)
+        self._unaccounted: list[Frames] = []
         self._busy_ns = 0
         self._since_s = time.monotonic()
         self._total_busy_ns = 0
@@ -38,23 +39,31 @@ class BusMonitor:
 
     def take(self, arrived: Frames) -> None:
         """Account for frames seen on the bus, own ones included."""
-        there = arrived[arrived["flags"] & ERROR == 0]
-        if not len(there):
+        self._unaccounted.append(arrived)
+        can_id = arrived["can_id"]
+        beats = (can_id > HEARTBEAT_BASE) & (can_id <= HEARTBEAT_BASE + HIGHEST_NODE_ID) & (arrived["length"] == 1)
+        for frame in arrived[beats & (arrived["flags"] == 0)]:
+            self._beat(int(frame["can_id"]) - HEARTBEAT_BASE, int(frame["data"][0]) & 0x7F)
+
+    def account(self) -> None:
+        """Add up the time that the frames taken so far were on the bus; cheap for many frames, not for few."""
+        if not self._unaccounted:
             return
-        busy_ns = int(frame_time_ns(there, self._layout.bitrate).sum())
+        taken = np.concatenate(self._unaccounted)
+        self._unaccounted.clear()
+        busy_ns = int(frame_time_ns(taken[taken["flags"] & ERROR == 0], self._layout.bitrate).sum())
         self._busy_ns += busy_ns
         self._total_busy_ns += busy_ns
-        beats = (there["can_id"] > HEARTBEAT_BASE) & (there["can_id"] <= HEARTBEAT_BASE + 127)
-        for frame in there[beats & (there["length"] == 1)]:
-            self._beat(int(frame["can_id"]) - HEARTBEAT_BASE, int(frame["data"][0]) & 0x7F)
 
     def restart(self) -> None:
         """Forget the load so far; called when SYNC starts."""
+        self._unaccounted.clear()
         self._busy_ns = self._total_busy_ns = 0
         self._since_s = self._start_s = time.monotonic()
 
     def state(self) -> BusState:
         """Return the state of the bus; the load is that since the last call."""
+        self.account()
         now_s = time.monotonic()
         elapsed_s = now_s - self._since_s
         load = self._busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0

@@ -67,6 +67,7 @@ class GatewayService:
         self._fabric = fabric
         self._period_s = made.layout.sync.period_s
         self._lines = {number: self._line(number, link) for number, link in links.items()}
+        self._numbers = sorted(self._lines)
         self._flying: deque[_Cycle] = deque()
         self._counter = 0
         self._cycles = self._closed = self._complete = 0
@@ -208,3 +209,5 @@ class GatewayService:
             fingerprint=self._made.phi.fingerprint,
         )
         self._fabric.publish(MEASUREMENT, message)
+        # One bus per cycle, now that the burst is over and the loop has time.
+        self._lines[self._numbers[self._closed % len(self._numbers)]].monitor.account()
