@@ -34,8 +34,10 @@ from dbc.frame import frames
 from skin.errors import BusError, InputError
 from skin.service import say
 
-#: While frames wait for a bus, those that have ended are handed over at most this often.
-TICK_NS: Final = 1_000_000
+#: In the middle of a burst, frames that have ended are handed over at most this often; its first and last at once.
+TICK_NS: Final = 2_000_000
+#: Shortest time between two deliveries of one bus.
+LEAST_NS: Final = 250_000
 #: Longest sleep, after which the stop condition is looked at.
 IDLE_S: Final = 0.1
 #: Every wait uses select(), whose timeout has microseconds but which knows no descriptor above 1023.
@@ -186,7 +188,7 @@ class BusServer:
             return None
         if line.bus.crowded:
             return max(event_ns, (line.delivered_ns // TICK_NS + 1) * TICK_NS)
-        return max(event_ns, line.delivered_ns + TICK_NS // 4)
+        return max(event_ns, line.delivered_ns + LEAST_NS)
 
     def _open(self, channel: str, place: int, folder: Path) -> _Line:
         path = socket_path(channel, folder)
