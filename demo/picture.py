@@ -4,7 +4,8 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from demo.score import Snapshot, psnr_db
+from demo.score import Snapshot
+from skin.pairing import psnr_db
 
 mpl.use("Agg")
 

@@ -4,20 +4,13 @@ PSNR follows the paper's equation with the skin's largest force as peak, per cyc
 """
 
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
-
-#: A cycle is a contact cycle while the largest true force is at least this part of the range: twice the sensor noise.
-CONTACT_RATIO: Final = 0.1
-#: SYNC counters come round every 2.4 s at 100 Hz; messages of one cycle lie closer together.
-SAME_CYCLE_S: Final = 1.0
-#: Cycles remembered while their messages come in.
-REMEMBERED: Final = 240
+from skin.pairing import Pairing, in_contact, psnr_db
 
 
 @dataclass(frozen=True)
@@ -52,9 +45,8 @@ class Score:
     labelled_right: int = 0
     best: Snapshot | None = None
     last_label: str = ""
-    _truth: dict[int, Truth] = field(default_factory=dict)
-    _waiting: dict[int, Image] = field(default_factory=dict)
-    _waiting_label: dict[int, Label] = field(default_factory=dict)
+    _images: Pairing[Image] = field(default_factory=Pairing)
+    _labels: Pairing[Label] = field(default_factory=Pairing)
     _best_total_n: float = 0.0
 
     def take_gateway(self, status: GatewayStatus) -> None:
@@ -66,41 +58,35 @@ class Score:
         self.nodes[status.process] = status
 
     def take_truth(self, truth: Truth) -> None:
-        """Remember what the skin really felt, and use what waited for it."""
-        self._truth[truth.sync_counter] = truth
-        image = self._waiting.pop(truth.sync_counter, None)
-        if image is not None and _same(image.sync_mono_ns, truth):
+        """Use what the skin really felt in a cycle."""
+        image, label = self._images.take_truth(truth), self._labels.take_truth(truth)
+        if image is not None:
             self._compare(image, truth)
-        label = self._waiting_label.pop(truth.sync_counter, None)
-        if label is not None and _same(label.sync_mono_ns, truth):
+        if label is not None:
             self._judge(label, truth)
 
     def take_image(self, image: Image) -> None:
         """Compare an image with the truth of its cycle."""
         self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
-        truth = self._truth.get(image.sync_counter)
-        if truth is not None and _same(image.sync_mono_ns, truth):
+        truth = self._images.take(image)
+        if truth is not None:
             self._compare(image, truth)
-        else:
-            self._waiting[image.sync_counter] = image
 
     def take_label(self, label: Label) -> None:
         """Compare a label with the object that touched in its cycle."""
         self.last_label = label.label
-        truth = self._truth.get(label.sync_counter)
-        if truth is not None and _same(label.sync_mono_ns, truth):
+        truth = self._labels.take(label)
+        if truth is not None:
             self._judge(label, truth)
-        else:
-            self._waiting_label[label.sync_counter] = label
 
     def _judge(self, label: Label, truth: Truth) -> None:
-        if truth.label and self._in_contact(self._grid(truth.true)):
+        if truth.label and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
 
     def _compare(self, image: Image, truth: Truth) -> None:
         true = self._grid(truth.true)
-        if not self._in_contact(true):
+        if not in_contact(true, self.layout.taxels.force_max_n):
             return
         sensor, made = self._grid(truth.sensor), self._grid(image.pixels)
         self.psnr_sensor_db.append(psnr_db(true, sensor, self.layout.taxels.force_max_n))
@@ -109,9 +95,6 @@ class Score:
         if total_n > self._best_total_n:
             self._best_total_n = total_n
             self.best = Snapshot(true, sensor, made, truth.label)
-
-    def _in_contact(self, true: npt.NDArray[np.float32]) -> bool:
-        return float(true.max()) >= CONTACT_RATIO * self.layout.taxels.force_max_n
 
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)
@@ -138,16 +121,6 @@ class Score:
             "sync_rate_hz": round(gateway.sync_rate_hz, 3) if gateway else 0.0,
             "bus_load": [round(load, 4) for load in gateway.mean_load_ratio] if gateway else [],
         }
-
-
-def psnr_db(true: npt.NDArray[np.float32], other: npt.NDArray[np.float32], peak: float) -> float:
-    """Return the peak signal-to-noise ratio of `other` against `true` in decibels; equal images give 200."""
-    error = float(np.mean((true.astype(np.float64) - other) ** 2))
-    return 10 * float(np.log10(peak**2 / max(error, peak**2 * 1e-20)))
-
-
-def _same(sync_mono_ns: int, truth: Truth) -> bool:
-    return abs(sync_mono_ns - truth.sync_mono_ns) < SAME_CYCLE_S * 1e9
 
 
 def _mean(values: list[float]) -> float | None:

@@ -6,9 +6,9 @@ import numpy as np
 
 from skin.layout import Layout
 from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.pairing import Pairing, in_contact, psnr_db
 from viewer.checks import image_fits, label_fits, status_fits, truth_fits
 from viewer.notices import notices
-from viewer.pairing import Pairing, psnr_db
 from viewer.snapshot import (
     BusView,
     Figures,
@@ -32,8 +32,6 @@ STATUS_FRESH_S: Final = 1.5
 TRUTH_GONE_S: Final = 3.0
 #: Processes of nodes shown at most; a name nobody has used for long makes room.
 PROCESSES: Final = 64
-#: PSNR is that of contact cycles: the largest true force is at least this part of the range.
-CONTACT_RATIO: Final = 0.1
 LATENCY_SPAN_S: Final = 5.0
 SPAN_S: Final = 1.0
 
@@ -68,7 +66,7 @@ class ViewState:
         self._gateway: Last[GatewayStatus] | None = None
         self._nodes: dict[str, Last[NodesStatus]] = {}
         self._services: dict[str, Service] = {}
-        self._pairing = Pairing()
+        self._pairing: Pairing[Image] = Pairing()
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid = Window(SPAN_S)
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
@@ -81,7 +79,7 @@ class ViewState:
         self._image = Last(image, now_s)
         self._latency_s.add(now_s, (image.published_mono_ns - image.sync_mono_ns) * 1e-9)
         self._valid.add(now_s, self._valid_blocks(image))
-        truth = self._pairing.take_image(image)
+        truth = self._pairing.take(image)
         if truth is not None:
             self._compare(image, truth, now_s)
 
@@ -148,7 +146,7 @@ class ViewState:
     def _compare(self, image: Image, truth: Truth, now_s: float) -> None:
         peak_n = self._layout.taxels.force_max_n
         true = self._grid(truth.true)
-        if float(true.max()) < CONTACT_RATIO * peak_n:
+        if not in_contact(true, peak_n):
             return
         self._psnr_image_db.add(now_s, psnr_db(true, self._grid(image.pixels), peak_n))
         self._psnr_sensor_db.add(now_s, psnr_db(true, self._grid(truth.sensor), peak_n))

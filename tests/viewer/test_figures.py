@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skin.messages import Image, Truth
-from viewer.pairing import REMEMBERED, Pairing, psnr_db
+from skin.pairing import REMEMBERED, Pairing, psnr_db
 from viewer.state import ViewState
 from viewer.window import Window
 
@@ -93,7 +93,7 @@ def test_psnr_of_equal_images_is_finite(messages: Any) -> None:
 
 @given(order=st.permutations([(kind, cycle) for kind in ("image", "truth") for cycle in range(1, 9)]))
 def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]) -> None:
-    pairing = Pairing()
+    pairing: Pairing[Image] = Pairing()
     pairs: list[int] = []
     for kind, cycle in order:
         common: dict[str, Any] = {"sync_counter": cycle, "sync_mono_ns": cycle * 10_000_000}
@@ -106,7 +106,7 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
                 "valid_sums": 0,
                 "solve_s": 0.0,
             }
-            truth = pairing.take_image(Image(**common, **rest))
+            truth = pairing.take(Image(**common, **rest))
             pairs += [truth.sync_counter] if truth else []
         else:
             image = pairing.take_truth(Truth(step=cycle, true=b"", sensor=b"", label="", **common))
@@ -115,11 +115,11 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
 
 
 def test_pairing_forgets_what_nobody_pairs(messages: Any) -> None:
-    pairing = Pairing()
+    pairing: Pairing[Image] = Pairing()
     for counter in range(1000):  # counters no SYNC has
-        pairing.take_image(msgspec.structs.replace(messages.image(), sync_counter=counter))
+        pairing.take(msgspec.structs.replace(messages.image(), sync_counter=counter))
         pairing.take_truth(msgspec.structs.replace(messages.truth(), sync_counter=counter + 5000))
-    assert max(len(pairing._images), len(pairing._truths)) == REMEMBERED
+    assert max(len(pairing._waiting), len(pairing._truths)) == REMEMBERED
 
 
 @given(times=st.lists(st.floats(0, 100), min_size=1, max_size=60), now_s=st.floats(0, 110))
