@@ -37,7 +37,9 @@ class Supervisor:
     children: dict[str, Child] = field(default_factory=dict)
 
     def start(self, name: str, *arguments: str, restart: bool = False) -> Child:
-        """Start ``skin ARGUMENTS`` under `name`."""
+        """Start ``skin ARGUMENTS`` under `name`, which a service that has ended may have had before."""
+        if name in self.children:
+            self.children[name].process.wait(STOP_PATIENCE_S)
         log = self.folder / f"{name}.log"
         child = Child(name, list(arguments), log, self._launch(list(arguments), log), restart)
         self.children[name] = child

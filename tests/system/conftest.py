@@ -1,0 +1,105 @@
+"""A whole skin of real processes, at a SYNC rate that a busy machine carries."""
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from demo.supervisor import Supervisor
+from skin.fabric import Fabric
+from skin.layout import load_layout
+from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Image, Label, Measurement
+
+DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
+PATIENCE_S = 60.0
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="session")
+def slow_layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The default skin with 20 cycles a second."""
+    path = tmp_path_factory.mktemp("layout") / "slow.toml"
+    path.write_text(DEFAULT.replace("rate_hz = 100.0", "rate_hz = 20.0"))
+    return path
+
+
+class Chain:
+    """Services as processes, and what they publish."""
+
+    def __init__(self, layout: Path, folder: Path) -> None:
+        self.layout_path = layout
+        self.layout = load_layout(layout)
+        self.supervisor = Supervisor(folder)
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.fabric = Fabric(self.layout.name, "test", self.endpoint, hub=True)
+        self.measurements: list[Measurement] = []
+        self.images: list[Image] = []
+        self.labels: list[Label] = []
+        self.gateway: GatewayStatus | None = None
+        self.alive: set[str] = set()
+        self._news = threading.Condition()
+        self.fabric.subscribe(MEASUREMENT, self._keep(self.measurements.append))
+        self.fabric.subscribe(IMAGE, self._keep(self.images.append))
+        self.fabric.subscribe(LABEL, self._keep(self.labels.append))
+        self.fabric.subscribe(GATEWAY, self._keep(lambda status: setattr(self, "gateway", status)))
+        self.fabric.watch(self._lives)
+
+    def start(self, name: str, verb: str, *arguments: str) -> int:
+        """Start a service that joins the fabric, and return its process."""
+        common = () if verb == "bus" else ("--layout", str(self.layout_path), "--connect", self.endpoint)
+        return self.supervisor.start(name, verb, *arguments, *common).process.pid
+
+    def start_bus(self, *arguments: str) -> None:
+        self.start("bus", "bus", *(bus.name for bus in self.layout.bus), *arguments)
+
+    def until(self, what: str, holds: Callable[[], bool]) -> None:
+        """Wait until something holds; it is looked at whenever a message comes."""
+        with self._news:
+            if not self._news.wait_for(holds, PATIENCE_S):
+                logs = "\n".join(f"{one.name}: {one.log.read_text()}" for one in self.supervisor.children.values())
+                pytest.fail(f"in {PATIENCE_S:g} s: not {what}\n{logs}")
+
+    def until_alive(self, *services: str) -> None:
+        self.until(f"alive: {', '.join(services)}", lambda: self.alive >= set(services))
+
+    def next_measurements(self, count: int) -> list[Measurement]:
+        """Wait for `count` measurements that are yet to come, and return them."""
+        first = len(self.measurements)
+        self.until(f"{count} measurements", lambda: len(self.measurements) >= first + count)
+        return self.measurements[first : first + count]
+
+    def close(self) -> None:
+        self.supervisor.stop()
+        self.fabric.close()
+
+    def _keep(self, use: Callable[..., None]) -> Callable[..., None]:
+        def handler(message: object) -> None:
+            with self._news:
+                use(message)
+                self._news.notify_all()
+
+        return handler
+
+    def _lives(self, name: str, alive: bool) -> None:
+        with self._news:
+            self.alive.add(name) if alive else self.alive.discard(name)
+            self._news.notify_all()
+
+
+def invalid_blocks(measurement: Measurement) -> list[int]:
+    return [int(block) for block in np.flatnonzero(np.frombuffer(measurement.valid, np.uint8) == 0)]
+
+
+@pytest.fixture
+def chain(slow_layout: Path, tmp_path: Path) -> Iterator[Chain]:
+    made = Chain(slow_layout, tmp_path)
+    yield made
+    made.close()

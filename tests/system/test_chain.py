@@ -1,0 +1,128 @@
+"""The chain of real processes under the losses it promises to survive."""
+
+import json
+import os
+import signal
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import can
+import msgspec
+import pytest
+
+from bus.protocol import socket_path
+from tests.system.conftest import Chain, free_port, invalid_blocks
+
+pytestmark = pytest.mark.slow
+
+START, STOP, RESET_NODE = 1, 2, 129
+
+
+def nmt(chain: Chain, monkeypatch: pytest.MonkeyPatch, channel: str, command: int, node_id: int) -> None:
+    """Send an NMT command as any other tool on the bus could."""
+    monkeypatch.setenv("SKIN_BUS_DIR", str(chain.supervisor.folder))
+    assert socket_path(channel).exists()
+    with can.Bus(interface="canskin", channel=channel) as bus:
+        bus.send(can.Message(arbitration_id=0, data=[command, node_id], is_extended_id=False), timeout=1)
+        bus.recv(0.1)  # until it has been on the wire
+
+
+def is_complete(chain: Chain) -> bool:
+    return bool(chain.measurements) and not invalid_blocks(chain.measurements[-1])
+
+
+def notices(port: int) -> str:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/state", timeout=10) as answer:
+        state: dict[str, Any] = json.load(answer)
+    return json.dumps(state)
+
+
+def test_killed_reconstructor(chain: Chain) -> None:
+    port = free_port()
+    chain.start_bus()
+    chain.start("nodes", "nodes", "--objects", "granola-box")
+    pid = chain.start("reconstructor", "reconstruct")
+    chain.start("classifier", "classify")
+    chain.start("viewer", "view", "--port", str(port))
+    chain.until_alive("nodes", "reconstructor", "classifier", "viewer")
+    chain.start("gateway", "gateway")
+    chain.until("images", lambda: len(chain.images) > 5)
+    assert "images stopped" not in notices(port)
+
+    os.kill(pid, signal.SIGKILL)
+    chain.until("the reconstructor gone", lambda: "reconstructor" not in chain.alive)
+    images, labels = len(chain.images), len(chain.labels)
+    went_on = chain.next_measurements(20)
+    assert not any(invalid_blocks(one) for one in went_on)
+    chain.until("labels", lambda: len(chain.labels) >= labels + 20)
+    assert len(chain.images) <= images + 2
+    assert "images stopped" in notices(port)
+
+    chain.start("reconstructor", "reconstruct")
+    images = len(chain.images)
+    chain.until("images again", lambda: len(chain.images) > images + 5)
+    assert chain.images[-1].valid_sums == 1024
+
+
+def test_killed_node_process_is_invalid_from_then_on(chain: Chain) -> None:
+    chain.start_bus()
+    chain.start("nodes", "nodes", "--without", "bus1:6")
+    pid = chain.start("node", "nodes", "--only", "bus1:6")
+    chain.start("reconstructor", "reconstruct")
+    chain.until_alive("nodes", "reconstructor")
+    chain.start("gateway", "gateway")
+    chain.until("a complete cycle", lambda: is_complete(chain))
+
+    os.kill(pid, signal.SIGKILL)
+    chain.until("the block invalid", lambda: not is_complete(chain))
+    assert all(invalid_blocks(one) == [37] for one in chain.next_measurements(20))
+    last = chain.measurements[-1].cycle
+    chain.until("its image", lambda: chain.images[-1].cycle >= last)
+    assert chain.images[-1].valid_sums == 1016
+
+    chain.start("node", "nodes", "--only", "bus1:6")
+    chain.until("the node back", lambda: is_complete(chain))
+
+
+def test_muted_and_reset_node(chain: Chain, monkeypatch: pytest.MonkeyPatch) -> None:
+    chain.start_bus()
+    chain.start("nodes", "nodes")
+    chain.start("gateway", "gateway")
+    chain.until("a complete cycle", lambda: is_complete(chain))
+    nmt(chain, monkeypatch, "bus0", STOP, 5)
+    chain.until("the block invalid", lambda: not is_complete(chain))
+    assert all(invalid_blocks(one) == [4] for one in chain.next_measurements(20))
+    nmt(chain, monkeypatch, "bus0", START, 5)
+    chain.until("the node back", lambda: is_complete(chain))
+    # A node that boots again is checked and started by the gateway.
+    nmt(chain, monkeypatch, "bus0", RESET_NODE, 5)
+    chain.until("the block invalid", lambda: not is_complete(chain))
+    chain.until("the node back", lambda: is_complete(chain))
+
+
+def test_node_with_another_phi_is_refused(chain: Chain, tmp_path: Path) -> None:
+    chain.start_bus()
+    chain.start("nodes", "nodes", "--without", "bus2:1")
+    other = tmp_path / "other.toml"
+    other.write_text(chain.layout_path.read_text().replace("seed = 1", "seed = 2"))
+    assert msgspec.toml.decode(other.read_bytes())["measurement"]["seed"] == 2
+    chain.supervisor.start("stranger", "nodes", "--layout", str(other), "--no-fabric", "--only", "bus2:1")
+    chain.start("gateway", "gateway")
+    chain.until("measurements", lambda: len(chain.measurements) > 0)
+    chain.until("all others valid", lambda: invalid_blocks(chain.measurements[-1]) == [64])
+    assert all(invalid_blocks(one) == [64] for one in chain.next_measurements(20))
+    assert "node 1 on bus2 refused" in chain.supervisor.children["gateway"].log.read_text()
+
+
+def test_restarted_gateway(chain: Chain) -> None:
+    chain.start_bus()
+    chain.start("nodes", "nodes")
+    pid = chain.start("gateway", "gateway")
+    chain.until("a complete cycle", lambda: is_complete(chain))
+    os.kill(pid, signal.SIGKILL)
+    chain.until("the gateway gone", lambda: "gateway" not in chain.alive)
+    chain.start("gateway", "gateway")
+    first = len(chain.measurements)
+    chain.until("a complete cycle", lambda: len(chain.measurements) > first and is_complete(chain))
+    assert chain.measurements[-1].cycle < chain.measurements[first - 1].cycle + 100

@@ -1,0 +1,135 @@
+"""``skin demo`` as a user runs it, and every wrong input with one clear line."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+
+def skin(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "skin", *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=240, check=False)
+
+
+def report(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    assert done.returncode == 0, done.stderr
+    figures: dict[str, Any] = json.loads(done.stdout)
+    assert figures["frames_sent"] == figures["frames_received"] + figures["frames_lost"]
+    return figures
+
+
+@pytest.mark.slow
+def test_golf_ball(slow_layout: Path, tmp_path: Path) -> None:
+    options = ("--layout", str(slow_layout), "--objects", "golf-ball", "--seconds", "6", "--json", "--no-view")
+    figures = report(skin("demo", *options, cwd=tmp_path))
+    assert figures["cycles"] >= 110
+    assert figures["cycles_complete"] == figures["cycles"]
+    assert (figures["frames_lost"], figures["frames_missing"]) == (0, 0)
+    assert figures["frames_sent"] == 256 * figures["cycles"]
+    assert figures["psnr_image_db"] > figures["psnr_sensor_db"] + 1
+    assert figures["label_accuracy"] >= 0.9
+    assert figures["sync_rate_hz"] == pytest.approx(20, rel=0.05)
+    # 64 frames of 111 to 135 bits, a SYNC, and heartbeats, 20 times a second.
+    assert all(64 * 111 * 20e-6 < load < (64 * 135 + 66) * 20e-6 + 0.01 for load in figures["bus_load"])
+    assert len(figures["bus_load"]) == 4
+    picture = tmp_path / figures["picture"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".csv"])
+def test_recording(suffix: str, slow_layout: Path, tmp_path: Path) -> None:
+    """A 64 x 32 recording in counts, on the 64 x 64 skin."""
+    rows, columns = np.mgrid[0:64, 0:32]
+    frames = [3000 * np.exp(-((rows - 32) ** 2 + (columns - 10 - step) ** 2) / 60) for step in range(10)]
+    counts = np.round(frames).astype(np.uint16)
+    path = tmp_path / f"mat{suffix}"
+    if suffix == ".npz":
+        np.savez(path, lying=counts)
+    elif suffix == ".npy":
+        np.save(path, counts)
+    else:
+        np.savetxt(path, counts.reshape(10, -1), fmt="%d", delimiter=",", header="shape: 64 32")
+    options = ("--layout", str(slow_layout), "--input", str(path), "--full-scale", "4095", "--seconds", "3")
+    figures = report(skin("demo", *options, "--json", "--no-view", cwd=tmp_path))
+    assert figures["cycles_complete"] == figures["cycles"]
+    assert figures["psnr_sensor_db"] > 60
+    assert figures["psnr_image_db"] > 25
+    assert figures["label_accuracy"] is None
+
+
+@pytest.mark.slow
+def test_recordings_given_from_outside(slow_layout: Path, tmp_path: Path) -> None:
+    """Real recordings, when ``SKIN_DATA`` names the folder that holds ``pressure-mat``."""
+    folder = os.environ.get("SKIN_DATA")
+    if folder is None:
+        pytest.skip("SKIN_DATA IS NOT SET: the real pressure recordings are not tried")
+    options = ("--input", f"{folder}/pressure-mat/S1.npz", "--array", "posture_01", "--array", "posture_02")
+    common = ("--layout", str(slow_layout), "--full-scale", "4095", "--seconds", "3", "--json", "--no-view")
+    figures = report(skin("demo", *options, *common, cwd=tmp_path))
+    assert figures["psnr_image_db"] > 30
+
+
+@pytest.fixture
+def wrong_files(tmp_path: Path) -> Path:
+    np.save(tmp_path / "flat.npy", np.zeros((5, 10)))
+    np.save(tmp_path / "large.npy", np.zeros((5, 100, 100)))
+    np.save(tmp_path / "nan.npy", np.full((5, 8, 8), np.nan))
+    np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 no archive")
+    (tmp_path / "words.csv").write_text("a,b\nc,d\n")
+    (tmp_path / "unknown.toml").write_text("[taxels]\nheight = 3\n")
+    (tmp_path / "model.npz").write_bytes(b"no model")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("demo", "--input", "missing.npz"),
+        ("demo", "--input", "flat.npy"),
+        ("demo", "--input", "large.npy"),
+        ("demo", "--input", "nan.npy"),
+        ("demo", "--input", "objects.npy"),
+        ("demo", "--input", "broken.npz"),
+        ("demo", "--input", "words.csv"),
+        ("demo", "--layout", "missing.toml"),
+        ("demo", "--layout", "unknown.toml"),
+        ("demo", "--objects", "unicorn"),
+        ("demo", "--seconds", "0"),
+        ("demo", "--seconds", "soon"),
+        ("demo", "--picture", "no/folder/x.png"),
+        ("demo", "--unknown-flag"),
+        ("nodes", "--only", "bus9:1"),
+        ("nodes", "--only", "bus0:33"),
+        ("nodes", "-i", "socketcan", "-c", "a", "-c", "b"),
+        ("classify", "--model", "model.npz"),
+        ("classify", "--model", "missing.npz"),
+        ("unknown-verb",),
+    ],
+    ids=" ".join,
+)
+def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], wrong_files: Path) -> None:
+    quiet = ("--no-view", "--seconds", "1") if arguments[0] == "demo" and "--seconds" not in arguments else ()
+    done = skin(*arguments, *quiet, cwd=wrong_files)
+    assert done.returncode == 2, done.stderr
+    assert not done.stdout
+    lines = [line for line in done.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("skin: ")
+
+
+def test_port_in_use(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        done = skin("demo", "--port", str(taken.getsockname()[1]), "--seconds", "1", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "in use" in done.stderr
+    assert "Traceback" not in done.stderr
