@@ -74,6 +74,16 @@ class Sbhe:
         """(m, n): sums and taxels."""
         return int(self.kept.sum()), self.order.size
 
+    @property
+    def dtype(self) -> np.dtype[np.int8]:
+        """int8: every entry is 0, 1 or -1."""
+        return np.dtype(np.int8)
+
+    @property
+    def norm_squared(self) -> float:
+        """Largest eigenvalue of ΦᵀΦ: B, for every sent row alike."""
+        return float(self.block_size)
+
     @cached_property
     def starts(self) -> npt.NDArray[np.intp]:
         """Return where each block's sums start in y, shape (blocks + 1,)."""

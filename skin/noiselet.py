@@ -1,0 +1,128 @@
+"""The sub-sampled separable noiselet, the paper's second measurement ensemble (section V).
+
+Φ = Q (N_R ⊗ N_C): every sum is a ±1 combination of all taxels, which no block of a distributed skin can form by
+itself. It is here to be compared with SBHE, not to be sent over a bus.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+
+Pairs = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
+
+
+def fast_noiselet(values: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+    """Multiply the last axis by the real noiselet matrix N of ±1, in n log2 n additions.
+
+    A real form of the dragon noiselets of Coifman, Geshwind and Meyer (2001): N is symmetric and N N = n I. Integers
+    stay exact where their dtype holds n times the largest value.
+
+    Parameters
+    ----------
+    values : array, shape (..., n)
+        n a power of two of at least 2.
+    """
+    work: npt.NDArray[Any] = np.array(values)
+    (first, last), *others = _butterflies(values.shape[-1])
+    a, b = work[..., first], work[..., last]
+    work[..., first], work[..., last] = a + b, a - b
+    for first, last in others:
+        a, b = work[..., first], work[..., last]
+        work[..., first], work[..., last] = a - b, a + b
+    return work
+
+
+@cache
+def _butterflies(size: int) -> list[Pairs]:
+    """Return which places are paired in each of the log2(size) steps; the first adds where the others subtract."""
+    first = np.arange(size // 2)
+    top = size - 1
+    steps = [(first, top - first)]
+    distance = top >> 1
+    while distance:
+        steps.append((first, first ^ top ^ distance))
+        distance >>= 1
+    return steps
+
+
+@dataclass(frozen=True, eq=False)
+class Noiselet:
+    """Φ = Q (N_R ⊗ N_C), shape (m, n), entries ±1, rows orthogonal: Φ Φᵀ = n I.
+
+    Attributes
+    ----------
+    rows, columns : int
+        The grid of taxels, powers of two.
+    kept : array of int, shape (m,)
+        Selection Q: the products u · columns + v of rows u of N_R and v of N_C that are sent, ascending.
+    """
+
+    rows: int
+    columns: int
+    kept: npt.NDArray[np.intp]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(m, n): sums and taxels."""
+        return self.kept.size, self.rows * self.columns
+
+    @property
+    def dtype(self) -> np.dtype[np.int8]:
+        """int8: every entry is 1 or -1."""
+        return np.dtype(np.int8)
+
+    @property
+    def norm_squared(self) -> float:
+        """Largest eigenvalue of ΦᵀΦ: n, for every kept row alike."""
+        return float(self.shape[1])
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """16 hex digits that differ whenever any entry of Φ differs."""
+        digest = hashlib.sha256(b"noiselet")
+        digest.update(np.asarray((self.rows, self.columns), "<u4").tobytes())
+        digest.update(self.kept.astype("<u4").tobytes())
+        return digest.hexdigest()[:16]
+
+    def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+        """Return y = Φ x, shape (..., m), of taxels (..., n); integers are summed exactly in int64."""
+        return self._transform(_summable(x))[..., self.kept]
+
+    def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+        """Return Φᵀ y, shape (..., n), of sums (..., m)."""
+        work = _summable(y)
+        spread = np.zeros((*y.shape[:-1], self.shape[1]), work.dtype)
+        spread[..., self.kept] = work
+        return self._transform(spread)  # both matrices are symmetric
+
+    def _transform(self, taxels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        along_rows = fast_noiselet(taxels.reshape(*taxels.shape[:-1], self.rows, self.columns))
+        both = fast_noiselet(along_rows.swapaxes(-1, -2)).swapaxes(-1, -2)
+        return both.reshape(taxels.shape)
+
+
+def noiselet(rows: int, columns: int, sums: int, *, seed: int = 1) -> Noiselet:
+    """Draw a sub-sampled noiselet: `sums` of the rows · columns products, seeded.
+
+    Raises
+    ------
+    InputError
+        If a side is not a power of two from 2, or there are more sums than taxels.
+    """
+    for size in (rows, columns):
+        if size < 2 or size & (size - 1):
+            raise InputError(f"a noiselet needs sides that are powers of two: got {rows} x {columns}")
+    if not 0 < sums <= rows * columns:
+        raise InputError(f"expected 1 to {rows * columns} sums of {rows * columns} taxels, got {sums}")
+    random = np.random.Generator(np.random.PCG64(seed))
+    return Noiselet(rows, columns, np.sort(random.permutation(rows * columns)[:sums]).astype(np.intp))
+
+
+def _summable(values: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+    return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.int64)

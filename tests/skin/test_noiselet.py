@@ -1,0 +1,82 @@
+"""The noiselet operator, and what every operator promises."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skin.errors import InputError
+from skin.measurement import sbhe
+from skin.noiselet import fast_noiselet, noiselet
+from skin.operator import Operator
+
+MAKERS: dict[str, Callable[[int], Operator]] = {
+    "sbhe": lambda seed: sbhe(256, 80, block_size=16, selection="uniform", seed=seed),
+    "noiselet": lambda seed: noiselet(8, 32, 80, seed=seed),
+}
+
+
+@pytest.mark.parametrize("size", [2, 4, 8, 32, 64, 256])
+def test_noiselet_is_a_symmetric_matrix_of_ones(size: int) -> None:
+    matrix = fast_noiselet(np.eye(size, dtype=np.int64))
+    assert np.array_equal(np.abs(matrix), np.ones((size, size)))
+    assert np.array_equal(matrix, matrix.T)
+    assert np.array_equal(matrix @ matrix, size * np.eye(size))
+
+
+def haar_functions(size: int) -> np.ndarray:
+    """Every Haar wavelet, of unit norm, shape (size - 1, size)."""
+    rows = []
+    length = size
+    while length > 1:
+        for start in range(0, size, length):
+            row = np.zeros(size)
+            row[start : start + length // 2], row[start + length // 2 : start + length] = 1, -1
+            rows.append(row / np.sqrt(length))
+        length //= 2
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("size", [4, 16, 64, 256])
+def test_noiselets_see_every_haar_wavelet_about_alike(size: int) -> None:
+    """Why there are noiselets: no sum holds more than √2 times its share of any wavelet; Hadamard's hold √n / 2."""
+    assert np.abs(fast_noiselet(haar_functions(size))).max() < np.sqrt(2) + 1e-9
+
+
+@pytest.mark.parametrize("name", MAKERS)
+@given(st.integers(0, 2**32 - 1), st.floats(-5, 5))
+@settings(max_examples=25, deadline=None)
+def test_every_operator_is_linear_and_has_its_adjoint_and_norm(name: str, seed: int, a: float) -> None:
+    phi, rng = MAKERS[name](seed), np.random.default_rng(seed)
+    (x, v), y = rng.normal(size=(2, phi.shape[1])), rng.normal(size=phi.shape[0])
+    assert phi.forward(x) @ y == pytest.approx(x @ phi.adjoint(y), rel=1e-10, abs=1e-9)
+    np.testing.assert_allclose(phi.forward(a * x + v), a * phi.forward(x) + phi.forward(v), atol=1e-9)
+    np.testing.assert_allclose(phi.forward(phi.adjoint(y)), phi.norm_squared * y, atol=1e-9)
+    entries = phi.forward(np.eye(phi.shape[1]))
+    assert phi.dtype == np.int8
+    assert np.array_equal(entries, entries.astype(phi.dtype))
+    assert phi.forward(x.astype(np.float32)).dtype == phi.adjoint(y.astype(np.float32)).dtype == np.float32
+
+
+def test_noiselet_is_the_kronecker_product_and_takes_integers_and_batches() -> None:
+    phi = noiselet(4, 8, 20, seed=3)
+    both = np.kron(fast_noiselet(np.eye(4)), fast_noiselet(np.eye(8)))[phi.kept]
+    counts = np.random.default_rng(0).integers(0, 1024, (2, 3, 32), dtype=np.uint16)
+    assert np.array_equal(phi.forward(counts), counts @ both.T)
+    assert np.array_equal(phi.adjoint(phi.forward(counts)), counts @ both.T @ both)
+
+
+def test_seeds_and_selections_tell_noiselets_apart() -> None:
+    prints = [noiselet(8, 8, 16, seed=1), noiselet(8, 8, 16, seed=2), noiselet(8, 8, 17), noiselet(4, 16, 16)]
+    assert len({phi.fingerprint for phi in prints}) == 4
+    assert noiselet(8, 8, 16).fingerprint == prints[0].fingerprint
+
+
+@pytest.mark.parametrize(
+    ("shape", "says"), [((6, 8, 4), "powers of two"), ((8, 1, 4), "powers"), ((8, 8, 65), "1 to 64"), ((8, 8, 0), "1")]
+)
+def test_sizes_that_do_not_fit(shape: tuple[int, int, int], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        noiselet(*shape)
