@@ -1,5 +1,6 @@
 """One instant of touch for all nodes: at a SYNC every block measures the same moment."""
 
+from collections import deque
 from typing import Final
 
 import numpy as np
@@ -12,8 +13,12 @@ from skin.measurement import Sbhe
 from skin.messages import Truth
 from skin.sources import TaxelSource
 
-#: SYNC frames of one cycle reach the buses within this time of each other.
+#: SYNC frames of one cycle without a counter reach the buses within this time of each other.
 SAME_CYCLE_NS: Final = 2_000_000
+#: With a counter a busy master may take longer; the same counter comes again after 120 ms at the earliest.
+SAME_COUNTER_NS: Final = 100_000_000
+#: One bus may be read up to the newest SYNC while another has some of these waiting.
+KEPT_CYCLES: Final = 8
 
 
 class Sampler:
@@ -24,19 +29,19 @@ class Sampler:
 
     Attributes
     ----------
-    sums : array of int16, shape (m,)
+    sums : array of int32, shape (m,)
         The newest sums.
     """
 
     def __init__(self, phi: Sbhe, source: TaxelSource, electronics: Electronics) -> None:
-        self.sums = np.zeros(phi.shape[0], np.int16)
+        self.sums = np.zeros(phi.shape[0], np.int32)
         self._phi = phi
         self._source = source
         self._electronics = electronics
         self._step = -1
         self._counter = 0
-        self._time_ns = 0
-        self._counts = np.zeros(phi.shape[1], np.int16)
+        self._kept: deque[tuple[int, int, npt.NDArray[np.int16]]] = deque(maxlen=KEPT_CYCLES)
+        self._counts = np.zeros(phi.shape[1], np.int32)
         self._truth: Truth | None = None
 
     def first_sum(self, block: int) -> int:
@@ -60,19 +65,21 @@ class Sampler:
         chain = self._phi.order[block * size : (block + 1) * size]
         return int((self._counts[chain] >= self._electronics.top).sum())
 
-    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int16]:
+    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen at `time_ns`."""
-        elapsed_ns = time_ns - self._time_ns
-        if self._step >= 0 and counter == self._counter and elapsed_ns < SAME_CYCLE_NS:
-            return self.sums
+        within_ns = SAME_COUNTER_NS if counter else SAME_CYCLE_NS
+        for known, seen_ns, sums in self._kept:
+            if known == counter and abs(time_ns - seen_ns) < within_ns:
+                return sums
         if self._step < 0:
             self._step = max(0, counter - 1)
         else:
             self._step += (counter - self._counter) % SYNC_OVERFLOW or 1
-        self._counter, self._time_ns = counter, time_ns
+        self._counter = counter
         frame = self._source.frame(self._step)
         self._counts = self._electronics.read(frame.force_n)
-        self.sums = self._phi.block_sums(self._counts)
+        self.sums = self._phi.forward(self._counts).astype(np.int32, copy=False)
+        self._kept.append((counter, time_ns, self.sums))
         self._truth = Truth(
             step=self._step,
             sync_counter=counter,
