@@ -1,5 +1,6 @@
 # make demo   the whole chain on this machine, about 20 s
 # make test   everything that must hold: style, types, imports, tests
+# make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
 # make setup  the environment both use, in .venv
 
 PYTHON ?= python3
@@ -7,7 +8,7 @@ BIN := .venv/bin
 # What the demo is given, for example: make demo ARGS="--seconds 10 --objects golf-ball"
 ARGS ?=
 
-.PHONY: setup demo test check loop
+.PHONY: setup demo test test-vcan check loop
 
 setup: .venv/.installed
 
@@ -22,6 +23,9 @@ demo: setup
 
 test: check
 	$(BIN)/pytest
+
+test-vcan: setup
+	tests/vcan/run
 
 # The quick loop while working: no slow tests.
 loop: setup

@@ -1,0 +1,84 @@
+"""``skin`` services as processes of their own, for the tests that need the wires between them to be real."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+PATIENCE_S: Final = 60.0
+
+
+class Processes:
+    """Starts processes, keeps what they say in `folder`, and ends them with the block."""
+
+    def __init__(self, folder: Path, **environment: str) -> None:
+        self._folder = folder
+        self._environment = {**os.environ, "SKIN_BUS_DIR": str(folder), "SKIN_PARENT": str(os.getpid()), **environment}
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        for name in reversed(list(self._running)):
+            self.stop(name)
+
+    def skin(self, name: str, *arguments: str) -> None:
+        """Start ``skin ARGUMENTS``."""
+        self.start(name, sys.executable, "-m", "skin", *arguments)
+
+    def start(self, name: str, *command: str, environment: dict[str, str] | None = None) -> None:
+        """Start any command; its words go to the log of `name`."""
+        with self.log(name).open("wb") as log:
+            self._running[name] = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env={**self._environment, **(environment or {})},
+            )
+
+    def stop(self, name: str, number: int = signal.SIGTERM) -> int:
+        """End a process and return its exit status."""
+        process = self._running.pop(name)
+        if process.poll() is None:
+            process.send_signal(number)
+        try:
+            return process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise
+
+    def log(self, name: str) -> Path:
+        """Return where the words of `name` are."""
+        return self._folder / f"{name}.log"
+
+    def await_words(self, name: str, words: str) -> None:
+        """Wait until a process has said `words`."""
+        self.until(lambda: words in self.log(name).read_text(errors="replace"), f"{name} to say '{words}'")
+
+    def until(self, is_so: Callable[[], bool], what: str) -> None:
+        """Wait for something, but not longer than all processes live."""
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not is_so():
+            for name, process in self._running.items():
+                said = self.log(name).read_text(errors="replace")
+                assert process.poll() is None, f"{name} ended with {process.returncode}: {said}"
+            assert time.monotonic() < give_up_s, f"waited {PATIENCE_S:g} s in vain for {what}"
+            time.sleep(0.01)
+
+
+def free_endpoint() -> str:
+    """Return an endpoint for a hub on this machine that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"

@@ -1,0 +1,125 @@
+"""Nodes and gateway as two processes on vcan0 to vcan3, and what they publish."""
+
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.fabric import Fabric
+from skin.layout import Layout, load_layout
+from skin.messages import GATEWAY, MEASUREMENT, TRUTH, GatewayStatus, Measurement, Truth
+from tests.processes import Processes, free_endpoint
+
+#: A rate that a guest kernel on one slow processor carries.
+RATE_HZ: Final = 10
+#: The truth and the measurement of one cycle carry times of the same SYNC that are no further apart.
+SAME_SYNC_NS: Final = 40_000_000
+
+
+class Chain:
+    """All messages of a running skin, in the order they came."""
+
+    def __init__(self, layout: Layout, path: Path, processes: Processes, fabric: Fabric) -> None:
+        self.layout = layout
+        self.path = path
+        self.phi = layout.phi()
+        self.processes = processes
+        self.measurements: list[Measurement] = []
+        self.truths: list[Truth] = []
+        self.statuses: list[GatewayStatus] = []
+        for topic, messages in (
+            (MEASUREMENT, self.measurements),
+            (TRUTH, self.truths),
+            (GATEWAY, self.statuses),
+        ):
+            fabric.subscribe(topic, messages.append)
+
+    def await_cycles(self, count: int) -> list[Measurement]:
+        """Return the next `count` measurements."""
+        first = len(self.measurements)
+        self.processes.until(lambda: len(self.measurements) >= first + count, f"{count} measurements")
+        return self.measurements[first : first + count]
+
+    def await_complete(self, in_a_row: int = 3) -> None:
+        """Wait until the newest measurements are complete."""
+        self.processes.until(
+            lambda: len(self.measurements) >= in_a_row and all(map(complete, self.measurements[-in_a_row:])),
+            f"{in_a_row} complete measurements in a row",
+        )
+
+    def await_valid(self, wanted: npt.NDArray[np.bool_], in_a_row: int = 3) -> None:
+        """Wait until exactly the `wanted` blocks are valid in the newest measurements."""
+        self.processes.until(
+            lambda: (
+                len(self.measurements) >= in_a_row
+                and all(np.array_equal(valid(each), wanted) for each in self.measurements[-in_a_row:])
+            ),
+            f"{wanted.sum()} valid blocks",
+        )
+
+    def blocks_of(self, bus: int) -> npt.NDArray[np.bool_]:
+        """Return which blocks are on bus number `bus`."""
+        first = self.layout.first_block(bus)
+        blocks = np.arange(self.layout.blocks)
+        return (blocks >= first) & (blocks < first + self.layout.bus[bus].nodes)
+
+    def true_sums(self, measurement: Measurement) -> npt.NDArray[np.int16]:
+        """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement."""
+        same = [
+            truth
+            for truth in self.truths
+            if truth.sync_counter == measurement.sync_counter
+            and abs(truth.sync_mono_ns - measurement.sync_mono_ns) < SAME_SYNC_NS
+        ]
+        assert len(same) == 1, f"{len(same)} truths of cycle {measurement.cycle}"
+        felt_n = np.frombuffer(same[0].sensor, "<f4")
+        return self.phi.block_sums(np.rint(felt_n / self.layout.taxels.newton_per_count).astype(np.int32))
+
+
+def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:
+    return np.frombuffer(measurement.valid, np.uint8) == 1
+
+
+def complete(measurement: Measurement) -> bool:
+    return bool(valid(measurement).all())
+
+
+def slow_layout(folder: Path) -> Path:
+    """Write the default skin's layout at `RATE_HZ`."""
+    text = files("skin.layouts").joinpath("default.toml").read_text()
+    assert "rate_hz = 100.0" in text
+    path = folder / "slow.toml"
+    path.write_text(text.replace("rate_hz = 100.0", f"rate_hz = {RATE_HZ}.0"))
+    return path
+
+
+@contextmanager
+def running_chain(folder: Path) -> Iterator[Chain]:
+    """Start the nodes, then the gateway, on vcan0 to vcan3; wait for the first complete measurements."""
+    path = slow_layout(folder)
+    layout = load_layout(path)
+    endpoint = free_endpoint()
+    fabric = Fabric(layout.name, "test", endpoint, hub=True)
+    try:
+        with Processes(folder) as processes:
+            alive: set[str] = set()
+            fabric.watch(lambda name, there: alive.add(name) if there else alive.discard(name))
+            chain = Chain(layout, path, processes, fabric)
+            common = ("-i", "socketcan", "-c", "vcan0", "--layout", str(path), "--connect", endpoint)
+            processes.skin("nodes", "nodes", *common)
+            processes.until(lambda: "nodes" in alive, "the nodes")
+            processes.skin("gateway", "gateway", *common)
+            chain.await_complete()
+            yield chain
+    finally:
+        fabric.close()
+
+
+def ip_link(*arguments: str) -> None:
+    """Change a network interface."""
+    subprocess.run(["ip", "link", *arguments], check=True)
