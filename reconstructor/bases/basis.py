@@ -11,7 +11,10 @@ Values = npt.NDArray[np.floating[Any]]
 
 
 class Basis(Protocol):
-    """Ψ of images of `image_shape`; `shape` is that of its coefficients, equal for an orthonormal Ψ."""
+    """Ψ of images of `image_shape`; `shape` is that of its coefficients, equal for an orthonormal Ψ.
+
+    Both directions keep the dtype of floating arrays.
+    """
 
     @property
     def image_shape(self) -> tuple[int, int]:
@@ -21,6 +24,11 @@ class Basis(Protocol):
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the coefficients."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the entries of Ψ."""
         ...
 
     def forward(self, image: Values) -> Values:

@@ -35,6 +35,11 @@ class Separable:
         """(rows, columns)."""
         return self.image_shape
 
+    @property
+    def dtype(self) -> np.dtype[np.float64]:
+        """float64: the entries are real numbers."""
+        return np.dtype(np.float64)
+
     def forward(self, image: Values) -> Values:
         """Return T_rows X T_columnsᵀ."""
         result: npt.NDArray[Any] = self.rows_matrix @ image @ self.columns_matrix.T
@@ -57,12 +62,12 @@ def haar_tensor(rows: int, columns: int) -> Separable:
     return _wavelet(rows, columns, haar_step)
 
 
-def daubechies4(rows: int, columns: int) -> Separable:
+def daubechies4_tensor(rows: int, columns: int) -> Separable:
     """Return the tensor D4 basis, periodic, down to length 2.
 
     low[k] = Σ h[i] x[2k+i] with h = (1+√3, 3+√3, 3-√3, 1-√3) / (4√2), and high[k] = Σ (-1)^i h[3-i] x[2k+i].
     """
-    return _wavelet(rows, columns, _daubechies4_step)
+    return _wavelet(rows, columns, daubechies4_step)
 
 
 def haar_step(size: int) -> Matrix:
@@ -71,7 +76,8 @@ def haar_step(size: int) -> Matrix:
     return _filter_step(size, (root_half, root_half), (root_half, -root_half))
 
 
-def _daubechies4_step(size: int) -> Matrix:
+def daubechies4_step(size: int) -> Matrix:
+    """Return one D4 level, shape (size, size), orthonormal at every size from 2: the taps wrap round."""
     root = 3**0.5
     low = np.array((1 + root, 3 + root, 3 - root, 1 - root)) / (4 * 2**0.5)
     return _filter_step(size, tuple(low), tuple(low[::-1] * (1, -1, 1, -1)))

@@ -8,10 +8,18 @@ import pywt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reconstructor.bases import Basis, Dct, HaarPyramid, daubechies4, haar_tensor
+from reconstructor.bases import (
+    BASES,
+    Basis,
+    daubechies4_pyramid,
+    daubechies4_tensor,
+    haar_pyramid,
+    haar_tensor,
+    make_basis,
+)
 from skin.errors import InputError
 
-MAKERS = {"pyramid": HaarPyramid, "haar": haar_tensor, "d4": daubechies4, "dct": Dct}
+MAKERS = {name: make for name, make in BASES.items() if name != "contourlet"}
 sides = st.sampled_from([8, 16, 32, 64])
 makers = st.sampled_from(sorted(MAKERS)).map(MAKERS.__getitem__)
 Maker = Callable[[int, int], Basis]
@@ -53,7 +61,7 @@ def test_pyramid_is_that_of_pywavelets() -> None:
     x = np.random.default_rng(0).normal(size=(32, 64))
     levels = pywt.wavedec2(x, "haar", mode="periodization", level=5)
     theirs, _ = pywt.coeffs_to_array(levels)
-    np.testing.assert_allclose(HaarPyramid(32, 64).forward(x), theirs, atol=1e-12)
+    np.testing.assert_allclose(haar_pyramid(32, 64).forward(x), theirs, atol=1e-12)
 
 
 def test_tensor_is_rows_then_columns_of_pywavelets() -> None:
@@ -63,9 +71,18 @@ def test_tensor_is_rows_then_columns_of_pywavelets() -> None:
     np.testing.assert_allclose(haar_tensor(16, 64).forward(x), both, atol=1e-12)
 
 
+def test_d4_pyramid_starts_like_the_tensor_and_goes_on_with_the_low_quadrant() -> None:
+    x = np.random.default_rng(0).normal(size=(64, 64))
+    pyramid, tensor = daubechies4_pyramid(64, 64).forward(x), daubechies4_tensor(64, 64).forward(x)
+    np.testing.assert_allclose(pyramid[32:, 32:], tensor[32:, 32:], atol=1e-12)
+    assert not np.allclose(pyramid[32:, :32], tensor[32:, :32])
+    flat = np.abs(pyramid).ravel()
+    assert flat @ flat == pytest.approx(np.vdot(x, x))
+
+
 def test_d4_kills_straight_lines_away_from_the_edge() -> None:
     ramp = np.tile(np.arange(64.0), (64, 1))
-    finest = daubechies4(64, 64).columns_matrix[32:] @ ramp[0]
+    finest = daubechies4_tensor(64, 64).columns_matrix[32:] @ ramp[0]
     np.testing.assert_allclose(finest[:-1], 0, atol=1e-12)  # the last filter wraps round
     assert abs(finest[-1]) > 1
 
@@ -82,3 +99,8 @@ def test_constant_is_one_coefficient_of_every_basis() -> None:
 def test_other_grids_are_refused(name: str, shape: tuple[int, int]) -> None:
     with pytest.raises(InputError, match="powers of two"):
         MAKERS[name](*shape)
+
+
+def test_unknown_names_are_told() -> None:
+    with pytest.raises(InputError, match="unknown basis 'db9': expected one of haar-tensor"):
+        make_basis("db9", 64, 64)

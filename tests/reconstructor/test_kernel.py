@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reconstructor.bases import HaarPyramid, haar_tensor
+from reconstructor.bases import haar_pyramid, haar_tensor
 from reconstructor.fista import fista_image
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
 from reconstructor.kernels.fused import FusedHaar
@@ -15,7 +15,7 @@ from reconstructor.proximal import Shrinkage
 from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 
-BASES = {"pyramid": HaarPyramid, "tensor": haar_tensor}
+BASES = {"pyramid": haar_pyramid, "tensor": haar_tensor}
 
 
 class Rows:

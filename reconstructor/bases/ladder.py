@@ -1,0 +1,96 @@
+"""The filters of the contourlet: its ladder, and the two filter pairs of its Laplacian pyramid."""
+
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.bases.basis import Values
+
+Matrix = npt.NDArray[np.float64]
+PyramidFilter = Literal["pkva", "9-7"]
+
+_HALF = np.array((0.6300, -0.1930, 0.0972, -0.0526, 0.0272, -0.0144))
+#: The 12 taps of Phoong, Kim, Vaidyanathan and Ansari (1995), half a sample from the middle.
+PKVA: Final = np.concatenate((_HALF[::-1], _HALF))
+#: The same modulated for the fan filters of the directional bank.
+FAN: Final = PKVA * np.tile((-1.0, 1.0), 6)
+ROOT_TWO: Final = 2**0.5
+#: Half of the 9 and 7 taps of Cohen, Daubechies and Feauveau (1992), middle first, with sum √2 each.
+_CDF_9: Final = (0.852698679009403, 0.377402855612654, -0.110624404418423, -0.023849465019380, 0.037828455506995)
+_CDF_7: Final = (0.788485616405664, 0.418092273222212, -0.040689417609558, -0.064538882628938)
+
+
+class PyramidPair(NamedTuple):
+    """Periodic filters of one pyramid level as matrices.
+
+    Attributes
+    ----------
+    down : shape (size / 2, size)
+        Filter, then keep every second sample.
+    up : shape (size, size / 2)
+        Put zeros between samples, then filter. ``down @ up`` is the identity.
+    """
+
+    down: Matrix
+    up: Matrix
+
+
+def pyramid_pair(size: int, name: PyramidFilter) -> PyramidPair:
+    """Return the pyramid filters for one side of the image."""
+    low, high = _pkva_pair() if name == "pkva" else (_mirrored(_CDF_9), _mirrored(_CDF_7))
+    return PyramidPair(_circulant(low, size)[::2], _circulant(high, size)[:, ::2])
+
+
+def fan(images: Values, *, quincunx: bool, mirrored: bool) -> Values:
+    """Filter the last two axes, (..., rows, columns), with FAN along both, periodically.
+
+    Parameters
+    ----------
+    quincunx : bool
+        Samples that leave at the top or bottom enter half the width aside.
+    mirrored : bool
+        With the filter turned by 180°: the adjoint.
+    """
+    before = 6 if mirrored else 5
+    rows, columns = images.shape[-2:]
+    across: npt.NDArray[Any] = sum(
+        tap * np.roll(images, before - t, axis=-1) for t, tap in enumerate(FAN[::-1].astype(images.dtype))
+    )
+    place = np.arange(rows)[:, None] + np.arange(12)[None, :] - before
+    made = np.zeros_like(images)
+    for t, tap in enumerate(FAN[::-1].astype(images.dtype)):
+        wraps, row = np.divmod(place[:, t], rows)
+        taken = across[..., row, :]
+        if quincunx:
+            odd = wraps % 2 == 1
+            taken[..., odd, :] = np.roll(taken[..., odd, :], columns // 2, axis=-1)
+        made += tap * taken
+    return made
+
+
+def _pkva_pair() -> tuple[Matrix, Matrix]:
+    """Return h = √2 (δ + B) / 2 and g = √2 (δ - B (δ + B) / 2), odd offsets of g negated.
+
+    B is PKVA with zeros between its taps.
+    """
+    spread = np.zeros(23)
+    spread[::2] = PKVA
+    half = spread / 2
+    half[11] += 0.5
+    high = -np.convolve(spread, half)
+    high[22] += 1
+    high[1::2] *= -1  # offset 0 is index 22
+    return ROOT_TWO * half, ROOT_TWO * high
+
+
+def _mirrored(half: tuple[float, ...]) -> Matrix:
+    return np.array(half[:0:-1] + half)
+
+
+def _circulant(taps: Matrix, size: int) -> Matrix:
+    """Return the matrix of periodic filtering by symmetric `taps` of odd length."""
+    matrix = np.zeros((size, size))
+    for place, tap in enumerate(taps, start=-(len(taps) // 2)):
+        matrix[np.arange(size), (np.arange(size) + place) % size] += tap
+    return matrix

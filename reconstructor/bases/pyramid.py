@@ -1,0 +1,72 @@
+"""The wavelet pyramid (Mallat): rows and columns are halved together, and only the low quadrant goes on."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from reconstructor.bases.basis import Values, check_grid
+from reconstructor.bases.separable import Matrix, daubechies4_step, haar_step
+
+
+class Pyramid:
+    """[[LL, LH], [HL, HH]] = H X Hᵀ with one level H, then the same for LL, until its shorter side is 1.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Powers of two, 8 to 256.
+    step : callable
+        Makes one orthonormal level of a given size, low half above high half.
+
+    Raises
+    ------
+    InputError
+        If a side is not.
+    """
+
+    def __init__(self, rows: int, columns: int, step: Callable[[int], Matrix]) -> None:
+        check_grid(rows, columns)
+        self.image_shape = self.shape = (rows, columns)
+        self._sizes = [(rows >> level, columns >> level) for level in range(min(rows, columns).bit_length() - 1)]
+        self._steps = [(step(height), step(width)) for height, width in self._sizes]
+
+    @property
+    def dtype(self) -> np.dtype[np.float64]:
+        """float64: the entries are real numbers."""
+        return np.dtype(np.float64)
+
+    def forward(self, image: Values) -> Values:
+        """Return the coefficients, shape (rows, columns), coarsest at the upper left."""
+        coefficients = image.copy()
+        for (height, width), (down, across) in zip(self._sizes, self._steps, strict=True):
+            coefficients[:height, :width] = down @ coefficients[:height, :width] @ across.T
+        return coefficients
+
+    def adjoint(self, coefficients: Values) -> Values:
+        """Return the image."""
+        image: Values = np.array(coefficients)
+        for (height, width), (down, across) in zip(self._sizes[::-1], self._steps[::-1], strict=True):
+            image[:height, :width] = down.T @ image[:height, :width] @ across
+        return image
+
+
+def haar_pyramid(rows: int, columns: int) -> Pyramid:
+    """Return the Haar pyramid.
+
+    Raises
+    ------
+    InputError
+        If a side is not a power of two, 8 to 256.
+    """
+    return Pyramid(rows, columns, haar_step)
+
+
+def daubechies4_pyramid(rows: int, columns: int) -> Pyramid:
+    """Return the D4 pyramid, periodic, with the phase of `daubechies4_tensor`.
+
+    Raises
+    ------
+    InputError
+        If a side is not a power of two, 8 to 256.
+    """
+    return Pyramid(rows, columns, daubechies4_step)
