@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from bus.link import Link, open_link
 from skin.errors import InputError
-from skin.layout import Layout
+from skin.layout import Bus, Layout
 
 #: How long a service waits for a bus server that is still starting.
 OPEN_WAIT_S = 10.0
@@ -65,7 +65,16 @@ def open_links(
     """
     names = channels(layout, options)
     numbers = range(len(names)) if wanted is None else sorted(wanted)
-    return {
-        number: open_link(options.interface, names[number], layout.bus[number].bitrate, name=name, wait_s=OPEN_WAIT_S)
-        for number in numbers
-    }
+    return {number: _open(options.interface, names[number], layout.bus[number], name) for number in numbers}
+
+
+def _open(interface: str, channel: str, bus: Bus, name: str) -> Link:
+    return open_link(
+        interface,
+        channel,
+        bus.bitrate,
+        fd=bus.fd,
+        data_bitrate=bus.data_bitrate,
+        name=name,
+        wait_s=OPEN_WAIT_S,
+    )

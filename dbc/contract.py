@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
+from dbc.packing import Packing, packing
 from skin.errors import LayoutError
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe
@@ -31,33 +33,53 @@ TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
 PHASES: Final = 2
 #: Synchronous counter overflow value (1019h): a multiple of `PHASES`, so that the turns go on across it.
 SYNC_OVERFLOW: Final = 240
-#: Payload of a classic CAN frame.
-FRAME_BYTES: Final = 8
+#: Longest payload of a classic CAN and of a CAN FD frame.
+CLASSIC_BYTES: Final = 8
+FD_BYTES: Final = 64
 HIGHEST_NODE_ID: Final = 127
 
 
 @dataclass(frozen=True)
 class Tpdo:
-    """One transmit PDO: `sums` consecutive sums from `first_sum` on, when the SYNC counter is in `phase`."""
+    """One transmit PDO: `sums` consecutive sums from `first_sum` on, when the SYNC counter is in `phase`.
+
+    `length` is that of the frame on the wire, which CAN FD pads.
+    """
 
     number: int
     cob_id: int
     phase: int
     first_sum: int
     sums: int
-    first_subindex: int
     length: int
 
 
 @dataclass(frozen=True)
 class NodeContract:
-    """One CANopen node: its `block` of the skin and the frames it sends."""
+    """One CANopen node: `blocks` blocks of the skin from `block` on, and the frames it sends.
+
+    `flags` are those of its PDOs' frames (`dbc.frame`); all its other frames are classic.
+    """
 
     bus: int
     node_id: int
     block: int
+    blocks: int
     sums: int
+    packing: Packing
+    flags: int
     tpdos: tuple[Tpdo, ...]
+
+    @property
+    def pdo_bytes(self) -> int:
+        """Longest payload of its PDOs."""
+        return FD_BYTES if self.flags & FD else CLASSIC_BYTES
+
+    @property
+    def encoding(self) -> int:
+        """How its PDOs are to be read, as one number (2005h): width, log2 of the scale, offset binary, blocks."""
+        step = self.packing.scale.bit_length() - 1
+        return self.packing.bits | step << 8 | (not self.packing.is_signed) << 16 | self.blocks << 24
 
 
 @dataclass(frozen=True)
@@ -66,11 +88,22 @@ class Contract:
 
     layout: Layout
     phi: Sbhe
+    packing: Packing
     nodes: tuple[NodeContract, ...]
 
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
         return tuple(node for node in self.nodes if node.bus == bus)
+
+    def cycle(self, bus: int, phase: int = 0) -> Frames:
+        """Return the frames of one cycle on a bus, SYNC first, then the TPDOs by identifier; all data 0."""
+        sent = [(tpdo, node.flags) for node in self.on_bus(bus) for tpdo in node.tpdos if tpdo.phase == phase]
+        sent.sort(key=lambda pair: pair[0].cob_id)
+        cycle = frames(1 + len(sent))
+        cycle["can_id"] = [SYNC_COB_ID, *(tpdo.cob_id for tpdo, _ in sent)]
+        cycle["length"] = [1, *(tpdo.length for tpdo, _ in sent)]
+        cycle["flags"] = [0, *(flags for _, flags in sent)]
+        return cycle
 
     @cached_property
     def table(self) -> "FrameTable":
@@ -84,18 +117,18 @@ class FrameTable:
 
     Attributes
     ----------
-    bus, block, phase, cob_id, length : arrays of int, shape (rows,)
-    gather : array of int, shape (rows, 4)
+    bus, phase, cob_id, length, flags : arrays of int, shape (rows,)
+    gather : array of int, shape (rows, width)
         The sums in each frame; -1 where the frame has no further sum.
     row_of : array of int, shape (buses, 2048)
         Row of an 11-bit identifier on a bus, -1 for every other identifier.
     """
 
     bus: npt.NDArray[np.intp]
-    block: npt.NDArray[np.intp]
     phase: npt.NDArray[np.intp]
     cob_id: npt.NDArray[np.uint32]
     length: npt.NDArray[np.uint8]
+    flags: npt.NDArray[np.uint8]
     gather: npt.NDArray[np.intp]
     row_of: npt.NDArray[np.intp]
 
@@ -118,37 +151,54 @@ def contract(layout: Layout) -> Contract:
     LayoutError
         If a node has more sums than its bus has identifiers for.
     """
-    phi = layout.phi()
+    phi, pack = layout.phi(), packing(layout)
     nodes: list[NodeContract] = []
     for number, bus in enumerate(layout.bus):
+        flags = FD | (BRS if bus.data_bitrate else 0) if bus.fd else 0
         for node_id in range(1, bus.nodes + 1):
-            block = layout.first_block(number) + node_id - 1
-            first, last = int(phi.starts[block]), int(phi.starts[block + 1])
-            tpdos = _tpdos(bus, number, node_id, first, last)
-            nodes.append(NodeContract(number, node_id, block, last - first, tpdos))
-    return Contract(layout, phi, tuple(nodes))
+            block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
+            first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
+            tpdos = _tpdos(bus, number, node_id, range(first, last), pack.bits)
+            nodes.append(NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos))
+    return Contract(layout, phi, pack, tuple(nodes))
 
 
-def _tpdos(bus: Bus, number: int, node_id: int, first: int, last: int) -> tuple[Tpdo, ...]:
-    """Spread the sums `first` to `last` over full frames, once per phase."""
-    per_frame = FRAME_BYTES // 2
-    starts = range(first, last, per_frame)
+def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int) -> tuple[Tpdo, ...]:
+    """Spread a node's sums over frames, once per phase."""
+    parts = _spread(sums, bits, fd=bus.fd)
     tpdos = []
-    for index in range(PHASES * len(starts)):
-        phase, frame = divmod(index, len(starts))
-        sums = min(per_frame, last - starts[frame])
+    for index in range(PHASES * len(parts)):
+        phase, frame = divmod(index, len(parts))
+        part = parts[frame]
         tpdos.append(
             Tpdo(
                 number=index + 1,
                 cob_id=_cob_id(bus, number, node_id, index),
                 phase=phase,
-                first_sum=starts[frame],
-                sums=sums,
-                first_subindex=starts[frame] - first + 1,
-                length=2 * sums,
+                first_sum=part.start,
+                sums=len(part),
+                length=_length(len(part), bits, fd=bus.fd),
             )
         )
     return tuple(tpdos)
+
+
+def _spread(sums: range, bits: int, *, fd: bool) -> list[range]:
+    """Divide sums into as few frames as can be, and of those ways the one with the fewest bytes on the wire."""
+    most = 8 * (FD_BYTES if fd else CLASSIC_BYTES) // bits
+    fewest = -(-len(sums) // most)
+    ways = [
+        [sums[start : start + size] for start in range(0, len(sums), size)]
+        for size in range(most, 0, -1)
+        if -(-len(sums) // size) == fewest
+    ]
+    return min(ways, key=lambda parts: sum(_length(len(part), bits, fd=fd) for part in parts))
+
+
+def _length(sums: int, bits: int, *, fd: bool) -> int:
+    """Return the bytes of a frame of `sums` sums on the wire."""
+    length = -(-sums * bits // 8)
+    return next(each for each in FD_LENGTHS if each >= length) if fd else length
 
 
 def _cob_id(bus: Bus, number: int, node_id: int, index: int) -> int:
@@ -164,17 +214,17 @@ def _cob_id(bus: Bus, number: int, node_id: int, index: int) -> int:
 
 def _table(made: Contract) -> FrameTable:
     rows = [(node, tpdo) for node in made.nodes for tpdo in node.tpdos]
-    gather = np.full((len(rows), FRAME_BYTES // 2), -1, np.intp)
+    gather = np.full((len(rows), max(tpdo.sums for _, tpdo in rows)), -1, np.intp)
     row_of = np.full((len(made.layout.bus), 0x800), -1, np.intp)
     for row, (node, tpdo) in enumerate(rows):
         gather[row, : tpdo.sums] = range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
         row_of[node.bus, tpdo.cob_id] = row
     return FrameTable(
         bus=np.array([node.bus for node, _ in rows], np.intp),
-        block=np.array([node.block for node, _ in rows], np.intp),
         phase=np.array([tpdo.phase for _, tpdo in rows], np.intp),
         cob_id=np.array([tpdo.cob_id for _, tpdo in rows], np.uint32),
         length=np.array([tpdo.length for _, tpdo in rows], np.uint8),
+        flags=np.array([node.flags for node, _ in rows], np.uint8),
         gather=gather,
         row_of=row_of,
     )

@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 from dbc.contract import EMCY_BASE, PHASES, SYNC_COB_ID, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
 from dbc.indices import (
+    INTEGER8,
     INTEGER16,
     OD_BLOCK,
     OD_CONSUMER_HEARTBEAT,
@@ -17,6 +18,7 @@ from dbc.indices import (
     OD_DEVICE_TYPE,
     OD_EMCY_COB_ID,
     OD_EMCY_INHIBIT_100US,
+    OD_ENCODING,
     OD_ERROR_BEHAVIOUR,
     OD_ERROR_FIELD,
     OD_ERROR_REGISTER,
@@ -45,6 +47,7 @@ from dbc.indices import (
     UNSIGNED16,
     UNSIGNED32,
     VISIBLE_STRING,
+    of_block,
 )
 
 Access = Literal["ro", "rw", "const"]
@@ -57,8 +60,15 @@ REVISION: Final = 0x0001_0000
 HEARTBEAT_MS: Final = 1000
 #: Part of the cycle in which TPDOs may be sent: the next SYNC shall find a free bus.
 WINDOW_RATIO: Final = 0.98
-#: Entries of a mapping record: eight objects of one byte fill a classic frame.
-MAPPABLE: Final = 8
+#: Type of a sum's raw value, by width and sign; 12 bits are mapped from an object of 16.
+SUM_TYPES: Final = {
+    (16, True): INTEGER16,
+    (16, False): UNSIGNED16,
+    (12, True): INTEGER16,
+    (12, False): UNSIGNED16,
+    (8, True): INTEGER8,
+    (8, False): UNSIGNED8,
+}
 #: Entries of the pre-defined error field.
 ERRORS_KEPT: Final = 8
 #: Masters and peers whose heartbeat a node can watch.
@@ -88,10 +98,8 @@ def dictionary(made: Contract, node: NodeContract) -> list[Object]:
     return [
         *_communication(made, node),
         *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo)),
-        *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(tpdo)),
-        *_measuring(made, node),
-        *_condition(made),
-        *_array(OD_SUMS, "Sums", [f"Sum {place}" for place in _places(node.sums)], INTEGER16, "ro", pdo=True),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(made, node, tpdo)),
+        *_manufacturer(made, node),
     ]
 
 
@@ -147,11 +155,15 @@ def _tpdo_communication(tpdo: Tpdo) -> list[Object]:
     return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
 
 
-def _tpdo_mapping(tpdo: Tpdo) -> list[Object]:
+def _tpdo_mapping(made: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
     """Return the mapping record (1A00h on): index, sub-index and length in bits of each mapped object."""
     index, group = OD_TPDO_MAPPING + tpdo.number - 1, f"TPDO {tpdo.number} mapping parameter"
-    mapped = [(OD_SUMS << 16) | ((tpdo.first_subindex + place) << 8) | 16 for place in range(tpdo.sums)]
-    mapped += [0] * (MAPPABLE - tpdo.sums)
+    mapped = []
+    for each in range(tpdo.first_sum, tpdo.first_sum + tpdo.sums):
+        block = int(made.phi.block_of_sum[each])
+        subindex = each - int(made.phi.starts[block]) + 1
+        mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | made.packing.bits)
+    mapped += [0] * (node.pdo_bytes - tpdo.sums)  # objects of one byte each fill a frame
     return [
         Object(index, 0, "Number of mapped objects", UNSIGNED8, "rw", tpdo.sums, group=group),
         *(
@@ -161,38 +173,41 @@ def _tpdo_mapping(tpdo: Tpdo) -> list[Object]:
     ]
 
 
-def _measuring(made: Contract, node: NodeContract) -> list[Object]:
-    """Return what the node measures: block, seed, rows, and the taxels in the order of the block's daisy chain."""
-    size = made.phi.block_size
-    taxels = made.phi.order[node.block * size : (node.block + 1) * size]
-    rows = made.phi.rows_of(node.block)
+def _manufacturer(made: Contract, node: NodeContract) -> list[Object]:
+    """Return what the node measures and how it is, by index; of each further block `BLOCK_STRIDE` higher."""
     seed, fingerprint = made.layout.measurement.seed, made.phi.fingerprint
-    chain = [f"Taxel at place {place}" for place in range(size)]
-    return [
+    health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", "Saturated taxels"]
+    whole = [
         Object(OD_BLOCK, None, "Block index", UNSIGNED16, "ro", node.block),
         Object(OD_PHI_SEED, None, "Seed of the measurement operator", UNSIGNED32, "ro", seed),
         Object(OD_PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", VISIBLE_STRING, "ro", fingerprint),
-        *_array(
-            OD_ROWS,
-            "Hadamard rows",
-            [f"Row of sum {place}" for place in _places(len(rows))],
-            UNSIGNED8,
-            "ro",
-            value=rows,
-        ),
-        *_array(OD_TAXELS, "Taxels", chain, UNSIGNED16, "ro", value=[int(taxel) for taxel in taxels]),
-    ]
-
-
-def _condition(made: Contract) -> list[Object]:
-    """Return calibration, health counters and the test pattern."""
-    chain = [f"Place {place}" for place in range(made.phi.block_size)]
-    health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", "Saturated taxels"]
-    return [
-        *_array(OD_GAIN, "Gain", chain, REAL32, "rw", value=1.0),
-        *_array(OD_OFFSET, "Offset in ADC counts", chain, INTEGER16, "rw"),
+        Object(OD_ENCODING, None, "Encoding of the sums", UNSIGNED32, "ro", node.encoding),
         *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
-        Object(OD_TEST_PATTERN, None, "Test pattern", UNSIGNED8, "rw", 0),
+    ]
+    blocks = [each for place in range(node.blocks) for each in _block(made, node.block + place, place)]
+    return sorted(whole + blocks, key=lambda each: each.index)
+
+
+def _block(made: Contract, block: int, place: int) -> list[Object]:
+    """Return the objects of one block: taxels in the order of its daisy chain, calibration, test pattern, sums."""
+    size, rows = made.phi.block_size, made.phi.rows_of(block)
+    taxels = [int(taxel) for taxel in made.phi.order[block * size : (block + 1) * size]]
+    of = f" of block {place + 1}" if place else ""
+    row_names = [f"Row of sum {sum_}" for sum_ in _places(len(rows))]
+    sums = [f"Sum {sum_}" for sum_ in _places(len(rows))]
+    taxel_names = [f"Taxel at place {each}" for each in range(size)]
+    chain = [f"Place {each}" for each in range(size)]
+
+    def at(index: int) -> int:
+        return of_block(index, place)
+
+    return [
+        *_array(at(OD_ROWS), f"Hadamard rows{of}", row_names, UNSIGNED8, "ro", value=rows),
+        *_array(at(OD_TAXELS), f"Taxels{of}", taxel_names, UNSIGNED16, "ro", value=taxels),
+        *_array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
+        *_array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
+        Object(at(OD_TEST_PATTERN), None, f"Test pattern{of}", UNSIGNED8, "rw", 0),
+        *_array(at(OD_SUMS), f"Sums{of}", sums, SUM_TYPES[made.packing.bits, made.packing.is_signed], "ro", pdo=True),
     ]
 
 

@@ -18,6 +18,9 @@ ESI: Final = 0x20
 #: A frame this very connection sent, reported back when it had been transmitted.
 ECHO: Final = 0x40
 
+#: Bytes a CAN FD frame can carry, by DLC (ISO 11898-1:2015, table 5).
+FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+
 #: One frame: `time_ns` of the end of frame (of one to send: its earliest start), `expires_ns` when a waiting frame
 #: is given up (0: never), `length` in bytes (not DLC), `port` the sending controller when one connection carries
 #: several, `data` padded with zeros.

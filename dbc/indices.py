@@ -2,6 +2,7 @@
 
 from typing import Final
 
+INTEGER8: Final = 0x02
 INTEGER16: Final = 0x03
 UNSIGNED8: Final = 0x05
 UNSIGNED16: Final = 0x06
@@ -10,7 +11,7 @@ REAL32: Final = 0x08
 VISIBLE_STRING: Final = 0x09
 
 #: Width in bits; strings have none.
-BITS: Final = {INTEGER16: 16, UNSIGNED8: 8, UNSIGNED16: 16, UNSIGNED32: 32, REAL32: 32}
+BITS: Final = {INTEGER8: 8, INTEGER16: 16, UNSIGNED8: 8, UNSIGNED16: 16, UNSIGNED32: 32, REAL32: 32}
 
 OD_DEVICE_TYPE: Final = 0x1000
 OD_ERROR_REGISTER: Final = 0x1001
@@ -40,12 +41,26 @@ OD_PHI_SEED: Final = 0x2001
 OD_PHI_FINGERPRINT: Final = 0x2002
 OD_ROWS: Final = 0x2003
 OD_TAXELS: Final = 0x2004
+OD_ENCODING: Final = 0x2005
 OD_GAIN: Final = 0x2010
 OD_OFFSET: Final = 0x2011
 OD_HEALTH: Final = 0x2020
 OD_TEST_PATTERN: Final = 0x2021
 OD_SUMS: Final = 0x2100
+#: The objects of a node's second block stand this much higher than those of its first, and so on.
+BLOCK_STRIDE: Final = 0x200
 
 #: Signatures of 1010h and 1011h: the characters "save" and "load", least significant first.
 SIGNATURE_SAVE: Final = 0x6576_6173
 SIGNATURE_LOAD: Final = 0x6461_6F6C
+
+
+def of_block(index: int, place: int) -> int:
+    """Return the index of an object, given as that of the first block, for the block at `place` of a node."""
+    return index + place * BLOCK_STRIDE
+
+
+def split_block(index: int) -> tuple[int, int]:
+    """Return the place of the block whose object this is, and the same object's index for the first block."""
+    place, rest = divmod(index - OD_MANUFACTURER, BLOCK_STRIDE)
+    return place, OD_MANUFACTURER + rest

@@ -111,10 +111,12 @@ class Run:
 
     def _start_services(self, endpoint: str) -> None:
         wishes, start, common = self._wishes, self._supervisor.start, self._common(endpoint)
-        bitrates = {bus.bitrate for bus in self._layout.bus}
+        bitrates = {(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in self._layout.bus}
         if len(bitrates) > 1:
-            raise InputError("the demo's virtual buses all have one bit rate; this layout has several")
-        start("bus", "bus", *(bus.name for bus in self._layout.bus), "--bitrate", str(bitrates.pop()))
+            raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
+        bitrate, data_bitrate = bitrates.pop()
+        names = [bus.name for bus in self._layout.bus]
+        start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
         touch = ["--objects", wishes.objects] if wishes.objects else []
         if wishes.recording is not None:
             touch = ["--input", str(wishes.recording)]

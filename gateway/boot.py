@@ -13,7 +13,7 @@ from typing import Final
 import canopen
 
 from dbc.contract import NMT_COB_ID, NodeContract
-from dbc.indices import OD_BLOCK, OD_PHI_FINGERPRINT
+from dbc.indices import OD_BLOCK, OD_ENCODING, OD_PHI_FINGERPRINT
 from gateway.network import MasterNetwork
 from skin.service import say
 
@@ -99,17 +99,18 @@ class Boot:
         self._network[node.node_id] = remote
         try:
             block = int.from_bytes(remote.sdo.upload(OD_BLOCK, 0), "little")
+            encoding = int.from_bytes(remote.sdo.upload(OD_ENCODING, 0), "little")
             phi = remote.sdo.upload(OD_PHI_FINGERPRINT, 0).decode("ascii", "replace")
         except canopen.SdoCommunicationError:
             return
         except canopen.SdoAbortedError as error:
             say("gateway", f"node {node.node_id} on {self._name} is no skin node: {error}")
             return
-        if (block, phi) != (node.block, self._fingerprint):
+        if (block, phi, encoding) != (node.block, self._fingerprint, node.encoding):
             say(
                 "gateway",
-                f"node {node.node_id} on {self._name} refused: expected block {node.block} of Φ {self._fingerprint},"
-                f" got block {block} of Φ {phi}",
+                f"node {node.node_id} on {self._name} refused: expected block {node.block} of Φ {self._fingerprint}"
+                f" in encoding {node.encoding:08X}, got block {block} of Φ {phi} in {encoding:08X}",
             )
             return
         self._trust(node, True)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.codec import decode
-from dbc.contract import FRAME_BYTES, PHASES, SYNC_COB_ID, Contract, next_counter, phase_of
+from dbc.contract import PHASES, SYNC_COB_ID, Contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 
 #: Largest 11-bit identifier.
@@ -60,10 +60,13 @@ class Collector:
         self._table = made.table
         self._phi = made.phi
         rows = len(made.table.cob_id)
-        self._payload = np.zeros((rows, FRAME_BYTES), np.uint8)
+        self._packing = made.packing
+        self._payload = np.zeros((rows, int(made.table.length.max())), np.uint8)
         self._seen = np.zeros(rows, np.bool_)
         self._spoilt = np.zeros(rows, np.bool_)
         self._of_phase = [np.flatnonzero(made.table.phase == phase) for phase in range(PHASES)]
+        #: Of the frames with sums on each bus: classic or CAN FD.
+        self._kind = [FD if bus.fd else 0 for bus in made.layout.bus]
         #: Blocks whose node has shown the right Φ; the sums of others are never used.
         self.trusted = np.zeros(made.phi.blocks, np.bool_)
         #: Counter of the SYNC that a phase is gathering for, 0 when none.
@@ -103,25 +106,28 @@ class Collector:
         rows = self._of_phase[phase]
         self._gathering[phase] = 0
         self.counts.missing += self._waiting[phase]
+        whole = self._seen[rows] & ~self._spoilt[rows]
+        good, lost = rows[whole], self._table.gather[rows[~whole]]
         valid = self.trusted.copy()
-        valid[self._table.block[rows[~self._seen[rows] | self._spoilt[rows]]]] = False
+        valid[self._phi.block_of_sum[lost[lost >= 0]]] = False
         sums = np.zeros(self._phi.shape[0], np.int32)
-        good = rows[valid[self._table.block[rows]]]
-        decode(self._payload[good], self._table.gather[good], sums)
+        decode(self._payload[good], self._table.gather[good], self._packing, sums)
+        sums[~self._phi.sums_of_blocks(valid)] = 0
         return Gathered(sums, valid)
 
     def _take(self, bus: int, arrived: Frames) -> None:
         arrived = arrived[arrived["flags"] & (ERROR | ECHO) == 0]
         if not len(arrived):
             return
-        strange = (arrived["flags"] & (EXTENDED | REMOTE | FD) != 0) | (arrived["can_id"] > HIGHEST_BASE_ID)
+        kind = arrived["flags"] & (EXTENDED | REMOTE | FD)
+        strange = (kind != self._kind[bus]) | (arrived["can_id"] > HIGHEST_BASE_ID)
         row = self._table.row_of[bus, np.where(strange, 0, arrived["can_id"])]
         ours = row >= 0
         self.counts.foreign += int(len(row) - ours.sum())
         row, arrived = row[ours], arrived[ours]
         whole = arrived["length"] == self._table.length[row]
         self.counts.malformed += int(len(row) - whole.sum())
-        self._accept(bus, row[whole], arrived["data"][whole, :FRAME_BYTES])
+        self._accept(bus, row[whole], arrived["data"][whole, : self._payload.shape[1]])
 
     def _accept(self, bus: int, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
         cycle = self._gathering[self._table.phase[row]]

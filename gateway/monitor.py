@@ -24,7 +24,7 @@ class BusMonitor:
 
     def __init__(self, made: Contract, bus: int, heartbeat_s: float) -> None:
         self._layout = made.layout.bus[bus]
-        frame_time_ns(frames(1), self._layout.bitrate)  # compiled before the first cycle
+        frame_time_ns(frames(1), self._layout.bitrate, self._layout.data_bitrate)  # compiled before the first cycle
         self._nodes = [node.node_id for node in made.on_bus(bus)]
         self._silent_after_s = PATIENCE * heartbeat_s
         self._nmt = np.full(len(self._nodes), SILENT, np.uint8)
@@ -51,7 +51,9 @@ class BusMonitor:
             return
         taken = np.concatenate(self._unaccounted)
         self._unaccounted.clear()
-        busy_ns = int(frame_time_ns(taken[taken["flags"] & ERROR == 0], self._layout.bitrate).sum())
+        busy_ns = int(
+            frame_time_ns(taken[taken["flags"] & ERROR == 0], self._layout.bitrate, self._layout.data_bitrate).sum()
+        )
         self._busy_ns += busy_ns
         self._total_busy_ns += busy_ns
 

@@ -124,7 +124,7 @@ class GatewayService:
         return _Line(link, network, BusMonitor(self._made, number, HEARTBEAT_MS / 1000), boot)
 
     def _trust(self, node: NodeContract, trusted: bool) -> None:
-        self.collector.trusted[node.block] = trusted
+        self.collector.trusted[node.block : node.block + node.blocks] = trusted
 
     def _turn(self) -> float:
         """Wait for frames until the next thing is due, use them, and close what has settled."""

@@ -9,12 +9,11 @@ from typing import Final
 from canopen import SdoAbortedError
 
 from dbc.contract import SYNC_COB_ID
-from dbc.dictionary import MAPPABLE
 from dbc.indices import (
-    BITS,
     OD_EMCY_COB_ID,
     OD_ERROR_BEHAVIOUR,
     OD_ERROR_FIELD,
+    OD_MANUFACTURER,
     OD_RESTORE,
     OD_STORE,
     OD_SYNC_COB_ID,
@@ -24,6 +23,7 @@ from dbc.indices import (
     OD_TPDO_MAPPING,
     SIGNATURE_LOAD,
     SIGNATURE_SAVE,
+    split_block,
 )
 from nodes.objects import LocalNode
 
@@ -57,8 +57,12 @@ def check_write(node: LocalNode, index: int, subindex: int, value: int) -> None:
         _communication(node, index, subindex, value)
     elif OD_TPDO_MAPPING <= index < OD_TPDO_MAPPING + 0x200:
         _mapping(node, index, subindex, value)
-    elif index in _VALUES and not _VALUES[index](value):
+    elif (rule := _VALUES.get(_first_block(index))) is not None and not rule(value):
         raise SdoAbortedError(ABORT_STORE if index in (OD_STORE, OD_RESTORE) else ABORT_VALUE)
+
+
+def _first_block(index: int) -> int:
+    return split_block(index)[1] if index >= OD_MANUFACTURER else index
 
 
 #: Values an object accepts, where not all of its type.
@@ -100,17 +104,16 @@ def _mapping(node: LocalNode, index: int, subindex: int, value: int) -> None:
         if value:
             _check_mappable(node, value)
         return
-    if value > MAPPABLE:
+    if value > node.pdo_bytes:  # objects of one byte each
         raise SdoAbortedError(ABORT_PDO_LENGTH)
     entries = [node.unsigned(index, place) for place in range(1, value + 1)]
     for entry in entries:
         _check_mappable(node, entry)
-    if sum(entry & 0xFF for entry in entries) > 64:
+    if sum(entry & 0xFF for entry in entries) > 8 * node.pdo_bytes:
         raise SdoAbortedError(ABORT_PDO_LENGTH)
 
 
 def _check_mappable(node: LocalNode, entry: int) -> None:
     """Check one mapping entry: index, sub-index and length in bits of an object that PDOs may carry."""
-    found = node.variable(entry >> 16, entry >> 8 & 0xFF)
-    if found is None or not found.pdo_mappable or BITS.get(found.data_type or 0) != entry & 0xFF:
+    if node.mappable_bits(entry >> 16, entry >> 8 & 0xFF) != entry & 0xFF:
         raise SdoAbortedError(ABORT_NOT_MAPPABLE)

@@ -4,8 +4,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.codec import encode
-from dbc.contract import SYNC_OVERFLOW
+from dbc.contract import SYNC_OVERFLOW, Contract, NodeContract
 from dbc.frame import Frames, frames
+from dbc.indices import split_block
 from nodes.tpdo import Tpdo
 
 
@@ -14,29 +15,34 @@ class Burst:
 
     Parameters
     ----------
-    tpdos : list of (int, int, int, Tpdo)
-        Place of the node in the segment, its node-ID, its first sum, and the PDO.
+    made : Contract
+    tpdos : list of (int, NodeContract, Tpdo)
+        Place of the node in the segment, the node, and the PDO.
     """
 
-    def __init__(self, tpdos: list[tuple[int, int, int, Tpdo]]) -> None:
-        self._node = np.array([place for place, _, _, _ in tpdos], np.intp)
+    def __init__(self, made: Contract, tpdos: list[tuple[int, NodeContract, Tpdo]]) -> None:
+        self._packing = made.packing
+        self._node = np.array([place for place, _, _ in tpdos], np.intp)
         self._every = np.array([tpdo.every for *_, tpdo in tpdos], np.intp)
         self._start = np.array([tpdo.start for *_, tpdo in tpdos], np.intp)
-        self._gather = np.full((len(tpdos), 4), -1, np.intp)
-        for row, (_, _, first_sum, tpdo) in enumerate(tpdos):
-            self._gather[row, : len(tpdo.mapped)] = [first_sum + subindex - 1 for _, subindex in tpdo.mapped]
+        self._gather = np.full((len(tpdos), max((len(tpdo.mapped) for *_, tpdo in tpdos), default=0)), -1, np.intp)
+        for row, (_, node, tpdo) in enumerate(tpdos):
+            for column, (index, subindex, _) in enumerate(tpdo.mapped):
+                block = node.block + split_block(index)[0]
+                self._gather[row, column] = made.phi.starts[block] + subindex - 1
         self._template = frames(len(tpdos))
         self._template["can_id"] = [tpdo.cob_id for *_, tpdo in tpdos]
         self._template["length"] = [tpdo.length for *_, tpdo in tpdos]
-        self._template["port"] = [node_id for _, node_id, _, _ in tpdos]
+        self._template["port"] = [node.node_id for _, node, _ in tpdos]
+        self._template["flags"] = [node.flags for _, node, _ in tpdos]
         self._syncs = 0
 
-    def frames(self, counter: int, sums: npt.NDArray[np.int16], operational: npt.NDArray[np.bool_]) -> Frames:
+    def frames(self, counter: int, sums: npt.NDArray[np.int32], operational: npt.NDArray[np.bool_]) -> Frames:
         """Return the frames that SYNC `counter` (0: without counter) calls for, in node order.
 
         Parameters
         ----------
-        sums : array of int16, shape (m,)
+        sums : array of int32, shape (m,)
         operational : array of bool, shape (nodes,)
         """
         self._syncs += 1
@@ -44,5 +50,6 @@ class Burst:
         turn = np.where((self._start > 0) & (counter > 0), (counter - self._start) % SYNC_OVERFLOW, self._syncs)
         due = operational[self._node] & (turn % self._every == 0)
         burst: Frames = self._template[due]
-        burst["data"][:, :8] = encode(sums, self._gather[due])
+        payloads = encode(sums, self._gather[due], self._packing)
+        burst["data"][:, : payloads.shape[1]] = payloads
         return burst

@@ -40,15 +40,14 @@ class Electronics:
         self._random = np.random.Generator(np.random.SFC64(seed))
         self._pattern = np.full(taxels.count, -1, np.int32)
 
-    def read(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int16]:
+    def read(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
         """Return corrected ADC counts, shape (n,): noise added, clipped to the range, rounded to a count."""
         felt = force_n.ravel()
         if self._noise_n:
             felt = felt + self._noise_n * self._random.standard_normal(felt.size, np.float32)
         counts = np.clip(np.rint(felt / self._newton_per_count), 0, self.top)
         corrected = np.clip(np.rint(self.gain * counts + self.offset), 0, self.top)
-        # A layout keeps the ADC below 16 bits, so that sums fit the bus.
-        shown: npt.NDArray[np.int16] = np.where(self._pattern >= 0, self._pattern, corrected).astype(np.int16)
+        shown: npt.NDArray[np.int32] = np.where(self._pattern >= 0, self._pattern, corrected).astype(np.int32)
         return shown
 
     def newtons(self, counts: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:

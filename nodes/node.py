@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +24,8 @@ from dbc.indices import (
     OD_STORE,
     OD_SUMS,
     REAL32,
+    of_block,
+    split_block,
 )
 from nodes.access import PDO_INVALID, check_write
 from nodes.emcy import EmcyProducer, Emergency
@@ -69,10 +72,10 @@ class SkinNode:
             OD_ERROR_REGISTER: lambda _: self.emcy.register,
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,
-            OD_SUMS: self._read_sum,
+            **{of_block(OD_SUMS, place): partial(self._read_sum, made.block + place) for place in range(made.blocks)},
             **{index: lambda subindex: ON_COMMAND if subindex else None for index in _COMMANDS},
         }
-        self.local = LocalNode(made.node_id, object_dictionary(objects))
+        self.local = LocalNode(made.node_id, object_dictionary(objects), made.packing.bits, made.pdo_bytes)
         self.local.on_write(self._written)
         self.local.on_read(self._read)
         self.emcy = EmcyProducer(self._send_emcy)
@@ -139,7 +142,7 @@ class SkinNode:
 
     def send(self, tpdo: Tpdo, payload: bytes) -> None:
         """Send one TPDO outside a burst."""
-        self._network.send_message(tpdo.cob_id, payload)
+        self._network.send_pdo(tpdo.cob_id, payload, self.contract.flags)
         self.health[1] += 1
 
     def _watch(self, now_s: float) -> None:
@@ -180,12 +183,13 @@ class SkinNode:
         return history[subindex - 1] if subindex <= len(history) else 0
 
     def _read_health(self, subindex: int) -> int | None:
-        self.health[3] = self._sampler.saturated(self.contract.block)
+        made = self.contract
+        self.health[3] = sum(self._sampler.saturated(made.block + place) for place in range(made.blocks))
         return int(self.health[subindex - 1]) if subindex else None
 
-    def _read_sum(self, subindex: int) -> int | None:
-        first = self._sampler.first_sum(self.contract.block)
-        return int(self._sampler.sums[first + subindex - 1]) if subindex else None
+    def _read_sum(self, block: int, subindex: int) -> int | None:
+        first = self._sampler.first_sum(block) + subindex - 1
+        return int(self.contract.packing.raw(self._sampler.sums[first : first + 1])[0]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
         value = struct.unpack("<f", data)[0] if od.data_type == REAL32 else int.from_bytes(data, "little")
@@ -196,9 +200,10 @@ class SkinNode:
             self._saved = {at: dict(entries) for at, entries in self.local.data_store.items() if at not in _COMMANDS}
         elif index == OD_RESTORE:
             self._saved = {}
-        elif index == OD_OFFSET:
-            value = int.from_bytes(data, "little", signed=True)
         if index >= OD_MANUFACTURER:
-            self._sampler.adjust(self.contract.block, index, subindex, value)
+            place, first = split_block(index)
+            if first == OD_OFFSET:
+                value = int.from_bytes(data, "little", signed=True)
+            self._sampler.adjust(self.contract.block + place, first, subindex, value)
         else:
             self._changed = True

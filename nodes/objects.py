@@ -7,6 +7,7 @@ import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 from dbc.dictionary import Object
+from dbc.indices import BITS, OD_SUMS, split_block
 
 
 def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
@@ -31,10 +32,20 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
 
 
 class LocalNode(canopen.LocalNode):
-    """The library's local node for its dictionary and SDO server only; NMT and heartbeat are `nodes.node`'s."""
+    """The library's local node for its dictionary and SDO server only; NMT and heartbeat are `nodes.node`'s.
 
-    def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary) -> None:
+    Attributes
+    ----------
+    sum_bits : int
+        Width of a sum in a PDO.
+    pdo_bytes : int
+        Longest payload of a PDO.
+    """
+
+    def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary, sum_bits: int, pdo_bytes: int) -> None:
         super().__init__(node_id, dictionary)
+        self.sum_bits = sum_bits
+        self.pdo_bytes = pdo_bytes
         # The library would start a thread per node for the heartbeat.
         self._write_callbacks.clear()
 
@@ -49,6 +60,13 @@ class LocalNode(canopen.LocalNode):
     def unsigned(self, index: int, subindex: int = 0) -> int:
         """Return the present value of an unsigned object."""
         return int.from_bytes(self.get_data(index, subindex), "little")
+
+    def mappable_bits(self, index: int, subindex: int) -> int | None:
+        """Return the width of an object in a PDO, None when PDOs may not carry it."""
+        found = self.variable(index, subindex)
+        if found is None or not found.pdo_mappable:
+            return None
+        return self.sum_bits if split_block(index)[1] == OD_SUMS else BITS.get(found.data_type or 0)
 
     def variable(self, index: int, subindex: int) -> ODVariable | None:
         """Return the description of an object, None when it does not exist."""

@@ -40,7 +40,7 @@ class Sampler:
         self._electronics = electronics
         self._step = -1
         self._counter = 0
-        self._kept: deque[tuple[int, int, npt.NDArray[np.int16]]] = deque(maxlen=KEPT_CYCLES)
+        self._kept: deque[tuple[int, int, npt.NDArray[np.int32]]] = deque(maxlen=KEPT_CYCLES)
         self._counts = np.zeros(phi.shape[1], np.int32)
         self._truth: Truth | None = None
 

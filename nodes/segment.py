@@ -6,8 +6,17 @@ from typing import Final
 
 import numpy as np
 
+from bandwidth.frame_bits import frame_time_ns
 from bus.link import DISCARDED, Link
-from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, Contract
+from dbc.contract import (
+    HEARTBEAT_BASE,
+    HIGHEST_NODE_ID,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SYNC_COB_ID,
+    Contract,
+    NodeContract,
+)
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from dbc.indices import OD_SYNC_OVERFLOW, OD_WINDOW_US
@@ -25,8 +34,6 @@ REACTION_NS: Final = 100_000
 TICK_S: Final = 0.005
 #: When the next SYNC is due, in periods after the last.
 QUIET_FROM, QUIET_TO = 0.7, 2.0
-#: Eight bytes, 11-bit identifier, worst stuffing.
-LONGEST_FRAME_BITS: Final = 135
 #: 1007h is 0: there is no limit.
 NO_WINDOW_NS: Final = 1 << 62
 #: Every SDO frame is 8 bytes (CiA 301, 7.2.4.3).
@@ -58,7 +65,9 @@ class Segment:
         self.link = link
         self.frames_sent = self.frames_dropped = self.frames_rejected = 0
         self.syncs_seen = 0
-        self._frame_ns = LONGEST_FRAME_BITS * 1_000_000_000 // made.layout.bus[bus].bitrate
+        wires = made.layout.bus[bus]
+        self._frame_ns = int(frame_time_ns(made.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
+        self._made = made
         self._period_s = made.layout.sync.period_s
         self._sync_at_s = self._tick_at_s = float("-inf")
         self._sampler = sampler
@@ -180,16 +189,16 @@ class Segment:
 
     def _compile(self) -> None:
         """Split the TPDOs into those a burst of arrays can carry and the others."""
-        plain: list[tuple[int, int, int, Tpdo]] = []
+        plain: list[tuple[int, NodeContract, Tpdo]] = []
         self._mixed: list[tuple[SkinNode, Tpdo]] = []
         self._sync_length: dict[int, int] = {}
         # Latest start of a frame after the SYNC: it has to end inside the window.
         self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
         for place, node in enumerate(self.nodes):
-            node_id, first_sum = node.contract.node_id, self._sampler.first_sum(node.contract.block)
+            node_id = node.contract.node_id
             self._sync_length[node_id] = 1 if node.local.unsigned(OD_SYNC_OVERFLOW) else 0
             window_us = node.local.unsigned(OD_WINDOW_US)
             self._window_ns[node_id] = max(1, window_us * 1000 - self._frame_ns) if window_us else NO_WINDOW_NS
-            plain += [(place, node_id, first_sum, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
+            plain += [(place, node.contract, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
             self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
-        self._burst = Burst(plain)
+        self._burst = Burst(self._made, plain)

@@ -6,13 +6,13 @@ from typing import Final
 from canopen import SdoAbortedError
 
 from dbc.contract import SYNC_OVERFLOW
-from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING
+from dbc.frame import FD_LENGTHS
+from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, split_block
 from nodes.access import LAST_SYNCHRONOUS, PDO_INVALID
 from nodes.objects import LocalNode
 
 EVENT_MANUFACTURER: Final = 254
 EVENT_PROFILE: Final = 255
-FRAME_BYTES: Final = 8
 
 
 @dataclass
@@ -27,10 +27,10 @@ class Tpdo:
         SYNC start value; 0 counts SYNCs from the first.
     inhibit_s, event_s : float
         Least time between two, and longest time without one; 0 for none. Event-driven PDOs only.
-    mapped : list of (int, int)
-        Index and sub-index of each mapped object, in the order of the bytes.
+    mapped : list of (int, int, int)
+        Index, sub-index and bits of each mapped object, in the order of the bits.
     length : int
-        Payload in bytes.
+        Payload in bytes, with the padding of CAN FD.
     """
 
     cob_id: int
@@ -38,7 +38,7 @@ class Tpdo:
     start: int
     inhibit_s: float
     event_s: float
-    mapped: list[tuple[int, int]]
+    mapped: list[tuple[int, int, int]]
     length: int
     _syncs: int = 0
     _last: bytes | None = None
@@ -47,11 +47,18 @@ class Tpdo:
     @property
     def is_plain(self) -> bool:
         """Whether it is cyclic and carries nothing but sums, so that a burst can be made of arrays."""
-        return 1 <= self.every <= LAST_SYNCHRONOUS and all(index == OD_SUMS for index, _ in self.mapped)
+        return 1 <= self.every <= LAST_SYNCHRONOUS and all(
+            split_block(index)[1] == OD_SUMS for index, _, _ in self.mapped
+        )
 
     def payload(self, node: LocalNode) -> bytes:
         """Return the bytes to send now."""
-        return b"".join(node.get_data(index, subindex) for index, subindex in self.mapped)
+        packed = shift = 0
+        for index, subindex, bits in self.mapped:
+            value = int.from_bytes(node.get_data(index, subindex), "little")
+            packed |= (value & (1 << bits) - 1) << shift
+            shift += bits
+        return packed.to_bytes(self.length, "little")
 
     def at_sync(self, counter: int, node: LocalNode) -> bytes | None:
         """Return the payload when SYNC `counter` calls for it."""
@@ -103,8 +110,8 @@ def read_tpdos(node: LocalNode, numbers: list[int]) -> list[Tpdo]:
 def _read(node: LocalNode, communication: int, mapping: int) -> Tpdo | None:
     cob_id = node.unsigned(communication, 1)
     entries = [node.unsigned(mapping, place) for place in range(1, node.unsigned(mapping, 0) + 1)]
-    length = sum(entry & 0xFF for entry in entries) // 8
-    if cob_id & PDO_INVALID or not entries or length > FRAME_BYTES:
+    length = (sum(entry & 0xFF for entry in entries) + 7) // 8
+    if cob_id & PDO_INVALID or not entries or length > node.pdo_bytes:
         return None
     return Tpdo(
         cob_id=cob_id & 0x7FF,
@@ -112,6 +119,6 @@ def _read(node: LocalNode, communication: int, mapping: int) -> Tpdo | None:
         start=node.unsigned(communication, 6),
         inhibit_s=node.unsigned(communication, 3) * 1e-4,
         event_s=node.unsigned(communication, 5) * 1e-3,
-        mapped=[(entry >> 16, entry >> 8 & 0xFF) for entry in entries],
-        length=length,
+        mapped=[(entry >> 16, entry >> 8 & 0xFF, entry & 0xFF) for entry in entries],
+        length=next(each for each in FD_LENGTHS if each >= length),  # up to 8 bytes every length has its DLC
     )

@@ -9,8 +9,10 @@ import msgspec
 from skin.errors import LayoutError
 from skin.measurement import Sbhe, sbhe
 
-#: Width of a sum on the bus (INTEGER16).
-SUM_BITS: Final = 16
+#: Names of the layouts that come with the project.
+SHIPPED: Final = ("default", "fd", "one-bus-12bit")
+#: Largest bit rate of a CAN FD data phase.
+DATA_BITRATE_MAX: Final = 8_000_000
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
 PositiveFloat = Annotated[float, msgspec.Meta(gt=0)]
@@ -45,7 +47,8 @@ class Measuring(_Table, frozen=True, kw_only=True):
     """Which sums of taxels are sent: the parameters Φ is drawn from."""
 
     ensemble: Literal["sbhe"] = "sbhe"
-    block_size: Annotated[int, msgspec.Meta(ge=2, le=256)] = 32
+    # The taxels of a block are one array of its node's dictionary, which holds 254 entries.
+    block_size: Annotated[int, msgspec.Meta(ge=2, le=128)] = 32
     sums: Positive = 1024
     selection: Literal["balanced", "uniform"] = "balanced"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
@@ -63,17 +66,24 @@ class Sync(_Table, frozen=True, kw_only=True):
 
 
 class Encoding(_Table, frozen=True, kw_only=True):
-    """How one sum travels: `sum_bits` in a PDO."""
+    """How one sum travels: `sum_bits` in a PDO, in two's complement or, to save stuff bits, `offset_binary`."""
 
-    sum_bits: Literal[16] = 16
+    sum_bits: Literal[16, 12, 8] = 16
+    offset_binary: bool = False
 
 
 class Bus(_Table, frozen=True, kw_only=True):
-    """One CAN bus: node-IDs 1 to `nodes`, nominal `bitrate` in bit/s."""
+    """One CAN bus: node-IDs 1 to `nodes`, nominal `bitrate` in bit/s.
+
+    With `fd` the sums travel in CAN FD frames of up to 64 bytes, their data phase at `data_bitrate` if given.
+    """
 
     name: Name
     nodes: Annotated[int, msgspec.Meta(ge=1, le=127)]
+    blocks_per_node: Literal[1, 2, 4, 8] = 1
     bitrate: Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)] = 1_000_000
+    fd: bool = False
+    data_bitrate: Annotated[int, msgspec.Meta(ge=10_000, le=DATA_BITRATE_MAX)] | None = None
 
 
 class Layout(_Table, frozen=True, kw_only=True):
@@ -95,7 +105,7 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     @property
     def blocks(self) -> int:
-        """Number of blocks (measurement groups); each is one CANopen node."""
+        """Number of blocks (measurement groups)."""
         return self.taxels.count // self.measurement.block_size
 
     def phi(self) -> Sbhe:
@@ -110,20 +120,21 @@ class Layout(_Table, frozen=True, kw_only=True):
         )
 
     def first_block(self, bus: int) -> int:
-        """Return the block that node 1 of bus number `bus` measures; node k measures the k-1 next."""
-        return sum(each.nodes for each in self.bus[:bus])
+        """Return the first block that node 1 of bus number `bus` measures; the other nodes follow."""
+        return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
 
 
 def load_layout(path: Path | None = None) -> Layout:
-    """Read a layout; without a path, the default skin.
+    """Read a layout: a file or, by its bare name, one of `SHIPPED`; without a path, the default skin.
 
     Raises
     ------
     LayoutError
         If the file cannot be read, or a key is wrong, missing or unknown; the message names its path.
     """
-    if path is None:
-        return parse_layout(files("skin.layouts").joinpath("default.toml").read_bytes(), "default.toml")
+    name = "default" if path is None else str(path)
+    if path is None or (name in SHIPPED and not path.exists()):
+        return parse_layout(files("skin.layouts").joinpath(f"{name}.toml").read_bytes(), f"{name}.toml")
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -164,10 +175,6 @@ def _check_measurement(layout: Layout) -> None:
     if wish.selection == "balanced" and wish.sums % layout.blocks:
         wanted = f"balanced needs a multiple of {layout.blocks} blocks"
         raise LayoutError(f"{wanted}, got {wish.sums} - at `$.measurement.sums`")
-    limit = SUM_BITS - wish.block_size.bit_length()
-    if taxels.adc_bits > limit:
-        too_large = f"sums of {wish.block_size} taxels of {taxels.adc_bits} bits do not fit {SUM_BITS} bits"
-        raise LayoutError(f"{too_large}; use at most {limit} - at `$.taxels.adc_bits`")
 
 
 def _check_buses(layout: Layout) -> None:
@@ -175,6 +182,13 @@ def _check_buses(layout: Layout) -> None:
     for index, name in enumerate(names):
         if name in names[:index]:
             raise LayoutError(f"bus name '{name}' is used twice - at `$.bus[{index}].name`")
-    nodes = sum(bus.nodes for bus in layout.bus)
-    if nodes != layout.blocks:
-        raise LayoutError(f"the buses hold {nodes} nodes but the skin has {layout.blocks} blocks - at `$.bus`")
+        bus = layout.bus[index]
+        if bus.data_bitrate is not None and not bus.fd:
+            raise LayoutError(f"a data bit rate needs `fd = true` - at `$.bus[{index}].data_bitrate`")
+        if bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
+            limit = f"expected {bus.bitrate} (`bitrate`) or more"
+            raise LayoutError(f"{limit}, got {bus.data_bitrate} - at `$.bus[{index}].data_bitrate`")
+    blocks = layout.first_block(len(layout.bus))
+    if blocks != layout.blocks:
+        held = f"the buses' nodes hold {blocks} blocks (`nodes` x `blocks_per_node`)"
+        raise LayoutError(f"{held} but the skin has {layout.blocks} - at `$.bus`")

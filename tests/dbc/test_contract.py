@@ -68,7 +68,7 @@ def test_codec_round_trip_is_exact(seed: int) -> None:
     sums = np.random.default_rng(seed).integers(-(2**15), 2**15, 1024).astype(np.int16)
     rows = MADE.table.gather[MADE.table.phase == 0]
     back = np.zeros(1024, np.int32)
-    decode(encode(sums, rows), rows, back)
+    decode(encode(sums, rows, MADE.packing), rows, MADE.packing, back)
     assert np.array_equal(back, sums)
 
 

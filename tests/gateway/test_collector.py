@@ -34,7 +34,7 @@ def burst(bus: int, counter: int, sums: np.ndarray = SUMS) -> Frames:
     rows = np.flatnonzero((TABLE.bus == bus) & (TABLE.phase == phase_of(counter)))
     out = frames(len(rows))
     out["can_id"], out["length"] = TABLE.cob_id[rows], TABLE.length[rows]
-    out["data"][:, :8] = encode(sums, TABLE.gather[rows])
+    out["data"][:, :8] = encode(sums, TABLE.gather[rows], MADE.packing)
     return out
 
 
@@ -115,7 +115,9 @@ def test_second_copy_is_ignored_and_a_differing_one_spoils_the_block() -> None:
     gathered = collector.close(1)
     assert collector.counts.duplicate == 5
     assert collector.counts.accepted == 64
-    assert list(np.flatnonzero(~gathered.valid[:32])) == [TABLE.block[TABLE.row_of[0, other["can_id"][0]]]]
+    assert list(np.flatnonzero(~gathered.valid[:32])) == [
+        MADE.phi.block_of_sum[TABLE.gather[TABLE.row_of[0, other["can_id"][0]], 0]]
+    ]
 
 
 def test_untrusted_block_is_never_valid() -> None:

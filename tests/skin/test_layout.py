@@ -35,7 +35,7 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("rows = 64", "rows = '64'", "$.taxels.rows"),
         ("rows = 64", "rows = 63", "$.taxels.rows"),
         ("rows = 64", "rowz = 64", "$.taxels"),
-        ("adc_bits = 10", "adc_bits = 12", "$.taxels.adc_bits"),
+        ("adc_bits = 10", "adc_bits = 17", "$.taxels.adc_bits"),
         ("block_size = 32", "block_size = 33", "$.measurement.block_size"),
         ("sums = 1024", "sums = 1000", "$.measurement.sums"),
         ("sums = 1024", "sums = 100", "$.measurement.sums"),
