@@ -82,8 +82,8 @@ class Run:
             self._supervisor.stop("nodes")
             time.sleep(TURN_S)  # the last counters are on their way
         report = self._score.report()
-        if self._score.best is not None:
-            save_picture(self._score.best, self._layout.taxels.force_max_n, self._wishes.picture)
+        if self._score.shown is not None:
+            save_picture(self._score.shown, self._layout.taxels.force_max_n, self._wishes.picture)
             report["picture"] = str(self._wishes.picture)
         return report
 

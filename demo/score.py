@@ -4,6 +4,7 @@ PSNR follows the paper's equation with the skin's largest force as peak, per cyc
 """
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,9 @@ import numpy.typing as npt
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
 from skin.pairing import Pairing, in_contact, psnr_db
+
+#: The picture shows the last cycle whose largest force is at least this part of the largest of the run.
+FULL_CONTACT_RATIO: Final = 0.95
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,6 @@ class Snapshot:
     true: npt.NDArray[np.float32]
     sensor: npt.NDArray[np.float32]
     image: npt.NDArray[np.float32]
-    label: str
 
 
 @dataclass
@@ -43,11 +46,11 @@ class Score:
     latency_ms: list[float] = field(default_factory=list)
     labelled: int = 0
     labelled_right: int = 0
-    best: Snapshot | None = None
+    shown: Snapshot | None = None
     last_label: str = ""
     _images: Pairing[Image] = field(default_factory=Pairing)
     _labels: Pairing[Label] = field(default_factory=Pairing)
-    _best_total_n: float = 0.0
+    _peak_n: float = 0.0
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
@@ -91,10 +94,10 @@ class Score:
         sensor, made = self._grid(truth.sensor), self._grid(image.pixels)
         self.psnr_sensor_db.append(psnr_db(true, sensor, self.layout.taxels.force_max_n))
         self.psnr_image_db.append(psnr_db(true, made, self.layout.taxels.force_max_n))
-        total_n = float(true.sum())
-        if total_n > self._best_total_n:
-            self._best_total_n = total_n
-            self.best = Snapshot(true, sensor, made, truth.label)
+        peak_n = float(true.max())
+        self._peak_n = max(self._peak_n, peak_n)
+        if peak_n >= FULL_CONTACT_RATIO * self._peak_n:
+            self.shown = Snapshot(true, sensor, made)
 
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)
