@@ -1,5 +1,7 @@
 """The contract: identifiers, phases and the codec."""
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
@@ -7,11 +9,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dbc.codec import decode, encode
-from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, contract, next_counter, phase_of
+from dbc.contract import (
+    PHASES,
+    SYNC_COB_ID,
+    SYNC_OVERFLOW,
+    Contract,
+    _length,
+    _spread,
+    contract,
+    next_counter,
+    phase_of,
+)
 from dbc.dictionary import dictionary
-from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS
+from dbc.frame import BRS, FD
+from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
 from skin.errors import LayoutError
-from skin.layout import Layout, load_layout
+from skin.layout import Encoding, Layout, load_layout
 
 MADE = contract(load_layout())
 
@@ -84,3 +97,72 @@ def test_dictionary_maps_each_sum_once_per_phase() -> None:
         ]
         wanted = [OD_SUMS << 16 | place << 8 | 16 for place in range(1, node.sums + 1)]
         assert sorted(mapped) == sorted(wanted * PHASES)
+
+
+@pytest.mark.parametrize(
+    ("sums", "bits", "fd", "parts", "lengths"),
+    [
+        (8, 16, False, [4, 4], [8, 8]),
+        (5, 16, False, [4, 1], [8, 2]),
+        (8, 12, False, [4, 4], [6, 6]),
+        (9, 12, False, [5, 4], [8, 6]),
+        (5, 12, False, [5], [8]),
+        (8, 8, False, [8], [8]),
+        (0, 16, False, [], []),
+        (8, 16, True, [8], [16]),
+        (32, 16, True, [32], [64]),
+        (64, 12, True, [32, 32], [48, 48]),
+        (64, 8, True, [64], [64]),
+        (33, 16, True, [32, 1], [64, 2]),
+    ],
+)
+def test_sums_go_in_few_frames_of_few_bytes(
+    sums: int, bits: int, fd: bool, parts: list[int], lengths: list[int]
+) -> None:
+    spread = _spread(range(100, 100 + sums), bits, fd=fd)
+    assert [len(part) for part in spread] == parts
+    assert [each for part in spread for each in part] == list(range(100, 100 + sums))
+    assert [_length(len(part), bits, fd=fd) for part in spread] == lengths
+
+
+def test_cycle_of_a_bus_is_its_sync_and_its_frames_by_priority() -> None:
+    classic, fd = MADE.cycle(2, 1), contract(load_layout(Path("fd"))).cycle(0)
+    assert len(classic) == 65
+    assert (classic["can_id"][0], classic["length"][0]) == (SYNC_COB_ID, 1)
+    assert (np.diff(classic["can_id"].astype(int)) > 0).all()
+    assert not classic["flags"].any()
+    assert len(fd) == 33
+    assert fd["flags"].tolist() == [0] + 32 * [FD | BRS]
+    assert fd["length"].tolist() == [1] + 32 * [64]
+
+
+@pytest.mark.parametrize("name", ["fd", "one-bus-12bit"])
+def test_nodes_of_several_blocks_map_every_sum_once_per_phase(name: str) -> None:
+    made = contract(load_layout(Path(name)))
+    ids = [tpdo.cob_id for node in made.nodes for tpdo in node.tpdos]
+    assert len(set(ids)) == len(ids)
+    for node in made.nodes:
+        objects = dictionary(made, node)
+        places = [(each.index, each.subindex) for each in objects]
+        assert len(set(places)) == len(places)
+        by_place = {(each.index, each.subindex): each for each in objects}
+        mapped = [int(each.value) for each in objects if 0x1A00 <= each.index < 0x1C00 and each.subindex and each.value]
+        wanted = [
+            of_block(OD_SUMS, place) << 16 | sum_ << 8 | made.packing.bits
+            for place in range(node.blocks)
+            for sum_ in range(1, len(made.phi.rows_of(node.block + place)) + 1)
+        ]
+        assert sorted(mapped) == sorted(wanted * PHASES)
+        assert all(by_place[entry >> 16, entry >> 8 & 0xFF].pdo for entry in mapped)
+
+
+def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
+    layout = load_layout()
+    encodings = {
+        contract(msgspec.structs.replace(layout, encoding=Encoding(sum_bits=bits, offset_binary=offset)))
+        .nodes[0]
+        .encoding
+        for bits in (16, 12, 8)
+        for offset in (False, True)
+    }
+    assert len(encodings) == 6

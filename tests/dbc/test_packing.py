@@ -1,0 +1,129 @@
+"""Packings: nothing saturates, the rounding error is what it says, and what is packed comes back."""
+
+from itertools import product
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bandwidth.frame_bits import wire_bits
+from dbc.codec import decode, encode
+from dbc.contract import contract
+from dbc.frame import frames
+from dbc.packing import Packing, packing, rounding_error_n
+from skin.layout import Layout, load_layout
+
+TRIPS = 10_000
+ENCODINGS = list(product((16, 12, 8), (False, True)))
+
+
+def layout_with(bits: int, offset_binary: bool, adc_bits: int = 10, block_size: int = 32) -> Layout:
+    layout = load_layout()
+    replace = msgspec.structs.replace
+    return replace(
+        layout,
+        encoding=replace(layout.encoding, sum_bits=bits, offset_binary=offset_binary),
+        taxels=replace(layout.taxels, adc_bits=adc_bits),
+        measurement=replace(layout.measurement, block_size=block_size),
+    )
+
+
+@pytest.mark.parametrize(
+    ("bits", "offset_binary", "adc_bits", "scale", "offset"),
+    [
+        (16, False, 10, 1, 0),
+        (16, True, 10, 1, 0x5555),
+        (16, False, 12, 4, 0),
+        (16, True, 12, 4, 0x5555),
+        (16, False, 16, 64, 0),
+        (12, False, 10, 16, 0),
+        (12, True, 10, 16, 0x555),
+        (12, False, 12, 64, 0),
+        # 32736 / 256 rounds to 128, one more than a signed byte holds; the offset divides the range as sums need it.
+        (8, False, 10, 512, 0),
+        (8, True, 10, 256, 0x55),
+    ],
+)
+def test_scale_is_the_smallest_that_fits(
+    bits: int, offset_binary: bool, adc_bits: int, scale: int, offset: int
+) -> None:
+    assert packing(layout_with(bits, offset_binary, adc_bits)) == Packing(bits, scale, offset)
+
+
+@given(st.sampled_from(ENCODINGS), st.integers(1, 16), st.sampled_from([2, 4, 8, 16, 32, 64, 128]))
+def test_no_sum_of_any_touch_saturates(encoding: tuple[int, bool], adc_bits: int, block_size: int) -> None:
+    layout = layout_with(*encoding, adc_bits, block_size)
+    pack, top = packing(layout), (1 << adc_bits) - 1
+    low, high = pack.raw_range
+    # The largest and the smallest sum of every Hadamard row: the taxels under its +1 or its -1 at full scale.
+    rows = np.array([[(-1) ** (row & place).bit_count() for place in range(block_size)] for row in range(block_size)])
+    extremes = np.concatenate((np.clip(rows, 0, 1).sum(1), np.clip(rows, -1, 0).sum(1))) * top
+    raw = pack.raw(extremes)
+    assert low <= raw.min()
+    assert raw.max() <= high
+
+
+@pytest.mark.parametrize(("bits", "offset_binary"), ENCODINGS)
+def test_ten_thousand_round_trips(bits: int, offset_binary: bool) -> None:
+    layout = layout_with(bits, offset_binary)
+    pack = packing(layout)
+    width = 64 // bits
+    random = np.random.default_rng(bits)
+    sums = random.integers(-16368, 32737, TRIPS * width).astype(np.int32)
+    sums[:4] = -16368, 32736, 0, -1
+    gather = random.permutation(TRIPS * width).reshape(TRIPS, width)
+    payloads = encode(sums, gather, pack)
+    assert payloads.shape == (TRIPS, (width * bits + 7) // 8)
+    back = np.zeros_like(sums)
+    decode(payloads, gather, pack, back)
+    error = np.abs(back - sums)
+    assert error.max() == pack.rounding_counts  # reached, and not passed
+    assert np.array_equal(pack.raw(back), pack.raw(sums))
+    assert (error == 0).all() == (pack.scale == 1)
+    assert rounding_error_n(layout) == pytest.approx(error.max() * 0.02 / 1023)
+
+
+@pytest.mark.parametrize(("bits", "offset_binary"), ENCODINGS)
+def test_frames_with_fewer_sums_leave_the_others_alone(bits: int, offset_binary: bool) -> None:
+    pack = packing(layout_with(bits, offset_binary))
+    sums = np.arange(-1000, 1000, dtype=np.int32) * pack.scale
+    sums = sums[np.abs(sums) <= 16368]
+    gather = np.array([[0, 1, 2, -1], [-1, -1, -1, -1], [3, -1, -1, -1]])
+    back = np.full(len(sums), 7, np.int32)
+    decode(encode(sums, gather, pack), gather, pack, back)
+    assert np.array_equal(back[:4], sums[:4])
+    assert (back[4:] == 7).all()
+
+
+def test_halves_round_towards_zero() -> None:
+    pack = Packing(12, 16, 0)
+    assert pack.raw(np.array([8, 24, 40, -8, -24, 7, 9, -7, -9])).tolist() == [0, 1, 2, 0, -1, 0, 1, 0, -1]
+
+
+def test_bits_follow_each_other_from_the_lowest_on() -> None:
+    sums, gather = np.array([0x123, 0x456, -1, 0]), np.array([[0, 1, 2, 3]])
+    assert encode(sums, gather, Packing(12, 1, 0)).tobytes().hex() == "236145ff0f00"
+    assert encode(sums, gather, Packing(16, 1, 0)).tobytes().hex() == "23015604ffff0000"
+    assert encode(np.array([1, 2, -1, 0]), gather, Packing(8, 1, 0)).tobytes().hex() == "0102ff00"
+
+
+@pytest.mark.parametrize("bits", [16, 12, 8])
+def test_offset_binary_of_an_idle_skin_has_no_run_to_stuff(bits: int) -> None:
+    pack = packing(layout_with(bits, offset_binary=True))
+    gather = np.arange(4 if bits == 12 else 64 // bits)[None]
+    assert set(encode(np.zeros(8, np.int32), gather, pack).tobytes()) == {0x55}
+
+
+def test_offset_binary_shortens_the_frames_of_an_idle_skin() -> None:
+    mean = {}
+    for offset_binary in (False, True):
+        made = contract(layout_with(16, offset_binary))
+        table = made.table
+        cycle = frames(len(table.cob_id))
+        cycle["can_id"], cycle["length"] = table.cob_id, table.length
+        cycle["data"][:, :8] = encode(np.zeros(1024, np.int32), table.gather, made.packing)
+        mean[offset_binary] = float(wire_bits(cycle)[0].mean())
+    assert mean[False] > 124
+    assert mean[True] < 113
