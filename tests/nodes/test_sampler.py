@@ -1,18 +1,21 @@
-"""All buses of one SYNC cycle measure one moment, however late each of them is read."""
+"""Sampling: one instant for all buses, steps that follow the SYNC counter, exact sums, calibration."""
 
 import numpy as np
 import pytest
 
-from nodes.electronics import Electronics
+from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
+from nodes.electronics import PATTERN_FULL, PATTERN_RAMP, Electronics
 from nodes.sampler import Sampler
 from skin.layout import load_layout
 from skin.sources import Frame
 
-MS = 1_000_000
+LAYOUT = load_layout()
+PHI = LAYOUT.phi()
+PERIOD_NS = 10_000_000
 
 
 class Steps:
-    """A source that tells by the first taxel which step it is, and counts how often it is asked."""
+    """A source whose every taxel feels its step in ADC counts."""
 
     has_noise = True
 
@@ -21,9 +24,8 @@ class Steps:
 
     def frame(self, step: int) -> Frame:
         self.asked.append(step)
-        force_n = np.zeros((64, 64), np.float32)
-        force_n[0, 0] = 0.0001 * step
-        return Frame(force_n, "")
+        force = np.full((64, 64), step * LAYOUT.taxels.newton_per_count, np.float32)
+        return Frame(force, "steps")
 
 
 @pytest.fixture
@@ -33,37 +35,67 @@ def source() -> Steps:
 
 @pytest.fixture
 def sampler(source: Steps) -> Sampler:
-    skin = load_layout()
-    return Sampler(skin.phi(), source, Electronics(skin.taxels, noise_n=0.0))
+    return Sampler(PHI, source, Electronics(LAYOUT.taxels, noise_n=0.0))
 
 
-def test_a_bus_whose_sync_comes_late_measures_the_same_moment(sampler: Sampler, source: Steps) -> None:
+def test_four_buses_see_one_instant(sampler: Sampler, source: Steps) -> None:
     first = sampler.sample(1, 0)
-    for late_ms in (1, 5, 30, 90):
-        assert sampler.sample(1, late_ms * MS) is first
+    assert all(sampler.sample(1, bus * 100_000) is first for bus in range(4))
     assert source.asked == [0]
 
 
-def test_buses_that_are_read_one_after_the_other_measure_the_same_moments(sampler: Sampler, source: Steps) -> None:
-    one = [sampler.sample(counter, 10 * MS * counter) for counter in (1, 2, 3)]
-    other = [sampler.sample(counter, 10 * MS * counter + MS) for counter in (1, 2, 3)]
-    assert all(mine is theirs for mine, theirs in zip(one, other, strict=True))
+def test_steps_follow_the_counter_across_missed_syncs_and_the_overflow(sampler: Sampler, source: Steps) -> None:
+    for cycle, counter in ((0, 1), (1, 2), (4, 5), (239, 240), (240, 1), (241, 2)):
+        sampler.sample(counter, cycle * PERIOD_NS)
+    assert source.asked == [0, 1, 4, 239, 240, 241]
+
+
+def test_syncs_without_counter_count_one_each(sampler: Sampler, source: Steps) -> None:
+    for cycle in range(3):
+        sampler.sample(0, cycle * PERIOD_NS)
     assert source.asked == [0, 1, 2]
 
 
-def test_a_missed_sync_skips_its_step_and_the_counter_wraps(sampler: Sampler, source: Steps) -> None:
-    for place, counter in enumerate((238, 240, 1, 4)):
-        sampler.sample(counter, 10 * MS * place)
-    assert source.asked == [237, 239, 240, 243]
+def test_sums_are_those_of_phi_exactly(sampler: Sampler) -> None:
+    sums = sampler.sample(201, 0)
+    assert sums.dtype == np.int16
+    assert np.array_equal(sums, PHI.forward(np.full(4096, 200)))
 
 
-def test_syncs_without_counter_are_told_apart_by_time(sampler: Sampler, source: Steps) -> None:
-    for time_ns in (0, MS, 5 * MS, 6 * MS):
-        sampler.sample(0, time_ns)
-    assert source.asked == [0, 1]
+def test_full_scale_fits_int16(sampler: Sampler) -> None:
+    for block in range(128):
+        sampler.adjust(block, OD_TEST_PATTERN, 0, PATTERN_FULL)
+    sums = sampler.sample(1, 0)
+    all_ones = PHI.row_of_sum == 0
+    assert (sums[all_ones] == 32 * 1023).all()
+    assert not sums[~all_ones].any()
+    assert sampler.saturated(7) == 32
 
 
-def test_a_counter_that_comes_round_again_is_another_cycle(sampler: Sampler, source: Steps) -> None:
-    sampler.sample(7, 0)
-    sampler.sample(7, 120 * MS)
-    assert source.asked == [6, 7]
+def test_gain_offset_and_ramp(sampler: Sampler, source: Steps) -> None:
+    chain = PHI.order[5 * 32 : 6 * 32]
+    sampler.adjust(5, OD_GAIN, 1, 2.0)
+    sampler.adjust(5, OD_OFFSET, 2, -30)
+    sampler.sample(101, 0)
+    truth = sampler.take_truth()
+    assert truth is not None
+    assert sampler.take_truth() is None
+    counts = np.rint(np.frombuffer(truth.sensor, "<f4") / LAYOUT.taxels.newton_per_count)
+    assert (counts[chain[0]], counts[chain[1]], counts[chain[2]]) == (200, 70, 100)
+    sampler.adjust(5, OD_TEST_PATTERN, 0, PATTERN_RAMP)
+    sums = sampler.sample(102, PERIOD_NS)
+    ramp = np.full(4096, 101)
+    ramp[chain] = np.arange(32)
+    first, last = PHI.starts[5], PHI.starts[6]
+    assert np.array_equal(sums[first:last], PHI.forward(ramp)[first:last])
+
+
+def test_noise_is_seeded_and_clipped() -> None:
+    force = np.zeros((64, 64), np.float32)
+    one, same, other = (Electronics(LAYOUT.taxels, seed=seed).read(force) for seed in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+    assert one.min() == 0
+    # Half of the noise is clipped away; the rest has the mean sigma / sqrt(2 pi).
+    mean_n = one.mean() * LAYOUT.taxels.newton_per_count
+    assert mean_n == pytest.approx(0.001 / np.sqrt(2 * np.pi), rel=0.05)

@@ -1,0 +1,43 @@
+"""Heartbeats out and in."""
+
+from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
+
+
+def test_producer_keeps_its_period() -> None:
+    beats: list[float] = []
+    now_s = 0.0
+    producer = HeartbeatProducer(lambda: beats.append(now_s))
+    producer.set_period(1.0, now_s, part=0.25)
+    for step in range(400):
+        now_s = step * 0.01
+        producer.beat(now_s)
+    assert beats == [0.25, 1.25, 2.25, 3.25]
+    producer.set_period(0.0, now_s)
+    producer.beat(1e9)
+    assert len(beats) == 4
+
+
+def test_consumer_watches_from_the_first_heartbeat_on() -> None:
+    consumer = HeartbeatConsumer()
+    consumer.watch([0x7F << 16 | 500, 3 << 16 | 100, 0, 9 << 16])
+    assert consumer.node_ids == {0x7F, 3}
+    consumer.check(100.0)
+    assert not consumer.lost
+    consumer.heard(3, 100.0)
+    consumer.heard(4, 100.0)
+    consumer.check(100.09)
+    assert not consumer.lost
+    consumer.check(100.2)
+    assert consumer.lost == {3}
+    consumer.heard(3, 100.3)
+    assert not consumer.lost
+
+
+def test_watching_no_longer_forgets_the_loss() -> None:
+    consumer = HeartbeatConsumer()
+    consumer.watch([3 << 16 | 100])
+    consumer.heard(3, 0.0)
+    consumer.check(1.0)
+    consumer.watch([])
+    consumer.check(2.0)
+    assert not consumer.lost
