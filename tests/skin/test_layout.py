@@ -5,8 +5,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+import skin.layouts
 from skin.errors import LayoutError
-from skin.layout import Layout, load_layout, parse_layout
+from skin.layout import SHIPPED, Layout, load_layout, parse_layout
 
 DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
 
@@ -41,7 +42,14 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("sums = 1024", "sums = 100", "$.measurement.sums"),
         ("rate_hz = 100.0", "rate_hz = -1.0", "$.sync.rate_hz"),
         ("sum_bits = 16", "sum_bits = 15", "$.encoding.sum_bits"),
+        ("sum_bits = 16", "sum_bits = 16\noffset_binary = 1", "$.encoding.offset_binary"),
+        ("block_size = 32", "block_size = 256", "$.measurement.block_size"),
         ('name = "bus1"', 'name = "bus0"', "$.bus[1].name"),
+        ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "$.bus[1].blocks_per_node"),
+        ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 2', "$.bus"),
+        ('name = "bus1"', 'name = "bus1"\ndata_bitrate = 5_000_000', "$.bus[1].data_bitrate"),
+        ('name = "bus1"', 'name = "bus1"\nfd = true\ndata_bitrate = 500_000', "$.bus[1].data_bitrate"),
+        ('name = "bus1"', 'name = "bus1"\nfd = true\ndata_bitrate = 9_000_000', "$.bus[1].data_bitrate"),
         ('name = "bus1"\nnodes = 32', 'name = "bus1"\nnodes = 31', "$.bus"),
         ('name = "bus1"\nnodes = 32', 'name = "bus1"\nnodes = 300', "$.bus[1].nodes"),
         (
@@ -64,6 +72,17 @@ def test_errors_name_the_path(old: str, new: str, path: str) -> None:
 def test_broken_files_are_layout_errors(content: bytes) -> None:
     with pytest.raises(LayoutError):
         parse_layout(content, "palm.toml")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_layouts_are_known_by_their_names(name: str) -> None:
+    layout = load_layout(Path(name))
+    assert layout.phi().fingerprint == load_layout().phi().fingerprint
+    assert layout.first_block(len(layout.bus)) == layout.blocks == 128
+
+
+def test_shipped_names_are_those_of_the_files() -> None:
+    assert sorted(SHIPPED) == sorted(path.stem for path in Path(skin.layouts.__file__).parent.glob("*.toml"))
 
 
 def test_missing_file() -> None:

@@ -1,0 +1,161 @@
+"""Bursts in every encoding: what the nodes pack, the collector reads, and remapped PDOs carry the same bits."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from canopen import SdoAbortedError
+
+from dbc.contract import CLASSIC_BYTES, FD_BYTES, SYNC_COB_ID, Contract, NodeContract, contract
+from dbc.dictionary import dictionary
+from dbc.frame import ECHO, frames
+from dbc.indices import (
+    OD_GAIN,
+    OD_MANUFACTURER,
+    OD_SUMS,
+    OD_TEST_PATTERN,
+    OD_TPDO_COMMUNICATION,
+    OD_TPDO_MAPPING,
+    of_block,
+    split_block,
+)
+from gateway.collector import Collector
+from nodes.access import check_write
+from nodes.burst import Burst
+from nodes.objects import LocalNode, object_dictionary
+from nodes.tpdo import read_tpdos
+from skin.layout import Encoding, load_layout
+
+SUMS = np.random.default_rng(3).integers(-16368, 16369, 1024).astype(np.int32)
+
+
+def made_of(name: str, **encoding: object) -> Contract:
+    layout = load_layout(Path(name))
+    return contract(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
+
+
+def local_of(made: Contract, node: NodeContract) -> LocalNode:
+    return LocalNode(node.node_id, object_dictionary(dictionary(made, node)), made.packing.bits, node.pdo_bytes)
+
+
+def burst_of(made: Contract, bus: int) -> Burst:
+    nodes = made.on_bus(bus)
+    tpdos = [
+        (place, node, tpdo)
+        for place, node in enumerate(nodes)
+        for tpdo in read_tpdos(local_of(made, node), [each.number for each in node.tpdos])
+    ]
+    assert all(tpdo.is_plain for _, _, tpdo in tpdos)
+    return Burst(made, tpdos)
+
+
+CASES = [
+    ("default", {}),
+    ("default", {"sum_bits": 16, "offset_binary": True}),
+    ("default", {"sum_bits": 8}),
+    ("fd", {}),
+    ("fd", {"sum_bits": 12}),
+    ("fd", {"sum_bits": 8, "offset_binary": True}),
+    ("one-bus-12bit", {}),
+]
+
+
+@pytest.mark.parametrize(("name", "encoding"), CASES)
+def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, object]) -> None:
+    made = made_of(name, **encoding)
+    collector = Collector(made)
+    collector.trusted[:] = True
+    for counter in (1, 2):
+        collector.open(counter)
+        for bus in range(len(made.layout.bus)):
+            burst = burst_of(made, bus).frames(counter, SUMS, np.ones(len(made.on_bus(bus)), np.bool_))
+            planned = made.cycle(bus, counter - 1)[1:]
+            by_id = burst[np.argsort(burst["can_id"])]
+            for key in ("can_id", "length", "flags"):
+                assert np.array_equal(by_id[key], planned[key])
+            sync = frames(1)
+            sync["can_id"], sync["length"], sync["flags"] = SYNC_COB_ID, 1, ECHO
+            sync["data"][0, 0] = counter
+            collector.take(bus, np.concatenate((sync, burst)))
+        gathered = collector.close(counter)
+        assert gathered.complete
+        assert np.array_equal(gathered.sums, made.packing.counts(made.packing.raw(SUMS)))
+    assert collector.counts.foreign == collector.counts.malformed == 0
+
+
+@pytest.mark.parametrize("name", ["fd", "one-bus-12bit"])
+def test_lost_frame_spoils_the_blocks_in_it_and_no_other(name: str) -> None:
+    made = made_of(name)
+    burst = burst_of(made, 0).frames(1, SUMS, np.ones(len(made.nodes), np.bool_))
+    collector = Collector(made)
+    collector.trusted[:] = True
+    collector.open(1)
+    sync = frames(1)
+    sync["can_id"], sync["length"], sync["flags"], sync["data"][0, 0] = SYNC_COB_ID, 1, ECHO, 1
+    collector.take(0, np.concatenate((sync, np.delete(burst, 5))))
+    gathered = collector.close(1)
+    there = made.table.gather[made.table.row_of[0, burst["can_id"][5]]]
+    lost = np.unique(made.phi.block_of_sum[there[there >= 0]])
+    assert np.array_equal(np.flatnonzero(~gathered.valid), lost)
+    whole = made.phi.sums_of_blocks(gathered.valid)
+    assert not gathered.sums[~whole].any()
+    assert np.array_equal(gathered.sums[whole], made.packing.counts(made.packing.raw(SUMS[whole])))
+    assert len(lost) == (4 if name == "fd" else 1)
+
+
+def test_frame_of_the_other_kind_is_foreign() -> None:
+    made = made_of("fd")
+    burst = burst_of(made, 0).frames(1, SUMS, np.ones(len(made.nodes), np.bool_))
+    burst["flags"] = 0
+    collector = Collector(made)
+    collector.open(1)
+    collector.take(0, burst)
+    assert collector.counts.foreign == 32
+
+
+def test_remapped_pdo_of_12_bits_packs_like_the_codec() -> None:
+    made = made_of("one-bus-12bit")
+    node = made.nodes[2]
+    local = local_of(made, node)
+    raw = made.packing.raw(SUMS)
+
+    def read(index: int, subindex: int, **_: object) -> int | None:
+        place, first = split_block(index)
+        if index < OD_MANUFACTURER or first != OD_SUMS or not subindex:
+            return None
+        return int(raw[made.phi.starts[node.block + place] + subindex - 1])
+
+    local.on_read(read)
+    burst = burst_of(made, 0).frames(1, SUMS, np.ones(len(made.nodes), np.bool_))
+    for tpdo in read_tpdos(local, [1, 2, 3, 4]):
+        sent = burst[burst["can_id"] == tpdo.cob_id][0]
+        assert tpdo.payload(local) == sent["data"][: tpdo.length].tobytes()
+
+
+@pytest.mark.parametrize(("name", "limit"), [("default", CLASSIC_BYTES), ("fd", FD_BYTES)])
+def test_mapping_may_fill_a_frame_and_no_more(name: str, limit: int) -> None:
+    made = made_of(name)
+    local = local_of(made, made.nodes[0])
+    local.set_data(OD_TPDO_COMMUNICATION, 1, (0x8000_0181).to_bytes(4, "little"))
+    local.set_data(OD_TPDO_MAPPING, 0, b"\0")
+    check_write(local, OD_TPDO_MAPPING, 1, OD_SUMS << 16 | 1 << 8 | 16)
+    for width in (8, 12, 32):
+        with pytest.raises(SdoAbortedError):
+            check_write(local, OD_TPDO_MAPPING, 1, OD_SUMS << 16 | 1 << 8 | width)
+    for place in range(1, limit // 2 + 2):
+        local.set_data(OD_TPDO_MAPPING, place, (OD_SUMS << 16 | 1 << 8 | 16).to_bytes(4, "little"))
+    check_write(local, OD_TPDO_MAPPING, 0, limit // 2)
+    for count in (limit // 2 + 1, limit + 1):
+        with pytest.raises(SdoAbortedError):
+            check_write(local, OD_TPDO_MAPPING, 0, count)
+
+
+def test_rules_hold_for_the_objects_of_every_block() -> None:
+    made = made_of("fd")
+    local = local_of(made, made.nodes[0])
+    for place in range(4):
+        check_write(local, of_block(OD_TEST_PATTERN, place), 0, 3)
+        check_write(local, of_block(OD_GAIN, place), 1, 2)
+        with pytest.raises(SdoAbortedError):
+            check_write(local, of_block(OD_TEST_PATTERN, place), 0, 4)
