@@ -2,39 +2,28 @@
 
     min over s of  ½‖ΦΨs - y‖² + λ‖s‖₁,   x = Ψs
 
-after Beck and Teboulle 2009. With Φ of ±1 and forces in newtons, λ is in newtons. The paper takes L as twice the
-largest eigenvalue of (ΦΨ)ᵀΦΨ; for SBHE and an orthonormal Ψ that eigenvalue is B exactly, and L = B suffices.
+after Beck and Teboulle 2009: with the factor ½, steps of 1 / L and a threshold of λ / L. With Φ of ±1 and forces in
+newtons, λ is in newtons. L must be at least the largest eigenvalue of (ΦΨ)ᵀΦΨ: `Operator.norm_squared` exactly for an
+orthonormal Ψ, `largest_eigenvalue` for any other. The paper takes twice that, which is the L of the objective without
+the factor ½; its tables come out with λ = 0.0125 in this convention (the printed λ is 0.1) and with the momentum
+started anew in every time step.
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from reconstructor.bases import Basis
 from reconstructor.proximal import Proximal, soft
+from skin.errors import InputError
+from skin.operator import Operator
 
 Values = npt.NDArray[np.floating[Any]]
 #: Called with the number of the iteration, from 1, and the estimate after it.
 Observer = Callable[[int, Values], None]
-
-
-class Measuring(Protocol):
-    """Φ: `forward` from taxels (n,) to sums (m,), `adjoint` back."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(m, n)."""
-        ...
-
-    def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
-        """Return Φ x."""
-        ...
-
-    def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
-        """Return Φᵀ y."""
-        ...
 
 
 def momentum(iterations: int) -> npt.NDArray[np.float64]:
@@ -46,7 +35,7 @@ def momentum(iterations: int) -> npt.NDArray[np.float64]:
 
 
 def fista(
-    phi: Measuring,
+    phi: Operator,
     psi: Basis,
     sums_n: Values,
     *,
@@ -91,7 +80,7 @@ def fista(
 
 
 def fista_image(
-    phi: Measuring,
+    phi: Operator,
     proximal: Proximal,
     sums_n: Values,
     *,
@@ -140,7 +129,38 @@ def _accelerated(
     return estimate
 
 
-def objective(phi: Measuring, psi: Basis, sums_n: Values, coefficients: Values, penalty_n: float) -> float:
+def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) -> float:
+    """Return the largest eigenvalue of (ΦΨ)ᵀΦΨ, from above by `relative_error` (Lanczos).
+
+    The same as that of ΦΨΨᵀΦᵀ, which is smaller. Rows left out of Φ can only lower it, so that it is a valid L for
+    every mask.
+
+    Raises
+    ------
+    InputError
+        If Φ and Ψ have different numbers of taxels.
+    """
+    check_sizes(phi, psi)
+
+    def gram(y: Values) -> Values:
+        image = phi.adjoint(y).reshape(psi.image_shape)
+        return phi.forward(psi.adjoint(psi.forward(image)).reshape(-1))
+
+    size = phi.shape[0]
+    start = np.random.default_rng(0).normal(size=size)
+    operator = LinearOperator((size, size), matvec=gram, dtype=np.float64)
+    (value,) = eigsh(operator, k=1, tol=relative_error / 10, v0=start, return_eigenvectors=False)
+    return float(value) * (1 + relative_error)
+
+
+def check_sizes(phi: Operator, psi: Basis) -> None:
+    """Raise InputError unless Ψ's image has as many pixels as Φ has taxels."""
+    pixels = psi.image_shape[0] * psi.image_shape[1]
+    if pixels != phi.shape[1]:
+        raise InputError(f"Φ measures {phi.shape[1]} taxels but the image of Ψ has {pixels}")
+
+
+def objective(phi: Operator, psi: Basis, sums_n: Values, coefficients: Values, penalty_n: float) -> float:
     """Return ½‖ΦΨs - y‖² + λ‖s‖₁, newtons squared."""
     residual = phi.forward(psi.adjoint(coefficients).reshape(-1)) - sums_n
     return float(0.5 * residual @ residual + penalty_n * np.abs(coefficients).sum())

@@ -47,13 +47,12 @@ def bank(size: int, levels: int) -> tuple[list[Level], Indices]:
     made = []
     images = [np.arange(size * size).reshape(size, size)]
     for number in range(1, levels + 1):
-        parted = [_part(image, number, k, len(images)) for k, image in enumerate(images)]
-        flat = [
-            [_lying(half, k, number, len(images)) for k, half in enumerate(halves)]
-            for halves in zip(*parted, strict=True)
-        ]
-        gather = np.concatenate([half.ravel() for halves in flat for half in halves])
-        made.append(Level(gather, len(images), *flat[0][0].shape, quincunx=number == 1))
+        count = len(images)
+        parted = [_part(image, number, k, count) for k, image in enumerate(images)]
+        lying = [_lying(pair[half], k, number, count) for half in (0, 1) for k, pair in enumerate(parted)]
+        gather = np.concatenate([part.ravel() for part in lying])
+        rows, columns = lying[0].shape
+        made.append(Level(gather, count, rows, columns, quincunx=number == 1))
         images = _channels(made[-1], number)
     return made, np.concatenate([band.ravel() for band in _ordered(images, levels)])
 
@@ -63,7 +62,8 @@ def _shear(image: Indices, kind: int, amount: int = 1) -> Indices:
     rows, columns = image.shape
     i, j = np.indices(image.shape)
     sign = amount if kind in {1, 3} else -amount
-    return image[(i + sign * j) % rows, j] if kind < 3 else image[i, (j + sign * i) % columns]
+    moved: Indices = image[(i + sign * j) % rows, j] if kind < 3 else image[i, (j + sign * i) % columns]
+    return moved
 
 
 def _split_rows(image: Indices, *, turned: bool, back: int) -> tuple[Indices, Indices]:
