@@ -65,6 +65,11 @@ class EmcyProducer:
         """Pre-defined error field (1003h), newest first: error code, and additional information above it."""
         return list(self._history)
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether messages wait to be sent."""
+        return bool(self._waiting)
+
     def clear_history(self) -> None:
         """Forget the error field (write 0 to 1003h sub 0)."""
         self._history.clear()

@@ -8,20 +8,21 @@ class HeartbeatProducer:
 
     def __init__(self, send: Callable[[], None]) -> None:
         self._send = send
+        #: When the next one is due.
+        self.due_s = float("inf")
         self._period_s = 0.0
-        self._due_s = float("inf")
 
     def set_period(self, period_s: float, now_s: float, part: float = 1.0) -> None:
         """Change the period; the next message comes after that `part` of it."""
         if period_s != self._period_s or part != 1.0:
             self._period_s = period_s
-            self._due_s = now_s + part * period_s if period_s else float("inf")
+            self.due_s = now_s + part * period_s if period_s else float("inf")
 
     def beat(self, now_s: float) -> None:
         """Send when due."""
-        if now_s >= self._due_s:
+        if now_s >= self.due_s:
             self._send()
-            self._due_s = now_s + self._period_s
+            self.due_s = now_s + self._period_s
 
 
 class HeartbeatConsumer:
@@ -44,6 +45,11 @@ class HeartbeatConsumer:
         self._periods_s.pop(0, None)
         self._due_s = {node: due_s for node, due_s in self._due_s.items() if node in self._periods_s}
         self.lost &= self._periods_s.keys()
+
+    @property
+    def due_s(self) -> float:
+        """When the first heartbeat that has not come yet is overdue."""
+        return min((due_s for node_id, due_s in self._due_s.items() if node_id not in self.lost), default=float("inf"))
 
     @property
     def node_ids(self) -> set[int]:

@@ -34,7 +34,7 @@ from nodes.network import SegmentNetwork
 from nodes.nmt import COMMANDED, NmtCommand, NmtState
 from nodes.objects import LocalNode, object_dictionary
 from nodes.sampler import Sampler
-from nodes.tpdo import Tpdo, read_tpdos
+from nodes.tpdo import EVENT_MANUFACTURER, Tpdo, read_tpdos
 
 #: Writing these does something; reading them says that the node can do it.
 _COMMANDS: Final = (OD_STORE, OD_RESTORE)
@@ -66,6 +66,7 @@ class SkinNode:
         self._sampler = sampler
         self._saved: Store = {}
         self._changed = True
+        self._has_events = False
         self._emcy_cob_id = 0
         self._emcy_inhibit_s = 0.0
         self._live: dict[int, Callable[[int], int | None]] = {
@@ -114,6 +115,11 @@ class SkinNode:
         elif command in COMMANDED:
             self.state = COMMANDED[NmtCommand(command)]
 
+    def wants(self, now_s: float) -> bool:
+        """Tell whether `tick` or `refresh` has anything to do: most nodes have not, most of the time."""
+        waits = self._changed or self._has_events or self.emcy.is_waiting
+        return waits or now_s >= self.heartbeat.due_s or now_s >= self.watched.due_s
+
     def refresh(self, now_s: float) -> bool:
         """Read what writes have changed since the last call; tell whether anything had."""
         if not self._changed:
@@ -121,6 +127,7 @@ class SkinNode:
         self._changed = False
         local = self.local
         self.tpdos = read_tpdos(local, [tpdo.number for tpdo in self.contract.tpdos])
+        self._has_events = any(tpdo.every >= EVENT_MANUFACTURER for tpdo in self.tpdos)
         self._emcy_cob_id = local.unsigned(OD_EMCY_COB_ID)
         self._emcy_inhibit_s = local.unsigned(OD_EMCY_INHIBIT_100US) * 1e-4
         self.watched.watch([local.unsigned(OD_CONSUMER_HEARTBEAT, place) for place in range(1, HEARTBEATS_WATCHED + 1)])

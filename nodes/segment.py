@@ -97,10 +97,11 @@ class Segment:
         if quiet or now_s < self._tick_at_s:
             return
         self._tick_at_s = now_s + TICK_S
-        changed = [node.refresh(now_s) for node in self.nodes]
+        busy = [node for node in self.nodes if node.wants(now_s)]
+        changed = [node.refresh(now_s) for node in busy]
         if any(changed):
             self._compile()
-        for node in self.nodes:
+        for node in busy:
             node.tick(now_s)
 
     def receive(self, now_s: float) -> None:
