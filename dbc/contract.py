@@ -117,7 +117,8 @@ class FrameTable:
 
     Attributes
     ----------
-    bus, phase, cob_id, length, flags : arrays of int, shape (rows,)
+    bus, node, phase, cob_id, length, flags : arrays of int, shape (rows,)
+        `node` is the place in `Contract.nodes`.
     gather : array of int, shape (rows, width)
         The sums in each frame; -1 where the frame has no further sum.
     row_of : array of int, shape (buses, 2048)
@@ -125,6 +126,7 @@ class FrameTable:
     """
 
     bus: npt.NDArray[np.intp]
+    node: npt.NDArray[np.intp]
     phase: npt.NDArray[np.intp]
     cob_id: npt.NDArray[np.uint32]
     length: npt.NDArray[np.uint8]
@@ -214,6 +216,7 @@ def _cob_id(bus: Bus, number: int, node_id: int, index: int) -> int:
 
 def _table(made: Contract) -> FrameTable:
     rows = [(node, tpdo) for node in made.nodes for tpdo in node.tpdos]
+    node_of_row = [place for place, node in enumerate(made.nodes) for _ in node.tpdos]
     gather = np.full((len(rows), max(tpdo.sums for _, tpdo in rows)), -1, np.intp)
     row_of = np.full((len(made.layout.bus), 0x800), -1, np.intp)
     for row, (node, tpdo) in enumerate(rows):
@@ -221,6 +224,7 @@ def _table(made: Contract) -> FrameTable:
         row_of[node.bus, tpdo.cob_id] = row
     return FrameTable(
         bus=np.array([node.bus for node, _ in rows], np.intp),
+        node=np.array(node_of_row, np.intp),
         phase=np.array([tpdo.phase for _, tpdo in rows], np.intp),
         cob_id=np.array([tpdo.cob_id for _, tpdo in rows], np.uint32),
         length=np.array([tpdo.length for _, tpdo in rows], np.uint8),

@@ -56,6 +56,8 @@ class Boot:
         self._trust = trust
         self._wanted: queue.SimpleQueue[int | None] = queue.SimpleQueue()
         self._queued: set[int] = set()
+        #: Nodes that answered with another Φ, until they boot again.
+        self.refused: set[int] = set()
         self._first_pass = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"boot {name}", daemon=True)
 
@@ -68,6 +70,7 @@ class Boot:
     def ask(self, node_ids: Iterable[int]) -> None:
         """Check these nodes as soon as possible; a node already waiting is not queued twice."""
         for node_id in node_ids:
+            self.refused.discard(node_id)
             if node_id not in self._queued:
                 self._queued.add(node_id)
                 self._wanted.put(node_id)
@@ -104,9 +107,14 @@ class Boot:
         except canopen.SdoCommunicationError:
             return
         except canopen.SdoAbortedError as error:
+            self.refused.add(node.node_id)
             say("gateway", f"node {node.node_id} on {self._name} is no skin node: {error}")
             return
+        except Exception as error:  # noqa: BLE001 - whatever answers on the wire, the next node is asked
+            say("gateway", f"node {node.node_id} on {self._name} answers strangely: {error}")
+            return
         if (block, phi, encoding) != (node.block, self._fingerprint, node.encoding):
+            self.refused.add(node.node_id)
             say(
                 "gateway",
                 f"node {node.node_id} on {self._name} refused: expected block {node.block} of Φ {self._fingerprint}"

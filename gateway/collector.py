@@ -69,9 +69,13 @@ class Collector:
         self._kind = [FD if bus.fd else 0 for bus in made.layout.bus]
         #: Blocks whose node has shown the right Φ; the sums of others are never used.
         self.trusted = np.zeros(made.phi.blocks, np.bool_)
+        #: Nodes a cycle waits for, by place in the contract; the frames of others are welcome, but not awaited.
+        self.expected = np.ones(len(made.nodes), np.bool_)
         #: Counter of the SYNC that a phase is gathering for, 0 when none.
         self._gathering = np.zeros(PHASES, np.intp)
-        self._waiting = [0] * PHASES
+        self._awaited = np.zeros(rows, np.bool_)
+        #: Frames that the cycle of a phase still waits for, by bus.
+        self._waiting = np.zeros((PHASES, len(made.layout.bus)), np.intp)
         #: Counter of the newest SYNC on each bus, 0 before the first.
         self._on_wire = [0] * len(made.layout.bus)
 
@@ -82,13 +86,15 @@ class Collector:
         self._seen[rows] = False
         self._spoilt[rows] = False
         self._gathering[phase] = counter
-        self._waiting[phase] = len(rows)
+        self._awaited[rows] = self.expected[self._table.node[rows]]
+        awaited = rows[self._awaited[rows]]
+        self._waiting[phase] = np.bincount(self._table.bus[awaited], minlength=self._waiting.shape[1])
 
     def is_settled(self, counter: int) -> bool:
-        """Tell whether nothing more can come for a cycle: every frame is there or every bus has gone on."""
-        if self._waiting[phase_of(counter)] == 0:
-            return True
-        return all(now == next_counter(counter) for now in self._on_wire)
+        """Tell whether a cycle need not wait: on every bus, all expected frames are there or the next SYNC is."""
+        following = next_counter(counter)
+        waiting = self._waiting[phase_of(counter)]
+        return all(count == 0 or now == following for count, now in zip(waiting, self._on_wire, strict=True))
 
     def take(self, bus: int, arrived: Frames) -> None:
         """Use what arrived on a bus, in the order of the wire; a SYNC's echo starts its cycle there."""
@@ -105,7 +111,7 @@ class Collector:
         phase = phase_of(counter)
         rows = self._of_phase[phase]
         self._gathering[phase] = 0
-        self.counts.missing += self._waiting[phase]
+        self.counts.missing += int(len(rows) - self._seen[rows].sum())
         whole = self._seen[rows] & ~self._spoilt[rows]
         good, lost = rows[whole], self._table.gather[rows[~whole]]
         valid = self.trusted.copy()
@@ -142,7 +148,7 @@ class Collector:
         fresh = row[first]
         self._payload[fresh] = payload[first]
         self._seen[fresh] = True
-        self._waiting[int(self._table.phase[row[0]])] -= len(fresh)
+        self._waiting[self._table.phase[row[0]], bus] -= self._awaited[fresh].sum()
         self.counts.accepted += len(fresh)
         if len(fresh) < len(row):
             self._again(row[~first], payload[~first])

@@ -4,6 +4,7 @@ import time
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
 from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, Contract
@@ -12,6 +13,7 @@ from skin.messages import BusState
 
 #: Reported instead of an NMT state while a node is silent.
 SILENT: Final = 255
+OPERATIONAL: Final = 5
 #: A node is silent when its heartbeat is missing for this many periods.
 PATIENCE: Final = 1.5
 
@@ -25,10 +27,10 @@ class BusMonitor:
     def __init__(self, made: Contract, bus: int, heartbeat_s: float) -> None:
         self._layout = made.layout.bus[bus]
         frame_time_ns(frames(1), self._layout.bitrate, self._layout.data_bitrate)  # compiled before the first cycle
-        self._nodes = [node.node_id for node in made.on_bus(bus)]
+        self.node_ids = [node.node_id for node in made.on_bus(bus)]
         self._silent_after_s = PATIENCE * heartbeat_s
-        self._nmt = np.full(len(self._nodes), SILENT, np.uint8)
-        self._heard_s = np.full(len(self._nodes), -np.inf)
+        self._nmt = np.full(len(self.node_ids), SILENT, np.uint8)
+        self._heard_s = np.full(len(self.node_ids), -np.inf)
         self._unaccounted: list[Frames] = []
         self._busy_ns = 0
         self._since_s = time.monotonic()
@@ -63,6 +65,17 @@ class BusMonitor:
         self._busy_ns = self._total_busy_ns = 0
         self._since_s = self._start_s = time.monotonic()
 
+    def started(self, node_id: int) -> None:
+        """Take it that a node is OPERATIONAL from now on, until its next heartbeat says so."""
+        place = self.node_ids.index(node_id)
+        self._nmt[place], self._heard_s[place] = OPERATIONAL, time.monotonic()
+
+    @property
+    def nmt(self) -> npt.NDArray[np.uint8]:
+        """NMT state of every node by its last heartbeat, `SILENT` when that is overdue; shape (nodes,)."""
+        overdue = time.monotonic() - self._heard_s > self._silent_after_s
+        return np.where(overdue, np.uint8(SILENT), self._nmt)
+
     def state(self) -> BusState:
         """Return the state of the bus; the load is that since the last call."""
         self.account()
@@ -70,8 +83,7 @@ class BusMonitor:
         elapsed_s = now_s - self._since_s
         load = self._busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0
         self._busy_ns, self._since_s = 0, now_s
-        nmt = np.where(now_s - self._heard_s > self._silent_after_s, SILENT, self._nmt)
-        return BusState(name=self._layout.name, load_ratio=load, nodes=self._nodes, nmt=nmt.astype(np.uint8).tobytes())
+        return BusState(name=self._layout.name, load_ratio=load, nodes=self.node_ids, nmt=self.nmt.tobytes())
 
     @property
     def mean_load_ratio(self) -> float:
@@ -80,9 +92,9 @@ class BusMonitor:
         return self._total_busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0
 
     def _beat(self, node_id: int, state: int) -> None:
-        if node_id not in self._nodes:
+        if node_id not in self.node_ids:
             return
-        place = self._nodes.index(node_id)
+        place = self.node_ids.index(node_id)
         self._nmt[place] = state
         self._heard_s[place] = time.monotonic()
         if state == 0:

@@ -15,7 +15,7 @@ from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames
 from gateway.boot import Boot
 from gateway.collector import Collector, Gathered
-from gateway.monitor import BusMonitor
+from gateway.monitor import OPERATIONAL, SILENT, BusMonitor
 from gateway.network import MasterNetwork
 from skin.fabric import Fabric
 from skin.messages import GATEWAY, MEASUREMENT, GatewayStatus, Measurement
@@ -27,7 +27,7 @@ BOOT_PATIENCE_S: Final = 3.0
 #: The last node that was started gets this long to be ready.
 SETTLE_S: Final = 0.1
 #: A cycle is closed this fraction of a period after the next SYNC, if a bus does not show that SYNC.
-GRACE: Final = 0.5
+GRACE: Final = 0.9
 NMT_ENTER_PRE_OPERATIONAL: Final = 128
 
 
@@ -68,6 +68,9 @@ class GatewayService:
         self._period_s = made.layout.sync.period_s
         self._lines = {number: self._line(number, link) for number, link in links.items()}
         self._numbers = sorted(self._lines)
+        self._places = {
+            number: [(place, node) for place, node in enumerate(made.nodes) if node.bus == number] for number in links
+        }
         self._flying: deque[_Cycle] = deque()
         self._counter = 0
         self._cycles = self._closed = self._complete = 0
@@ -124,7 +127,23 @@ class GatewayService:
         return _Line(link, network, BusMonitor(self._made, number, HEARTBEAT_MS / 1000), boot)
 
     def _trust(self, node: NodeContract, trusted: bool) -> None:
+        """Use a node's sums from now on, or no longer."""
         self.collector.trusted[node.block : node.block + node.blocks] = trusted
+        if trusted:
+            self._lines[node.bus].monitor.started(node.node_id)
+
+    def _look_after_nodes(self) -> None:
+        """Wait for operational nodes only; ask a node that came back without saying so what it measures."""
+        for number, line in self._lines.items():
+            nmt = dict(zip(line.monitor.node_ids, line.monitor.nmt, strict=True))
+            for place, node in self._places[number]:
+                state = nmt[node.node_id]
+                self.collector.expected[place] = state == OPERATIONAL
+                trusted = self.collector.trusted[node.block]
+                if state == SILENT and trusted:
+                    self._trust(node, False)
+                elif state != SILENT and not trusted and line.boot.passed and node.node_id not in line.boot.refused:
+                    line.boot.ask([node.node_id])
 
     def _turn(self) -> float:
         """Wait for frames until the next thing is due, use them, and close what has settled."""
@@ -144,6 +163,7 @@ class GatewayService:
             self._publish(self._flying.popleft())
         if now_s >= self._status_at_s:
             self._status_at_s = now_s + STATUS_PERIOD_S
+            self._look_after_nodes()
             self.publish_status()
         return now_s
 
