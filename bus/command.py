@@ -8,7 +8,7 @@ from typing import Literal
 from bus.faults import parse_fault
 from bus.server import BusServer, BusSettings
 from skin.errors import InputError
-from skin.service import StopSignal, say, settle_memory
+from skin.service import StopSignal, be_punctual, say
 
 
 def bus(
@@ -76,7 +76,7 @@ def bus(
     )
     stop = StopSignal().install()
     with BusServer(names, settings) as server:
-        settle_memory()
+        be_punctual()
         say("bus", f"ready: {', '.join(names)} at {bitrate} bit/s")
         server.serve(stop.is_set)
         if json_:

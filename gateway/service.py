@@ -19,7 +19,7 @@ from gateway.monitor import OPERATIONAL, SILENT, BusMonitor
 from gateway.network import MasterNetwork
 from skin.fabric import Fabric
 from skin.messages import GATEWAY, MEASUREMENT, GatewayStatus, Measurement
-from skin.service import StopSignal, settle_memory
+from skin.service import StopSignal, be_punctual
 
 STATUS_PERIOD_S: Final = 0.2
 #: SYNC starts when every node has been asked, or after this time.
@@ -81,7 +81,7 @@ class GatewayService:
         """Boot the nodes, then serve until `stop`; cycles in flight are finished first."""
         for line in self._lines.values():
             line.boot.start()
-        settle_memory()
+        be_punctual()
         patience_s = time.monotonic() + BOOT_PATIENCE_S
         while not stop.is_set():
             now_s = self._turn()

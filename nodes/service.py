@@ -12,7 +12,7 @@ from nodes.sampler import Sampler
 from nodes.segment import Segment
 from skin.fabric import Fabric
 from skin.messages import NODES, TRUTH, NodesStatus
-from skin.service import StopSignal, settle_memory
+from skin.service import StopSignal, be_punctual
 
 #: Time is looked at least this often.
 TURN_S: Final = 0.005
@@ -53,7 +53,7 @@ class NodesService:
             for segment in self.segments:
                 selector.register(segment.link.fileno(), selectors.EVENT_READ, segment)
                 segment.boot(time.monotonic())
-            settle_memory()
+            be_punctual()
             while not stop.is_set():
                 ready = selector.select(TURN_S)
                 now_s = time.monotonic()

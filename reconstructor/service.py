@@ -10,7 +10,7 @@ from reconstructor.engine import Reconstructor
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
-from skin.service import StopSignal, say
+from skin.service import StopSignal, be_punctual, say
 
 #: Measurements kept while one is being solved; with more the image would only be older.
 MAILBOX_DEPTH: Final = 4
@@ -55,6 +55,7 @@ class ReconstructorService:
 
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
+        be_punctual()
         while not stop.is_set():
             measurement = self._mailbox.get(PATIENCE_S)
             if measurement is not None:

@@ -16,6 +16,7 @@ VERBS: Final = {
     "reconstruct": "reconstructor.command:reconstruct",
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",
+    "dbc": "dbc.command:dbc",
     "objects": "touch.command:objects",
     "train": "classifier.command:train",
 }

@@ -1,5 +1,6 @@
 """What every service does alike: say that it is ready, and end quietly when it is told to."""
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -9,6 +10,8 @@ import threading
 from types import FrameType
 from typing import Final
 
+#: Just above everything without real-time scheduling.
+REAL_TIME_PRIORITY: Final = 1
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
 
@@ -52,10 +55,17 @@ def _end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def settle_memory() -> None:
-    """Take what start-up has built out of the garbage collector's sight: its pauses would make cycles late."""
+def be_punctual() -> None:
+    """Ask to be run as soon as there is something to do, as the loops that keep the SYNC period need it.
+
+    Real-time scheduling where the system grants it (root, or an ``rtprio`` limit), else nothing. What start-up has
+    built is taken out of the garbage collector's sight: its pauses would make cycles late.
+    """
     gc.collect()
     gc.freeze()
+    if sys.platform.startswith("linux"):
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME_PRIORITY))
 
 
 def say(service: str, text: str) -> None:
