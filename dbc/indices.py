@@ -10,6 +10,7 @@ UNSIGNED32: Final = 0x07
 REAL32: Final = 0x08
 VISIBLE_STRING: Final = 0x09
 
+SIGNED: Final = (INTEGER8, INTEGER16)
 #: Width in bits; strings have none.
 BITS: Final = {INTEGER8: 8, INTEGER16: 16, UNSIGNED8: 8, UNSIGNED16: 16, UNSIGNED32: 32, REAL32: 32}
 

@@ -1,0 +1,54 @@
+"""``skin dbc``: the contract files for bus analysers and CANopen masters."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from dbc.contract import contract
+from dbc.generate import DEFAULT_FOLDER, drifted, write_files
+from skin.errors import InputError
+from skin.layout import load_layout
+from skin.service import say
+
+
+def dbc(
+    layout: Path | None = None,
+    *,
+    out: Path | None = None,
+    check: Annotated[bool, Parameter(negative=())] = False,
+    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
+    """Write the contract of a skin as files: a DBC per bus and an EDS per type of node.
+
+    Prints the path of every file; with ``--check``, that of every file that has drifted, and ends with 1 if any has.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    out
+        Folder for the files; with ``--check``, the folder to look at, by default that of the default skin's files.
+    check
+        Write nothing; compare the files with what the layout makes of them.
+    json_
+        Print one JSON list.
+
+    Examples
+    --------
+    skin dbc palm.toml --out palm-files
+    skin dbc --check
+    """
+    if out is None and (layout is not None or not check):
+        raise InputError("expected --out FOLDER: where the contract files are or shall be")
+    made = contract(load_layout(layout))
+    folder = out or DEFAULT_FOLDER
+    lines = drifted(made, folder) if check else [str(path) for path in write_files(made, folder)]
+    if json_:
+        print(json.dumps(lines))
+    else:
+        print("\n".join(lines), end="\n" if lines else "")
+    if check and lines:
+        say("dbc", f"{len(lines)} files have drifted; write them anew with 'skin dbc' and --out {folder}")
+    return int(check and bool(lines))

@@ -1,0 +1,63 @@
+"""All contract files of a skin: made, written, and compared with those of a folder."""
+
+from pathlib import Path
+from typing import Final
+
+from dbc.contract import Contract
+from dbc.database import database
+from dbc.eds import eds, node_types
+from skin.errors import InputError
+
+#: The files of the default skin that come with the project.
+DEFAULT_FOLDER: Final = Path(__file__).parent / "files" / "default"
+SUFFIXES: Final = (".dbc", ".eds")
+
+
+def contract_files(made: Contract) -> dict[str, str]:
+    """Return the text of every contract file by its name: a DBC per bus, an EDS per type of node."""
+    buses = {f"{bus.name}.dbc": database(made, number) for number, bus in enumerate(made.layout.bus)}
+    return buses | {kind.file: eds(made, kind) for kind in node_types(made)}
+
+
+def write_files(made: Contract, folder: Path) -> list[Path]:
+    """Write the contract files and return their paths.
+
+    Raises
+    ------
+    InputError
+        If the folder or a file cannot be written.
+    """
+    written = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in contract_files(made).items():
+            path = folder / name
+            path.write_text(text, encoding="ascii", newline="\n")
+            written.append(path)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write the contract files: {error.strerror or error}") from error
+    return written
+
+
+def drifted(made: Contract, folder: Path) -> list[str]:
+    """Return one line for every file of `folder` that is not what the contract makes of it.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be read.
+    """
+    wanted = {name: text.encode("ascii") for name, text in contract_files(made).items()}
+    try:
+        there = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in SUFFIXES}
+    except OSError as error:
+        raise InputError(f"{folder}: cannot read the contract files: {error.strerror or error}") from error
+    lines = []
+    for name in sorted(wanted | there):
+        if name not in there:
+            lines.append(f"{folder / name} is missing")
+        elif name not in wanted:
+            lines.append(f"{folder / name} does not belong to this layout")
+        elif there[name] != wanted[name]:
+            lines.append(f"{folder / name} differs from what the layout makes of it")
+    return lines

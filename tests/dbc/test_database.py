@@ -1,0 +1,92 @@
+"""The DBC files, read by cantools: every frame decodes to exactly the sums that were packed."""
+
+from pathlib import Path
+from typing import Any
+
+import cantools
+import msgspec
+import numpy as np
+import pytest
+
+from dbc.codec import encode
+from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract, contract
+from dbc.database import database, signal_name
+from skin.layout import Encoding, load_layout
+
+CASES = [
+    ("default", {}),
+    ("default", {"offset_binary": True}),
+    ("default", {"sum_bits": 12}),
+    ("default", {"sum_bits": 8, "offset_binary": True}),
+    ("fd", {}),
+    ("fd", {"sum_bits": 12, "offset_binary": True}),
+    ("one-bus-12bit", {}),
+]
+
+
+def made_of(name: str, encoding: dict[str, object]) -> Contract:
+    layout = load_layout(Path(name))
+    return contract(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
+
+
+def read(made: Contract, bus: int) -> Any:
+    return cantools.database.load_string(database(made, bus), "dbc", strict=True)
+
+
+@pytest.mark.parametrize(("name", "encoding"), CASES)
+def test_cantools_decodes_exactly_the_sums(name: str, encoding: dict[str, object]) -> None:
+    made = made_of(name, encoding)
+    sums = np.random.default_rng(5).integers(-16368, 16369, 1024).astype(np.int32)
+    wanted = made.packing.counts(made.packing.raw(sums))
+    names = {signal_name(made, number): number for number in range(1024)}
+    payloads = encode(sums, made.table.gather, made.packing)
+    for bus in range(len(made.layout.bus)):
+        described = read(made, bus)
+        got: dict[tuple[int, int], int] = {}
+        for row in np.flatnonzero(made.table.bus == bus):
+            message = described.get_message_by_frame_id(int(made.table.cob_id[row]))
+            assert message.length == made.table.length[row]
+            assert message.is_fd == made.layout.bus[bus].fd
+            payload = np.zeros(message.length, np.uint8)
+            payload[: payloads.shape[1]] = payloads[row, : message.length]
+            phase = int(made.table.phase[row])
+            assert f"_Phase{phase + 1}" in message.name
+            assert f"in phase {phase + 1} of 2" in message.comment
+            for signal, value in message.decode(payload.tobytes()).items():
+                got[phase, names[signal]] = value
+        there = [number for node in made.on_bus(bus) for number in range(*sums_of(made, node))]
+        assert got == {(phase, number): wanted[number] for phase in (0, 1) for number in there}
+
+
+def sums_of(made: Contract, node: Any) -> tuple[int, int]:
+    return int(made.phi.starts[node.block]), int(made.phi.starts[node.block + node.blocks])
+
+
+def test_signals_say_what_they_are() -> None:
+    made = made_of("default", {"sum_bits": 12, "offset_binary": True})
+    described = read(made, 1)
+    message = described.get_message_by_name("Node6_TPDO3_Phase2")
+    assert (message.senders, message.cycle_time) == (["Node6"], 20)
+    assert "after SYNC counters 2, 4, 6" in message.comment
+    first = message.signals[0]
+    assert (first.scale, first.offset, first.unit) == (16, -0x555 * 16, "count")
+    assert (first.minimum, first.maximum) == (-0x555 * 16, (4095 - 0x555) * 16)
+    assert first.name.startswith("Block037_Row")
+    attributes = {name: each.value for name, each in described.dbc.attributes.items()}
+    assert attributes["NewtonPerCount"] == made.layout.taxels.newton_per_count
+    assert attributes["PhiFingerprint"] == made.phi.fingerprint
+    assert (attributes["BusType"], attributes["Baudrate"]) == ("CAN", 1_000_000)
+
+
+def test_every_frame_on_a_bus_is_described() -> None:
+    made = made_of("default", {})
+    described = read(made, 3)
+    ids = {message.frame_id for message in described.messages}
+    for phase in (0, 1):
+        assert set(made.cycle(3, phase)["can_id"].tolist()) <= ids
+    for base in (0x80, 0x580, 0x600, HEARTBEAT_BASE):
+        assert set(range(base + 1, base + 33)) <= ids
+    assert len(ids) == 2 + 32 * 4 + 4 * 32
+    assert described.get_message_by_frame_id(SYNC_COB_ID).cycle_time == 10
+    assert described.decode_message("Node7_Heartbeat", b"\x05") == {"State": "Operational"}
+    assert described.decode_message("NMT", b"\x81\x00") == {"Command": "Reset node", "NodeId": 0}

@@ -1,0 +1,155 @@
+"""The EDS files, read by two libraries that share no code: both find the dictionary of the node."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import canopen
+import msgspec
+import pytest
+from canopen.objectdictionary import ODVariable
+from dcf.device import Device
+
+from dbc.contract import Contract, NodeContract, contract
+from dbc.dictionary import Object, dictionary
+from dbc.eds import NodeType, eds, node_types
+from dbc.indices import (
+    OD_BLOCK,
+    OD_IDENTITY,
+    OD_MANUFACTURER,
+    OD_ROWS,
+    OD_TAXELS,
+    REAL32,
+    VISIBLE_STRING,
+    split_block,
+)
+from skin.layout import Layout, load_layout, parse_layout
+
+SMALL = """
+[taxels]
+rows = 16
+columns = 16
+[measurement]
+sums = 64
+selection = "uniform"
+seed = 3
+[encoding]
+sum_bits = 12
+[[bus]]
+name = "a"
+nodes = 2
+blocks_per_node = 2
+[[bus]]
+name = "b"
+nodes = 4
+fd = true
+"""
+#: Serial number, and what a node measures: the values in which nodes of a type differ.
+DIFFERING = {OD_IDENTITY, OD_BLOCK, OD_ROWS, OD_TAXELS}
+LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in ("default", "fd", "one-bus-12bit")}
+LAYOUTS["mixed"] = parse_layout(SMALL.encode(), "mixed.toml")
+
+
+def written(made: Contract, kind: NodeType, folder: Path) -> str:
+    path = folder / kind.file
+    path.write_text(eds(made, kind), "ascii")
+    return str(path)
+
+
+def some(kind: NodeType) -> list[NodeContract]:
+    return [kind.nodes[0], kind.nodes[-1]]
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_canopen_reads_the_dictionary(name: str, tmp_path: Path) -> None:
+    made = contract(LAYOUTS[name])
+    for kind in node_types(made):
+        path = written(made, kind, tmp_path)
+        for node in some(kind):
+            found = canopen.import_od(path, node.node_id)
+            variables = {(each.index, each.subindex): each for each in flat(found)}
+            objects = dictionary(made, node)
+            assert set(variables) == {(each.index, each.subindex or 0) for each in objects}
+            for each in objects:
+                same_object(each, variables[each.index, each.subindex or 0])
+            unsaid = {each.index for each in variables.values() if each.default is None and each.data_type != REAL32}
+            assert {split_block(index)[1] if index >= OD_MANUFACTURER else index for index in unsaid} <= DIFFERING
+
+
+def flat(found: canopen.ObjectDictionary) -> list[ODVariable]:
+    return [
+        entry
+        for each in found.values()
+        for entry in ([each] if isinstance(each, ODVariable) else each.subindices.values())
+    ]
+
+
+def same_object(wanted: Object, got: ODVariable) -> None:
+    assert (got.name, got.data_type, got.access_type, got.pdo_mappable) == (
+        wanted.name,
+        wanted.data_type,
+        wanted.access,
+        wanted.pdo,
+    )
+    if got.default is not None:
+        assert got.default == wanted.value, f"{wanted.index:04X}sub{wanted.subindex}"
+    assert got.default is None or wanted.data_type != REAL32
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_lely_reads_the_dictionary_and_has_no_complaint(name: str, tmp_path: Path) -> None:
+    made = contract(LAYOUTS[name])
+    for kind in node_types(made):
+        path = written(made, kind, tmp_path)
+        for node in some(kind):
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                device = Device.from_dcf(path, {"NODEID": node.node_id})
+            objects = dictionary(made, node)
+            assert {(index, sub) for index, each in device.items() for sub in each} == {
+                (each.index, each.subindex or 0) for each in objects
+            }
+            for each in objects:
+                got = device[each.index][each.subindex or 0]
+                assert (got.name, got.data_type.index, got.access_type.name) == (each.name, each.data_type, each.access)
+                assert got.pdo_mapping == each.pdo
+            for tpdo in node.tpdos:
+                same_pdo(made, node, tpdo, device.tpdo[tpdo.number])
+            assert not device.rpdo
+
+
+def same_pdo(made: Contract, node: NodeContract, tpdo: Any, got: Any) -> None:
+    assert got.cob_id == 0x4000_0000 | tpdo.cob_id
+    assert (got.transmission_type, got.sync_start_value, got.n) == (2, tpdo.phase + 1, tpdo.sums)
+    names = [entry.name for entry in got.mapping.values()]
+    blocks = made.phi.block_of_sum[tpdo.first_sum : tpdo.first_sum + tpdo.sums]
+    starts = made.phi.starts[blocks]
+    assert names == [f"Sum {tpdo.first_sum + place - start + 1}" for place, start in enumerate(starts)]
+
+
+def test_both_readers_find_the_same_values(tmp_path: Path) -> None:
+    made = contract(LAYOUTS["default"])
+    (kind,) = node_types(made)
+    path = written(made, kind, tmp_path)
+    device, found = Device.from_dcf(path, {"NODEID": 9}), canopen.import_od(path, 9)
+    compared = 0
+    for each in flat(found):
+        if each.default is not None and each.data_type != VISIBLE_STRING:
+            assert device[each.index][each.subindex].parse_value() == each.default
+            compared += 1
+    assert compared > 100
+
+
+def test_nodes_that_differ_in_values_are_one_type() -> None:
+    (kind,) = node_types(contract(LAYOUTS["default"]))
+    assert (kind.file, len(kind.nodes)) == ("skin.eds", 128)
+
+
+def test_every_node_has_one_type_and_each_number_of_sums_its_own() -> None:
+    layout = LAYOUTS["default"]
+    measurement = msgspec.structs.replace(layout.measurement, selection="uniform")
+    made = contract(msgspec.structs.replace(layout, measurement=measurement))
+    kinds = node_types(made)
+    assert sorted(node.block for kind in kinds for node in kind.nodes) == list(range(128))
+    assert len(kinds) == len({node.sums for node in made.nodes}) > 5
+    assert len({kind.file for kind in kinds}) == len(kinds)
