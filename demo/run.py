@@ -5,7 +5,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -14,7 +14,7 @@ from rich.table import Table
 from demo.picture import save_picture
 from demo.score import Score
 from demo.supervisor import Supervisor
-from skin.errors import InputError, SkinError
+from skin.errors import InputError, RunError
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
@@ -65,7 +65,7 @@ class Run:
         self._console = Console(stderr=True)
         self._port = _page_port(wishes.port) if wishes.view else None
 
-    def execute(self, stop: StopSignal) -> dict[str, object]:
+    def execute(self, stop: StopSignal) -> dict[str, Any]:
         """Run the chain until its time is over or `stop`, and return the figures."""
         with ExitStack() as last:
             endpoint, fabric = _hub(self._layout.name)
@@ -84,14 +84,14 @@ class Run:
         report = self._score.report()
         if self._score.shown is not None:
             save_picture(self._score.shown, self._layout.taxels.force_max_n, self._wishes.picture)
-            report["picture"] = str(self._wishes.picture)
+            report["picture"] = str(self._wishes.picture.resolve())
         return report
 
-    def print_summary(self, report: dict[str, object]) -> None:
+    def print_summary(self, report: dict[str, Any]) -> None:
         """Print the figures as a table for a person."""
-        table = Table(title="the run", show_header=False)
-        for name, value in report.items():
-            table.add_row(name, str(value))
+        table = Table(show_header=False, box=None)
+        for name, value in _summary(report):
+            table.add_row(name, value)
         Console().print(table)
 
     def _common(self, endpoint: str) -> list[str]:
@@ -134,10 +134,10 @@ class Run:
         patience_s = time.monotonic() + READY_PATIENCE_S
         with self._console.status("starting") as status:
             while (missing := wanted - self._alive) and not stop.wait(TURN_S):
-                self._supervisor.look()
+                self._supervisor.look(starting=True)
                 status.update(f"starting: waiting for {', '.join(sorted(missing))}")
                 if time.monotonic() > patience_s:
-                    raise SkinError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
+                    raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
 
     def _follow(self, stop: StopSignal) -> None:
         """Show progress until the time is over."""
@@ -149,7 +149,7 @@ class Run:
         while not (self._score.gateway and self._score.gateway.cycles) and not stop.wait(TURN_S / 5):
             self._supervisor.look()
             if time.monotonic() > patience_s:
-                raise SkinError("no cycle came from the gateway")
+                raise RunError("no cycle came from the gateway")
         columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
         with Progress(*columns, console=self._console, transient=True) as progress:
             task = progress.add_task("", total=self._wishes.seconds)
@@ -169,6 +169,29 @@ class Run:
             parts.append(f"image {score.psnr_image_db[-1]:.1f} dB, sensor {score.psnr_sensor_db[-1]:.1f} dB")
         parts.append(score.last_label or "no contact")
         return " | ".join(parts)
+
+
+def _summary(report: dict[str, Any]) -> list[tuple[str, str]]:
+    """Say the figures of a run as a person would."""
+    latency, loads = report["latency_ms"], report["bus_load"]
+    rows = [
+        ("cycles", f"{report['cycles_complete']} of {report['cycles']} complete, at {report['sync_rate_hz']:.1f} Hz"),
+        ("frames", f"{report['frames_sent']} sent, {report['frames_received']} received, {report['frames_lost']} lost"),
+        ("bus load", ", ".join(f"{load:.1%}" for load in loads)),
+    ]
+    if report["frames_missing"]:
+        late = f"{report['frames_missing']} missed their cycle: {report['frames_dropped']} given up by their nodes"
+        rows.append(("", f"{late}, {report['frames_late']} late"))
+    if latency["p50"] is not None:
+        rows.append(("SYNC to image", f"{latency['p50']:.1f} ms, 99 % within {latency['p99']:.1f} ms"))
+    if report["psnr_image_db"] is not None:
+        against = f"the sensor's {report['psnr_sensor_db']:.1f} dB, over {report['contact_cycles']} contact cycles"
+        rows.append(("image", f"{report['psnr_image_db']:.1f} dB, against {against}"))
+    if report["label_accuracy"] is not None:
+        rows.append(("label", f"right on {report['label_accuracy']:.1%} of the contact cycles"))
+    if "picture" in report:
+        rows.append(("picture", str(report["picture"])))
+    return rows
 
 
 def _hub(skin: str) -> tuple[str, Fabric]:

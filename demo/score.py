@@ -4,7 +4,7 @@ PSNR follows the paper's equation with the skin's largest force as peak, per cyc
 """
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -102,7 +102,7 @@ class Score:
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)
 
-    def report(self) -> dict[str, object]:
+    def report(self) -> dict[str, Any]:
         """Return the figures of the run; None where nothing was measured."""
         gateway = self.gateway
         received = gateway.frames_received if gateway else 0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from skin.errors import InputError, SkinError
+from skin.errors import InputError, RunError
 
 #: A process that has ended is started again after this time, so that its absence can be seen.
 RESTART_AFTER_S: Final = 2.0
@@ -45,15 +45,15 @@ class Supervisor:
         self.children[name] = child
         return child
 
-    def look(self) -> list[str]:
-        """Restart what has ended and may be restarted; return one line per event.
+    def look(self, *, starting: bool = False) -> list[str]:
+        """Restart what has ended and may be restarted, not while `starting`; return one line per event.
 
         Raises
         ------
         InputError
             If a service ended because of a wrong input; with the service's own line.
-        SkinError
-            If a service ended that the run cannot do without.
+        RunError
+            If a service ended that the run cannot do without, or that had not become ready.
         """
         events = []
         for child in self.children.values():
@@ -62,8 +62,8 @@ class Supervisor:
                 continue
             if status == WRONG_INPUT:
                 raise InputError(self.last_line(child).removeprefix("skin: "))
-            if not child.restart:
-                raise SkinError(f"{child.name} ended (status {status}): {self.last_line(child)}")
+            if starting or not child.restart:
+                raise RunError(f"{child.name} ended (status {status}): {self.last_line(child)}")
             if child.ended_at_s is None:
                 child.ended_at_s = time.monotonic()
                 events.append(f"{child.name} ended (status {status})")

@@ -5,7 +5,7 @@ from typing import Final
 
 import cyclopts
 
-from skin.errors import SkinError
+from skin.errors import RunError, SkinError
 
 #: Verb: where its function lives. Strings, so that this room imports none of the others.
 VERBS: Final = {
@@ -39,6 +39,9 @@ def main() -> None:
     app = build_app()
     try:
         status = app(exit_on_error=False, print_error=False)
+    except RunError as error:
+        _complain(str(error))
+        sys.exit(1)
     except SkinError as error:
         sys.exit(_complain(str(error)))
     except cyclopts.CycloptsError as error:

@@ -7,9 +7,10 @@ expected, what came, and what to do::
     ├── LayoutError       a skin's TOML is wrong; names the path of the key
     ├── InputError        a file, array or option a user gave cannot be used
     ├── ModelError        a trained model cannot be read or belongs to another Φ
-    └── BusError          an interface cannot be opened, or a bus cannot be reached
+    ├── BusError          an interface cannot be opened, or a bus cannot be reached
+    └── RunError          nothing was wrong with the input, but a run failed
 
-The command line prints the message and exits with code 2, without a traceback.
+The command line prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
 """
 
 
@@ -27,6 +28,10 @@ class InputError(SkinError):
 
 class ModelError(SkinError):
     """A model file cannot be read, is damaged, or was trained for another Φ."""
+
+
+class RunError(SkinError):
+    """A run failed for a reason that no other input would change."""
 
 
 class BusError(SkinError):
