@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.codec import decode, encode
@@ -21,10 +21,10 @@ from dbc.contract import (
     phase_of,
 )
 from dbc.dictionary import dictionary
-from dbc.frame import BRS, FD
+from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
 from skin.errors import LayoutError
-from skin.layout import Encoding, Layout, load_layout
+from skin.layout import Bus, Encoding, Layout, Measuring, Taxels, load_layout
 
 MADE = contract(load_layout())
 
@@ -166,3 +166,31 @@ def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
         for offset in (False, True)
     }
     assert len(encodings) == 6
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    bits=st.sampled_from([16, 12, 8]),
+    blocks_per_node=st.sampled_from([1, 2, 4, 8]),
+    fd=st.booleans(),
+    sums=st.integers(8, 256),
+    seed=st.integers(0, 99),
+)
+def test_any_skin_sends_every_sum_once_per_phase(
+    bits: int, blocks_per_node: int, fd: bool, sums: int, seed: int
+) -> None:
+    layout = Layout(
+        taxels=Taxels(rows=16, columns=16),
+        measurement=Measuring(selection="uniform", sums=sums, seed=seed),
+        encoding=Encoding(sum_bits=bits),
+        bus=[Bus(name="a", nodes=8 // blocks_per_node, blocks_per_node=blocks_per_node, fd=fd)],
+    )
+    made = contract(layout)
+    table = made.table
+    assert len(set(table.cob_id.tolist())) == len(table.cob_id)
+    for phase in range(PHASES):
+        gathered = table.gather[table.phase == phase]
+        assert sorted(gathered[gathered >= 0]) == list(range(sums))
+        lengths = table.length[table.phase == phase]
+        assert set(lengths.tolist()) <= set(FD_LENGTHS if fd else range(1, 9))
+        assert (8 * lengths.astype(int) >= (gathered >= 0).sum(1) * bits).all()
