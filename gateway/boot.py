@@ -12,7 +12,7 @@ from typing import Final
 
 import canopen
 
-from dbc.contract import NMT_COB_ID, NodeContract
+from dbc.contract import NMT_COB_ID, NodeContract, encoding_text
 from dbc.indices import OD_BLOCK, OD_ENCODING, OD_PHI_FINGERPRINT
 from gateway.network import MasterNetwork
 from skin.service import say
@@ -118,7 +118,7 @@ class Boot:
             say(
                 "gateway",
                 f"node {node.node_id} on {self._name} refused: expected block {node.block} of Φ {self._fingerprint}"
-                f" in encoding {node.encoding:08X}, got block {block} of Φ {phi} in {encoding:08X}",
+                f" in {encoding_text(node.encoding)}, got block {block} of Φ {phi} in {encoding_text(encoding)}",
             )
             return
         self._trust(node, True)

@@ -17,6 +17,7 @@ from dbc.contract import (
     _length,
     _spread,
     contract,
+    encoding_text,
     next_counter,
     phase_of,
 )
@@ -166,6 +167,12 @@ def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
         for offset in (False, True)
     }
     assert len(encodings) == 6
+    assert len({encoding_text(encoding) for encoding in encodings}) == 6
+
+
+def test_encoding_is_said_in_words_whatever_a_node_answers() -> None:
+    assert encoding_text(MADE.nodes[0].encoding) == "16-bit signed sums in steps of 1 of 1 blocks"
+    assert "offset binary" in encoding_text(0xFFFF_FFFF)
 
 
 @settings(max_examples=60, deadline=None)
