@@ -213,11 +213,11 @@ class SocketCanLink:
         Raises
         ------
         OSError
-            If that fails, or the interface is down.
+            If that fails, or the interface is down or carries no CAN FD where that is wanted.
         """
         if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
             raise OSError(errno.EAFNOSUPPORT, "no CAN sockets on this system")
-        _require_up(self._channel)
+        _require(self._channel, fd=self._fd)
         connection = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             self._configure(connection)
@@ -257,15 +257,18 @@ def _kernel_filters(filters: Sequence[Filter]) -> bytes:
     return words.tobytes()
 
 
-def _require_up(channel: str) -> None:
-    """Find out what binding does not tell: that the interface is down."""
-    flags = Path("/sys/class/net", channel, "flags")
+def _require(channel: str, *, fd: bool) -> None:
+    """Find out what binding does not tell: that the interface is down, or carries no CAN FD."""
+    about = Path("/sys/class/net", channel)
     try:
-        up = int(flags.read_text(), 16) & _IFF_UP
+        up = int((about / "flags").read_text(), 16) & _IFF_UP
+        mtu = int((about / "mtu").read_text())
     except (OSError, ValueError):
         return  # no sysfs, or no such interface: bind will say so
     if not up:
         raise OSError(errno.ENETDOWN, "the interface is down")
+    if fd and mtu < FD_BYTES:
+        raise OSError(errno.EMSGSIZE, "the interface carries no CAN FD")
 
 
 def _why(channel: str, error: OSError) -> str:
@@ -276,4 +279,6 @@ def _why(channel: str, error: OSError) -> str:
         return f"cannot open {channel}: no such interface; 'ip link' lists them"
     if error.errno == errno.ENETDOWN:
         return f"cannot open {channel}: it is down; 'ip link set {channel} up' with its bit rate"
+    if error.errno == errno.EMSGSIZE:
+        return f"cannot open {channel}: it carries no CAN FD; 'ip link set {channel} mtu {FD_BYTES}' while it is down"
     return f"cannot open {channel}: {error.strerror or error}"
