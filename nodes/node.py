@@ -116,8 +116,8 @@ class SkinNode:
             self.state = COMMANDED[NmtCommand(command)]
 
     def wants(self, now_s: float) -> bool:
-        """Tell whether `tick` or `refresh` has anything to do: most nodes have not, most of the time."""
-        waits = self._changed or self._has_events or self.emcy.is_waiting
+        """Tell whether `tick` has anything to do: most nodes have not, most of the time."""
+        waits = self._has_events or self.emcy.is_waiting
         return waits or now_s >= self.heartbeat.due_s or now_s >= self.watched.due_s
 
     def refresh(self, now_s: float) -> bool:

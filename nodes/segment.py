@@ -23,7 +23,7 @@ from dbc.indices import OD_SYNC_OVERFLOW, OD_WINDOW_US
 from nodes.burst import Burst
 from nodes.emcy import Emergency
 from nodes.network import SegmentNetwork
-from nodes.nmt import NmtState
+from nodes.nmt import NmtCommand, NmtState
 from nodes.node import SkinNode
 from nodes.sampler import Sampler
 from nodes.tpdo import Tpdo
@@ -97,12 +97,9 @@ class Segment:
         if quiet or now_s < self._tick_at_s:
             return
         self._tick_at_s = now_s + TICK_S
-        busy = [node for node in self.nodes if node.wants(now_s)]
-        changed = [node.refresh(now_s) for node in busy]
-        if any(changed):
-            self._compile()
-        for node in busy:
-            node.tick(now_s)
+        for node in self.nodes:
+            if node.wants(now_s):
+                node.tick(now_s)
 
     def receive(self, now_s: float) -> None:
         """Handle every frame that waits on the link."""
@@ -178,6 +175,8 @@ class Segment:
         command, node_id = data[0], data[1]
         for node in self.nodes if node_id == 0 else filter(None, [self._by_id.get(node_id)]):
             node.command(command, now_s)
+        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
+            self._compile()
 
     def _sdo(self, can_id: int, data: bytes, now_s: float) -> None:
         node = self._by_id.get(can_id - SDO_REQUEST_BASE)
@@ -187,6 +186,8 @@ class Segment:
             self._network.notify(can_id, bytearray(data), now_s)
         except Exception:  # noqa: BLE001 - nothing that arrives may end the receive loop
             self.frames_rejected += 1
+        if node.refresh(now_s):
+            self._compile()
 
     def _compile(self) -> None:
         """Split the TPDOs into those a burst of arrays can carry and the others."""

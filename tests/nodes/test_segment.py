@@ -1,0 +1,235 @@
+"""What nodes answer to frames: NMT, SYNC, SDO; and that nothing on the wire can end their loop."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from dbc.contract import Contract
+from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames, frames
+from nodes.segment import Segment
+from tests.nodes.conftest import ArrayLink
+
+START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+MILLISECOND_NS = 1_000_000
+
+
+def frame(can_id: int, data: bytes = b"", flags: int = 0, time_ns: int = 0) -> Frames:
+    made = frames(1)
+    made["can_id"], made["length"], made["flags"], made["time_ns"] = can_id, len(data), flags, time_ns
+    made["data"][0, : len(data)] = tuple(data)
+    return made
+
+
+def give(segment: Segment, link: ArrayLink, *arrived: Frames, now_s: float = 0.0) -> list[tuple[int, bytes]]:
+    """Let frames arrive; return what the nodes sent, as (identifier, payload)."""
+    link.take_sent()
+    link.waiting.extend(arrived)
+    segment.receive(now_s)
+    return [(int(one["can_id"]), one["data"][: one["length"]].tobytes()) for one in link.take_sent()]
+
+
+def sync(counter: int, cycle: int | None = None) -> Frames:
+    return frame(0x80, bytes((counter,)), time_ns=(counter if cycle is None else cycle) * 10 * MILLISECOND_NS)
+
+
+def sdo(segment: Segment, link: ArrayLink, node_id: int, request: bytes) -> bytes:
+    answers = give(segment, link, frame(0x600 + node_id, request.ljust(8, b"\0")))
+    assert [can_id for can_id, _ in answers] == [0x580 + node_id]
+    return answers[0][1]
+
+
+def write(segment: Segment, link: ArrayLink, index: int, sub: int, value: int, size: int) -> int:
+    """Write to node 1 by expedited SDO; return the abort code, 0 for none."""
+    request = struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + value.to_bytes(4, "little")
+    answer = sdo(segment, link, 1, request)
+    return int(struct.unpack("<I", answer[4:])[0]) if answer[0] == 0x80 else 0
+
+
+def read(segment: Segment, link: ArrayLink, node_id: int, index: int, sub: int = 0) -> int:
+    answer = sdo(segment, link, node_id, struct.pack("<BHB", 0x40, index, sub))
+    assert answer[0] & 0xE0 == 0x40, answer.hex()
+    return int.from_bytes(answer[4 : 8 - (answer[0] >> 2 & 3)], "little")
+
+
+def test_boot_up_of_every_node(segment: Segment, link: ArrayLink) -> None:
+    sent = link.take_sent()
+    assert sent["can_id"].tolist() == [0x701, 0x702, 0x703, 0x704]
+    assert not sent["data"].any()
+
+
+def test_pdos_in_operational_only(segment: Segment, link: ArrayLink) -> None:
+    assert give(segment, link, sync(1)) == []
+    assert give(segment, link, frame(0, bytes((START, 2))), sync(2)) != []
+    assert {can_id for can_id, _ in give(segment, link, sync(3))} == {0x182, 0x282}
+    assert give(segment, link, frame(0, bytes((STOP, 0))), sync(4)) == []
+    assert give(segment, link, frame(0, bytes((START, 0))), frame(0, bytes((PRE_OPERATIONAL, 0))), sync(5)) == []
+
+
+def test_phases_take_turns_and_carry_the_sums(segment: Segment, link: ArrayLink, made: Contract) -> None:
+    give(segment, link, frame(0, bytes((START, 0))))
+    odd, even = give(segment, link, sync(1)), give(segment, link, sync(2))
+    assert [can_id for can_id, _ in odd] == [0x181, 0x281, 0x182, 0x282, 0x183, 0x283, 0x184, 0x284]
+    assert [can_id - 0x200 for can_id, _ in even] == [can_id for can_id, _ in odd]
+    assert [payload for _, payload in odd] == [payload for _, payload in even]
+    first = np.frombuffer(odd[0][1], "<i2")
+    assert [read(segment, link, 1, 0x2100, place) for place in range(1, 5)] == [int(v) & 0xFFFF for v in first]
+
+
+def test_a_missed_sync_does_not_shift_the_turn(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))))
+    seen = {counter: give(segment, link, sync(counter))[0][0] for counter in (1, 2, 4, 5, 8, 239, 240)}
+    assert seen == {1: 0x181, 2: 0x381, 4: 0x381, 5: 0x181, 8: 0x381, 239: 0x181, 240: 0x381}
+
+
+def test_stopped_node_answers_no_sdo(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((STOP, 3))))
+    assert give(segment, link, frame(0x603, struct.pack("<BHB4x", 0x40, 0x1018, 1))) == []
+
+
+def test_window_is_the_latest_start_of_a_frame(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))))
+    link.waiting.append(sync(1, cycle=7))
+    segment.receive(0.0)
+    sent = link.take_sent()
+    window_ns = sent["expires_ns"] - 70 * MILLISECOND_NS
+    assert (window_ns == 9_800_000 - 135_000).all()
+    assert read(segment, link, 1, 0x1007) == 9800
+
+
+def test_dropped_outside_the_window_is_counted_and_reported(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))))
+    link.waiting.append(sync(1))
+    segment.receive(0.0)
+    unsent = link.take_sent()
+    unsent["flags"] |= ECHO | ERROR
+    link.waiting[:] = [unsent]
+    segment.receive(0.0)
+    segment.tick(1e6)
+    emcy = [one["data"][:8].tobytes() for one in link.take_sent() if one["can_id"] == 0x81]
+    assert [struct.unpack("<HB", one[:3]) for one in emcy] == [(0xFF10, 0x81)]
+    assert read(segment, link, 1, 0x2020, 3) == 2
+    assert read(segment, link, 1, 0x1001) == 0x81
+    assert read(segment, link, 1, 0x1003, 1) & 0xFFFF == 0xFF10
+    assert (segment.frames_sent, segment.frames_dropped) == (0, 2)
+
+
+def test_sync_of_a_wrong_length_is_an_emergency(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))))
+    give(segment, link, frame(0x80, b"\1\2"))
+    segment.tick(1e6)
+    sent = link.take_sent()
+    assert struct.unpack("<H", sent[sent["can_id"] == 0x81]["data"][0, :2].tobytes()) == (0x8240,)
+
+
+def test_remapping_changes_what_is_sent(segment: Segment, link: ArrayLink) -> None:
+    pdo, mapping = 0x1800, 0x1A00
+    entry = 0x2100 << 16 | 8 << 8 | 16
+    assert write(segment, link, mapping, 0, 0, 1) == 0x0800_0022  # the PDO exists
+    assert write(segment, link, pdo, 1, 0xC000_0181, 4) == 0
+    assert write(segment, link, mapping, 1, entry, 4) == 0x0800_0022  # the mapping is not open
+    assert write(segment, link, mapping, 0, 0, 1) == 0
+    assert write(segment, link, mapping, 1, 0x1018_0120, 4) == 0x0604_0041  # no object for PDOs
+    assert write(segment, link, mapping, 1, 0x2100_0108, 4) == 0x0604_0041  # not its length
+    assert write(segment, link, mapping, 1, entry, 4) == 0
+    assert write(segment, link, mapping, 2, 0x1001_0008, 4) == 0
+    assert write(segment, link, mapping, 0, 2, 1) == 0
+    assert write(segment, link, pdo, 2, 1, 1) == 0
+    assert write(segment, link, pdo, 6, 0, 1) == 0
+    assert write(segment, link, pdo, 1, 0x4000_03A5, 4) == 0
+    give(segment, link, frame(0, bytes((START, 1))))
+    for counter in (1, 2, 3):
+        answers = dict(give(segment, link, sync(counter)))
+        assert 0x181 not in answers
+        assert int.from_bytes(answers[0x3A5][:2], "little") == read(segment, link, 1, 0x2100, 8)
+        assert len(answers[0x3A5]) == 3
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        (0x1800, 1, 0x4000_0182, 4, 0x0800_0022),
+        (0x1800, 1, 0xC000_0000, 4, 0),
+        (0x1800, 2, 241, 1, 0x0609_0030),
+        (0x1800, 3, 5, 2, 0x0800_0022),
+        (0x1800, 9, 5, 1, 0x0609_0011),
+        (0x1005, 0, 0x81, 4, 0x0609_0030),
+        (0x1010, 1, 1, 4, 0x0800_0020),
+        (0x1010, 1, 0x6576_6173, 4, 0),
+        (0x1018, 1, 1, 4, 0x0601_0002),
+        (0x1019, 0, 1, 1, 0x0609_0030),
+        (0x1017, 0, 1, 4, 0x0607_0010),
+        (0x1029, 1, 3, 1, 0x0609_0030),
+        (0x2021, 0, 4, 1, 0x0609_0030),
+        (0x5000, 0, 4, 1, 0x0602_0000),
+    ],
+)
+def test_writes_are_refused_with_the_code_of_the_standard(
+    segment: Segment, link: ArrayLink, given: tuple[int, int, int, int, int]
+) -> None:
+    index, sub, value, size, abort = given
+    assert write(segment, link, index, sub, value, size) == abort
+
+
+def test_stored_parameters_survive_a_reset_and_defaults_come_back(segment: Segment, link: ArrayLink) -> None:
+    assert write(segment, link, 0x1017, 0, 250, 2) == 0
+    give(segment, link, frame(0, bytes((RESET_NODE, 1))))
+    assert read(segment, link, 1, 0x1017) == 1000
+    write(segment, link, 0x1017, 0, 250, 2)
+    write(segment, link, 0x1010, 1, 0x6576_6173, 4)
+    assert give(segment, link, frame(0, bytes((RESET_COMMUNICATION, 1)))) == [(0x701, b"\0")]
+    assert read(segment, link, 1, 0x1017) == 250
+    write(segment, link, 0x1011, 1, 0x6461_6F6C, 4)
+    give(segment, link, frame(0, bytes((RESET_NODE, 1))))
+    assert read(segment, link, 1, 0x1017) == 1000
+
+
+def test_event_driven_pdo_keeps_its_timers(segment: Segment, link: ArrayLink) -> None:
+    write(segment, link, 0x1800, 1, 0xC000_0181, 4)
+    write(segment, link, 0x1800, 2, 255, 1)
+    write(segment, link, 0x1800, 3, 1000, 2)  # inhibit 100 ms
+    write(segment, link, 0x1800, 5, 500, 2)  # event timer 500 ms
+    write(segment, link, 0x1800, 1, 0x4000_0181, 4)
+    give(segment, link, frame(0, bytes((START, 1))))
+    link.take_sent()
+    times = []
+    for step in range(200):
+        segment.tick(2e6 + step * 0.01)
+        times += [step * 0.01 for one in link.take_sent() if one["can_id"] == 0x181]
+    assert np.diff(times) == pytest.approx([0.5, 0.5, 0.5], abs=0.011)
+
+
+def test_lost_heartbeat_of_a_watched_node(segment: Segment, link: ArrayLink) -> None:
+    write(segment, link, 0x1016, 1, 0x7F << 16 | 100, 4)
+    give(segment, link, frame(0, bytes((START, 1))))
+    give(segment, link, frame(0x77F, b"\5"), now_s=2e6)
+    segment.tick(2e6 + 0.05)
+    assert 0x81 not in link.take_sent()["can_id"]
+    segment.tick(2e6 + 0.2)
+    sent = link.take_sent()
+    assert struct.unpack("<H", sent[sent["can_id"] == 0x81]["data"][0, :2].tobytes()) == (0x8130,)
+    assert give(segment, link, sync(1)) == []  # 1029h: pre-operational
+
+
+@pytest.mark.slow
+def test_a_million_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None:
+    """Random and mutated frames: no exception leaves the loop, and the nodes still work afterwards."""
+    random = np.random.default_rng(11)
+    real = np.concatenate([sync(1), frame(0x601, bytes.fromhex("4018100100000000")), frame(0, b"\1\0")])
+    for _ in range(500):
+        wild = np.frombuffer(random.bytes(2000 * FRAME.itemsize), FRAME).copy()
+        wild["can_id"] &= np.uint32(0x7FF)
+        wild["flags"] &= random.choice(np.array([0, 0, REMOTE | EXTENDED, 0xFF], np.uint8), 2000)
+        wild["length"] = random.integers(0, 65, 2000)
+        wild["time_ns"] = random.integers(0, 2**50, 2000)
+        mutated = wild[::4]
+        mutated[:] = real[random.integers(0, len(real), len(mutated))]
+        mutated["data"][:, random.integers(0, 8)] ^= random.integers(0, 256, len(mutated)).astype(np.uint8)
+        mutated["length"] = np.where(random.random(len(mutated)) < 0.5, mutated["length"], random.integers(0, 65))
+        link.waiting.append(wild)
+        segment.receive(0.0)
+        segment.tick(random.uniform(0, 1e6))
+        link.sent.clear()
+        link.waiting.clear()
+    give(segment, link, frame(0, bytes((RESET_NODE, 0))), frame(0, bytes((START, 0))))
+    assert len(give(segment, link, sync(1, cycle=10**6))) == 8
