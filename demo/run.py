@@ -25,6 +25,8 @@ DEFAULT_PORT: Final = 8765
 READY_PATIENCE_S: Final = 180.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
 TURN_S: Final = 0.1
+#: Nodes the summary names when frames are missing.
+NAMED: Final = 5
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,8 @@ def _summary(report: dict[str, Any]) -> list[tuple[str, str]]:
     if report["frames_missing"]:
         late = f"{report['frames_missing']} missed their cycle: {report['frames_dropped']} given up by their nodes"
         rows.append(("", f"{late}, {report['frames_late']} late"))
+        worst = [f"{row['bus']}:{row['node']} ({row['missing']})" for row in report["nodes_missing"][:NAMED]]
+        rows.append(("", f"most of node {', '.join(worst)}"))
     if latency["p50"] is not None:
         rows.append(("SYNC to image", f"{latency['p50']:.1f} ms, 99 % within {latency['p99']:.1f} ms"))
     if report["psnr_image_db"] is not None:

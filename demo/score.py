@@ -82,6 +82,16 @@ class Score:
         if truth is not None:
             self._judge(label, truth)
 
+    def _missing(self) -> list[dict[str, Any]]:
+        """Name the nodes whose frames missed their cycle, the worst first."""
+        rows = [
+            {"bus": bus.name, "node": node_id, "missing": missing, "late": late, "emcy": f"{emcy:04X}h"}
+            for bus in (self.gateway.buses if self.gateway else [])
+            for node_id, missing, late, emcy in zip(bus.nodes, bus.missing, bus.late, bus.emcy, strict=False)
+            if missing or late
+        ]
+        return sorted(rows, key=lambda row: -int(str(row["missing"])))
+
     def _judge(self, label: Label, truth: Truth) -> None:
         if truth.label and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n):
             self.labelled += 1
@@ -116,6 +126,7 @@ class Score:
             "frames_dropped": sum(status.frames_dropped for status in self.nodes.values()),
             "frames_missing": gateway.frames_missing if gateway else 0,
             "frames_late": gateway.frames_late if gateway else 0,
+            "nodes_missing": self._missing(),
             "psnr_sensor_db": _mean(self.psnr_sensor_db),
             "psnr_image_db": _mean(self.psnr_image_db),
             "contact_cycles": len(self.psnr_image_db),

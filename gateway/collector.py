@@ -57,6 +57,9 @@ class Collector:
 
     def __init__(self, made: Contract) -> None:
         self.counts = Counts()
+        #: Of the counts above, each node's part, by place in the contract.
+        self.late_of_node = np.zeros(len(made.nodes), np.int64)
+        self.missing_of_node = np.zeros(len(made.nodes), np.int64)
         self._table = made.table
         self._phi = made.phi
         rows = len(made.table.cob_id)
@@ -111,7 +114,9 @@ class Collector:
         phase = phase_of(counter)
         rows = self._of_phase[phase]
         self._gathering[phase] = 0
-        self.counts.missing += int(len(rows) - self._seen[rows].sum())
+        missing = rows[~self._seen[rows]]
+        self.counts.missing += len(missing)
+        np.add.at(self.missing_of_node, self._table.node[missing], 1)
         whole = self._seen[rows] & ~self._spoilt[rows]
         good, lost = rows[whole], self._table.gather[rows[~whole]]
         valid = self.trusted.copy()
@@ -139,6 +144,7 @@ class Collector:
         cycle = self._gathering[self._table.phase[row]]
         in_time = (cycle != 0) & (cycle == self._on_wire[bus])
         self.counts.late += int(len(row) - in_time.sum())
+        np.add.at(self.late_of_node, self._table.node[row[~in_time]], 1)
         row, payload = row[in_time], payload[in_time]
         if not len(row):
             return

@@ -7,13 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
-from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, Contract
+from dbc.contract import EMCY_BASE, HEARTBEAT_BASE, HIGHEST_NODE_ID, Contract
 from dbc.frame import ERROR, Frames, frames
 from skin.messages import BusState
 
 #: Reported instead of an NMT state while a node is silent.
 SILENT: Final = 255
 OPERATIONAL: Final = 5
+#: Error code, error register and five bytes of the manufacturer (CiA 301, 7.2.7.2).
+EMCY_BYTES: Final = 8
 #: A node is silent when its heartbeat is missing for this many periods.
 PATIENCE: Final = 1.5
 
@@ -31,11 +33,14 @@ class BusMonitor:
         self._silent_after_s = PATIENCE * heartbeat_s
         self._nmt = np.full(len(self.node_ids), SILENT, np.uint8)
         self._heard_s = np.full(len(self.node_ids), -np.inf)
+        self._emcy = [0] * len(self.node_ids)
         self._unaccounted: list[Frames] = []
         self._busy_ns = 0
         self._since_s = time.monotonic()
         self._total_busy_ns = 0
         self._start_s = self._since_s
+        #: Node-ID and error code of the emergencies since the last look.
+        self.emergencies: list[tuple[int, int]] = []
         #: Node-IDs whose boot-up message has come since the last look.
         self.booted: set[int] = set()
 
@@ -44,8 +49,12 @@ class BusMonitor:
         self._unaccounted.append(arrived)
         can_id = arrived["can_id"]
         beats = (can_id > HEARTBEAT_BASE) & (can_id <= HEARTBEAT_BASE + HIGHEST_NODE_ID) & (arrived["length"] == 1)
-        for frame in arrived[beats & (arrived["flags"] == 0)]:
+        plain = arrived["flags"] == 0
+        for frame in arrived[beats & plain]:
             self._beat(int(frame["can_id"]) - HEARTBEAT_BASE, int(frame["data"][0]) & 0x7F)
+        emcy = (can_id > EMCY_BASE) & (can_id <= EMCY_BASE + HIGHEST_NODE_ID) & (arrived["length"] == EMCY_BYTES)
+        for frame in arrived[emcy & plain]:
+            self._emergency(int(frame["can_id"]) - EMCY_BASE, int.from_bytes(frame["data"][:2].tobytes(), "little"))
 
     def account(self) -> None:
         """Add up the time that the frames taken so far were on the bus; cheap for many frames, not for few."""
@@ -76,20 +85,41 @@ class BusMonitor:
         overdue = time.monotonic() - self._heard_s > self._silent_after_s
         return np.where(overdue, np.uint8(SILENT), self._nmt)
 
-    def state(self) -> BusState:
-        """Return the state of the bus; the load is that since the last call."""
+    def state(self, missing: npt.NDArray[np.int64], late: npt.NDArray[np.int64]) -> BusState:
+        """Return the state of the bus; the load is that since the last call.
+
+        Parameters
+        ----------
+        missing, late : array of int, shape (nodes,)
+            What the collector counted of each node's frames.
+        """
         self.account()
         now_s = time.monotonic()
         elapsed_s = now_s - self._since_s
         load = self._busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0
         self._busy_ns, self._since_s = 0, now_s
-        return BusState(name=self._layout.name, load_ratio=load, nodes=self.node_ids, nmt=self.nmt.tobytes())
+        return BusState(
+            name=self._layout.name,
+            load_ratio=load,
+            nodes=self.node_ids,
+            nmt=self.nmt.tobytes(),
+            missing=missing.tolist(),
+            late=late.tolist(),
+            emcy=list(self._emcy),
+        )
 
     @property
     def mean_load_ratio(self) -> float:
         """Load since SYNC started."""
         elapsed_s = time.monotonic() - self._start_s
         return self._total_busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0
+
+    def _emergency(self, node_id: int, code: int) -> None:
+        if node_id not in self.node_ids:
+            return
+        self._emcy[self.node_ids.index(node_id)] = code
+        if code:
+            self.emergencies.append((node_id, code))
 
     def _beat(self, node_id: int, state: int) -> None:
         if node_id not in self.node_ids:

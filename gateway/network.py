@@ -3,8 +3,8 @@
 import threading
 
 import canopen
-from bus.link import Link
 
+from bus.link import Link
 from dbc.frame import Frames, frames
 
 

@@ -18,8 +18,8 @@ from gateway.collector import Collector, Gathered
 from gateway.monitor import OPERATIONAL, SILENT, BusMonitor
 from gateway.network import MasterNetwork
 from skin.fabric import Fabric
-from skin.messages import GATEWAY, MEASUREMENT, GatewayStatus, Measurement
-from skin.service import StopSignal, be_punctual
+from skin.messages import GATEWAY, MEASUREMENT, BusState, GatewayStatus, Measurement
+from skin.service import Complaints, StopSignal, be_punctual
 
 STATUS_PERIOD_S: Final = 0.2
 #: SYNC starts when every node has been asked, or after this time.
@@ -67,6 +67,7 @@ class GatewayService:
         self._fabric = fabric
         self._period_s = made.layout.sync.period_s
         self._lines = {number: self._line(number, link) for number, link in links.items()}
+        self._complaints = Complaints("gateway")
         self._numbers = sorted(self._lines)
         self._places = {
             number: [(place, node) for place, node in enumerate(made.nodes) if node.bus == number] for number in links
@@ -114,10 +115,15 @@ class GatewayService:
             frames_malformed=counts.malformed,
             frames_foreign=counts.foreign,
             sync_rate_hz=self._cycles / elapsed_s if elapsed_s > 0 else 0.0,
-            buses=[line.monitor.state() for line in self._lines.values()],
+            buses=[self._bus_state(number) for number in self._numbers],
             mean_load_ratio=[line.monitor.mean_load_ratio for line in self._lines.values()],
         )
         self._fabric.publish(GATEWAY, status)
+
+    def _bus_state(self, number: int) -> BusState:
+        places = [place for place, _ in self._places[number]]
+        collector = self.collector
+        return self._lines[number].monitor.state(collector.missing_of_node[places], collector.late_of_node[places])
 
     def _line(self, number: int, link: Link) -> _Line:
         network = MasterNetwork(link)
@@ -174,6 +180,9 @@ class GatewayService:
         self.collector.take(number, arrived)
         line.monitor.take(arrived)
         self._answers(line, arrived)
+        for node_id, code in line.monitor.emergencies:
+            self._complaints.complain(f"EMCY {code:04X}h from node {node_id} on {self._made.layout.bus[number].name}")
+        line.monitor.emergencies.clear()
         if line.monitor.booted:
             for node in self._made.on_bus(number):
                 if node.node_id in line.monitor.booted:

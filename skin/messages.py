@@ -106,12 +106,19 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
         Bits of all frames seen in the last interval over the bits the bus could carry (exact stuffing).
     nmt : bytes
         uint8 per node of the bus: last heartbeat's NMT state (CiA 301, 7.2.8.3.2), 255 when silent.
+    missing, late : list of int
+        Frames per node since the start that a cycle had to do without, and that came too late for theirs.
+    emcy : list of int
+        Per node the error code of its newest emergency, 0 for none (CiA 301, 7.2.7.1).
     """
 
     name: str
     load_ratio: float
     nodes: list[int]
     nmt: bytes
+    missing: list[int] = []
+    late: list[int] = []
+    emcy: list[int] = []
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import FrameType
 from typing import Final
 
@@ -43,6 +44,34 @@ class StopSignal:
 
     def _caught(self, _number: int, _frame: FrameType | None) -> None:
         self._event.set()
+
+
+class Complaints:
+    """Says what goes wrong, but not each time: a cut wire must not flood the log.
+
+    The first `BURST` lines of every `PERIOD_S` are printed; how many were not is said when the next one is.
+    """
+
+    PERIOD_S: Final = 10.0
+    BURST: Final = 5
+
+    def __init__(self, service: str) -> None:
+        self._service = service
+        self._since_s = float("-inf")
+        self._said = self._held_back = 0
+
+    def complain(self, text: str) -> None:
+        """Print one line, unless too many were printed just now."""
+        now_s = time.monotonic()
+        if now_s - self._since_s > self.PERIOD_S:
+            if self._held_back:
+                say(self._service, f"{self._held_back} more lines like these were not printed")
+            self._since_s, self._said, self._held_back = now_s, 0, 0
+        if self._said < self.BURST:
+            self._said += 1
+            say(self._service, text)
+        else:
+            self._held_back += 1
 
 
 def _end_with_parent() -> None:
