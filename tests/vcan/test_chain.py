@@ -2,16 +2,17 @@
 
 import re
 import signal
-import struct
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cantools.database import load_file
+from cantools.logreader import Parser
 
-from dbc.contract import SYNC_COB_ID, contract, phase_of
 from skin.messages import GatewayStatus
 from tests.processes import Processes
 from tests.vcan.chain import RATE_HZ, Chain, complete, ip_link, running_chain
@@ -47,13 +48,16 @@ def test_measurements_are_complete_and_equal_the_sums_the_nodes_computed(chain: 
 def test_what_candump_logs_decodes_to_the_sums_the_nodes_computed(chain: Chain) -> None:
     with candump(chain.processes, "-L", "vcan0", "vcan1", "vcan2", "vcan3") as log:
         measured = chain.await_cycles(20)
-    gathered = sums_in_log(chain, log.read_text())
+    names = [
+        f"Block{block:03}_Row{row:02}" for block, row in zip(chain.phi.block_of_sum, chain.phi.row_of_sum, strict=True)
+    ]
+    gathered = sums_in_log(chain, log)
     inside = [each for each in filter(complete, measured) if each.sync_counter in gathered][1:-1]
     assert len(inside) >= 15
     for measurement in inside:
         sums = gathered[measurement.sync_counter]
-        assert len(sums) == chain.phi.shape[0]
-        assert np.array_equal([sums[place] for place in range(len(sums))], chain.true_sums(measurement))
+        assert sums.keys() == set(names)
+        assert np.array_equal([sums[name] for name in names], chain.true_sums(measurement))
 
 
 def test_load_is_what_canbusload_says(chain: Chain) -> None:
@@ -128,19 +132,19 @@ def candump(processes: Processes, *arguments: str) -> Iterator[Path]:
         processes.stop("candump", signal.SIGINT)
 
 
-def sums_in_log(chain: Chain, text: str) -> dict[int, dict[int, int]]:
-    """Read a candump log by the contract: sums by number, by counter of the SYNC before them on their bus."""
-    made = contract(chain.layout)
-    tpdos = {(f"vcan{node.bus}", tpdo.cob_id): tpdo for node in made.nodes for tpdo in node.tpdos}
+def sums_in_log(chain: Chain, log: Path) -> dict[int, dict[str, int]]:
+    """Decode a candump log with the skin's DBC files: sums by name, by counter of the SYNC before them on their bus."""
+    folder = log.parent / "dbc"
+    subprocess.run([sys.executable, "-m", "skin", "dbc", str(chain.path), "--out", str(folder)], check=True)
+    databases = {f"vcan{number}": load_file(folder / f"{bus.name}.dbc") for number, bus in enumerate(chain.layout.bus)}
     counter: dict[str, int] = {}
-    found: dict[int, dict[int, int]] = {}
-    for bus, identifier, data in re.findall(r"^\(\d+\.\d+\) (\w+) ([0-9A-F]{3})#([0-9A-F]*)$", text, re.MULTILINE):
-        payload = bytes.fromhex(data)
-        if int(identifier, 16) == SYNC_COB_ID:
-            counter[bus] = payload[0]
-        elif (bus, int(identifier, 16)) in tpdos and bus in counter:
-            tpdo = tpdos[bus, int(identifier, 16)]
-            assert tpdo.phase == phase_of(counter[bus])
-            for place, (value,) in enumerate(struct.iter_unpack("<h", payload)):
-                found.setdefault(counter[bus], {})[tpdo.first_sum + place] = value
+    found: dict[int, dict[str, int]] = {}
+    with log.open() as lines:
+        for frame in Parser(lines):
+            message = databases[frame.channel].get_message_by_frame_id(frame.frame_id)
+            signals = message.decode(frame.data, decode_choices=False)
+            if message.name == "SYNC":
+                counter[frame.channel] = signals["Counter"]
+            elif "TPDO" in message.name and frame.channel in counter:
+                found.setdefault(counter[frame.channel], {}).update(signals)
     return found
