@@ -106,10 +106,12 @@ class Segment:
         arrived = self.link.receive()
         self._count_expired(arrived[arrived["flags"] & DISCARDED == DISCARDED])
         can_id = arrived["can_id"]
-        plain = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
+        there = arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0
+        plain = there & (arrived["flags"] & ECHO == 0)
         heartbeat = (can_id > HEARTBEAT_BASE) & (can_id <= HEARTBEAT_BASE + HIGHEST_NODE_ID)
         request = (can_id > SDO_REQUEST_BASE) & (can_id <= SDO_REQUEST_BASE + HIGHEST_NODE_ID)
-        for frame in arrived[plain & (heartbeat | request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
+        # The nodes behind this link hear each other's heartbeats as echoes.
+        for frame in arrived[there & heartbeat | plain & (request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
             self._handle(frame, now_s)
 
     def _handle(self, frame: np.void, now_s: float) -> None:
