@@ -110,6 +110,10 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
         Frames per node since the start that a cycle had to do without, and that came too late for theirs.
     emcy : list of int
         Per node the error code of its newest emergency, 0 for none (CiA 301, 7.2.7.1).
+    link : str
+        What the gateway's own controller says: active, warning, passive, bus_off, or lost.
+    overrun : int
+        Frames the gateway's receive buffer lost since the start.
     """
 
     name: str
@@ -119,6 +123,8 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     missing: list[int] = []
     late: list[int] = []
     emcy: list[int] = []
+    link: str = "active"
+    overrun: int = 0
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):

@@ -157,4 +157,4 @@ def test_a_small_array_is_touched_by_what_it_can_feel() -> None:
     assert "ring" not in names
     assert set(random_touches(DEFAULT_OBJECTS, 8, 16, 16, skip_unfelt=True).labels) == set(names)
     with pytest.raises(InputError, match="'ring' is never felt"):
-        random_touches(["ring"], 1, 16, 16)
+        random_touches(["ring"], 50, 16, 16)
