@@ -160,19 +160,15 @@ class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Topic(msgspec.Struct, frozen=True):
-    """How one kind of message travels."""
+    """One kind of message and the name it travels under."""
 
     name: str
     message: type[msgspec.Struct]
-    #: True: the newest message matters and a slow reader loses old ones. False: the sender waits.
-    latest_wins: bool
 
 
-MEASUREMENT: Final = Topic("measurement", Measurement, latest_wins=True)
-IMAGE: Final = Topic("image", Image, latest_wins=True)
-LABEL: Final = Topic("label", Label, latest_wins=True)
-TRUTH: Final = Topic("truth", Truth, latest_wins=True)
-GATEWAY: Final = Topic("gateway", GatewayStatus, latest_wins=False)
-NODES: Final = Topic("nodes", NodesStatus, latest_wins=False)
-
-TOPICS: Final = (MEASUREMENT, IMAGE, LABEL, TRUTH, GATEWAY, NODES)
+MEASUREMENT: Final = Topic("measurement", Measurement)
+IMAGE: Final = Topic("image", Image)
+LABEL: Final = Topic("label", Label)
+TRUTH: Final = Topic("truth", Truth)
+GATEWAY: Final = Topic("gateway", GatewayStatus)
+NODES: Final = Topic("nodes", NodesStatus)
