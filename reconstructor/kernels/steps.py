@@ -72,6 +72,7 @@ def row(scratch: Flat, number: int, size: int) -> Flat:
     return scratch[start : start + size]
 
 
+# Compiled functions take no keywords, hence the arguments by position.
 # Each loop is a function of its own: written inside the solvers not all of them are vectorised.
 
 
@@ -80,9 +81,6 @@ def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: 
     """Fill `scratch` (gain, target, ahead, work, …) for the first iteration.
 
     Return how many sums count, and by how much the start was scaled.
-
-    Places of sums that are never sent keep their zeros. A sum of weight 0 is a zero of the mask, which is exactly the
-    problem without its row.
     """
     size = estimate.size
     gain, target, ahead, work = (
@@ -91,10 +89,25 @@ def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: 
         row(scratch, 2, size),
         row(scratch, 3, size),
     )
-    step = problem.numbers[0]
+    count = load(sums, weights, problem.places, problem.numbers[0], gain, target)
+    kept = estimate.dtype.type(1)
+    if problem.matched:
+        kept = _match(estimate, gain, target, work, problem.blocks)
+    ahead[:] = estimate
+    work[:] = estimate
+    return count, kept
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target: Flat) -> int:  # noqa: PLR0917
+    """Write the mask and the masked sums, both times `step`; return how many sums count.
+
+    Places of sums that are never sent keep their zeros. A sum of weight 0 is a zero of the mask, which is exactly the
+    problem without its row.
+    """
     count = 0
     for k in range(sums.size):
-        where = problem.places[k]
+        where = places[k]
         if weights[k] > 0:
             gain[where] = step * weights[k]
             target[where] = step * weights[k] * sums[k]
@@ -102,12 +115,7 @@ def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: 
         else:
             gain[where] = 0
             target[where] = 0
-    kept = estimate.dtype.type(1)
-    if problem.matched:
-        kept = _match(estimate, gain, target, work, problem.blocks)
-    ahead[:] = estimate
-    work[:] = estimate
-    return count, kept
+    return count
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
