@@ -3,12 +3,15 @@
 import json
 import sys
 from dataclasses import asdict
-from typing import Literal
+from typing import Final, Literal
 
 from bus.faults import parse_fault
 from bus.server import BusServer, BusSettings
 from skin.errors import InputError
 from skin.service import StopSignal, be_punctual, say
+
+#: Far longer than any device waits, and far from where times no longer fit 64 bits.
+RESTART_MAX_S: Final = 3600.0
 
 
 def bus(
@@ -57,8 +60,9 @@ def bus(
     """
     if bitrate <= 0 or data_bitrate < 0:
         raise InputError(f"expected bit rates above 0, got {bitrate} and {data_bitrate}")
-    if queue_size < 1 or restart_s < 0:
-        raise InputError(f"expected a queue of 1 or more and a delay of 0 s or more, got {queue_size} and {restart_s}")
+    if queue_size < 1 or not 0 <= restart_s <= RESTART_MAX_S:
+        wanted = f"a queue of 1 or more frames and a restart after 0 to {RESTART_MAX_S:g} s"
+        raise InputError(f"expected {wanted}, got {queue_size} and {restart_s}")
     names = channels or [f"bus{number}" for number in range(4)]
     settings = BusSettings(
         bitrate=bitrate,

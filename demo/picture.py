@@ -1,15 +1,33 @@
 """The picture of a run: what was there, what the sensor felt, what was rebuilt, and the difference."""
 
 from pathlib import Path
+from typing import Final
 
 import matplotlib as mpl
 
 from demo.score import Snapshot
+from skin.errors import InputError
 from skin.pairing import psnr_db
 
 mpl.use("Agg")
 
 from matplotlib import pyplot as plt
+
+SUFFIXES: Final = (".png", ".svg", ".pdf")
+
+
+def check_place(path: Path) -> None:
+    """Find out before a run whether its picture can be saved at `path`.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist, or the name has none of `SUFFIXES`.
+    """
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{path}: the folder for the picture does not exist")
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: expected a picture that ends in {', '.join(SUFFIXES)}, got '{path.suffix}'")
 
 
 def save_picture(snapshot: Snapshot, peak_n: float, path: Path) -> None:

@@ -11,14 +11,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from demo.picture import save_picture
+from demo.picture import check_place, save_picture
 from demo.score import Score
 from demo.supervisor import Supervisor
 from skin.errors import InputError, RunError
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
-from skin.service import StopSignal
+from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS
 
 DEFAULT_PORT: Final = 8765
@@ -58,8 +58,7 @@ class Run:
     def __init__(self, layout: Layout, wishes: Wishes, folder: Path) -> None:
         if not 0 < wishes.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {wishes.seconds:g}")
-        if not wishes.picture.resolve().parent.is_dir():
-            raise InputError(f"{wishes.picture}: the folder for the picture does not exist")
+        check_place(wishes.picture)
         self._layout = layout
         self._wishes = wishes
         self._score = Score(layout)
@@ -86,8 +85,11 @@ class Run:
             time.sleep(TURN_S)  # the last counters are on their way
         report = self._score.report()
         if self._score.shown is not None:
-            save_picture(self._score.shown, self._layout.taxels.force_max_n, self._wishes.picture)
-            report["picture"] = str(self._wishes.picture.resolve())
+            try:
+                save_picture(self._score.shown, self._layout.taxels.force_max_n, self._wishes.picture)
+                report["picture"] = str(self._wishes.picture.resolve())
+            except OSError as error:  # the figures are worth more than the picture
+                say("demo", f"{self._wishes.picture}: cannot write the picture: {error.strerror or error}")
         return report
 
     def print_summary(self, report: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """``skin nodes``: the virtual nodes of a skin."""
 
+import math
 import re
 from collections.abc import Collection
 from pathlib import Path
@@ -68,6 +69,8 @@ def nodes(
     skin nodes --objects golf-ball
     skin nodes -i socketcan -c vcan0 --only bus0:1-16
     """
+    if seed < 0 or not 0 <= noise_n < math.inf:
+        raise InputError(f"expected 0 or more: got --noise-n {noise_n:g} --seed {seed}")
     stop = StopSignal().install()
     skin = load_layout(layout)
     made = contract(skin)

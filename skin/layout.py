@@ -146,7 +146,7 @@ def parse_layout(content: bytes, origin: str) -> Layout:
     """Decode and check a layout; `origin` names the file in messages."""
     try:
         layout = msgspec.toml.decode(content, type=Layout)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise LayoutError(f"{origin}: {error}") from error
     try:
         _check(layout)

@@ -41,6 +41,8 @@ def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> N
         (["--bitrate", "0"], "bit rates above 0"),
         (["--fault", "lost=1"], "loss_ratio"),
         (["--queue-size", "0"], "queue"),
+        (["--restart-s", "nan"], "restart after 0 to 3600 s"),
+        (["--restart-s", "inf"], "restart after 0 to 3600 s"),
         (["a/b"], "cannot name a bus"),
     ],
 )

@@ -68,7 +68,9 @@ def test_errors_name_the_path(old: str, new: str, path: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"[[bus]]\n", b"\xff\xfe", b"[taxels\n", b"a = 1\na = 2\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"[[bus]]\n", b"\xff\xfe", b"[taxels\n", b"a = 1\na = 2\n", b"a = " + 9999 * b"["]
+)
 def test_broken_files_are_layout_errors(content: bytes) -> None:
     with pytest.raises(LayoutError):
         parse_layout(content, "palm.toml")

@@ -1,0 +1,26 @@
+"""The picture of a run: where it can be saved, and that it is one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from demo.picture import SUFFIXES, check_place, save_picture
+from demo.score import Snapshot
+from skin.errors import InputError
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_picture_is_saved_where_it_may_be(suffix: str, tmp_path: Path) -> None:
+    force_n = np.random.default_rng(0).uniform(0, 0.02, (16, 16)).astype(np.float32)
+    path = tmp_path / f"picture{suffix}"
+    check_place(path)
+    save_picture(Snapshot(force_n, force_n, 0.9 * force_n), 0.02, path)
+    starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+    assert path.read_bytes().startswith(starts[suffix])
+
+
+@pytest.mark.parametrize(("name", "says"), [("none/x.png", "folder"), ("x", r"\.png, "), ("x.docx", "got '.docx'")])
+def test_place_that_cannot_be_used_is_told_before_the_run(name: str, says: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=says):
+        check_place(tmp_path / name)
