@@ -48,7 +48,7 @@ def touched_bits(made: Contract, *, samples: int = SAMPLES, seed: int = 0) -> np
     stride = max(1, round(STRIDE_S * layout.sync.rate_hz))
     for sample in range(samples):
         counts = _counts(layout, source, sample * stride, random)
-        payloads = encode(made.phi.forward(counts), table.gather, made.packing)
+        payloads = encode(made.phi.block_sums(counts), table.gather, made.packing)
         burst["data"][:, : payloads.shape[1]] = payloads
         np.add.at(total, (table.bus, table.phase), np.stack(wire_bits(burst), axis=1))
     mean: npt.NDArray[np.float64] = total / samples
@@ -58,7 +58,8 @@ def touched_bits(made: Contract, *, samples: int = SAMPLES, seed: int = 0) -> np
 def _counts(layout: Layout, source: TaxelSource, step: int, random: np.random.Generator) -> npt.NDArray[np.int32]:
     """Return what the nodes measure: noise, a clipped range, whole counts."""
     taxels = layout.taxels
-    felt = source.frame(step).force_n.ravel()
+    felt = source.frame(step).force_n.ravel().astype(np.float64)
     if not source.has_noise:
-        felt = felt + NOISE_N * random.standard_normal(felt.size)
-    return np.clip(np.rint(felt / taxels.newton_per_count), 0, (1 << taxels.adc_bits) - 1).astype(np.int32)
+        felt += NOISE_N * random.standard_normal(felt.size)
+    counts: npt.NDArray[np.int32] = np.clip(np.rint(felt / taxels.newton_per_count), 0, (1 << taxels.adc_bits) - 1)
+    return counts.astype(np.int32)
