@@ -87,7 +87,8 @@ class Candidate:
         """What it is, in words."""
         wire = "classic CAN" if self.data_bitrate is None else f"CAN FD {self.data_bitrate // 1_000_000} Mbit/s"
         buses = f"{self.buses} bus{'es' * (self.buses > 1)}"
-        return f"{buses} of {wire}, {self.nodes} nodes of {self.blocks_per_node} blocks, {self.sum_bits}-bit sums"
+        each = f"{self.blocks_per_node} block{'s' * (self.blocks_per_node > 1)}"
+        return f"{buses} of {wire}, {self.nodes} nodes of {each}, {self.sum_bits}-bit sums"
 
 
 def search(wish: Wish, allowed: Disturbance | None = None) -> tuple[Layout | None, list[Candidate]]:

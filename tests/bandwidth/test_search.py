@@ -12,9 +12,9 @@ from skin.errors import InputError
     ("wish", "words"),
     [
         (Wish(4096, 20, buses=1), "1 bus of classic CAN, 64 nodes of 2 blocks, 16-bit sums"),
-        (Wish(4096, 100, buses=8, can="classic"), "4 buses of classic CAN, 128 nodes of 1 blocks, 12-bit sums"),
+        (Wish(4096, 100, buses=8, can="classic"), "4 buses of classic CAN, 128 nodes of 1 block, 12-bit sums"),
         (Wish(4096, 100), "1 bus of CAN FD 5 Mbit/s, 64 nodes of 2 blocks, 16-bit sums"),
-        (Wish(1024, 100), "1 bus of classic CAN, 32 nodes of 1 blocks, 12-bit sums"),
+        (Wish(1024, 100), "1 bus of classic CAN, 32 nodes of 1 block, 12-bit sums"),
     ],
 )
 def test_what_is_chosen_meets_the_wish(wish: Wish, words: str) -> None:
