@@ -6,9 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import can
+import msgspec
 import numpy as np
 import pytest
 
+from bandwidth.schemes import schemes
 from dbc.contract import contract
 from skin.command import main
 from skin.layout import load_layout, parse_layout
@@ -70,6 +72,7 @@ def test_json_plan_has_buses_alternatives_and_schemes(skin: Skin) -> None:
     assert {"as it is", "8 buses", "12-bit sums", "CAN FD 8 Mbit/s, 4 per node"} <= {
         each["change"] for each in document["alternatives"]
     }
+    assert document["schemes"] == msgspec.to_builtins(list(schemes(load_layout())))  # tested against published tables
     full_scan = [each for each in document["schemes"] if each["what"] == "taxels" and each["data_bitrate"] is None]
     assert {each["bits"] for each in full_scan} == {10, 12, 16}
 
