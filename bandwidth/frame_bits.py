@@ -18,13 +18,11 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames
 
 Stuffing = Literal["none", "worst", "exact"]
 Bits = npt.NDArray[np.int32]
 
-#: Bytes a CAN FD frame can carry, indexed by DLC (ISO 11898-1:2015, table 5).
-FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 #: Intermission, counted into every frame.
 INTERMISSION_BITS: Final = 3
 

@@ -27,6 +27,7 @@ from bus.protocol import (
     socket_path,
     unpack,
     unpack_frames,
+    unpack_json,
 )
 from bus.retry import Backoff
 from dbc.frame import ECHO, FD, Frames, frames
@@ -253,7 +254,7 @@ class ArbitratedLink:
             connection.send(pack(Kind.HELLO, msgspec.json.encode(self._hello)))
             welcome = self._read_welcome(connection.recv(MAX_PACKET))
             connection.setblocking(False)
-        except (ProtocolError, msgspec.MsgspecError) as error:
+        except ProtocolError as error:
             connection.close()
             raise ConnectionResetError(str(error)) from error
         except BaseException:
@@ -265,4 +266,4 @@ class ArbitratedLink:
         header, payload = unpack(packet)
         if header.kind != Kind.WELCOME:
             raise BusError(f"bus '{self.channel}' refuses: {payload.tobytes().decode(errors='replace')}")
-        return msgspec.json.decode(payload, type=Welcome)
+        return unpack_json(payload, Welcome)

@@ -52,13 +52,8 @@ def bus(
 
     Examples
     --------
-    Four buses::
-
-        skin bus bus0 bus1 bus2 bus3
-
-    One at 500 kbit/s that loses every hundredth heartbeat::
-
-        skin bus bus0 --bitrate 500000 --fault can_id=0x700,mask=0x780,loss_ratio=0.01
+    skin bus bus0 bus1 bus2 bus3
+    skin bus bus0 --bitrate 500000 --fault can_id=0x700,mask=0x780,loss_ratio=0.01
     """
     if bitrate <= 0 or data_bitrate < 0:
         raise InputError(f"expected bit rates above 0, got {bitrate} and {data_bitrate}")

@@ -3,11 +3,14 @@
 import contextlib
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import Annotated, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
 from skin.errors import InputError
+
+#: Longer than any cycle, and far from where times no longer fit 64 bits.
+DELAY_MAX_S: Final = 3600.0
 
 Ratio = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
@@ -39,7 +42,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     loss_ratio: Ratio = 0.0
     duplicate_ratio: Ratio = 0.0
     delay_ratio: Ratio = 0.0
-    delay_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    delay_s: Annotated[float, msgspec.Meta(ge=0, le=DELAY_MAX_S)] = 0.0
     bit_error_rate: Ratio = 0.0
     off: bool = False
 

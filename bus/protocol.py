@@ -10,7 +10,7 @@ import tempfile
 from enum import IntEnum
 from pathlib import Path
 from struct import Struct
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -29,7 +29,14 @@ MAX_PORTS: Final = 256
 HEADER: Final = Struct("<4sBBHQq")
 MAX_PACKET: Final = HEADER.size + MAX_FRAMES * FRAME.itemsize
 
+#: Latest start that a frame may ask for, 146 years after the machine's: sums of such times still fit 64 bits.
+LATEST_NS: Final = 1 << 62
+
 _SENDABLE: Final = EXTENDED | REMOTE | FD | BRS | ESI
+
+
+Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF_FFFF)]
+Body = TypeVar("Body")
 
 
 class Kind(IntEnum):
@@ -55,8 +62,8 @@ class Header(NamedTuple):
 class Filter(msgspec.Struct, frozen=True, array_like=True):
     """Lets a frame pass whose ``identifier & mask == can_id & mask``; `extended` None means either format."""
 
-    can_id: int
-    mask: int
+    can_id: Word
+    mask: Word
     extended: bool | None = None
 
 
@@ -105,6 +112,20 @@ def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
     return Header(*fields), memoryview(packet)[HEADER.size :]
 
 
+def unpack_json(payload: memoryview, body: type[Body]) -> Body:
+    """Return what a packet says in JSON.
+
+    Raises
+    ------
+    ProtocolError
+        If it is no JSON, or not that of a `body`.
+    """
+    try:
+        return msgspec.json.decode(payload, type=body)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise ProtocolError(str(error)) from error
+
+
 def unpack_frames(header: Header, payload: memoryview) -> Frames:
     """Return the records of a FRAMES packet, a view of it.
 
@@ -138,6 +159,7 @@ def check_frames(burst: Frames, *, fd: bool) -> None:
         (~is_fd & (flags & (BRS | ESI) != 0), "BRS or ESI without FD"),
         (is_fd & (not fd), "CAN FD on a classical link"),
         (burst["port"] >= MAX_PORTS, f"a port above {MAX_PORTS - 1}"),
+        (burst["time_ns"] > LATEST_NS, f"a start time above {LATEST_NS} ns"),
     )
     for wrong, what in faults:
         if wrong.any():

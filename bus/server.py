@@ -28,6 +28,7 @@ from bus.protocol import (
     socket_path,
     unpack,
     unpack_frames,
+    unpack_json,
 )
 from bus.session import Batch, Session
 from dbc.frame import frames
@@ -218,7 +219,7 @@ class BusServer:
             hello = _read_hello(guest)
         except BlockingIOError:
             return
-        except (OSError, ProtocolError, msgspec.MsgspecError) as error:
+        except (OSError, ProtocolError) as error:
             self._refuse(line, guest, f"not understood: {error}")
             return
         settings = self.settings
@@ -266,13 +267,13 @@ class BusServer:
                 self._take(line, session, memoryview(self._buffer)[:size])
         except BlockingIOError:
             return
-        except (OSError, ProtocolError, InputError, msgspec.MsgspecError) as error:
+        except (OSError, ProtocolError, InputError) as error:
             self._lose(line, session, f"disconnected: {error}")
 
     def _take(self, line: _Line, session: Session, packet: memoryview) -> None:
         header, payload = unpack(packet)
         if header.kind == Kind.FAULTS:
-            line.bus.set_faults(msgspec.json.decode(payload, type=list[Fault]))
+            line.bus.set_faults(unpack_json(payload, list[Fault]))
             return
         if header.kind != Kind.FRAMES or not session.station.controllers:
             raise ProtocolError(f"a packet of kind {header.kind}")
@@ -367,4 +368,4 @@ def _read_hello(guest: socket.socket) -> Hello:
     header, payload = unpack(guest.recv(MAX_PACKET))
     if header.kind != Kind.HELLO:
         raise ProtocolError(f"expected a greeting, got a packet of kind {header.kind}")
-    return msgspec.json.decode(payload, type=Hello)
+    return unpack_json(payload, Hello)

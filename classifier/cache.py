@@ -15,9 +15,8 @@ from skin.errors import ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.service import say
+from skin.sources import DEFAULT_OBJECTS
 
-#: The live source's default series.
-DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
 TOUCHES_PER_OBJECT: Final = 400
 
 

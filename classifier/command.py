@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from classifier.cache import DEFAULT_OBJECTS, TOUCHES_PER_OBJECT, cached_path, find_or_train
+from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train
 from classifier.decide import Classifier
 from classifier.model import Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
@@ -17,6 +17,7 @@ from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
+from skin.sources import DEFAULT_OBJECTS
 
 
 def classify(

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from skin.errors import InputError
 from skin.layout import Layout
+from skin.sources import DEFAULT_OBJECTS
 
 GROUP: Final = "canskin.touches"
 
@@ -18,7 +19,8 @@ def load_touches(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.str_]]:
     """Return `count` labelled touches of the named objects, drawn by the offer called `offer`.
 
-    An offer is called as ``offer(names, count, rows=, columns=, pitch_m=, seed=)`` and gives images and labels.
+    An offer is called as ``offer(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)`` and gives images
+    and labels. Of the default objects, those that the skin is too small for are left out.
 
     Returns
     -------
@@ -40,6 +42,12 @@ def load_touches(
     draw: Callable[..., Any] = found[offer].load()
     taxels = layout.taxels
     force_n, labels = draw(
-        list(names), count, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, seed=seed
+        list(names),
+        count,
+        rows=taxels.rows,
+        columns=taxels.columns,
+        pitch_m=taxels.pitch_m,
+        seed=seed,
+        skip_unfelt=tuple(names) == DEFAULT_OBJECTS,
     )
     return np.asarray(force_n, np.float32), np.asarray(labels, np.str_)

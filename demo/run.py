@@ -19,6 +19,7 @@ from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
 from skin.service import StopSignal
+from skin.sources import DEFAULT_OBJECTS
 
 DEFAULT_PORT: Final = 8765
 #: A first run compiles the solver and trains the classifier.
@@ -126,7 +127,7 @@ class Run:
             touch += [part for name in wishes.arrays for part in ("--array", name)]
         start("nodes", "nodes", *common, "--seed", str(wishes.seed), *touch)
         start("reconstructor", "reconstruct", *common, restart=True)
-        start("classifier", "classify", *common, restart=True)
+        start("classifier", "classify", *common, *_known_objects(wishes.objects), restart=True)
         if self._port is not None:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)
 
@@ -171,6 +172,14 @@ class Run:
             parts.append(f"image {score.psnr_image_db[-1]:.1f} dB, sensor {score.psnr_sensor_db[-1]:.1f} dB")
         parts.append(score.last_label or "no contact")
         return " | ".join(parts)
+
+
+def _known_objects(wanted: str) -> list[str]:
+    """Let the classifier know the wanted objects as well as the default ones it can confuse them with."""
+    names = [name.strip() for name in wanted.split(",") if name.strip()]
+    if set(names) <= set(DEFAULT_OBJECTS):
+        return []
+    return ["--objects", ",".join(dict.fromkeys((*DEFAULT_OBJECTS, *names)))]
 
 
 def _summary(report: dict[str, Any]) -> list[tuple[str, str]]:

@@ -13,6 +13,8 @@ from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
 from skin.pairing import Pairing, in_contact, psnr_db
 
+#: Nodes named in a report when frames are missing.
+NODES_NAMED: Final = 16
 #: The picture shows the last cycle whose largest force is at least this part of the largest of the run.
 FULL_CONTACT_RATIO: Final = 0.95
 
@@ -90,7 +92,7 @@ class Score:
             for node_id, missing, late, emcy in zip(bus.nodes, bus.missing, bus.late, bus.emcy, strict=False)
             if missing or late
         ]
-        return sorted(rows, key=lambda row: -int(str(row["missing"])))
+        return sorted(rows, key=lambda row: -int(str(row["missing"])))[:NODES_NAMED]
 
     def _judge(self, label: Label, truth: Truth) -> None:
         if truth.label and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n):

@@ -20,6 +20,8 @@ from skin.service import say
 NMT_START: Final = 1
 #: An SDO answer waits behind a whole burst of sums; five SYNC periods are ample.
 SDO_TIMEOUT_S: Final = 0.3
+#: Stands in the queue behind the nodes of the first pass; no node has this ID.
+_FIRST_PASS_ENDS: Final = 0
 
 # The library logs each transfer without answer; a node that is not there is no news.
 logging.getLogger("canopen").setLevel(logging.CRITICAL)
@@ -59,12 +61,13 @@ class Boot:
         #: Nodes that answered with another Φ, until they boot again.
         self.refused: set[int] = set()
         self._first_pass = threading.Event()
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"boot {name}", daemon=True)
 
     def start(self) -> None:
         """Begin with a pass over all nodes."""
         self.ask(self._nodes)
-        self._wanted.put(0)
+        self._wanted.put(_FIRST_PASS_ENDS)
         self._thread.start()
 
     def ask(self, node_ids: Iterable[int]) -> None:
@@ -75,10 +78,6 @@ class Boot:
                 self._queued.add(node_id)
                 self._wanted.put(node_id)
 
-    def wait_first_pass(self, timeout_s: float) -> bool:
-        """Wait until every node has been asked once; tell whether that is so."""
-        return self._first_pass.wait(timeout_s)
-
     @property
     def passed(self) -> bool:
         """Whether every node has been asked once."""
@@ -86,11 +85,12 @@ class Boot:
 
     def stop(self) -> None:
         """End the thread after the node it is at."""
+        self._stopping.set()
         self._wanted.put(None)
 
     def _run(self) -> None:
-        while (node_id := self._wanted.get()) is not None:
-            if node_id == 0:
+        while (node_id := self._wanted.get()) is not None and not self._stopping.is_set():
+            if node_id == _FIRST_PASS_ENDS:
                 self._first_pass.set()
                 continue
             self._queued.discard(node_id)
@@ -113,6 +113,8 @@ class Boot:
         except Exception as error:  # noqa: BLE001 - whatever answers on the wire, the next node is asked
             say("gateway", f"node {node.node_id} on {self._name} answers strangely: {error}")
             return
+        finally:
+            del self._network[node.node_id]  # answers that nobody asked for would pile up there
         if (block, phi, encoding) != (node.block, self._fingerprint, node.encoding):
             self.refused.add(node.node_id)
             say(

@@ -60,6 +60,8 @@ class Collector:
         #: Of the counts above, each node's part, by place in the contract.
         self.late_of_node = np.zeros(len(made.nodes), np.int64)
         self.missing_of_node = np.zeros(len(made.nodes), np.int64)
+        #: Nodes that sent anything that looks like sums since somebody cleared this.
+        self.heard = np.zeros(len(made.nodes), np.bool_)
         self._table = made.table
         self._phi = made.phi
         rows = len(made.table.cob_id)
@@ -141,6 +143,7 @@ class Collector:
         self._accept(bus, row[whole], arrived["data"][whole, : self._payload.shape[1]])
 
     def _accept(self, bus: int, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
+        self.heard[self._table.node[row]] = True
         cycle = self._gathering[self._table.phase[row]]
         in_time = (cycle != 0) & (cycle == self._on_wire[bus])
         self.counts.late += int(len(row) - in_time.sum())

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
+from bus.link import Link
 from dbc.contract import EMCY_BASE, HEARTBEAT_BASE, HIGHEST_NODE_ID, Contract
 from dbc.frame import ERROR, Frames, frames
 from skin.messages import BusState
@@ -85,11 +86,13 @@ class BusMonitor:
         overdue = time.monotonic() - self._heard_s > self._silent_after_s
         return np.where(overdue, np.uint8(SILENT), self._nmt)
 
-    def state(self, missing: npt.NDArray[np.int64], late: npt.NDArray[np.int64]) -> BusState:
+    def state(self, link: Link, missing: npt.NDArray[np.int64], late: npt.NDArray[np.int64]) -> BusState:
         """Return the state of the bus; the load is that since the last call.
 
         Parameters
         ----------
+        link : Link
+            The connection itself.
         missing, late : array of int, shape (nodes,)
             What the collector counted of each node's frames.
         """
@@ -106,6 +109,8 @@ class BusMonitor:
             missing=missing.tolist(),
             late=late.tolist(),
             emcy=list(self._emcy),
+            link=link.state.name.lower(),
+            overrun=link.dropped,
         )
 
     @property

@@ -123,7 +123,8 @@ class GatewayService:
     def _bus_state(self, number: int) -> BusState:
         places = [place for place, _ in self._places[number]]
         collector = self.collector
-        return self._lines[number].monitor.state(collector.missing_of_node[places], collector.late_of_node[places])
+        line = self._lines[number]
+        return line.monitor.state(line.link, collector.missing_of_node[places], collector.late_of_node[places])
 
     def _line(self, number: int, link: Link) -> _Line:
         network = MasterNetwork(link)
@@ -137,6 +138,7 @@ class GatewayService:
         self.collector.trusted[node.block : node.block + node.blocks] = trusted
         if trusted:
             self._lines[node.bus].monitor.started(node.node_id)
+            self.collector.expected[self._made.nodes.index(node)] = True
 
     def _look_after_nodes(self) -> None:
         """Wait for operational nodes only; ask a node that came back without saying so what it measures."""
@@ -144,12 +146,14 @@ class GatewayService:
             nmt = dict(zip(line.monitor.node_ids, line.monitor.nmt, strict=True))
             for place, node in self._places[number]:
                 state = nmt[node.node_id]
-                self.collector.expected[place] = state == OPERATIONAL
+                # A node that sends sums is operational, whatever its last heartbeat said.
+                self.collector.expected[place] = state == OPERATIONAL or self.collector.heard[place]
                 trusted = self.collector.trusted[node.block]
                 if state == SILENT and trusted:
                     self._trust(node, False)
                 elif state != SILENT and not trusted and line.boot.passed and node.node_id not in line.boot.refused:
                     line.boot.ask([node.node_id])
+        self.collector.heard[:] = False
 
     def _turn(self) -> float:
         """Wait for frames until the next thing is due, use them, and close what has settled."""

@@ -3,8 +3,9 @@
 Each raises the abort code the standard gives for the case (CiA 301, table 22).
 """
 
+import math
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from canopen import SdoAbortedError
 
@@ -13,6 +14,7 @@ from dbc.indices import (
     OD_EMCY_COB_ID,
     OD_ERROR_BEHAVIOUR,
     OD_ERROR_FIELD,
+    OD_GAIN,
     OD_MANUFACTURER,
     OD_RESTORE,
     OD_STORE,
@@ -35,7 +37,6 @@ ABORT_STATE: Final = 0x0800_0022
 
 #: Bit 31 of a PDO's COB-ID: it does not exist (CiA 301, 7.5.2.37).
 PDO_INVALID: Final = 0x8000_0000
-PDO_NO_RTR: Final = 0x4000_0000
 FRAME_29_BIT: Final = 0x2000_0000
 LAST_SYNCHRONOUS: Final = 240
 TEST_PATTERNS: Final = 4
@@ -51,12 +52,12 @@ RESTRICTED: Final = (
 )
 
 
-def check_write(node: LocalNode, index: int, subindex: int, value: int) -> None:
-    """Raise `canopen.SdoAbortedError` when `value` must not be written now."""
+def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
+    """Raise `canopen.SdoAbortedError` when `value`, a whole number but for REAL32, must not be written now."""
     if OD_TPDO_COMMUNICATION <= index < OD_TPDO_COMMUNICATION + 0x200:
-        _communication(node, index, subindex, value)
+        _communication(node, index, subindex, int(value))
     elif OD_TPDO_MAPPING <= index < OD_TPDO_MAPPING + 0x200:
-        _mapping(node, index, subindex, value)
+        _mapping(node, index, subindex, int(value))
     elif (rule := _VALUES.get(_first_block(index))) is not None and not rule(value):
         raise SdoAbortedError(ABORT_STORE if index in (OD_STORE, OD_RESTORE) else ABORT_VALUE)
 
@@ -66,7 +67,7 @@ def _first_block(index: int) -> int:
 
 
 #: Values an object accepts, where not all of its type.
-_VALUES: Final[dict[int, Callable[[int], bool]]] = {
+_VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_ERROR_FIELD: lambda value: value == 0,
     OD_SYNC_COB_ID: lambda value: value == SYNC_COB_ID,  # a consumer, on the predefined identifier
     OD_STORE: lambda value: value == SIGNATURE_SAVE,
@@ -74,6 +75,7 @@ _VALUES: Final[dict[int, Callable[[int], bool]]] = {
     OD_EMCY_COB_ID: lambda value: value & 0x3FFF_F800 == 0 and value & 0x7FF != 0,
     OD_SYNC_OVERFLOW: lambda value: value == 0 or 2 <= value <= LAST_SYNCHRONOUS,
     OD_ERROR_BEHAVIOUR: lambda value: value <= 2,
+    OD_GAIN: math.isfinite,
     OD_TEST_PATTERN: lambda value: value < TEST_PATTERNS,
 }
 

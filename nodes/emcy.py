@@ -21,16 +21,12 @@ class Emergency(IntEnum):
     """Error codes a skin node can report (CiA 301, table 26; FF00h on are the manufacturer's)."""
 
     HEARTBEAT_LOST = 0x8130
-    RECOVERED_FROM_BUS_OFF = 0x8140
-    PDO_LENGTH = 0x8210
     SYNC_LENGTH = 0x8240
     WINDOW_MISSED = 0xFF10
 
 
 _REGISTER: Final = {
     Emergency.HEARTBEAT_LOST: COMMUNICATION_ERROR,
-    Emergency.RECOVERED_FROM_BUS_OFF: COMMUNICATION_ERROR,
-    Emergency.PDO_LENGTH: COMMUNICATION_ERROR,
     Emergency.SYNC_LENGTH: COMMUNICATION_ERROR,
     Emergency.WINDOW_MISSED: MANUFACTURER_ERROR,
 }

@@ -51,11 +51,6 @@ class HeartbeatConsumer:
         """When the first heartbeat that has not come yet is overdue."""
         return min((due_s for node_id, due_s in self._due_s.items() if node_id not in self.lost), default=float("inf"))
 
-    @property
-    def node_ids(self) -> set[int]:
-        """Whom this node watches."""
-        return set(self._periods_s)
-
     def heard(self, node_id: int, now_s: float) -> None:
         """Take note of a heartbeat."""
         if node_id in self._periods_s:

@@ -7,23 +7,35 @@ from dbc.frame import frames
 
 
 class SegmentNetwork(canopen.Network):
-    """A network without a bus thread of its own."""
+    """A network without a bus thread of its own; what finds no room in the transmit queue is dropped.
+
+    Attributes
+    ----------
+    pdos_sent, pdos_dropped : int
+        PDOs that found room, and those that found none.
+    """
 
     def __init__(self, link: Link) -> None:
         super().__init__()
         self._link = link
-        self.frames_refused = 0
+        self.pdos_sent = self.pdos_dropped = 0
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG002
-        """Send one classic frame; a full transmit queue is counted, not raised."""
-        self.send_pdo(can_id, data, 0)
+        """Send one classic frame."""
+        self._send(can_id, data, 0)
 
-    def send_pdo(self, can_id: int, data: bytes, flags: int) -> None:
-        """Send one frame with the `flags` of its kind (`dbc.frame`); a full transmit queue is counted."""
+    def send_pdo(self, can_id: int, data: bytes, flags: int) -> bool:
+        """Send a PDO in a frame with the `flags` of its kind (`dbc.frame`); tell whether there was room."""
+        accepted = self._send(can_id, data, flags)
+        self.pdos_sent += accepted
+        self.pdos_dropped += 1 - accepted
+        return bool(accepted)
+
+    def _send(self, can_id: int, data: bytes, flags: int) -> int:
         frame = frames(1)
         frame["can_id"] = can_id
         frame["length"] = len(data)
         frame["flags"] = flags
         frame["port"] = can_id & 0x7F
         frame["data"][0, : len(data)] = tuple(data)
-        self.frames_refused += 1 - self._link.send(frame)
+        return self._link.send(frame)

@@ -149,8 +149,7 @@ class SkinNode:
 
     def send(self, tpdo: Tpdo, payload: bytes) -> None:
         """Send one TPDO outside a burst."""
-        self._network.send_pdo(tpdo.cob_id, payload, self.contract.flags)
-        self.health[1] += 1
+        self.health[1] += self._network.send_pdo(tpdo.cob_id, payload, self.contract.flags)
 
     def _watch(self, now_s: float) -> None:
         before = bool(self.watched.lost)

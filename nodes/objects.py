@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import canopen
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable
+from canopen.objectdictionary import ODRecord, ODVariable
 
 from dbc.dictionary import Object
 from dbc.indices import BITS, OD_SUMS, split_block
@@ -24,9 +24,10 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
             dictionary.add_object(variable)
             continue
         if each.index not in dictionary:
-            dictionary.add_object((ODArray if each.array else ODRecord)(each.group, each.index))
+            # Arrays, too: the library's own array has every sub-index that is asked for.
+            dictionary.add_object(ODRecord(each.group, each.index))
         group = dictionary[each.index]
-        if isinstance(group, ODArray | ODRecord):
+        if isinstance(group, ODRecord):
             group.add_member(variable)
     return dictionary
 

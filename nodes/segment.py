@@ -55,16 +55,15 @@ class Segment:
 
     Attributes
     ----------
-    frames_sent, frames_dropped : int
-        TPDOs handed to the controllers; TPDOs that found no room there.
     frames_rejected : int
         Received frames that made the CANopen library raise; they are dropped.
     """
 
     def __init__(self, made: Contract, bus: int, node_ids: Collection[int], link: Link, sampler: Sampler) -> None:
         self.link = link
-        self.frames_sent = self.frames_dropped = self.frames_rejected = 0
+        self.frames_rejected = 0
         self.syncs_seen = 0
+        self._sent = self._dropped = 0
         wires = made.layout.bus[bus]
         self._frame_ns = int(frame_time_ns(made.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
         self._made = made
@@ -79,6 +78,16 @@ class Segment:
         ]
         self._by_id = {node.contract.node_id: node for node in self.nodes}
         self._compile()
+
+    @property
+    def frames_sent(self) -> int:
+        """TPDOs handed to the controllers, but for those they gave back."""
+        return self._sent + self._network.pdos_sent
+
+    @property
+    def frames_dropped(self) -> int:
+        """TPDOs that found no room in the controllers, or none on the bus in time."""
+        return self._dropped + self._network.pdos_dropped
 
     def boot(self, now_s: float) -> None:
         """Power all nodes up."""
@@ -106,10 +115,12 @@ class Segment:
         arrived = self.link.receive()
         self._count_expired(arrived[arrived["flags"] & DISCARDED == DISCARDED])
         can_id = arrived["can_id"]
-        plain = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
+        there = arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0
+        plain = there & (arrived["flags"] & ECHO == 0)
         heartbeat = (can_id > HEARTBEAT_BASE) & (can_id <= HEARTBEAT_BASE + HIGHEST_NODE_ID)
         request = (can_id > SDO_REQUEST_BASE) & (can_id <= SDO_REQUEST_BASE + HIGHEST_NODE_ID)
-        for frame in arrived[plain & (heartbeat | request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
+        # The nodes behind this link hear each other's heartbeats as echoes.
+        for frame in arrived[there & heartbeat | plain & (request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
             self._handle(frame, now_s)
 
     def _handle(self, frame: np.void, now_s: float) -> None:
@@ -137,8 +148,8 @@ class Segment:
         burst["time_ns"] = time_ns + REACTION_NS
         burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
         accepted = self.link.send(burst)
-        self.frames_sent += accepted
-        self.frames_dropped += len(burst) - accepted
+        self._sent += accepted
+        self._dropped += len(burst) - accepted
         for node_id, sent in zip(*np.unique(burst["port"][:accepted], return_counts=True), strict=True):
             self._by_id[int(node_id)].health[1] += sent
         for node, tpdo in self._mixed:
@@ -146,14 +157,14 @@ class Segment:
                 payload = tpdo.at_sync(counter, node.local)
                 if payload is not None:
                     node.send(tpdo, payload)
-                    self.frames_sent += 1
 
     def _count_expired(self, unsent: Frames) -> None:
         """Take note of TPDOs that found no room on the bus within the window (1007h), and report them."""
         if not len(unsent):
             return
-        self.frames_sent -= len(unsent)
-        self.frames_dropped += len(unsent)
+        unsent = unsent[np.isin(unsent["can_id"], self._pdo_ids)]  # a controller that goes bus-off gives all back
+        self._sent -= len(unsent)
+        self._dropped += len(unsent)
         for node_id, count in zip(*np.unique(unsent["port"], return_counts=True), strict=True):
             node = self._by_id.get(int(node_id))
             if node is not None:
@@ -194,6 +205,7 @@ class Segment:
         plain: list[tuple[int, NodeContract, Tpdo]] = []
         self._mixed: list[tuple[SkinNode, Tpdo]] = []
         self._sync_length: dict[int, int] = {}
+        self._pdo_ids = [tpdo.cob_id for node in self.nodes for tpdo in node.tpdos]
         # Latest start of a frame after the SYNC: it has to end inside the window.
         self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
         for place, node in enumerate(self.nodes):

@@ -11,8 +11,8 @@ from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, split_b
 from nodes.access import LAST_SYNCHRONOUS, PDO_INVALID
 from nodes.objects import LocalNode
 
+#: First of the two event-driven transmission types: the manufacturer's and the profile's, 255.
 EVENT_MANUFACTURER: Final = 254
-EVENT_PROFILE: Final = 255
 
 
 @dataclass

@@ -1,9 +1,9 @@
 """``skin reconstruct``: the tactile image of every cycle."""
 
 from pathlib import Path
-from typing import Literal
 
-from reconstructor.engine import LIVE, PAPER, Reconstructor, Settings
+from reconstructor.engine import Reconstructor
+from reconstructor.presets import preset
 from reconstructor.service import ReconstructorService
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import load_layout
@@ -14,9 +14,10 @@ def reconstruct(
     *,
     layout: Path | None = None,
     connect: str = DEFAULT_ENDPOINT,
-    solver: Literal["live", "paper"] = "live",
+    solver: str = "live",
     iterations: int | None = None,
     penalty_n: float | None = None,
+    noise_n: float | None = None,
 ) -> None:
     """Turn measurements into tactile images and publish them.
 
@@ -27,11 +28,15 @@ def reconstruct(
     connect
         Endpoint of the fabric's hub, the gateway.
     solver
-        ``live``: Haar pyramid with cycle spinning and non-negative forces. ``paper``: tensor Haar, L = 2B.
+        ``live``: total variation and non-negative forces on sums averaged as far as the motion allows.
+        ``variation``: the same on one cycle's sums alone. ``spun``: cycle-spun Haar wavelets. ``paper``: the paper's,
+        tensor Haar, L = 2B.
     iterations
-        FISTA iterations per image; without it the solver's own, 20.
+        FISTA iterations per image; without it the solver's own.
     penalty_n
         λ in newtons; without it the solver's own.
+    noise_n
+        Standard deviation of the sensor's noise in newtons, if it clips at 0: its bias is then corrected.
 
     Examples
     --------
@@ -40,12 +45,12 @@ def reconstruct(
     """
     stop = StopSignal().install()
     skin = load_layout(layout)
-    settings: Settings = (LIVE if solver == "live" else PAPER).copy()
+    settings = preset(solver)
     if iterations is not None:
         settings["iterations"] = iterations
     if penalty_n is not None:
         settings["penalty_n"] = penalty_n
-    engine = Reconstructor(skin.phi(), skin.taxels.rows, skin.taxels.columns, **settings)
+    engine = Reconstructor(skin.phi(), skin.taxels.rows, skin.taxels.columns, noise_n=noise_n, **settings)
     engine.warm_up()
     fabric = Fabric(skin.name, "reconstructor", connect)
     try:

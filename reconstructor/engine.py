@@ -1,61 +1,30 @@
-"""`Reconstructor`: one tactile image per cycle, warm-started from the last."""
+"""`Reconstructor`: one tactile image per cycle, from its sums and what earlier cycles said."""
 
-from typing import Any, Final, TypedDict
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.kernels.fused import FusedHaar, HaarForm
+from reconstructor.clipping import ClipCorrection
+from reconstructor.kernels.fused import FusedSolver, Prior
+from reconstructor.memory import Memory
+from reconstructor.presets import LIVE
 from skin.errors import InputError
 from skin.measurement import Sbhe
-
-
-class Settings(TypedDict):
-    """The keyword arguments of `Reconstructor`."""
-
-    iterations: int
-    penalty_n: float
-    lipschitz_ratio: float
-    basis: HaarForm
-    spins: int
-    nonnegative: bool
-    matched: bool
-
-
-#: The image of the live page: cycle spinning and non-negativity inside the iteration, the exact step.
-LIVE: Final[Settings] = {
-    "iterations": 20,
-    "penalty_n": 0.008,
-    "lipschitz_ratio": 1.0,
-    "basis": "pyramid",
-    "spins": 16,
-    "nonnegative": True,
-    "matched": True,
-}
-
-#: The solver of the paper: tensor Haar, L = 2B, 20 iterations, negative taxels set to 0 at the end alone. The
-#: printed λ = 0.1 does not give its tables; an eighth of it does.
-PAPER: Final[Settings] = {
-    "iterations": 20,
-    "penalty_n": 0.0125,
-    "lipschitz_ratio": 2.0,
-    "basis": "tensor",
-    "spins": 1,
-    "nonnegative": False,
-    "matched": False,
-}
 
 
 class Reconstructor:
     """The solver of the service.
 
     Every call starts from the previous image. A start from an image that no longer fits would leave its ghost in
-    the null space of Φ, so the start is first scaled by how well it explains the new sums (`matched`): all of it
+    the null space of Φ, so the start is first scaled by how well it explains the sums (`matched`): all of it
     while a touch moves slowly, nothing of it when another touch has taken its place.
 
-    The taxels of a block whose sums are not valid are not measured: within a cycle or two they show what the measured
-    taxels around them make likely, somewhat too little, and nothing of the past stays frozen there. Without any valid
-    sum the image is zero and the past is forgotten.
+    With `remembering`, sums are averaged over cycles with the gain of `Memory`, and λ falls with their noise.
+
+    The taxels of a block whose sums do not come are not measured: within a few cycles, one or two while the touch
+    moves, they show what the measured taxels around them make likely, somewhat too little, and nothing of the past
+    stays frozen there. Without any valid sum the image is zero and the past is forgotten.
 
     Parameters
     ----------
@@ -63,8 +32,12 @@ class Reconstructor:
         The skin's Φ.
     rows, columns : int
         The grid, powers of two from 8 to 256.
-    iterations, penalty_n, lipschitz_ratio, basis, spins, nonnegative, matched
-        See `FusedHaar`; `LIVE` without, and ``**PAPER`` for the paper's solver.
+    prior, iterations, penalty_n, lipschitz_ratio, spins, nonnegative, matched
+        See `FusedSolver`; `LIVE` without, and ``**PAPER`` for the paper's solver.
+    remembering : bool
+        Average sums over cycles.
+    noise_n : float, optional
+        Standard deviation of the noise of a sensor that clips at 0; with it the bias of clipping is corrected.
     dtype : float32 or float64
         Of all arithmetic.
 
@@ -80,30 +53,39 @@ class Reconstructor:
         rows: int,
         columns: int,
         *,
+        prior: Prior = LIVE["prior"],
         iterations: int = LIVE["iterations"],
         penalty_n: float = LIVE["penalty_n"],
         lipschitz_ratio: float = LIVE["lipschitz_ratio"],
-        basis: HaarForm = LIVE["basis"],
         spins: int = LIVE["spins"],
         nonnegative: bool = LIVE["nonnegative"],
         matched: bool = LIVE["matched"],
+        remembering: bool = LIVE["remembering"],
+        noise_n: float | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        self._kernel = FusedHaar(
+        self._kernel = FusedSolver(
             phi,
             rows,
             columns,
+            prior=prior,
             iterations=iterations,
             penalty_n=penalty_n,
             lipschitz_ratio=lipschitz_ratio,
-            basis=basis,
             spins=spins,
             nonnegative=nonnegative,
             matched=matched,
             dtype=dtype,
         )
-        self._sums = np.zeros(phi.shape[0], self._kernel.dtype)
-        self._estimate = np.zeros(phi.shape[1], self._kernel.dtype)
+        self._correct = None if noise_n is None else ClipCorrection(noise_n)
+        self._memory = Memory(phi.shape[0], self._kernel.dtype)
+        self._remembering = remembering
+        self._estimate = self._kernel.new_estimate()
+
+    @property
+    def gain(self) -> float:
+        """How much of the last cycle's sums went into the averaged ones, 0 to 1; always 1 without memory."""
+        return self._memory.gain
 
     def solve(
         self, sums_n: npt.NDArray[np.floating[Any]], valid_sums: npt.NDArray[np.bool_]
@@ -124,27 +106,36 @@ class Reconstructor:
         Raises
         ------
         InputError
-            If the shapes differ from Φ's or a valid sum is not finite.
+            If the shapes differ from Φ's, a dtype is of another kind, or a valid sum is not finite.
         """
-        if sums_n.shape != self._sums.shape or valid_sums.shape != self._sums.shape:
+        memory, kernel = self._memory, self._kernel
+        if sums_n.shape != memory.sums.shape or valid_sums.shape != memory.sums.shape:
             raise InputError(
-                f"Φ gives {self._sums.size} sums: got sums of shape {sums_n.shape} and validity of {valid_sums.shape}"
+                f"Φ gives {memory.sums.size} sums: got sums of shape {sums_n.shape} and validity of {valid_sums.shape}"
             )
-        self._sums[:] = 0
-        np.copyto(self._sums, sums_n, where=valid_sums, casting="same_kind")
-        if not np.isfinite(self._sums).all():
+        if sums_n.dtype.kind != "f" or valid_sums.dtype != np.bool_:
+            raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
+        if not self._remembering:
+            memory.reset()
+        if not memory.take(sums_n.astype(kernel.dtype, copy=False), valid_sums):
             raise InputError("a valid sum is not finite: expected newtons")
-        if not self._kernel.solve(self._estimate, self._sums, valid_sums):
+        if not valid_sums.any():
             self.reset()
-        image = self._kernel.image_of(self._estimate)
-        return np.maximum(image, 0, out=image).astype(np.float32, copy=False)
+        else:
+            kernel.solve(self._estimate, memory.sums, memory.weights, relative_penalty=memory.noise_ratio)
+        image = kernel.deliver(self._estimate)
+        return image if self._correct is None else self._correct(image)
 
     def reset(self) -> None:
-        """Forget the previous image."""
+        """Forget the previous images and sums."""
         self._estimate[:] = 0
+        self._kernel.reset()
+        self._memory.reset()
 
     def warm_up(self) -> None:
         """Compile, or load what was compiled before, so that the first cycle is as fast as the others."""
-        valid = np.ones(self._sums.size, np.bool_)
-        self.solve(np.zeros_like(self._sums), valid)
+        valid = np.ones(self._memory.sums.size, np.bool_)
+        for _ in range(2):
+            self.solve(np.zeros_like(self._memory.sums), valid)
         self.reset()
+        self._memory.restart()

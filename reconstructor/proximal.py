@@ -45,3 +45,41 @@ class Shrinkage:
         shrunken = self.psi.adjoint(soft(self.psi.forward(moved), threshold_n))
         result = np.roll(shrunken, (-down, -right), axis=(0, 1))
         return np.maximum(result, 0) if self.nonnegative else result
+
+
+class Variation:
+    """x ↦ nearly argmin ½‖u - x‖² + τ Σ |u[i+1, j] - u[i, j]| + |u[i, j+1] - u[i, j]|, u ≥ `floor`.
+
+    `inner` projected gradient steps on the dual (Chambolle 2004), which starts where the last call ended; with many
+    steps this is the proximal step. u = max(floor, x - Dᵀp), p ← clip(p + D u / 8, ±τ).
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the images.
+    inner : int
+    nonnegative : bool
+    """
+
+    def __init__(self, shape: tuple[int, int], inner: int, *, nonnegative: bool = True) -> None:
+        self._inner = inner
+        self._floor = 0.0 if nonnegative else -np.inf
+        self._down = np.zeros((shape[0] - 1, shape[1]))
+        self._right = np.zeros((shape[0], shape[1] - 1))
+
+    def __call__(self, image: Values, threshold_n: float, iteration: int) -> Values:
+        """Return the smoothed image; `iteration` has no effect."""
+        del iteration
+        for _ in range(self._inner):
+            smooth = self._smooth(image)
+            self._down = np.clip(self._down + np.diff(smooth, axis=0) / 8, -threshold_n, threshold_n)
+            self._right = np.clip(self._right + np.diff(smooth, axis=1) / 8, -threshold_n, threshold_n)
+        return self._smooth(image)
+
+    def _smooth(self, image: Values) -> Values:
+        smooth = image.astype(np.float64)
+        smooth[:-1] += self._down
+        smooth[1:] -= self._down
+        smooth[:, :-1] += self._right
+        smooth[:, 1:] -= self._right
+        return np.maximum(smooth, self._floor).astype(image.dtype)

@@ -1,11 +1,13 @@
 """The ``skin`` command: one table of verbs, each loaded only when it is called."""
 
 import sys
+from collections.abc import Sequence
 from typing import Final
 
 import cyclopts
 
 from skin.errors import RunError, SkinError
+from skin.explain import docstring, examples, summary
 
 #: Verb: where its function lives. Strings, so that this room imports none of the others.
 VERBS: Final = {
@@ -24,21 +26,30 @@ VERBS: Final = {
 }
 
 
-def build_app() -> cyclopts.App:
-    """Return the command line with every verb registered."""
+HELP_FLAGS: Final = ("--help", "-h")
+
+
+def build_app(arguments: Sequence[str] = ()) -> cyclopts.App:
+    """Return the command line with every verb registered, and with the help texts that `arguments` ask for."""
     app = cyclopts.App(
         name="skin",
         help="A distributed robot skin on CAN: sums from CANopen nodes, images by FISTA, objects by name.",
         version_flags=["--version"],
     )
-    for verb, where in VERBS.items():
-        app.command(where, name=verb)
+    lists_verbs = not arguments or arguments[0] in HELP_FLAGS
+    for place, (verb, where) in enumerate(VERBS.items()):
+        texts = {}
+        if lists_verbs:
+            texts["help"] = summary(docstring(where))
+        elif arguments[0] == verb and set(arguments) & set(HELP_FLAGS):
+            texts["help_epilogue"] = examples(docstring(where))
+        app.command(where, name=verb, sort_key=place, **texts)
     return app
 
 
 def main() -> None:
     """Run one verb; 0 is success, 1 a run that failed, 2 a wrong input."""
-    app = build_app()
+    app = build_app(sys.argv[1:])
     try:
         status = app(exit_on_error=False, print_error=False)
     except RunError as error:

@@ -1,7 +1,7 @@
 """The fabric that joins the services: zenoh, with explicit endpoints and no multicast.
 
 One process, the hub, listens; every other connects to it, and connects again by itself when the hub comes back.
-Nothing that arrives can raise out of a receive callback: what cannot be decoded is counted in `Fabric.malformed`.
+Nothing that arrives can raise out of decoding: what cannot be decoded is counted in `Fabric.malformed`.
 """
 
 import json
@@ -81,11 +81,11 @@ class Fabric:
         self._kept.append(self._session.liveliness().declare_token(f"{self._prefix}/alive/{service}"))
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        """Send `message` to every subscriber of `topic`."""
+        """Send `message` to every subscriber of `topic`; one that falls behind loses it, and nobody waits."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
-            control = zenoh.CongestionControl.DROP if topic.latest_wins else zenoh.CongestionControl.BLOCK
-            key = f"{self._prefix}/{topic.name}"
+            # Never BLOCK: a page that hangs would hold up the SYNC of the gateway for seconds.
+            key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
             publisher = self._session.declare_publisher(key, congestion_control=control)
             self._publishers[topic.name] = publisher
         publisher.put(self._encoder.encode(message))
@@ -97,7 +97,7 @@ class Fabric:
         def receive(sample: Any) -> None:
             try:
                 message = decoder.decode(sample.payload.to_bytes())
-            except msgspec.MsgspecError:
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
                 self.malformed += 1
                 return
             handler(message)

@@ -110,6 +110,10 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
         Frames per node since the start that a cycle had to do without, and that came too late for theirs.
     emcy : list of int
         Per node the error code of its newest emergency, 0 for none (CiA 301, 7.2.7.1).
+    link : str
+        What the gateway's own controller says: active, warning, passive, bus_off, or lost.
+    overrun : int
+        Frames the gateway's receive buffer lost since the start.
     """
 
     name: str
@@ -119,6 +123,8 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     missing: list[int] = []
     late: list[int] = []
     emcy: list[int] = []
+    link: str = "active"
+    overrun: int = 0
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -154,19 +160,15 @@ class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Topic(msgspec.Struct, frozen=True):
-    """How one kind of message travels."""
+    """One kind of message and the name it travels under."""
 
     name: str
     message: type[msgspec.Struct]
-    #: True: the newest message matters and a slow reader loses old ones. False: the sender waits.
-    latest_wins: bool
 
 
-MEASUREMENT: Final = Topic("measurement", Measurement, latest_wins=True)
-IMAGE: Final = Topic("image", Image, latest_wins=True)
-LABEL: Final = Topic("label", Label, latest_wins=True)
-TRUTH: Final = Topic("truth", Truth, latest_wins=True)
-GATEWAY: Final = Topic("gateway", GatewayStatus, latest_wins=False)
-NODES: Final = Topic("nodes", NodesStatus, latest_wins=False)
-
-TOPICS: Final = (MEASUREMENT, IMAGE, LABEL, TRUTH, GATEWAY, NODES)
+MEASUREMENT: Final = Topic("measurement", Measurement)
+IMAGE: Final = Topic("image", Image)
+LABEL: Final = Topic("label", Label)
+TRUTH: Final = Topic("truth", Truth)
+GATEWAY: Final = Topic("gateway", GatewayStatus)
+NODES: Final = Topic("nodes", NodesStatus)

@@ -7,12 +7,15 @@ recording, a robot's own electronics. Distributions offer sources as entry point
 
 from collections.abc import Callable
 from importlib.metadata import entry_points
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+
+#: The objects that touch a simulated skin, and that a classifier knows, when none are named.
+DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
 
 
 class Frame(NamedTuple):

@@ -18,7 +18,7 @@ class Processes:
     """Starts processes, keeps what they say in `folder`, and ends them with the block."""
 
     def __init__(self, folder: Path, **environment: str) -> None:
-        self._folder = folder
+        self.folder = folder
         self._environment = {**os.environ, "SKIN_BUS_DIR": str(folder), "SKIN_PARENT": str(os.getpid()), **environment}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -60,7 +60,7 @@ class Processes:
 
     def log(self, name: str) -> Path:
         """Return where the words of `name` are."""
-        return self._folder / f"{name}.log"
+        return self.folder / f"{name}.log"
 
     def await_words(self, name: str, words: str) -> None:
         """Wait until a process has said `words`."""

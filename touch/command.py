@@ -17,13 +17,8 @@ def objects(*, json: bool = False) -> None:
 
     Examples
     --------
-    List them::
-
-        skin objects
-
-    The largest contact, for a program::
-
-        skin objects --json | jq 'max_by(.contact_taxels).name'
+    skin objects
+    skin objects --json | jq 'max_by(.contact_taxels).name'
     """
     rows = _describe()
     if json:

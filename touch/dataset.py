@@ -1,5 +1,6 @@
 """Labelled touches to train a classifier on, drawn like those of the live source."""
 
+import contextlib
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,6 +14,8 @@ from touch.touches import LABEL_FORCE_N, TRAINING, draw_touch, random_stream
 
 #: Draws of a moment before an object counts as one that cannot be felt on this array.
 _MOST_DRAWS = 1000
+#: Touches that all must be felt, for an object to suit an array.
+_TRIAL_TOUCHES = 50
 
 
 class Touches(NamedTuple):
@@ -30,6 +33,7 @@ def random_touches(
     *,
     pitch_m: float = PITCH_M,
     seed: int = 0,
+    skip_unfelt: bool = False,
 ) -> Touches:
     """Return `count` single moments of random touches, true forces without noise.
 
@@ -37,20 +41,42 @@ def random_touches(
     depth, position and rotation are distributed as there; the objects take turns. No observation repeats a
     touch of the live source, whatever the seeds.
 
+    With `skip_unfelt`, objects that this array cannot feel are left out.
+
     Raises
     ------
     InputError
         If a name is unknown, a number cannot be used, or an object cannot be felt on so small an array.
     """
-    listed = checked_names(names)
     if count < 0 or seed < 0:
         raise InputError(f"count and seed need whole numbers of 0 or more: got {count} and {seed}")
     grid = Grid(rows, columns, pitch_m)
+    listed = felt_objects(names, grid) if skip_unfelt else checked_names(names)
     force_n = np.empty((count, rows, columns), np.float32)
     for index in range(count):
         _observe(listed[index % len(listed)], grid, random_stream(seed, TRAINING, index), force_n[index])
     labels = np.array([listed[index % len(listed)] for index in range(count)], np.str_)
     return Touches(force_n, labels)
+
+
+def felt_objects(names: Sequence[str], grid: Grid) -> tuple[str, ...]:
+    """Return those of the named objects that can be felt on an array.
+
+    Raises
+    ------
+    InputError
+        If none can.
+    """
+    felt = []
+    image = np.empty((grid.rows, grid.columns), np.float32)
+    for name in checked_names(names):
+        with contextlib.suppress(InputError):
+            for index in range(_TRIAL_TOUCHES):
+                _observe(name, grid, random_stream(0, TRAINING, index), image)
+            felt.append(name)
+    if not felt:
+        raise InputError(f"none of {', '.join(names)} can be felt on {grid.rows} x {grid.columns} taxels")
+    return tuple(felt)
 
 
 def _observe(name: str, grid: Grid, rng: np.random.Generator, out: Force) -> None:

@@ -2,20 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from skin.errors import InputError
-from skin.sources import Frame
+from skin.sources import DEFAULT_OBJECTS, Frame
 from touch.contact import PITCH_M, Force, Grid, Pose
+from touch.dataset import felt_objects
 from touch.objects import checked_names
 from touch.reading import read_counts
 from touch.recording import Recording
 from touch.touches import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream
-
-#: Objects that the sums of a few blocks tell apart.
-DEFAULT_NAMES: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
 
 
 class ObjectSource:
@@ -87,7 +84,7 @@ def objects(
         Steps a second.
     names : sequence of str, optional
         Objects of the catalogue in the order they come, again and again; a string may name several,
-        separated by commas. Without it, `DEFAULT_NAMES`.
+        separated by commas. Without it, those of `skin.sources.DEFAULT_OBJECTS` that this array can feel.
     seed : int
         Same seed, same touches.
 
@@ -100,9 +97,9 @@ def objects(
         raise InputError(f"rate_hz needs a number above 0: got {rate_hz}")
     if seed < 0:
         raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
-    source = ObjectSource(
-        Grid(rows, columns, pitch_m), rate_hz, DEFAULT_NAMES if names is None else checked_names(names), seed
-    )
+    grid = Grid(rows, columns, pitch_m)
+    listed = felt_objects(DEFAULT_OBJECTS, grid) if names is None else checked_names(names)
+    source = ObjectSource(grid, rate_hz, listed, seed)
     # The contact kernel is compiled now, not in the middle of a cycle.
     source.frame(int(np.ceil((PAUSE_S + SLOT_S) / 2 * rate_hz)))
     return source

@@ -34,7 +34,13 @@ def greeting(layout: Layout) -> dict[str, Any]:
     block_of_taxel = np.empty(taxels.count, np.int32)
     block_of_taxel[phi.order] = np.arange(taxels.count) // phi.block_size
     buses = [
-        {"name": bus.name, "nodes": bus.nodes, "bitrate": bus.bitrate, "first_block": layout.first_block(place)}
+        {
+            "name": bus.name,
+            "nodes": bus.nodes,
+            "bitrate": bus.bitrate,
+            "first_block": layout.first_block(place),
+            "blocks_per_node": bus.blocks_per_node,
+        }
         for place, bus in enumerate(layout.bus)
     ]
     return {

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,11 @@ import numpy.typing as npt
 from reconstructor.bases.basis import Values, check_grid
 
 Matrix = npt.NDArray[np.float64]
+
+#: Low-pass taps of D4 (Daubechies 1988): (1 + √3, 3 + √3, 3 - √3, 1 - √3) / (4 √2).
+DAUBECHIES_4: Final = tuple(
+    (whole + sign * 3**0.5) / (4 * 2**0.5) for whole, sign in ((1, 1), (3, 1), (3, -1), (1, -1))
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +83,8 @@ def haar_step(size: int) -> Matrix:
 
 def daubechies4_step(size: int) -> Matrix:
     """Return one D4 level, shape (size, size), orthonormal at every size from 2: the taps wrap round."""
-    root = 3**0.5
-    low = np.array((1 + root, 3 + root, 3 - root, 1 - root)) / (4 * 2**0.5)
-    return _filter_step(size, tuple(low), tuple(low[::-1] * (1, -1, 1, -1)))
+    a, b, c, d = DAUBECHIES_4
+    return _filter_step(size, DAUBECHIES_4, (d, -c, b, -a))
 
 
 def _filter_step(size: int, low: tuple[float, ...], high: tuple[float, ...]) -> Matrix:

@@ -35,6 +35,11 @@ def tensor_addresses(rows: int, columns: int) -> Indices:
     return _reversed_bits(rows)[:, None] * columns + _reversed_bits(columns)[None, :]
 
 
+def row_addresses(rows: int, columns: int) -> Indices:
+    """Return each pixel's address row by row, shape (rows, columns)."""
+    return np.arange(rows * columns).reshape(rows, columns)
+
+
 def shifted(addresses: Indices, shift: tuple[int, int]) -> Indices:
     """Return the addresses of an image moved by `shift` (down, right), circularly."""
     return np.roll(addresses, (-shift[0], -shift[1]), axis=(0, 1))

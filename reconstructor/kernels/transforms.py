@@ -1,6 +1,6 @@
-"""The transforms of the kernel, in place on flat arrays, float32 or float64.
+"""The transforms of the kernels, in place on flat arrays, float32 or float64.
 
-Flat arrays and constant offsets, because the compiler vectorises these loops and not those over two subscripts.
+Flat arrays and slices of them, because the compiler vectorises these loops and not those over two subscripts.
 """
 
 from typing import Any
@@ -18,84 +18,76 @@ Flat = npt.NDArray[np.floating[Any]]
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def hadamard(work: Flat, blocks: int) -> None:
     """Transform every column of ``work.reshape(B, blocks)`` by the B x B Hadamard matrix of ±1."""
-    total = work.size
-    half = blocks
-    while 2 * half < total:  # two levels in one pass
-        for start in range(0, total, 4 * half):
-            first = work[start : start + half]
-            second = work[start + half : start + 2 * half]
-            third = work[start + 2 * half : start + 3 * half]
-            fourth = work[start + 3 * half : start + 4 * half]
-            for k in range(half):
-                a, b = first[k] + second[k], first[k] - second[k]
-                c, d = third[k] + fourth[k], third[k] - fourth[k]
-                first[k], second[k], third[k], fourth[k] = a + c, b + d, a - c, b - d
-        half *= 4
-    if half < total:
-        first = work[:half]
-        second = work[half:]
-        for k in range(half):
-            first[k], second[k] = first[k] + second[k], first[k] - second[k]
+    _butterflies(work, blocks, work.size)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
-    """Replace the image by Ψ soft(Ψᵀ image) with the Haar pyramid; `work` in the order of `pyramid_addresses`."""
-    size = work.size
-    for _ in range(levels):
-        size //= 4
-        p, q, r, s = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size : 4 * size]
-        for k in range(size):
-            a, b = p[k] + q[k], p[k] - q[k]
-            c, d = r[k] + s[k], r[k] - s[k]
-            x, y, z = half * (b + d), half * (a - c), half * (b - d)
-            p[k] = half * (a + c)
-            q[k] = x - max(-threshold, min(threshold, x))
-            r[k] = y - max(-threshold, min(threshold, y))
-            s[k] = z - max(-threshold, min(threshold, z))
+def masked_gram(work: Flat, gain: Flat, target: Flat, blocks: int) -> None:
+    """Replace every column w of ``work.reshape(B, blocks)`` by H (gain · H w - target).
+
+    The two highest levels of both transforms and what stands between them are one pass.
+    """
+    size = work.size // 4
+    if size < blocks:  # B = 2
+        _butterflies(work, blocks, work.size)
+        for k in range(work.size):
+            work[k] = gain[k] * work[k] - target[k]
+        _butterflies(work, blocks, work.size)
+        return
+    _butterflies(work, blocks, size)
+    p, q, r, s = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size :]
+    gain_p, gain_q, gain_r, gain_s = gain[:size], gain[size : 2 * size], gain[2 * size : 3 * size], gain[3 * size :]
+    goal_p, goal_q, goal_r = target[:size], target[size : 2 * size], target[2 * size : 3 * size]
+    goal_s = target[3 * size :]
     for k in range(size):
-        x = work[k]
-        work[k] = x - max(-threshold, min(threshold, x))
-    for _ in range(levels):
-        p, q, r, s = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size : 4 * size]
-        for k in range(size):
-            a, b = p[k] + q[k], p[k] - q[k]
-            c, d = r[k] + s[k], r[k] - s[k]
-            p[k], q[k], r[k], s[k] = half * (a + c), half * (b + d), half * (a - c), half * (b - d)
-        size *= 4
+        a, b = p[k] + q[k], p[k] - q[k]
+        c, d = r[k] + s[k], r[k] - s[k]
+        e, f = gain_p[k] * (a + c) - goal_p[k], gain_q[k] * (b + d) - goal_q[k]
+        g, h = gain_r[k] * (a - c) - goal_r[k], gain_s[k] * (b - d) - goal_s[k]
+        a, b = e + f, e - f
+        c, d = g + h, g - h
+        p[k], q[k], r[k], s[k] = a + c, b + d, a - c, b - d
+    _butterflies(work, blocks, size)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def shrink_tensor(work: Flat, columns: int, threshold: Any, root_half: Any) -> None:
-    """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`."""
-    _analyse(work, work.size, columns, root_half)
-    _analyse(work, columns, 1, root_half)
-    for k in range(work.size):
-        x = work[k]
-        work[k] = x - max(-threshold, min(threshold, x))
-    _synthesise(work, columns, 1, root_half)
-    _synthesise(work, work.size, columns, root_half)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _analyse(work: Flat, length: int, width: int, root_half: Any) -> None:
-    """Haar-transform each run of `length`, taken as columns of ``(length // width, width)``, along those columns."""
-    half = length // 2
-    while half >= width:
-        for start in range(0, work.size, length):
-            low, high = work[start : start + half], work[start + half : start + 2 * half]
+def _butterflies(work: Flat, first: int, last: int) -> None:
+    """Run the levels that pair values `first`, 2 · `first`, … and `last` / 2 places apart: three, two or one a pass."""
+    half = first
+    while 8 * half <= last:
+        for start in range(0, work.size, 8 * half):
+            _three_levels(work[start : start + 8 * half], half)
+        half *= 8
+    if 4 * half <= last:
+        for start in range(0, work.size, 4 * half):
+            _two_levels(work[start : start + 4 * half], half)
+        half *= 4
+    if 2 * half <= last:
+        for start in range(0, work.size, 2 * half):
+            p, q = work[start : start + half], work[start + half : start + 2 * half]
             for k in range(half):
-                low[k], high[k] = root_half * (low[k] + high[k]), root_half * (low[k] - high[k])
-        half //= 2
+                p[k], q[k] = p[k] + q[k], p[k] - q[k]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _synthesise(work: Flat, length: int, width: int, root_half: Any) -> None:
-    """Undo `_analyse`."""
-    half = width
-    while half < length:
-        for start in range(0, work.size, length):
-            low, high = work[start : start + half], work[start + half : start + 2 * half]
-            for k in range(half):
-                low[k], high[k] = root_half * (low[k] + high[k]), root_half * (low[k] - high[k])
-        half *= 2
+def _three_levels(work: Flat, half: int) -> None:
+    p, q, r, s = work[:half], work[half : 2 * half], work[2 * half : 3 * half], work[3 * half : 4 * half]
+    t, u, v, w = work[4 * half : 5 * half], work[5 * half : 6 * half], work[6 * half : 7 * half], work[7 * half :]
+    for k in range(half):
+        a, b = p[k] + q[k], p[k] - q[k]
+        c, d = r[k] + s[k], r[k] - s[k]
+        a, b, c, d = a + c, b + d, a - c, b - d
+        e, f = t[k] + u[k], t[k] - u[k]
+        g, h = v[k] + w[k], v[k] - w[k]
+        e, f, g, h = e + g, f + h, e - g, f - h
+        p[k], q[k], r[k], s[k] = a + e, b + f, c + g, d + h
+        t[k], u[k], v[k], w[k] = a - e, b - f, c - g, d - h
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _two_levels(work: Flat, half: int) -> None:
+    p, q, r, s = work[:half], work[half : 2 * half], work[2 * half : 3 * half], work[3 * half :]
+    for k in range(half):
+        a, b = p[k] + q[k], p[k] - q[k]
+        c, d = r[k] + s[k], r[k] - s[k]
+        p[k], q[k], r[k], s[k] = a + c, b + d, a - c, b - d

@@ -101,7 +101,9 @@ def test_rules_are_written_as_pairs() -> None:
     assert parse_fault("controller=nodes:*,off") == Fault(controller="nodes:*", off=True)
 
 
-@pytest.mark.parametrize("text", ["loss=0.1", "loss_ratio=2", "loss_ratio=much", "can_id=0xZZ", "delay_s=-1"])
+@pytest.mark.parametrize(
+    "text", ["loss=0.1", "loss_ratio=2", "loss_ratio=much", "can_id=0xZZ", "delay_s=-1", "delay_s=inf"]
+)
 def test_a_wrong_rule_names_the_keys(text: str) -> None:
     with pytest.raises(InputError, match="bit_error_rate"):
         parse_fault(text)

@@ -192,7 +192,12 @@ def test_a_virtual_clock_counts_time_without_spending_it() -> None:
         pack(Kind.FRAMES, frame(0x800).tobytes(), count=1),
         pack(Kind.FRAMES, frame(1, flags=ECHO).tobytes(), count=1),
         pack(Kind.FRAMES, burst(range(300)).tobytes(), count=300),
+        pack(Kind.FRAMES, frame(1, time_ns=2**63 - 1).tobytes(), count=1),
         pack(Kind.FAULTS, b"{"),
+        pack(Kind.FAULTS, b'[{"delay_ratio":1,"delay_s":1e300}]'),
+        pack(Kind.HELLO, b'{"name":"\xff"}'),
+        pack(Kind.HELLO, b'{"name":"bad","filters":[[-1,0]]}'),
+        pack(Kind.HELLO, b'{"name":"bad","filters":[[0,4294967296]]}'),
         pack(Kind.WELCOME),
         HEADER.pack(MAGIC, 99, 99, 9999, 2**63, -1),
         bytes(HEADER.size + 80 * MAX_FRAMES),
@@ -224,6 +229,7 @@ def test_garbage_disconnects_its_sender_alone(garbage: bytes) -> None:
         (frame(1, bytes(9)), "8 bytes"),
         (frame(1, flags=BRS), "without FD"),
         (frame(1, port=256), "port"),
+        (frame(1, time_ns=2**63 - 1), "start time"),
     ],
 )
 def test_a_link_refuses_frames_that_cannot_be_sent(bad: np.ndarray, what: str) -> None:

@@ -40,7 +40,7 @@ class Offer:
         return self
 
     def __call__(
-        self, names: Sequence[str], count: int, *, rows: int, columns: int, pitch_m: float, seed: int
+        self, names: Sequence[str], count: int, *, rows: int, columns: int, pitch_m: float, seed: int, skip_unfelt: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         assert (rows, columns, pitch_m, seed) == (32, 32, 0.004, 0)
         self.calls.append((list(names), count))

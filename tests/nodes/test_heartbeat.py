@@ -20,7 +20,6 @@ def test_producer_keeps_its_period() -> None:
 def test_consumer_watches_from_the_first_heartbeat_on() -> None:
     consumer = HeartbeatConsumer()
     consumer.watch([0x7F << 16 | 500, 3 << 16 | 100, 0, 9 << 16])
-    assert consumer.node_ids == {0x7F, 3}
     consumer.check(100.0)
     assert not consumer.lost
     consumer.heard(3, 100.0)
@@ -31,6 +30,15 @@ def test_consumer_watches_from_the_first_heartbeat_on() -> None:
     assert consumer.lost == {3}
     consumer.heard(3, 100.3)
     assert not consumer.lost
+
+
+def test_consumer_watches_whom_the_entries_name_for_more_than_0_ms() -> None:
+    consumer = HeartbeatConsumer()
+    consumer.watch([0x7F << 16 | 500, 3 << 16 | 100, 0, 9 << 16])
+    for node_id in (3, 9, 0x7F):
+        consumer.heard(node_id, 0.0)
+    consumer.check(1.0)
+    assert consumer.lost == {0x7F, 3}
 
 
 def test_watching_no_longer_forgets_the_loss() -> None:

@@ -114,6 +114,13 @@ def test_dropped_outside_the_window_is_counted_and_reported(segment: Segment, li
     assert (segment.frames_sent, segment.frames_dropped) == (0, 2)
 
 
+def test_heartbeat_that_comes_back_unsent_is_no_missed_window(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))), frame(0x701, b"\5", ECHO | ERROR))
+    segment.tick(1e6)
+    assert 0x81 not in link.take_sent()["can_id"]
+    assert (segment.frames_sent, segment.frames_dropped) == (0, 0)
+
+
 def test_sync_of_a_wrong_length_is_an_emergency(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))))
     give(segment, link, frame(0x80, b"\1\2"))
@@ -160,6 +167,9 @@ def test_remapping_changes_what_is_sent(segment: Segment, link: ArrayLink) -> No
         (0x1019, 0, 1, 1, 0x0609_0030),
         (0x1017, 0, 1, 4, 0x0607_0010),
         (0x1029, 1, 3, 1, 0x0609_0030),
+        (0x2010, 1, 0x7FC0_0000, 4, 0x0609_0030),  # no number
+        (0x2010, 1, 0xFF80_0000, 4, 0x0609_0030),  # minus infinity
+        (0x2010, 1, 0x4000_0000, 4, 0),
         (0x2021, 0, 4, 1, 0x0609_0030),
         (0x5000, 0, 4, 1, 0x0602_0000),
     ],
@@ -197,6 +207,7 @@ def test_event_driven_pdo_keeps_its_timers(segment: Segment, link: ArrayLink) ->
         segment.tick(2e6 + step * 0.01)
         times += [step * 0.01 for one in link.take_sent() if one["can_id"] == 0x181]
     assert np.diff(times) == pytest.approx([0.5, 0.5, 0.5], abs=0.011)
+    assert segment.frames_sent == read(segment, link, 1, 0x2020, 2) == len(times)
 
 
 def test_lost_heartbeat_of_a_watched_node(segment: Segment, link: ArrayLink) -> None:

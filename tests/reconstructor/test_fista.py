@@ -5,7 +5,7 @@ import pytest
 
 from reconstructor.bases import Dct, daubechies4_tensor, haar_pyramid, haar_tensor
 from reconstructor.fista import fista, fista_image, momentum, objective
-from reconstructor.proximal import Shrinkage, soft
+from reconstructor.proximal import Shrinkage, Variation, soft
 from skin.measurement import sbhe
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
@@ -73,3 +73,19 @@ def test_cycle_spinning_moves_the_basis_and_not_the_image() -> None:
     np.testing.assert_allclose(spun(image, 0.1, 1), moved)
     np.testing.assert_allclose(spun(image, 0.0, 1), image)
     assert Shrinkage(haar_pyramid(16, 16), nonnegative=True)(image, 0.0, 0).min() == 0
+
+
+def test_variation_is_the_proximal_step_when_it_has_time() -> None:
+    """No small change of the result lowers what it minimises, and what it minimises is below the image's."""
+    rng = np.random.default_rng(4)
+    image = rng.normal(0.2, 1, (8, 8))
+    found = Variation((8, 8), 3000)(image, 0.5, 0)
+
+    def value(u: np.ndarray) -> float:
+        return 0.5 * np.sum((u - image) ** 2) + 0.5 * (np.abs(np.diff(u, axis=0)).sum() + np.abs(np.diff(u)).sum())
+
+    assert found.min() >= 0
+    assert value(found) < value(np.maximum(image, 0))
+    for _ in range(200):
+        moved = np.maximum(found + rng.normal(0, 0.01, (8, 8)) * (rng.random((8, 8)) < 0.2), 0)
+        assert value(moved) >= value(found) - 1e-9

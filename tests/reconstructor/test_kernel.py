@@ -7,15 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reconstructor.bases import haar_pyramid, haar_tensor
+from reconstructor.bases import make_basis
 from reconstructor.fista import fista_image
+from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
-from reconstructor.kernels.fused import FusedHaar
-from reconstructor.proximal import Shrinkage
+from reconstructor.kernels.fused import FusedSolver
+from reconstructor.proximal import Proximal, Shrinkage, Variation
 from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 
-BASES = {"pyramid": haar_pyramid, "tensor": haar_tensor}
+PRIORS = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "variation")
 
 
 class Rows:
@@ -45,8 +46,8 @@ def problems(draw: st.DrawFn) -> dict[str, Any]:
     return {
         "phi": sbhe(rows * columns, sums, block_size=block_size, selection=selection, seed=seed),
         "grid": (rows, columns),
-        "basis": draw(st.sampled_from(sorted(BASES))),
-        "spins": draw(st.sampled_from([1, 3, 64])),
+        "prior": (prior := draw(st.sampled_from(PRIORS))),
+        "spins": draw(st.sampled_from([1, 3, 64])) if prior != "variation" else 1,
         "nonnegative": draw(st.booleans()),
         "lipschitz_ratio": draw(st.sampled_from([1.0, 2.0])),
         "iterations": draw(st.integers(1, 12)),
@@ -55,19 +56,25 @@ def problems(draw: st.DrawFn) -> dict[str, Any]:
     }
 
 
+def proximal_of(problem: dict[str, Any], kernel: FusedSolver) -> Proximal:
+    if problem["prior"] == "variation":
+        return Variation(problem["grid"], variation.INNER, nonnegative=problem["nonnegative"])
+    return Shrinkage(make_basis(problem["prior"], *problem["grid"]), kernel.shifts, problem["nonnegative"])
+
+
 def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
     """Solve with the kernel, and with the reference after deleting the invalid rows."""
     phi, (rows, columns), rng = problem["phi"], problem["grid"], np.random.default_rng(problem["seed"])
     start = np.abs(rng.normal(0, 0.005, (rows, columns)))
     sums = rng.normal(0, 0.03, phi.shape[0])
     valid = rng.random(phi.shape[0]) >= problem["missing_ratio"]
-    options = {name: problem[name] for name in ("basis", "spins", "nonnegative", "lipschitz_ratio", "iterations")}
-    kernel = FusedHaar(phi, rows, columns, penalty_n=0.01, dtype=dtype, **options)
+    options = {name: problem[name] for name in ("prior", "spins", "nonnegative", "lipschitz_ratio", "iterations")}
+    kernel = FusedSolver(phi, rows, columns, penalty_n=0.01, dtype=dtype, **options)
     estimate = kernel.blocks_of(start)
-    assert kernel.solve(estimate, np.where(valid, sums, 1e6).astype(dtype), valid) == valid.sum()
+    assert kernel.solve(estimate, np.where(valid, sums, 1e6).astype(dtype), valid.astype(dtype)) == valid.sum()
     reference = fista_image(
         Rows(phi, valid),
-        Shrinkage(BASES[problem["basis"]](rows, columns), kernel.shifts, problem["nonnegative"]),
+        proximal_of(problem, kernel),
         sums[valid],
         penalty_n=0.01,
         lipschitz=problem["lipschitz_ratio"] * phi.block_size,
@@ -78,7 +85,7 @@ def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(problems())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_equals_the_reference_with_rows_deleted(problem: dict[str, Any]) -> None:
     image, reference = both(problem, np.float64)
     np.testing.assert_allclose(image, reference, atol=1e-13)
@@ -96,7 +103,7 @@ def test_largest_grid() -> None:
     problem = {
         "phi": sbhe(65536, 8192, block_size=256),
         "grid": (256, 256),
-        "basis": "pyramid",
+        "prior": "haar-pyramid",
         "spins": 2,
         "nonnegative": True,
         "lipschitz_ratio": 1.0,
@@ -123,6 +130,54 @@ def test_shifts_differ_and_begin_with_none() -> None:
     )
 
 
+def test_weights_are_those_of_a_weighted_problem() -> None:
+    """ΦᵀWΦ and ΦᵀW y: the same as the problem of rows √w Φ and sums √w y."""
+    phi, rng = sbhe(256, 64, block_size=16, seed=3), np.random.default_rng(0)
+    sums, weights = rng.normal(0, 0.03, 64), rng.uniform(0, 1, 64)
+    kernel = FusedSolver(phi, 16, 16, prior="haar-pyramid", iterations=9, penalty_n=0.01, dtype=np.float64)
+    estimate = kernel.new_estimate()
+    assert kernel.solve(estimate, sums, weights) == 64
+    roots = np.sqrt(weights)
+
+    class Weighted(Rows):
+        def forward(self, x: np.ndarray) -> Any:
+            return roots * super().forward(x)
+
+        def adjoint(self, y: np.ndarray) -> Any:
+            return super().adjoint(roots * y)
+
+    reference = fista_image(
+        Weighted(phi, np.ones(64, np.bool_)),
+        Shrinkage(make_basis("haar-pyramid", 16, 16)),
+        roots * sums,
+        penalty_n=0.01,
+        lipschitz=16,
+        iterations=9,
+        start=np.zeros((16, 16)),
+    )
+    np.testing.assert_allclose(kernel.image_of(estimate), reference, atol=1e-13)
+
+
+def test_relative_penalty_and_reset() -> None:
+    phi = sbhe(256, 64, block_size=16, seed=3)
+    sums, ones = np.random.default_rng(0).normal(0, 0.03, 64), np.ones(64)
+    results = []
+    for penalty_n, relative in ((0.02, 0.5), (0.01, 1.0)):
+        kernel = FusedSolver(phi, 16, 16, prior="variation", iterations=9, penalty_n=penalty_n, dtype=np.float64)
+        for _ in range(2):  # after a reset it is as new
+            kernel.reset()
+            estimate = kernel.new_estimate()
+            kernel.solve(estimate, sums, ones, relative_penalty=relative)
+            results.append(kernel.deliver(estimate))
+    for each in results[1:]:
+        np.testing.assert_array_equal(each, results[0])
+    assert results[0].min() == 0
+    assert results[0].any()
+
+
+DEFAULTS = {"prior": "haar-pyramid", "rows": 64, "columns": 64, "iterations": 5, "penalty_n": 0.01}
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -132,10 +187,12 @@ def test_shifts_differ_and_begin_with_none() -> None:
         ({"penalty_n": -1.0}, "penalty"),
         ({"penalty_n": float("nan")}, "penalty"),
         ({"lipschitz_ratio": 0.5}, "diverges"),
-        ({"basis": "dct"}, "expected one of pyramid, tensor"),
+        ({"prior": "dct"}, "expected one of haar-pyramid, haar-tensor"),
+        ({"prior": "variation", "spins": 2}, "no basis to shift"),
+        ({"dtype": np.int32}, "float32 or float64, got int32"),
         ({"spins": 65}, "1 to 64 shifts"),
     ],
 )
 def test_wrong_options_are_named(phi: Sbhe, options: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        FusedHaar(phi, **{"rows": 64, "columns": 64, "iterations": 5, "penalty_n": 0.01, **options})
+        FusedSolver(phi, **{**DEFAULTS, **options})

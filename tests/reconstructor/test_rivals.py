@@ -77,6 +77,7 @@ def test_largest_eigenvalue() -> None:
     assert largest <= largest_eigenvalue(PHI, psi) <= largest * 1.0005
 
 
+@pytest.mark.slow
 def test_basis_pursuit_is_the_linear_programme() -> None:
     psi, image = Contourlet(16, 16), ball(0, 0, 0.01)[24:40, 24:40]
     matrix = np.stack([psi.adjoint(row).ravel() for row in np.eye(320)], axis=1)

@@ -55,14 +55,22 @@ def test_message_crosses(hub: Fabric, endpoint: str) -> None:
     assert got[0].label == "cup"
 
 
-def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint: str) -> None:
+GARBAGE = {
+    "no message": b"\xc1 garbage",
+    "text that is no UTF-8": b"\x81\xa5label\xa1\xff",
+    "lists in lists": b"\x81\xa5other" + 100_000 * b"\x91" + b"\0",
+}
+
+
+@pytest.mark.parametrize("garbage", GARBAGE.values(), ids=GARBAGE)
+def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint: str, garbage: bytes) -> None:
     heard = threading.Event()
     hub.subscribe(LABEL, lambda _message: heard.set())
     other = Fabric("test", "other", endpoint)
     stranger = Fabric("another", "other", endpoint)
     session: zenoh.Session = other._session
     for _ in range(500):
-        session.put("canskin/test/label", b"\xc1 garbage")
+        session.put("canskin/test/label", garbage)
         stranger.publish(LABEL, label(0))
         if hub.malformed:
             break
@@ -72,6 +80,11 @@ def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint:
     send_until_heard(other, heard)
     other.close()
     stranger.close()
+
+
+def test_publishing_waits_for_nobody(hub: Fabric) -> None:
+    hub.publish(LABEL, label(1))
+    assert hub._publishers["label"].congestion_control == zenoh.CongestionControl.DROP
 
 
 def test_services_are_seen_coming_and_going(hub: Fabric, endpoint: str) -> None:

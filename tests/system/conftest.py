@@ -37,6 +37,7 @@ class Chain:
     def __init__(self, layout: Path, folder: Path) -> None:
         self.layout_path = layout
         self.layout = load_layout(layout)
+        self.phi = self.layout.phi()
         self.supervisor = Supervisor(folder)
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.fabric = Fabric(self.layout.name, "test", self.endpoint, hub=True)

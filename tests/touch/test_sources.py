@@ -4,10 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skin.errors import InputError
-from skin.sources import load_source
+from skin.sources import DEFAULT_OBJECTS, load_source
 from touch.dataset import random_touches
 from touch.objects import CATALOGUE
-from touch.sources import DEFAULT_NAMES, ObjectSource, objects
+from touch.sources import ObjectSource, objects
 from touch.touches import DEPTH_M, LABEL_FORCE_N, SLOT_S
 
 SOURCE = objects(rate_hz=100.0, seed=7)
@@ -34,7 +34,7 @@ def test_a_frame_depends_on_its_step_alone(steps: list[int]) -> None:
 
 def test_objects_take_turns_with_a_pause_between() -> None:
     frames = [SOURCE.frame(step) for step in range(5 * SLOT)]
-    for turn, name in enumerate(DEFAULT_NAMES):
+    for turn, name in enumerate(DEFAULT_OBJECTS):
         labels = {frame.label for frame in frames[turn * SLOT : (turn + 1) * SLOT]}
         assert labels == {"", name}
         assert not frames[turn * SLOT + 20].force_n.any()
@@ -110,14 +110,14 @@ def test_a_step_before_the_first_is_refused() -> None:
 
 
 def test_training_touches_take_turns_and_are_felt() -> None:
-    found = random_touches(DEFAULT_NAMES, 50, seed=4)
+    found = random_touches(DEFAULT_OBJECTS, 50, seed=4)
     assert found.force_n.shape == (50, 64, 64)
     assert found.force_n.dtype == np.float32
-    assert found.labels.tolist() == list(DEFAULT_NAMES) * 10
+    assert found.labels.tolist() == list(DEFAULT_OBJECTS) * 10
     assert (found.force_n.max(axis=(1, 2)) >= LABEL_FORCE_N).all()
-    again = random_touches(DEFAULT_NAMES, 50, seed=4)
+    again = random_touches(DEFAULT_OBJECTS, 50, seed=4)
     np.testing.assert_array_equal(found.force_n, again.force_n)
-    assert not np.array_equal(found.force_n, random_touches(DEFAULT_NAMES, 50, seed=5).force_n)
+    assert not np.array_equal(found.force_n, random_touches(DEFAULT_OBJECTS, 50, seed=5).force_n)
 
 
 def test_training_touches_are_distributed_like_live_frames() -> None:
@@ -149,3 +149,12 @@ def test_wrong_training_options_are_refused() -> None:
             random_touches(names, count, seed=seed)
     with pytest.raises(InputError, match="never felt"):
         random_touches(["ring"], 1, 2, 2, pitch_m=0.004)
+
+
+def test_a_small_array_is_touched_by_what_it_can_feel() -> None:
+    names = objects(16, 16).names
+    assert "golf-ball" in names
+    assert "ring" not in names
+    assert set(random_touches(DEFAULT_OBJECTS, 8, 16, 16, skip_unfelt=True).labels) == set(names)
+    with pytest.raises(InputError, match="'ring' is never felt"):
+        random_touches(["ring"], 50, 16, 16)

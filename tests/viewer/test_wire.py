@@ -1,11 +1,13 @@
 """Frames and the greeting."""
 
 import struct
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from skin.layout import load_layout
 from viewer.state import ViewState
 from viewer.wire import frame, greeting
 
@@ -39,6 +41,10 @@ def test_greeting_names_the_block_that_measures_each_taxel(messages: Any) -> Non
         alone = np.zeros(layout.taxels.count, np.int32)
         alone[taxel] = 1
         assert set(phi.block_of_sum[phi.forward(alone) != 0]) == {block_of_taxel[taxel]}
+
+
+def test_greeting_says_how_many_blocks_a_node_has() -> None:
+    assert [bus["blocks_per_node"] for bus in greeting(load_layout(Path("fd")))["buses"]] == [4]
 
 
 def test_greeting_names_the_first_block_of_each_bus(messages: Any) -> None:

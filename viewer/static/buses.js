@@ -36,10 +36,10 @@ export class Buses {
     const nodes = make("div", "nodes");
     for (let node = 1; node <= bus.nodes; node++) {
       const tile = make("i", "tile unknown", String(node));
-      const block = bus.first_block + node - 1;
+      const block = bus.first_block + (node - 1) * bus.blocks_per_node;
       tile.onpointerenter = () => pointed(block);
       tile.onpointerleave = () => pointed(null);
-      this.tiles[block] = tile;
+      for (let each = 0; each < bus.blocks_per_node; each++) this.tiles[block + each] = tile;
       nodes.append(tile);
     }
     const detail = make("p", "detail", "no status yet");
@@ -68,7 +68,7 @@ export class Buses {
     mean.style.left = `${100 * Math.min(1, seen.mean_load_ratio ?? 0)}%`;
     let operational = 0;
     seen.nodes.forEach((node, place) => {
-      const tile = node >= 1 && node <= bus.nodes ? this.tiles[bus.first_block + node - 1] : null;
+      const tile = node >= 1 && node <= bus.nodes ? this.tiles[bus.first_block + (node - 1) * bus.blocks_per_node] : null;
       const state = nmtName(seen.nmt[place]);
       operational += state === "operational";
       if (!tile || tile.dataset.state === state) return;
@@ -104,7 +104,8 @@ export class Buses {
   /** Name the bus and node of `block`. */
   place(block) {
     for (const { bus } of this.cards.values()) {
-      if (block >= bus.first_block && block < bus.first_block + bus.nodes) return `${bus.name} node ${block - bus.first_block + 1}`;
+      const node = Math.floor((block - bus.first_block) / bus.blocks_per_node) + 1;
+      if (node >= 1 && node <= bus.nodes) return `${bus.name} node ${node}`;
     }
     return "";
   }

@@ -1,0 +1,52 @@
+"""The bias of a sensor that clips its noise at zero, and its correction.
+
+An idle taxel with noise N(0, σ²) reads max(0, noise), on average σ / √(2π), and no average over time removes that. A
+taxel under force x reads m(x) = x Φ(x / σ) + σ φ(x / σ) on average; where σ is known, m⁻¹ undoes it. The correction is
+for images whose noise is averaged away: on a single noisy one it is nearly a dead zone below σ / √(2π).
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+
+from skin.errors import InputError
+
+#: Above this many σ the bias is below 1e-9 σ.
+_REACH: Final = 6.0
+_POINTS: Final = 1025
+
+
+class ClipCorrection:
+    """x = m⁻¹(image), 0 below m(0).
+
+    Parameters
+    ----------
+    noise_n : float
+        σ in newtons, above 0.
+
+    Raises
+    ------
+    InputError
+        If σ is not a number above 0.
+    """
+
+    def __init__(self, noise_n: float) -> None:
+        if not (noise_n > 0 and math.isfinite(noise_n)):
+            raise InputError(f"the sensor's noise needs a number of newtons above 0: got {noise_n}")
+        force = np.linspace(0, _REACH, _POINTS)
+        mean = force * ndtr(force) + np.exp(-(force**2) / 2) / math.sqrt(2 * math.pi)
+        self._force = force * noise_n
+        self._mean = mean * noise_n
+
+    def mean_of(self, force_n: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return m(x), what taxels under `force_n` newtons read on average."""
+        force = np.asarray(force_n, np.float64)
+        return np.where(force < self._force[-1], np.interp(force, self._force, self._mean), force)
+
+    def __call__(self, image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return the corrected image, newtons."""
+        made = np.where(image < self._mean[-1], np.interp(image, self._mean, self._force), image)
+        return made.astype(np.float32)

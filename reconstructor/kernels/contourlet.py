@@ -1,0 +1,176 @@
+"""The compiled solver for SBHE and the contourlet."""
+
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.bases.contourlet import Contourlet
+from reconstructor.bases.ladder import PyramidFilter
+from reconstructor.fista import largest_eigenvalue, momentum
+from reconstructor.kernels.ladder import synthesise, transpose
+from reconstructor.kernels.ladder_plan import Plan, Room, coefficient_order, image_order, plan_of, room_of
+from reconstructor.kernels.steps import aligned, deliver, gather, load
+from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
+from skin.measurement import Sbhe
+
+Values = npt.NDArray[np.floating[Any]]
+Table = npt.NDArray[np.uint16]
+
+
+class _Problem(NamedTuple):
+    """`places` of sums; `to_image` and `to_blocks`; 1 / L and λ / L; the momentum."""
+
+    places: Table
+    tables: Table
+    numbers: Flat
+    momentum: Flat
+    blocks: int
+
+
+class _Scratch(NamedTuple):
+    """Gain, target and work in block order; the image; ahead and gradient of the coefficients."""
+
+    gain: Flat
+    target: Flat
+    work: Flat
+    image: Flat
+    ahead: Flat
+    slope: Flat
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _solve(  # noqa: PLR0917  compiled functions take no keywords
+    estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, plan: Plan, scratch: _Scratch, room: Room
+) -> int:
+    gain, target, work, image, ahead, slope = scratch
+    count = load(sums, weights, problem.places, problem.numbers[0], gain, target)
+    threshold = problem.numbers[1]
+    ahead[:] = estimate
+    for turn in range(problem.momentum.size):
+        synthesise(image, ahead, plan, room)
+        gather(work, image, problem.tables[1])
+        masked_gram(work, gain, target, problem.blocks)
+        gather(image, work, problem.tables[0])
+        transpose(slope, image, plan, room)
+        _advance(estimate, ahead, slope, threshold, problem.momentum[turn])
+    return count
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _advance(estimate: Flat, ahead: Flat, slope: Flat, threshold: Any, momentum: Any) -> None:
+    for k in range(estimate.size):
+        moved = ahead[k] - slope[k]
+        new = moved - max(-threshold, min(threshold, moved))
+        ahead[k] = new + momentum * (new - estimate[k])
+        estimate[k] = new
+
+
+class ContourletSolver:
+    """min over s of ½‖ΦΨs - y‖² + λ‖s‖₁ by FISTA, Φ an SBHE and Ψ the contourlet; equal to `reconstructor.fista.fista`.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    rows, columns : int
+        Equal, a power of two, 16 to 256.
+    iterations : int
+    penalty_n : float
+        λ, newtons.
+    lipschitz_ratio : float
+        L over the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed; the paper takes 2.
+    pyramid : {"pkva", "9-7"}
+    dtype : float32 or float64
+
+    Raises
+    ------
+    InputError
+        If the grid does not fit.
+    """
+
+    def __init__(
+        self,
+        phi: Sbhe,
+        rows: int,
+        columns: int,
+        *,
+        iterations: int,
+        penalty_n: float,
+        lipschitz_ratio: float = 1.0,
+        pyramid: PyramidFilter = "pkva",
+        dtype: npt.DTypeLike = np.float32,
+    ) -> None:
+        psi = Contourlet(rows, columns, pyramid)
+        self.dtype: Final = np.dtype(dtype)
+        self.lipschitz: Final = lipschitz_ratio * largest_eigenvalue(phi, psi)
+        self.shape: Final = psi.image_shape
+        taxel = phi.order.reshape(phi.blocks, phi.block_size).T.ravel()
+        place = np.argsort(image_order(rows))
+        to_blocks = place[taxel]
+        self._threshold = penalty_n / self.lipschitz
+        self._problem = _Problem(
+            places=(phi.row_of_sum * phi.blocks + phi.block_of_sum).astype(np.uint16),
+            tables=np.stack((np.argsort(to_blocks), to_blocks)).astype(np.uint16),
+            numbers=np.array((1 / self.lipschitz, self._threshold), self.dtype),
+            momentum=momentum(iterations).astype(self.dtype),
+            blocks=phi.blocks,
+        )
+        self._plan = plan_of(psi, self.dtype)
+        self._room = room_of(self._plan, self.dtype)
+        sizes = (taxel.size,) * 4 + psi.shape * 2
+        self._scratch = _Scratch(*(aligned(size, self.dtype) for size in sizes))
+        self._order = coefficient_order(psi)
+        self._deliver = place.astype(np.uint16)
+
+    def new_estimate(self) -> Values:
+        """Return coefficients of zeros, shape (5n/4,), in the kernel's order (`coefficients_of`)."""
+        return aligned(self._order.size, self.dtype)
+
+    def solve(self, estimate: Values, sums_n: Values, weights: Values, *, relative_penalty: float = 1.0) -> int:
+        """Improve `estimate` in place and return how many sums count; see `FusedSolver.solve`."""
+        self._problem.numbers[1] = self._threshold * relative_penalty
+        return int(_solve(estimate, sums_n, weights, self._problem, self._plan, self._scratch, self._room))
+
+    def reset(self) -> None:
+        """Forget what is kept from solve to solve besides the estimate: nothing."""
+
+    def coefficients_of(self, estimate: Values) -> Values:
+        """Return an estimate in the toolbox's order."""
+        return estimate[self._order]
+
+    def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
+        """Return a new image of shape (rows, columns), negative forces as 0."""
+        synthesise(self._scratch.image, estimate, self._plan, self._room)
+        image = np.empty(self.shape, np.float32)
+        deliver(image.reshape(-1), self._scratch.image, self._deliver)
+        return image
+
+
+class CompiledContourlet(Contourlet):
+    """`Contourlet` with compiled `forward` and `adjoint`, of one dtype; for basis pursuit and other long iterations."""
+
+    def __init__(
+        self, rows: int, columns: int, pyramid: PyramidFilter = "pkva", dtype: npt.DTypeLike = np.float64
+    ) -> None:
+        super().__init__(rows, columns, pyramid)
+        self._kind = np.dtype(dtype)
+        self._plan = plan_of(self, self._kind)
+        self._room = room_of(self._plan, self._kind)
+        self._pixels, self._order = image_order(rows), coefficient_order(self)
+
+    def forward(self, image: Values) -> Values:
+        """Return Ψᵀx, shape (5n/4,)."""
+        made = aligned(self._order.size, self._kind)
+        kept = image.reshape(-1)[self._pixels].astype(self._kind, copy=False)
+        transpose(made, kept, self._plan, self._room)
+        return made[self._order]
+
+    def adjoint(self, coefficients: Values) -> Values:
+        """Return x = Ψs, shape (rows, columns)."""
+        kept, made = np.empty_like(coefficients, self._kind), aligned(self._pixels.size, self._kind)
+        kept[self._order] = coefficients
+        synthesise(made, kept, self._plan, self._room)
+        image = np.empty_like(made)
+        image[self._pixels] = made
+        return image.reshape(self.image_shape)

@@ -1,0 +1,180 @@
+"""What every compiled solver does around its prior: read the sums, descend, advance, deliver."""
+
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard, masked_gram
+
+Table = npt.NDArray[np.uint16]
+
+
+class Problem(NamedTuple):
+    """What stays the same from cycle to cycle.
+
+    Attributes
+    ----------
+    places : shape (m,)
+        Place of every sum in block order; places fit uint16, for a grid has at most 256 x 256 taxels.
+    tables : shape (2, shifts, n)
+        The prior's image order from block order, and back, a pair for each shift of the basis.
+    deliver : shape (n,)
+        The image row by row from block order.
+    numbers : shape (4,)
+        1 / L, λ / L, the least allowed force, and the 1 / √2 of the transforms.
+    momentum : shape (iterations,)
+        (t_k - 1) / t_{k+1}.
+    blocks, rows, columns : int
+    levels : int
+        Of a pyramid, 0 for a tensor transform.
+    matched : bool
+        First take from the start what does not explain the sums.
+    """
+
+    places: Table
+    tables: npt.NDArray[np.uint16]
+    deliver: Table
+    numbers: Flat
+    momentum: Flat
+    blocks: int
+    rows: int
+    columns: int
+    levels: int
+    matched: bool
+
+
+#: Elements between the rows of working memory: without them all would fall into the same sets of the L1 cache.
+GAP: Final = 144
+
+
+CACHE_LINE: Final = 64
+
+
+def scratch_of(rows: int, size: int, dtype: np.dtype[Any]) -> Flat:
+    """Return working memory of `rows` rows of `size`, zeros, to be taken apart by `row`."""
+    return aligned(rows * (size + GAP), dtype)
+
+
+def aligned(size: int, dtype: np.dtype[Any]) -> Flat:
+    """Return zeros that start where a cache line does: vectors that cross lines cost a tenth of the time."""
+    extra = CACHE_LINE // dtype.itemsize
+    memory = np.zeros(size + extra, dtype)
+    first = -memory.ctypes.data % CACHE_LINE // dtype.itemsize
+    return memory[first : first + size]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def row(scratch: Flat, number: int, size: int) -> Flat:
+    """Return one row of working memory."""
+    start = number * (size + GAP)
+    return scratch[start : start + size]
+
+
+# Compiled functions take no keywords, hence the arguments by position.
+# Each loop is a function of its own: written inside the solvers not all of them are vectorised.
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> tuple[int, Any]:
+    """Fill `scratch` (gain, target, ahead, work, …) for the first iteration.
+
+    Return how many sums count, and by how much the start was scaled.
+    """
+    size = estimate.size
+    gain, target, ahead, work = (
+        row(scratch, 0, size),
+        row(scratch, 1, size),
+        row(scratch, 2, size),
+        row(scratch, 3, size),
+    )
+    count = load(sums, weights, problem.places, problem.numbers[0], gain, target)
+    kept = estimate.dtype.type(1)
+    if problem.matched:
+        kept = _match(estimate, gain, target, work, problem.blocks)
+    ahead[:] = estimate
+    work[:] = estimate
+    return count, kept
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target: Flat) -> int:  # noqa: PLR0917
+    """Write the mask and the masked sums, both times `step`; return how many sums count.
+
+    Places of sums that are never sent keep their zeros. A sum of weight 0 is a zero of the mask, which is exactly the
+    problem without its row.
+    """
+    count = 0
+    for k in range(sums.size):
+        where = places[k]
+        if weights[k] > 0:
+            gain[where] = step * weights[k]
+            target[where] = step * weights[k] * sums[k]
+            count += 1
+        else:
+            gain[where] = 0
+            target[where] = 0
+    return count
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def descend(size: int, problem: Problem, scratch: Flat) -> None:
+    """Take a gradient step from ``ahead``, which ``work`` equals, and leave the result in ``work``."""
+    gain, target, ahead, work = (
+        row(scratch, 0, size),
+        row(scratch, 1, size),
+        row(scratch, 2, size),
+        row(scratch, 3, size),
+    )
+    masked_gram(work, gain, target, problem.blocks)
+    for k in range(work.size):
+        work[k] = ahead[k] - work[k]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def gather(target: Flat, source: Flat, index: Table) -> None:
+    """Set target[k] = source[index[k]]."""
+    for k in range(target.size):
+        target[k] = source[index[k]]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def advance(estimate: Flat, floor: Any, momentum: Any, scratch: Flat) -> None:
+    """Take the new estimate from ``work``, lift it to `floor`, and leave the next point in ``ahead`` and ``work``."""
+    ahead, work = row(scratch, 2, estimate.size), row(scratch, 3, estimate.size)
+    for k in range(work.size):
+        new = max(floor, work[k])
+        beyond = new + momentum * (new - estimate[k])
+        estimate[k] = new
+        ahead[k] = beyond
+        work[k] = beyond
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def deliver(image: npt.NDArray[np.float32], estimate: Flat, index: Table) -> None:
+    """Write the image row by row, negative forces as 0."""
+    for k in range(image.size):
+        image[k] = max(np.float32(0), np.float32(estimate[index[k]]))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _match(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) -> Any:
+    """Scale `estimate` by and return max(0, 2a - 1), where a is the factor, at most 1, that explains the sums best.
+
+    Not by a itself: images of different touches share their noise and a few taxels, and explain a part of each other.
+    """
+    work[:] = estimate
+    hadamard(work, blocks)
+    explained = work[0] - work[0]
+    energy = explained
+    for k in range(work.size):
+        seen = gain[k] * work[k]
+        explained += seen * target[k]
+        energy += seen * seen
+    excess = explained + explained - energy
+    if excess >= energy:  # also where both are 0
+        return estimate.dtype.type(1)
+    kept = max(explained - explained, excess / energy)
+    estimate *= kept
+    return kept

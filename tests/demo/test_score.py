@@ -1,0 +1,136 @@
+"""The figures of a run, from messages in any order."""
+
+import numpy as np
+import pytest
+
+from demo.score import Score
+from skin.layout import load_layout
+from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
+
+LAYOUT = load_layout()
+SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
+PERIOD_NS = 10_000_000
+
+
+def pixels(force_n: float, error_n: float = 0.0) -> bytes:
+    grid = np.zeros(SHAPE, "<f4")
+    grid[:8] = force_n
+    return (grid + np.float32(error_n)).astype("<f4").tobytes()
+
+
+def truth(cycle: int, force_n: float = 0.01, label: str = "cup") -> Truth:
+    return Truth(
+        step=cycle,
+        sync_counter=(cycle - 1) % 240 + 1,
+        sync_mono_ns=cycle * PERIOD_NS,
+        true=pixels(force_n),
+        sensor=pixels(force_n, 0.002),
+        label=label,
+    )
+
+
+def image(cycle: int, force_n: float = 0.01, latency_ms: int = 9) -> Image:
+    return Image(
+        cycle=cycle,
+        sync_counter=(cycle - 1) % 240 + 1,
+        sync_mono_ns=cycle * PERIOD_NS,
+        published_mono_ns=cycle * PERIOD_NS + latency_ms * 1_000_000,
+        pixels=pixels(force_n, 0.001),
+        valid=bytes(128),
+        valid_sums=1024,
+        solve_s=1e-4,
+    )
+
+
+def label(cycle: int, name: str) -> Label:
+    counter = (cycle - 1) % 240 + 1
+    return Label(
+        cycle=cycle,
+        sync_counter=counter,
+        sync_mono_ns=cycle * PERIOD_NS,
+        label=name,
+        confidence=1.0,
+        valid_sums=1024,
+    )
+
+
+@pytest.fixture
+def score() -> Score:
+    return Score(LAYOUT)
+
+
+def test_psnr_of_contact_cycles_whichever_message_comes_first(score: Score) -> None:
+    score.take_truth(truth(1))
+    score.take_image(image(1))
+    score.take_image(image(2))
+    score.take_truth(truth(2))
+    score.take_truth(truth(3, force_n=0.001))
+    score.take_image(image(3, force_n=0.001))
+    report = score.report()
+    assert report["contact_cycles"] == 2
+    assert report["psnr_image_db"] == pytest.approx(20 * np.log10(20), abs=0.01)
+    assert report["psnr_sensor_db"] == pytest.approx(20 * np.log10(10), abs=0.01)
+    assert report["latency_ms"] == {"p50": 9.0, "p99": 9.0}
+    assert score.shown is not None
+
+
+def test_a_message_of_240_cycles_later_is_no_pair(score: Score) -> None:
+    score.take_truth(truth(1))
+    score.take_image(image(241))
+    assert score.report()["contact_cycles"] == 0
+
+
+def test_labels_count_while_an_object_touches(score: Score) -> None:
+    for cycle, said in enumerate(("cup", "ring", "cup", ""), 1):
+        score.take_label(label(cycle, said))
+        score.take_truth(truth(cycle))
+    score.take_truth(truth(5, label=""))
+    score.take_label(label(5, "cup"))
+    assert score.report()["label_accuracy"] == 0.5
+
+
+def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
+    bus = BusState(
+        name="bus0",
+        load_ratio=0.7,
+        nodes=[1, 2, 3],
+        nmt=b"\5\5\5",
+        missing=[0, 4, 9],
+        late=[0, 1, 0],
+        emcy=[0, 0, 65296],
+    )
+    score.take_gateway(
+        GatewayStatus(
+            time_ns=0,
+            cycles=10,
+            cycles_complete=9,
+            frames_received=98,
+            frames_accepted=97,
+            frames_missing=13,
+            frames_late=1,
+            frames_duplicate=0,
+            frames_malformed=0,
+            frames_foreign=3,
+            sync_rate_hz=100.0,
+            buses=[bus],
+            mean_load_ratio=[0.7],
+        )
+    )
+    for process, sent in (("1", 60), ("2", 40)):
+        score.take_nodes(
+            NodesStatus(time_ns=0, process=process, frames_sent=sent, frames_dropped=2, syncs_seen=10),
+        )
+    report = score.report()
+    assert report["frames_sent"] == report["frames_received"] + report["frames_lost"] == 100
+    assert report["frames_dropped"] == 4
+    assert [(row["node"], row["missing"], row["emcy"]) for row in report["nodes_missing"]] == [
+        (3, 9, "FF10h"),
+        (2, 4, "0000h"),
+    ]
+
+
+def test_nothing_measured_is_none_and_not_zero(score: Score) -> None:
+    report = score.report()
+    assert report["psnr_image_db"] is None
+    assert report["label_accuracy"] is None
+    assert report["latency_ms"] == {"p50": None, "p99": None}

@@ -1,0 +1,54 @@
+"""Processes of a run: a wrong input, a failure, and the end."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from demo.supervisor import Supervisor
+from skin.errors import InputError, RunError
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Supervisor:
+    return Supervisor(tmp_path)
+
+
+def until(holds: Callable[[], object]) -> None:
+    for _ in range(3000):
+        if holds():
+            return
+        time.sleep(0.01)
+    pytest.fail("it did not happen")
+
+
+def test_wrong_input_of_a_service_is_that_of_the_run(supervisor: Supervisor) -> None:
+    child = supervisor.start("nodes", "nodes", "--layout", "missing.toml")
+    child.process.wait(30)
+    with pytest.raises(InputError, match=r"^missing\.toml: cannot read the layout"):
+        supervisor.look()
+
+
+def test_service_that_the_run_needs_ends_it(supervisor: Supervisor) -> None:
+    child = supervisor.start("bus", "bus", "only_for_this_test")
+    until(lambda: "ready" in child.log.read_text())
+    child.process.kill()
+    child.process.wait(30)
+    with pytest.raises(RunError, match=r"bus ended \(status -9\)"):
+        supervisor.look()
+
+
+def test_restart_and_end(supervisor: Supervisor) -> None:
+    child = supervisor.start("bus", "bus", "only_for_this_test", restart=True)
+    first = child.process.pid
+    until(lambda: "ready" in child.log.read_text())
+    child.process.kill()
+    child.process.wait(30)
+    events: list[str] = []
+    until(lambda: events.extend(supervisor.look()) or child.restarts)
+    assert child.process.pid != first
+    assert len(events) == 2
+    until(lambda: child.log.read_text().count("ready") == 2)
+    supervisor.stop()
+    assert child.process.returncode == 0

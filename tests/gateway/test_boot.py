@@ -1,0 +1,124 @@
+"""Boot of the nodes of one bus: who is trusted and started, who is refused, and what is left behind."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from bus.link import State
+from dbc.contract import NMT_COB_ID, SDO_RESPONSE_BASE, Contract, NodeContract, contract
+from dbc.frame import Frames, frames
+from gateway.boot import NMT_START, Boot
+from gateway.network import MasterNetwork
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from nodes.segment import Segment
+from skin.layout import load_layout
+from tests.nodes.conftest import ArrayLink, Still
+
+PATIENCE_S = 30.0
+NODES = (1, 2, 3)
+
+
+class Wire:
+    """A link whose far end answers at once, in the thread that sends; without nodes there is silence."""
+
+    dropped = 0
+    state = State.ACTIVE
+
+    def __init__(self, nodes: Segment | None = None) -> None:
+        self.sent: list[tuple[int, bytes]] = []
+        self.heard: Callable[[int, bytearray, float], None] = lambda *_: None
+        self.asked = threading.Event()
+        self._nodes = nodes
+
+    def send(self, burst: Frames) -> int:
+        for frame in burst:
+            self.sent.append((int(frame["can_id"]), frame["data"][: frame["length"]].tobytes()))
+        self.asked.set()
+        if self._nodes is not None and isinstance(self._nodes.link, ArrayLink):
+            self._nodes.link.take_sent()
+            self._nodes.link.waiting[:] = [burst]
+            self._nodes.receive(0.0)
+            for answer in self._nodes.link.take_sent():
+                self.heard(int(answer["can_id"]), bytearray(answer["data"][: answer["length"]].tobytes()), 0.0)
+        return len(burst)
+
+    def receive(self) -> Frames:
+        return frames(0)
+
+    def fileno(self) -> int:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def made() -> Contract:
+    return contract(load_layout())
+
+
+def boot_of(wire: Wire, nodes: list[NodeContract], fingerprint: str, trusted: list[int]) -> tuple[Boot, MasterNetwork]:
+    network = MasterNetwork(wire)
+    wire.heard = network.notify
+    return Boot("bus0", nodes, fingerprint, network, lambda node, _: trusted.append(node.node_id)), network
+
+
+@pytest.fixture
+def wire(made: Contract) -> Wire:
+    sampler = Sampler(made.phi, Still(), Electronics(made.layout.taxels, noise_n=0.0))
+    segment = Segment(made, 0, set(NODES), ArrayLink(), sampler)
+    segment.boot(0.0)
+    return Wire(segment)
+
+
+def run(boot: Boot) -> None:
+    """Let the first pass go by."""
+    boot.start()
+    assert boot._first_pass.wait(PATIENCE_S)
+    boot.stop()
+    boot._thread.join(PATIENCE_S)
+    assert not boot._thread.is_alive()
+
+
+def started(wire: Wire) -> list[int]:
+    return [data[1] for can_id, data in wire.sent if can_id == NMT_COB_ID and data[0] == NMT_START]
+
+
+def test_nodes_of_this_skin_are_trusted_and_started(made: Contract, wire: Wire) -> None:
+    trusted: list[int] = []
+    boot, _ = boot_of(wire, [made.on_bus(0)[place - 1] for place in NODES], made.phi.fingerprint, trusted)
+    run(boot)
+    assert trusted == started(wire) == list(NODES)
+    assert not boot.refused
+
+
+def test_nodes_of_another_skin_are_refused_in_words(
+    made: Contract, wire: Wire, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second, _ = made.on_bus(0)[:3]
+    trusted: list[int] = []
+    boot, _ = boot_of(wire, [first, replace(second, block=7)], made.phi.fingerprint, trusted)
+    run(boot)
+    assert (trusted, started(wire), boot.refused) == ([1], [1], {2})
+    assert "node 2 on bus0 refused: expected block 7" in capsys.readouterr().err
+
+
+def test_answers_that_nobody_asked_for_do_not_pile_up(made: Contract, wire: Wire) -> None:
+    boot, network = boot_of(wire, [made.on_bus(0)[0]], made.phi.fingerprint, [])
+    run(boot)
+    assert not list(network)
+    assert not network.subscribers.get(SDO_RESPONSE_BASE + 1)
+
+
+def test_stop_does_not_ask_the_nodes_that_still_wait(made: Contract) -> None:
+    silent = Wire()
+    boot, _ = boot_of(silent, list(made.on_bus(0)), made.phi.fingerprint, [])
+    boot.start()
+    assert silent.asked.wait(PATIENCE_S)
+    boot.stop()
+    boot._thread.join(PATIENCE_S)
+    assert not boot._thread.is_alive()
+    assert len({can_id for can_id, _ in silent.sent}) < len(made.on_bus(0))

@@ -1,0 +1,186 @@
+"""A CANopen master that is not ours: the nodes as the ``canopen`` library's RemoteNode sees them, with their EDS."""
+
+import threading
+from collections.abc import Callable, Iterator
+
+import canopen
+import pytest
+
+from dbc.generate import DEFAULT_FOLDER
+from skin.layout import load_layout
+from tests.processes import PATIENCE_S, Processes
+
+NODES = 3
+SUMS, TEST_PATTERN, GAIN, FINGERPRINT = 0x2100, 0x2021, 0x2010, 0x2002
+RAMP = 2
+BOOT_UP, PRE_OPERATIONAL = 0, 127
+SYNC_LENGTH, HEARTBEAT_LOST, NO_ERROR = 0x8240, 0x8130, 0x0000
+
+
+class Beats(list[int]):
+    """NMT states in the order a node's heartbeats brought them; the library's own waits miss what comes before them."""
+
+    def __init__(self, node: canopen.RemoteNode) -> None:
+        self._news = threading.Condition()
+        node.nmt.add_heartbeat_callback(self._beat)
+
+    def expect(self, state: int, doing: Callable[[], object] = lambda: None) -> None:
+        """Do something, then wait for a heartbeat with `state`."""
+        with self._news:
+            self.clear()
+        doing()
+        with self._news:
+            assert self._news.wait_for(lambda: state in self, PATIENCE_S), f"no state {state} in {self}"
+
+    def _beat(self, state: int) -> None:
+        with self._news:
+            self.append(state)
+            self._news.notify()
+
+
+@pytest.fixture(scope="module")
+def network(processes: Processes) -> Iterator[canopen.Network]:
+    """Join a bus with three nodes."""
+    processes.skin("bus", "bus", "bus0")
+    processes.await_words("bus", "ready")
+    master = canopen.Network()
+    master.NOTIFIER_SHUTDOWN_TIMEOUT = PATIENCE_S
+    master.connect(interface="canskin", channel="bus0")
+    eds = str(DEFAULT_FOLDER / "skin.eds")
+    for node_id in range(1, NODES + 1):
+        node = master.add_node(canopen.RemoteNode(node_id, canopen.import_od(eds, node_id)))
+        node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
+    beats = Beats(master[NODES])
+    beats.expect(BOOT_UP, lambda: processes.skin("nodes", "nodes", "--only", f"bus0:1-{NODES}", "--no-fabric"))
+    yield master
+    master.disconnect()
+
+
+@pytest.fixture(scope="module")
+def beats(network: canopen.Network) -> dict[int, Beats]:
+    return {node_id: Beats(network[node_id]) for node_id in network}
+
+
+@pytest.fixture
+def node(network: canopen.Network, beats: dict[int, Beats]) -> canopen.RemoteNode:
+    """Return node 1 after a reset of all."""
+    for each in network.values():
+        reset(each, beats)
+        each.emcy.reset()
+    return network[1]
+
+
+def reset(node: canopen.RemoteNode, beats: dict[int, Beats], command: int = 0x81) -> None:
+    beats[node.id].expect(BOOT_UP, lambda: node.nmt.send_command(command))
+
+
+def test_boot_shows_who_the_node_is(node: canopen.RemoteNode, beats: dict[int, Beats]) -> None:
+    beats[1].expect(PRE_OPERATIONAL)
+    assert node.sdo["Identity"]["Product code"].raw == int.from_bytes(b"SKIN", "big")
+    assert node.sdo["Identity"]["Serial number"].raw == 1
+    # Longer than four bytes: segmented uploads.
+    assert node.sdo[0x1008].raw == node.object_dictionary[0x1008].default
+    assert node.sdo[FINGERPRINT].raw == load_layout().phi().fingerprint
+
+
+def test_every_object_of_the_eds_can_be_read(node: canopen.RemoteNode) -> None:
+    read = 0
+    for entry in node.object_dictionary.values():
+        for variable in entry.values() if hasattr(entry, "values") else (entry,):
+            if variable.readable:
+                assert len(node.sdo.upload(variable.index, variable.subindex)) >= len(variable) // 8
+                read += 1
+    assert read > 100
+
+
+def test_the_dictionary_is_written_in_one_frame_and_in_segments(
+    node: canopen.RemoteNode, beats: dict[int, Beats]
+) -> None:
+    node.sdo[0x1017].raw = 40
+    assert node.sdo[0x1017].raw == 40
+    half = node.object_dictionary[GAIN][3].encode_raw(0.5)
+    node.sdo.download(GAIN, 3, half, force_segment=True)
+    assert node.sdo[GAIN][3].raw == 0.5
+    reset(node, beats)
+    assert node.sdo[GAIN][3].raw == 1.0
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "data", "code"),
+    [
+        (FINGERPRINT, 0, b"0000", 0x0601_0002),  # read-only
+        (0x5FFF, 0, b"0", 0x0602_0000),  # no such object
+        (GAIN, 99, bytes(4), 0x0609_0011),  # no such sub-index
+        (0x1800, 2, b"\xf8", 0x0609_0030),  # reserved transmission type
+    ],
+)
+def test_wrong_writes_are_aborted_with_the_standards_codes(
+    node: canopen.RemoteNode, index: int, subindex: int, data: bytes, code: int
+) -> None:
+    with pytest.raises(canopen.SdoAbortedError) as raised:
+        node.sdo.download(index, subindex, data)
+    assert raised.value.code == code
+
+
+def test_sums_arrive_as_the_master_mapped_them(node: canopen.RemoteNode, network: canopen.Network) -> None:
+    node.tpdo.read()
+    tpdo = node.tpdo[1]
+    tpdo.clear()
+    for subindex in (8, 1, 5):
+        tpdo.add_variable(SUMS, subindex)
+    tpdo.add_variable(0x1001)
+    tpdo.trans_type, tpdo.sync_start_value, tpdo.enabled = 1, 0, True
+    tpdo.save()
+    node.sdo[TEST_PATTERN].raw = RAMP
+    node.nmt.state = "OPERATIONAL"
+    network.sync.transmit(1)
+    assert tpdo.wait_for_reception(PATIENCE_S) is not None
+    assert len(tpdo.data) == 7
+    carried = [variable.raw for variable in tpdo]
+    assert carried == [*(node.sdo[SUMS][subindex].raw for subindex in (8, 1, 5)), 0]
+    assert any(carried)
+
+
+def test_a_sync_of_the_wrong_length_is_an_emergency_until_it_is_right(
+    node: canopen.RemoteNode, network: canopen.Network
+) -> None:
+    node.nmt.state = "OPERATIONAL"
+    network.sync.transmit()  # 1019h wants a counter
+    assert node.emcy.wait(SYNC_LENGTH, PATIENCE_S).register & 0x11 == 0x11
+    assert node.sdo[0x1003][1].raw & 0xFFFF == SYNC_LENGTH
+    assert node.sdo[0x1001].raw & 0x10
+    network.sync.transmit(1)
+    assert node.emcy.wait(NO_ERROR, PATIENCE_S).register == 0
+
+
+def test_a_node_reports_the_heartbeat_it_misses(
+    node: canopen.RemoteNode, network: canopen.Network, beats: dict[int, Beats]
+) -> None:
+    node.sdo[0x1016][1].raw = 2 << 16 | 200
+    node.nmt.state = "OPERATIONAL"
+    beats[2].expect(PRE_OPERATIONAL, lambda: network[2].sdo.download(0x1017, 0, bytes((20, 0))))
+    network[2].sdo[0x1017].raw = 0
+    lost = node.emcy.wait(HEARTBEAT_LOST, PATIENCE_S)
+    assert lost.data[0] == 2
+    beats[1].expect(PRE_OPERATIONAL, lambda: node.sdo.download(0x1017, 0, bytes((20, 0))))  # as 1029h says
+    network[2].sdo[0x1017].raw = 20
+    assert node.emcy.wait(NO_ERROR, PATIENCE_S).register == 0
+
+
+def test_reset_communication_keeps_what_the_node_measures(node: canopen.RemoteNode, beats: dict[int, Beats]) -> None:
+    node.sdo[GAIN][1].raw = 0.25
+    node.sdo[0x1017].raw = 30
+    reset(node, beats, 0x82)
+    assert node.sdo[0x1017].raw == 1000
+    assert node.sdo[GAIN][1].raw == 0.25
+
+
+def test_stored_parameters_outlive_a_reset(node: canopen.RemoteNode, beats: dict[int, Beats]) -> None:
+    node.sdo[0x1017].raw = 123
+    node.sdo.download(0x1010, 1, b"save")
+    node.sdo[0x1017].raw = 456
+    reset(node, beats)
+    assert node.sdo[0x1017].raw == 123
+    node.sdo.download(0x1011, 1, b"load")
+    reset(node, beats)
+    assert node.sdo[0x1017].raw == 1000

@@ -1,0 +1,34 @@
+"""The command line as a whole: every verb loads, explains itself, and ends its help with two real examples."""
+
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+
+from skin.command import VERBS
+from skin.explain import docstring, examples, summary
+
+
+@pytest.mark.parametrize("where", VERBS.values())
+def test_verb_loads_and_says_what_it_does(where: str) -> None:
+    module, _, name = where.partition(":")
+    function = getattr(import_module(module), name)
+    assert summary(docstring(where)) == summary(function.__doc__)
+    assert summary(docstring(where)).endswith(".")
+
+
+@pytest.mark.parametrize(("verb", "where"), VERBS.items())
+def test_help_ends_with_two_examples(verb: str, where: str) -> None:
+    shown = [line.strip() for line in examples(docstring(where)).splitlines() if line.startswith("    ")]
+    assert len(shown) >= 2
+    assert all(line.startswith(f"skin {verb}") for line in shown)
+
+
+def test_list_of_verbs_and_help_of_one() -> None:
+    listed = subprocess.run([sys.executable, "-m", "skin", "--help"], capture_output=True, text=True, check=True).stdout
+    places = [listed.index(f"│ {verb} ") for verb in VERBS]
+    assert places == sorted(places)
+    command = [sys.executable, "-m", "skin", "demo", "--help"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "skin demo --seconds 10 --objects golf-ball" in shown.split("Examples:")[1]
