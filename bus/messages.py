@@ -1,6 +1,7 @@
 """Between python-can's messages and FRAME records."""
 
 import time
+from collections.abc import Sequence
 from typing import Final
 
 import can
@@ -45,7 +46,7 @@ def to_frame(message: can.Message) -> Frames:
     """Make an array of one record of a message; without a plausible wall-clock time stamp its time is now."""
     frame = frames(1)
     frame["can_id"] = message.arbitration_id
-    frame["flags"] = sum(flag for name, flag in _FLAG_OF if getattr(message, name))
+    frame["flags"] = flags_of(message)
     frame["length"] = message.dlc
     data = bytes(message.data or b"")[:64]
     frame["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
@@ -53,3 +54,20 @@ def to_frame(message: can.Message) -> Frames:
     stamp_ns = round(message.timestamp * 1e9) - epoch_offset_ns()
     frame["time_ns"] = stamp_ns if abs(now_ns - stamp_ns) < _PLAUSIBLE_NS else now_ns
     return frame
+
+
+def to_logged_frames(messages: Sequence[can.Message]) -> Frames:
+    """Make an array of the messages of a log, with the time stamps they have."""
+    many = frames(len(messages))
+    many["time_ns"] = [round(message.timestamp * 1e9) for message in messages]
+    many["can_id"] = [message.arbitration_id for message in messages]
+    many["flags"] = [flags_of(message) for message in messages]
+    many["length"] = [message.dlc for message in messages]
+    padded = b"".join(bytes(message.data or b"")[:64].ljust(64, b"\0") for message in messages)
+    many["data"] = np.frombuffer(padded, np.uint8).reshape(len(messages), 64)
+    return many
+
+
+def flags_of(message: can.Message) -> int:
+    """Return the flags of a record."""
+    return sum(flag for name, flag in _FLAG_OF if getattr(message, name))

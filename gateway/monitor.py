@@ -69,11 +69,11 @@ class BusMonitor:
         self._busy_ns += busy_ns
         self._total_busy_ns += busy_ns
 
-    def restart(self) -> None:
-        """Forget the load so far; called when SYNC starts."""
+    def restart(self, since_s: float) -> None:
+        """Forget the load so far and count from `since_s`, a monotonic time: when SYNC starts."""
         self._unaccounted.clear()
         self._busy_ns = self._total_busy_ns = 0
-        self._since_s = self._start_s = time.monotonic()
+        self._since_s = self._start_s = since_s
 
     def started(self, node_id: int) -> None:
         """Take it that a node is OPERATIONAL from now on, until its next heartbeat says so."""

@@ -206,7 +206,7 @@ class GatewayService:
     def _start_sync(self, now_s: float) -> None:
         self._sync_start_s = self._next_sync_s = now_s + SETTLE_S
         for line in self._lines.values():
-            line.monitor.restart()
+            line.monitor.restart(self._sync_start_s)
 
     def _sync(self, now_s: float) -> None:
         """Send the SYNC that is due on every bus and open its cycle."""

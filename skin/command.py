@@ -19,6 +19,8 @@ VERBS: Final = {
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",
     "dbc": "dbc.command:dbc",
+    "plan": "bus.plan_command:plan",
+    "load": "bus.load_command:load",
     "objects": "touch.command:objects",
     "train": "classifier.command:train",
 }

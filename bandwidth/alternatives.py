@@ -1,0 +1,117 @@
+"""What a skin's buses would carry if one thing were different: real layouts, each planned like the first."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+
+from bandwidth.layout_text import layout_text
+from bandwidth.plan import BusPlan, plan_bus
+from bandwidth.traffic import Disturbance
+from dbc.contract import contract
+from dbc.packing import rounding_error_n
+from skin.errors import SkinError
+from skin.layout import Bus, Layout, parse_layout
+
+SUM_BITS: Final = (12, 8)
+DATA_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
+#: Blocks per node that fill a CAN FD frame of 16-bit sums.
+FD_BLOCKS: Final = 4
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A changed layout; figures are those of its fullest bus, None with the reason in `problem` where it cannot be."""
+
+    change: str
+    buses: int
+    nodes: int
+    sum_bits: int
+    rounding_error_n: float | None
+    frames_per_cycle: int | None
+    load_random: float | None
+    load_worst: float | None
+    max_rate_hz_average: float | None
+    max_rate_hz_worst: float | None
+    window_needed_ms: float | None
+    problem: str | None
+
+
+def alternatives(layout: Layout, allowed: Disturbance | None = None) -> Iterator[Alternative]:
+    """Yield the layout as it is and its neighbours: buses, width of sums, blocks per node, CAN FD.
+
+    Averages are those of random sums.
+    """
+    wish = allowed or Disturbance()
+    for change, changed in _changes(layout):
+        yield _judge(change, changed, wish)
+
+
+def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
+    yield "as it is", layout
+    buses, first = len(layout.bus), layout.bus[0]
+    yield f"{2 * buses} buses", with_buses(layout, 2 * buses, first)
+    for bits in SUM_BITS:
+        if bits < layout.encoding.sum_bits:
+            yield f"{bits}-bit sums", with_bits(layout, bits)
+    for per_node in (2, 4, 8):
+        if per_node > first.blocks_per_node:
+            changed = with_buses(layout, buses, msgspec.structs.replace(first, blocks_per_node=per_node))
+            yield f"{per_node} blocks per node", changed
+    for per_node in sorted({first.blocks_per_node, FD_BLOCKS}):
+        for rate in DATA_BITRATES:
+            fast = msgspec.structs.replace(first, fd=True, data_bitrate=rate, blocks_per_node=per_node)
+            if fast != first:
+                yield f"CAN FD {rate // 1_000_000} Mbit/s, {per_node} per node", with_buses(layout, buses, fast)
+
+
+def with_bits(layout: Layout, bits: int) -> Layout:
+    """Return the layout with sums of another width."""
+    return msgspec.structs.replace(layout, encoding=msgspec.structs.replace(layout.encoding, sum_bits=bits))
+
+
+def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
+    """Return the layout with its blocks spread evenly over `buses` buses like one."""
+    nodes = -(-layout.blocks // like.blocks_per_node)
+    share = [nodes // buses + (each < nodes % buses) for each in range(buses)]
+    lines = [
+        msgspec.structs.replace(like, name=f"bus{number}", nodes=count) for number, count in enumerate(share) if count
+    ]
+    return msgspec.structs.replace(layout, bus=lines)
+
+
+def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:
+    """Plan a layout that may be none, with random sums.
+
+    Raises
+    ------
+    LayoutError
+        If it is none; the message says what is missing.
+    """
+    made = contract(parse_layout(layout_text(layout).encode(), layout.name))
+    return [plan_bus(made, bus, None, allowed) for bus in range(len(layout.bus))]
+
+
+def _judge(change: str, layout: Layout, allowed: Disturbance) -> Alternative:
+    nodes = sum(bus.nodes for bus in layout.bus)
+    try:
+        plans = planned(layout, allowed)
+    except SkinError as error:
+        empty = (None,) * 7
+        return Alternative(change, len(layout.bus), nodes, layout.encoding.sum_bits, *empty, problem=str(error))
+    fullest = max(plans, key=lambda each: each.load_worst)
+    return Alternative(
+        change=change,
+        buses=len(layout.bus),
+        nodes=nodes,
+        sum_bits=layout.encoding.sum_bits,
+        rounding_error_n=rounding_error_n(layout),
+        frames_per_cycle=sum(each.frames_per_cycle for each in plans),
+        load_random=fullest.load_random,
+        load_worst=fullest.load_worst,
+        max_rate_hz_average=fullest.max_rate_hz_average,
+        max_rate_hz_worst=fullest.max_rate_hz_worst,
+        window_needed_ms=fullest.window_needed_ms,
+        problem="; ".join(problem for each in plans for problem in each.problems) or None,
+    )

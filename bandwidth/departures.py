@@ -1,0 +1,148 @@
+"""Where a bus left its plan: what was missing, late, of the wrong shape, or not planned at all."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.measured import FOREIGN, BusLoad, cycles_of, kind_of, whole_cycles
+from bandwidth.plan import BusPlan
+from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract, next_counter, phase_of
+from dbc.dictionary import HEARTBEAT_MS
+from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
+
+#: How far the mean period of SYNC may be from the layout's.
+PERIOD_TOLERANCE = 0.01
+#: How many late nodes get a line of their own: one late cycle makes all of them late.
+NAMED_AT_MOST = 4
+#: How many missing heartbeat periods make a node silent.
+PATIENCE = 1.5
+
+
+def departures(made: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
+    """Return one line for every way in which bus number `bus` left its plan, none when it kept it.
+
+    Parameters
+    ----------
+    seen : array of FRAME
+        In the order of the wire, with times.
+    planned, load : BusPlan, BusLoad
+        What `plan` and `measure` say of this bus.
+    """
+    taken, seconds = whole_cycles(seen)
+    lines = [*_load(planned, load), *_foreign(made, bus, load), *_errors(seen)]
+    if (taken["can_id"] == SYNC_COB_ID).any():
+        lines += [*_sync(made, taken, seconds), *_cycles(made, bus, taken), *_late(made, bus, taken, planned)]
+    else:
+        lines.append("no SYNC: cycles cannot be told apart")
+    lines += [*_heartbeats(made, bus, taken, seconds)]
+    return [f"{planned.name}: {line}" for line in lines]
+
+
+def _load(planned: BusPlan, load: BusLoad) -> Iterator[str]:
+    if load.load_exact > planned.load_worst:
+        yield f"load {load.load_exact:.1%}, at most {planned.load_worst:.1%} were planned"
+
+
+def _foreign(made: Contract, bus: int, load: BusLoad) -> Iterator[str]:
+    for each in load.identifiers:
+        name = f"{each.cob_id:0{8 if each.is_extended else 3}X}h"
+        if each.kind == FOREIGN:
+            yield f"{name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
+        elif each.kind == "EMCY":
+            yield f"node {kind_of(made, bus, each.cob_id)[1]} sent {each.frames} emergencies"
+
+
+def _errors(seen: Frames) -> Iterator[str]:
+    errors = int((seen["flags"] & ERROR != 0).sum())
+    if errors:
+        yield f"{errors} errors reported"
+
+
+def _sync(made: Contract, taken: Frames, seconds: float) -> Iterator[str]:
+    syncs = taken[_is_sync(taken)]
+    period_s = seconds / len(syncs)
+    if abs(period_s / made.layout.sync.period_s - 1) > PERIOD_TOLERANCE:
+        yield f"SYNC every {period_s * 1e3:.3f} ms, {made.layout.sync.period_s * 1e3:.3f} ms were planned"
+    counters = syncs["data"][:, 0].tolist()
+    skips = sum(after != next_counter(before) for before, after in pairwise(counters))
+    if skips:
+        yield f"{skips} SYNC counters do not follow each other"
+
+
+def _cycles(made: Contract, bus: int, taken: Frames) -> Iterator[str]:
+    """Compare the TPDOs of each cycle with those of its phase."""
+    table = made.table
+    plain = taken["flags"] & (EXTENDED | REMOTE) == 0
+    row = np.where(plain & (taken["can_id"] <= 0x7FF), table.row_of[bus, taken["can_id"] & 0x7FF], -1)
+    counters = taken["data"][_is_sync(taken), 0]
+    phases = np.array([phase_of(int(counter)) for counter in counters])
+    is_tpdo = row >= 0
+    rows, cycle = row[is_tpdo], cycles_of(taken)[is_tpdo]
+    right = table.phase[rows] == phases[cycle]
+    came = np.zeros((len(counters), len(table.cob_id)), np.intp)
+    np.add.at(came, (cycle, rows), 1)
+    due = (table.bus == bus) & (table.phase == phases[:, None])
+    shape = (taken["length"][is_tpdo] != table.length[rows]) | (
+        taken["flags"][is_tpdo] & (FD | BRS) != table.flags[rows] & (FD | BRS)
+    )
+    of_node = [node.node_id for node in made.nodes]
+    for what, per_row in (
+        ("TPDOs missing", (due & (came == 0)).sum(axis=0)),
+        ("TPDOs came again in the same cycle", np.maximum(came - 1, 0).sum(axis=0)),
+        ("TPDOs came in cycles of the other phase", np.bincount(rows[~right], minlength=len(table.cob_id))),
+        ("TPDOs have another length or format", np.bincount(rows[shape], minlength=len(table.cob_id))),
+    ):
+        for node in np.unique(table.node[per_row > 0]).tolist():
+            yield f"node {of_node[node]}: {int(per_row[table.node == node].sum())} {what}"
+
+
+def _late(made: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
+    """Compare the time from SYNC to the end of each node's TPDOs with its bound."""
+    syncs = taken["time_ns"][_is_sync(taken)]
+    after_ms = (taken["time_ns"] - syncs[cycles_of(taken)]) * 1e-6
+    plain = taken["flags"] & (EXTENDED | REMOTE) == 0
+    late: dict[int, str] = {}
+    for node, plan in zip(made.on_bus(bus), planned.node_plans, strict=True):
+        mine = plain & np.isin(taken["can_id"], [tpdo.cob_id for tpdo in node.tpdos])
+        bound_ms = planned.window_ms if plan.response_ms is None else plan.response_ms
+        count = int((after_ms[mine] > bound_ms).sum())
+        if count:
+            latest_ms = float(after_ms[mine].max())
+            late[node.node_id] = (
+                f"{count} TPDOs later than {bound_ms:.2f} ms after SYNC, the latest after {latest_ms:.2f} ms"
+            )
+    if len(late) > NAMED_AT_MOST:
+        last = max(late)
+        yield f"nodes {_ranges(list(late))}: late TPDOs; node {last}: {late[last]}"
+    else:
+        yield from (f"node {node_id}: {what}" for node_id, what in late.items())
+
+
+def _ranges(numbers: list[int]) -> str:
+    """Write ascending numbers as 1 to 4, 7, 9 to 12."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
+
+
+def _heartbeats(made: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
+    patience_s = PATIENCE * HEARTBEAT_MS * 1e-3
+    if seconds <= patience_s:
+        return
+    ends = taken["time_ns"][0], taken["time_ns"][0] + round(seconds * 1e9)
+    for node in made.on_bus(bus):
+        beats = taken["time_ns"][taken["can_id"] == HEARTBEAT_BASE + node.node_id]
+        longest_s = float(np.diff(np.concatenate([ends[:1], beats, ends[1:]])).max()) * 1e-9
+        if longest_s > patience_s:
+            yield f"node {node.node_id}: no heartbeat for {longest_s:.1f} s, one every {HEARTBEAT_MS} ms was planned"
+
+
+def _is_sync(taken: Frames) -> npt.NDArray[np.bool_]:
+    found: npt.NDArray[np.bool_] = (taken["can_id"] == SYNC_COB_ID) & (taken["flags"] & EXTENDED == 0)
+    return found

@@ -1,0 +1,86 @@
+"""Mean length of a frame whose data bits are random: expected stuff bits, computed and not sampled.
+
+The CRC of random data is random, so a classical frame is a few known bits, its data, and 15 random ones. What the
+stuffing rule does next depends only on the last bit and the run it ends: ten states whose probabilities are carried
+from bit to bit.
+"""
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.frame_bits import wire_bits
+from dbc.frame import BRS, ESI, EXTENDED, FD, FD_LENGTHS, frames
+
+#: Longest run that stuffing allows.
+RUN_MAX = 5
+#: Probability of each last bit (row) and each run from 1 to 4 (column): a run of five becomes a stuff bit at once.
+State = npt.NDArray[np.float64]
+
+
+@cache
+def mean_wire_bits(length: int, flags: int = 0, can_id: int | None = None) -> tuple[float, float]:
+    """Return the mean bits on the wire of a frame of random data, intermission included.
+
+    Parameters
+    ----------
+    length : int
+        Payload in bytes; CAN FD pads it.
+    flags : int
+        EXTENDED, FD, BRS and ESI of `dbc.frame`.
+    can_id : int, optional
+        Default: the mean over all identifiers.
+
+    Returns
+    -------
+    nominal, data : float
+        As `bandwidth.frame_bits.wire_bits`.
+    """
+    one = frames(1)
+    one["length"], one["flags"] = length, flags
+    nominal, data = (float(bits[0]) for bits in wire_bits(one, "none"))
+    padded = next(each for each in FD_LENGTHS if each >= length)
+    head, tail = _symbols(padded, flags, can_id)
+    # The first fixed stuff bit of CAN FD takes the place of a dynamic one behind the last data bit.
+    stuff = _mean_stuff(head + tail, last=not flags & FD)
+    in_head, in_tail = sum(stuff[: len(head)]), sum(stuff[len(head) :])
+    if flags & BRS:
+        return nominal + in_head, data + in_tail
+    return nominal + in_head + in_tail, 0.0
+
+
+def _symbols(length: int, flags: int, can_id: int | None) -> tuple[str, str]:
+    """Return the bits that are stuffed as 0, 1 or ?, and divided before the bit-rate switch."""
+    known = "?" * 29 if can_id is None else f"{can_id:029b}"
+    base, extension = (known[:11], known[11:]) if flags & EXTENDED else (known[-11:], "")
+    fd = flags & FD
+    # SOF, identifier, RTR (SRR) and IDE; of an extended identifier its second part and RTR; FDF and reserved bits
+    head = "0" + base + ("11" + extension + "0" if flags & EXTENDED else "00")
+    head += "10" if fd else "00" if flags & EXTENDED else "0"
+    switches = f"{int(bool(flags & BRS))}{int(bool(flags & ESI))}" if fd else ""
+    return head, switches + f"{FD_LENGTHS.index(length):04b}" + "?" * (8 * length + (0 if fd else 15))
+
+
+def _mean_stuff(symbols: str, *, last: bool) -> list[float]:
+    """Return the expected stuff bits behind each bit; behind the very last one only if `last`."""
+    state = np.zeros((2, RUN_MAX - 1))
+    expected = []
+    for place, symbol in enumerate(symbols):
+        is_end = place == len(symbols) - 1
+        state, stuffed = _step(state, symbol, is_first=place == 0)
+        expected.append(0.0 if is_end and not last else stuffed)
+    return expected
+
+
+def _step(state: State, symbol: str, *, is_first: bool) -> tuple[State, float]:
+    """Send one bit; return the following state and the probability of a stuff bit."""
+    odds = (0.5, 0.5) if symbol == "?" else (float(symbol == "0"), float(symbol == "1"))
+    following, stuffed = np.zeros_like(state), 0.0
+    for bit, chance in enumerate(odds):
+        following[bit, 0] += chance * (1.0 if is_first else state[1 - bit].sum())
+        following[bit, 1:] += chance * state[bit, :-1]
+        full = chance * float(state[bit, -1])
+        following[1 - bit, 0] += full
+        stuffed += full
+    return following, stuffed

@@ -1,0 +1,195 @@
+"""What a bus really carried, beside its plan: load per node and identifier, and where it left the plan."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.frame_bits import frame_time_ns
+from bandwidth.plan import BusPlan
+from dbc.contract import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    HIGHEST_NODE_ID,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    Contract,
+)
+from dbc.dictionary import HEARTBEAT_MS
+from dbc.frame import ERROR, EXTENDED, Frames
+from skin.errors import InputError
+
+FOREIGN: Final = "foreign"
+_SERVICES: Final = (
+    (HEARTBEAT_BASE, "heartbeat"),
+    (SDO_REQUEST_BASE, "SDO request"),
+    (SDO_RESPONSE_BASE, "SDO response"),
+    (EMCY_BASE, "EMCY"),
+)
+
+
+@dataclass(frozen=True)
+class IdentifierLoad:
+    """One identifier: loads by its frames' real bits and by the most stuff bits they could have.
+
+    `planned_rate_hz` is None for what comes when it is needed and for what is not planned at all.
+    """
+
+    cob_id: int
+    is_extended: bool
+    kind: str
+    node_id: int | None
+    frames: int
+    rate_hz: float
+    planned_rate_hz: float | None
+    load_exact: float
+    load_worst: float
+
+
+@dataclass(frozen=True)
+class NodeLoad:
+    """All that one node sent; node-ID 0 is the gateway."""
+
+    node_id: int
+    frames: int
+    load_exact: float
+    load_worst: float
+
+
+@dataclass(frozen=True)
+class BusLoad:
+    """One bus from the first SYNC to the last, or without two of them from the first frame to the last."""
+
+    name: str
+    seconds: float
+    frames: int
+    errors: int
+    load_exact: float
+    load_worst: float
+    plan_average: float
+    plan_worst: float
+    nodes: list[NodeLoad]
+    identifiers: list[IdentifierLoad]
+
+
+def whole_cycles(seen: Frames) -> tuple[Frames, float]:
+    """Return the frames from the first SYNC on and before the last, and the seconds between the two.
+
+    Raises
+    ------
+    InputError
+        If there are not two frames, or no time passes between them.
+    """
+    real = seen[seen["flags"] & ERROR == 0]
+    if len(real) < 2:
+        raise InputError(f"expected two frames or more to measure a load, got {len(real)}")
+    syncs = np.flatnonzero((real["can_id"] == SYNC_COB_ID) & (real["flags"] & EXTENDED == 0))
+    first, last = (int(syncs[0]), int(syncs[-1])) if len(syncs) > 1 else (0, len(real) - 1)
+    seconds = (int(real["time_ns"][last]) - int(real["time_ns"][first])) * 1e-9
+    if seconds <= 0:
+        raise InputError("expected frames with times that grow: the first and the last have the same")
+    return real[first:last], seconds
+
+
+def measure(made: Contract, bus: int, seen: Frames, planned: BusPlan) -> BusLoad:
+    """Measure the load of bus number `bus`.
+
+    Parameters
+    ----------
+    seen : array of FRAME
+        In the order of the wire, with times.
+    planned : BusPlan
+
+    Raises
+    ------
+    InputError
+        If there is nothing to measure.
+    """
+    taken, seconds = whole_cycles(seen)
+    line = made.layout.bus[bus]
+    exact, worst = (
+        frame_time_ns(taken, line.bitrate, line.data_bitrate, how) * (1e-9 / seconds) for how in ("exact", "worst")
+    )
+    rates = planned_rates(made, bus)
+    keys = taken["can_id"] | (taken["flags"] & EXTENDED != 0).astype(np.uint32) << 31
+    identifiers = []
+    for key in np.unique(keys).tolist():
+        mine = keys == key
+        cob_id, is_extended = key & 0x1FFF_FFFF, bool(key >> 31)
+        kind, node_id = (FOREIGN, None) if is_extended else kind_of(made, bus, cob_id)
+        identifiers.append(
+            IdentifierLoad(
+                cob_id=cob_id,
+                is_extended=is_extended,
+                kind=kind,
+                node_id=node_id,
+                frames=int(mine.sum()),
+                rate_hz=float(mine.sum()) / seconds,
+                planned_rate_hz=None if is_extended else rates.get(cob_id),
+                load_exact=float(exact[mine].sum()),
+                load_worst=float(worst[mine].sum()),
+            )
+        )
+    return BusLoad(
+        name=line.name,
+        seconds=seconds,
+        frames=len(taken),
+        errors=int((seen["flags"] & ERROR != 0).sum()),
+        load_exact=float(exact.sum()),
+        load_worst=float(worst.sum()),
+        plan_average=planned.load_average,
+        plan_worst=planned.load_worst,
+        nodes=_by_node(identifiers),
+        identifiers=identifiers,
+    )
+
+
+def planned_rates(made: Contract, bus: int) -> dict[int, float]:
+    """Return how often each identifier that comes by the clock comes in a second."""
+    rate_hz = made.layout.sync.rate_hz
+    rates = {SYNC_COB_ID: rate_hz}
+    for node in made.on_bus(bus):
+        rates[HEARTBEAT_BASE + node.node_id] = 1000 / HEARTBEAT_MS
+        phases = len({tpdo.phase for tpdo in node.tpdos})
+        rates |= {tpdo.cob_id: rate_hz / phases for tpdo in node.tpdos}
+    return rates
+
+
+def kind_of(made: Contract, bus: int, cob_id: int) -> tuple[str, int | None]:
+    """Say what an 11-bit identifier is on a bus and which node sends it; 0 is the gateway."""
+    row = int(made.table.row_of[bus, cob_id]) if cob_id <= 0x7FF else -1
+    if row >= 0:
+        return "TPDO", made.nodes[int(made.table.node[row])].node_id
+    if cob_id in {NMT_COB_ID, SYNC_COB_ID}:
+        return ("NMT" if cob_id == NMT_COB_ID else "SYNC"), 0
+    for base, kind in _SERVICES:
+        if base < cob_id <= base + HIGHEST_NODE_ID:
+            is_node = cob_id - base <= made.layout.bus[bus].nodes
+            sender = 0 if base == SDO_REQUEST_BASE else cob_id - base
+            return (kind, sender) if is_node else (FOREIGN, None)
+    return FOREIGN, None
+
+
+def _by_node(identifiers: list[IdentifierLoad]) -> list[NodeLoad]:
+    nodes: dict[int, list[IdentifierLoad]] = {}
+    for each in identifiers:
+        if each.node_id is not None:
+            nodes.setdefault(each.node_id, []).append(each)
+    return [
+        NodeLoad(
+            node_id=node_id,
+            frames=sum(each.frames for each in mine),
+            load_exact=sum(each.load_exact for each in mine),
+            load_worst=sum(each.load_worst for each in mine),
+        )
+        for node_id, mine in sorted(nodes.items())
+    ]
+
+
+def cycles_of(taken: Frames) -> npt.NDArray[np.intp]:
+    """Return which cycle, from 0, each frame of `whole_cycles` belongs to; -1 without any SYNC."""
+    number: npt.NDArray[np.intp] = np.cumsum((taken["can_id"] == SYNC_COB_ID) & (taken["flags"] & EXTENDED == 0)) - 1
+    return number

@@ -1,0 +1,220 @@
+"""The plan of a skin's buses: load, highest rate, window and response times, from its layout alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.frame_bits import Stuffing, wire_bits
+from bandwidth.mean_bits import mean_wire_bits
+from bandwidth.response import UNBOUNDED
+from bandwidth.touched import touched_bits
+from bandwidth.traffic import Disturbance, Traffic, traffic
+from dbc.contract import PHASES, SYNC_COB_ID, SYNC_OVERFLOW, Contract
+from dbc.dictionary import WINDOW_RATIO
+from dbc.frame import Frames, frames
+from skin.layout import Bus
+
+#: Part of the bus that a cautious plan uses.
+CAUTION: Final = 0.8
+#: What Linux accounts for one received frame (struct sk_buff, a small page fragment, and padding), rounded up.
+RECEIVED_FRAME_BYTES: Final = 896
+#: Cycles that wait while a reader that was held up for one cycle catches up.
+CYCLES_BUFFERED: Final = 2
+
+
+@dataclass(frozen=True)
+class NodePlan:
+    """One node: TPDOs a cycle, and from SYNC to the end of the last one at worst; None without a bound."""
+
+    node_id: int
+    frames_per_cycle: int
+    response_ms: float | None
+
+
+@dataclass(frozen=True)
+class BusPlan:
+    """One bus at the layout's SYNC rate.
+
+    Bits are those of one cycle, SYNC included. `average` without a further word takes the sums of a touched skin for
+    the load, and random bits for the highest rate, as published tables do; `worst` the most stuff bits there can be.
+    Loads and rates leave heartbeats their time; a rate ending in ``_80`` leaves a fifth of the bus free. Times are
+    bounds; None means that there is none because the bus is asked for more than it has.
+    """
+
+    name: str
+    nodes: int
+    bitrate: int
+    data_bitrate: int | None
+    frames_per_cycle: int
+    bits_per_cycle_average: float
+    bits_per_cycle_random: float
+    bits_per_cycle_worst: int
+    load_average: float
+    load_random: float
+    load_worst: float
+    max_rate_hz_average: float
+    max_rate_hz_touched: float
+    max_rate_hz_worst: float
+    max_rate_hz_average_80: float
+    max_rate_hz_worst_80: float
+    window_ms: float
+    window_needed_ms: float | None
+    sdo_response_ms: float | None
+    heartbeat_response_ms: float | None
+    receive_buffer_frames: int
+    receive_buffer_bytes: int
+    node_plans: list[NodePlan]
+    problems: list[str]
+
+
+@dataclass(frozen=True)
+class Wire:
+    """Seconds and bits of one cycle on one bus, and of one second of heartbeats."""
+
+    cycle_s: float
+    cycle_bits: float
+    beats_s: float
+
+    def load(self, rate_hz: float) -> float:
+        """Return the part of the bus that is used at `rate_hz`."""
+        return self.cycle_s * rate_hz + self.beats_s
+
+    def rate_hz(self, part: float = 1.0) -> float:
+        """Return the rate at which `part` of the bus is used."""
+        return max(0.0, (part - self.beats_s) / self.cycle_s)
+
+
+def plan(made: Contract, *, allowed: Disturbance | None = None) -> list[BusPlan]:
+    """Plan every bus of a skin.
+
+    Parameters
+    ----------
+    made : Contract
+    allowed : Disturbance, optional
+        What response times make room for.
+    """
+    wish = allowed or Disturbance()
+    touched = touched_bits(made)
+    return [plan_bus(made, bus, touched[bus].mean(axis=0), wish) for bus in range(len(made.layout.bus))]
+
+
+def plan_bus(made: Contract, bus: int, touched: npt.NDArray[np.float64] | None, allowed: Disturbance) -> BusPlan:
+    """Plan one bus; `touched` are the mean nominal and data bits of a cycle's TPDOs, random ones if None."""
+    layout, line = made.layout, made.layout.bus[bus]
+    phases = [traffic(made, bus, phase, allowed) for phase in range(PHASES)]
+    random = [mean_wire(each) for each in phases]
+    worst = counted_wire(phases[0], "worst")
+    average = random if touched is None else [_touched_wire(phases[0], touched)]
+    rate_hz = layout.sync.rate_hz
+    responses = np.max([each.responses_ns(allowed.errors_per_s) for each in phases], axis=0)
+    nodes = _node_plans(phases[0], responses)
+    last = phases[0]
+    window_s = WINDOW_RATIO * layout.sync.period_s
+    per_cycle = int(last.is_cyclic.sum())
+    buffered = CYCLES_BUFFERED * per_cycle + line.nodes
+    needed = _milliseconds(responses[last.is_tpdo])
+    return BusPlan(
+        name=line.name,
+        nodes=line.nodes,
+        bitrate=line.bitrate,
+        data_bitrate=line.data_bitrate,
+        frames_per_cycle=per_cycle,
+        bits_per_cycle_average=_mean([each.cycle_bits for each in average]),
+        bits_per_cycle_random=_mean([each.cycle_bits for each in random]),
+        bits_per_cycle_worst=round(worst.cycle_bits),
+        load_average=_mean([each.load(rate_hz) for each in average]),
+        load_random=_mean([each.load(rate_hz) for each in random]),
+        load_worst=worst.load(rate_hz),
+        max_rate_hz_average=_mean([each.rate_hz() for each in random]),
+        max_rate_hz_touched=_mean([each.rate_hz() for each in average]),
+        max_rate_hz_worst=worst.rate_hz(),
+        max_rate_hz_average_80=_mean([each.rate_hz(CAUTION) for each in random]),
+        max_rate_hz_worst_80=worst.rate_hz(CAUTION),
+        window_ms=window_s * 1e3,
+        window_needed_ms=needed,
+        sdo_response_ms=_milliseconds(responses[last.is_sdo_response]),
+        heartbeat_response_ms=_milliseconds(responses[last.is_heartbeat]),
+        receive_buffer_frames=buffered,
+        receive_buffer_bytes=buffered * RECEIVED_FRAME_BYTES,
+        node_plans=nodes,
+        problems=_problems(line, worst, rate_hz, needed, window_s * 1e3),
+    )
+
+
+def counted_wire(streams: Traffic, stuffing: Stuffing) -> Wire:
+    """Return what `streams` take on the wire, with the least or the most stuff bits there can be."""
+    cyclic = streams.frames[streams.is_cyclic]
+    nominal, data = wire_bits(cyclic, stuffing)
+    return _wire(streams, float(nominal.sum()), float(data.sum()), stuffing)
+
+
+def mean_wire(streams: Traffic) -> Wire:
+    """Return what `streams` take on average when all data bits of TPDOs are random."""
+    tpdos = streams.frames[streams.is_tpdo]
+    shapes = zip(tpdos["length"].tolist(), tpdos["flags"].tolist(), tpdos["can_id"].tolist(), strict=True)
+    bits = np.sum([mean_wire_bits(*shape) for shape in shapes], axis=0)
+    return _touched_wire(streams, bits)
+
+
+def sync_frames() -> Frames:
+    """Return SYNC with every counter value."""
+    syncs = frames(SYNC_OVERFLOW)
+    syncs["can_id"], syncs["length"] = SYNC_COB_ID, 1
+    syncs["data"][:, 0] = np.arange(1, SYNC_OVERFLOW + 1)
+    return syncs
+
+
+def _touched_wire(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> Wire:
+    """Add SYNC, of all its counter values, and heartbeats to the mean bits of the TPDOs."""
+    sync = float(wire_bits(sync_frames())[0].mean())
+    return _wire(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
+
+
+def _wire(streams: Traffic, nominal: float, data: float, stuffing: Stuffing) -> Wire:
+    bus = streams.bus
+    beats = streams.is_heartbeat
+    beat_bits = wire_bits(streams.frames[beats], stuffing)[0]
+    return Wire(
+        cycle_s=nominal / bus.bitrate + data / (bus.data_bitrate or bus.bitrate),
+        cycle_bits=nominal + data,
+        beats_s=float((beat_bits / streams.period_s[beats]).sum()) / bus.bitrate,
+    )
+
+
+def _node_plans(streams: Traffic, responses: npt.NDArray[np.int64]) -> list[NodePlan]:
+    plans = []
+    for node_id in np.unique(streams.node[streams.is_tpdo]).tolist():
+        mine = streams.is_tpdo & (streams.node == node_id)
+        plans.append(NodePlan(node_id, int(mine.sum()), _milliseconds(responses[mine])))
+    return plans
+
+
+def _problems(bus: Bus, worst: Wire, rate_hz: float, needed_ms: float | None, window_ms: float) -> list[str]:
+    load = worst.load(rate_hz)
+    found = []
+    if load > 1:
+        missing = (load - 1) * bus.bitrate
+        found.append(
+            f"{bus.name}: frames with the most stuff bits ask for {load:.1%} of the bus; "
+            f"{missing:.0f} bits a second are missing at {rate_hz:g} Hz, {worst.rate_hz():.1f} Hz would fit"
+        )
+    if needed_ms is None and load <= 1:
+        found.append(f"{bus.name}: with SDO transfers and errors, the last TPDOs have no bound")
+    if needed_ms is not None and needed_ms > window_ms:
+        found.append(
+            f"{bus.name}: the last TPDO may end {needed_ms:.2f} ms after SYNC, "
+            f"but the window (1007h) is {window_ms:.2f} ms; {needed_ms - window_ms:.2f} ms are missing"
+        )
+    return found
+
+
+def _milliseconds(responses_ns: npt.NDArray[np.int64]) -> float | None:
+    longest = int(responses_ns.max(initial=0))
+    return longest * 1e-6 if 0 < longest < UNBOUNDED else None
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)

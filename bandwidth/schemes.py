@@ -1,0 +1,129 @@
+"""Rates of ways to send a skin's values, without regard to what a contract can spell: for comparisons.
+
+Values are packed without a gap over as many frames as needed, also across frames, and a bus may have more nodes than
+there are node-IDs; both are told. `bandwidth.alternatives` has what a layout can really be.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from bandwidth.frame_bits import wire_bits
+from bandwidth.mean_bits import mean_wire_bits
+from bandwidth.plan import CAUTION, Wire, sync_frames
+from dbc.contract import CLASSIC_BYTES, FD_BYTES, HIGHEST_NODE_ID
+from dbc.dictionary import HEARTBEAT_MS
+from dbc.frame import BRS, FD, FD_LENGTHS, frames
+from skin.layout import Layout
+
+SUM_BITS: Final = (16, 12, 8)
+TAXEL_BITS: Final = (10, 12, 16)
+BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
+BUSES: Final = (1, 2, 4)
+#: Data bit rates of CAN FD; None is classic CAN.
+DATA_BITRATES: Final = (None, 2_000_000, 5_000_000, 8_000_000)
+#: Longest frames of CAN FD to compare.
+FD_LIMITS: Final = (8, 16, 32, FD_BYTES)
+BITRATE: Final = 1_000_000
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """One way to send `values` of `bits` each from `nodes` over `buses`, and the SYNC rates it allows.
+
+    `payloads` are the bytes of one node's frames, `most_bytes` the longest frame allowed. Rates are those of the bus
+    with the most nodes: of random data, with the most stuff bits, and the latter at 80 % of the bus.
+    """
+
+    what: str
+    values: int
+    bits: int
+    blocks_per_node: int
+    nodes: int
+    buses: int
+    data_bitrate: int | None
+    most_bytes: int
+    payloads: list[int]
+    frames_per_cycle: int
+    fits_node_ids: bool
+    max_rate_hz_average: float
+    max_rate_hz_worst: float
+    max_rate_hz_worst_80: float
+
+
+def schemes(layout: Layout) -> Iterator[Scheme]:
+    """Yield the sums and the full scan of a skin in every width, topology and kind of CAN."""
+    sums, taxels, blocks = layout.measurement.sums, layout.taxels.count, layout.blocks
+    rows = [("sums", sums, bits, each) for bits in SUM_BITS for each in BLOCKS_PER_NODE]
+    rows += [("taxels", taxels, bits, 1) for bits in TAXEL_BITS]
+    for (what, values, bits, per_node), rate in product(rows, DATA_BITRATES):
+        nodes = -(-blocks // per_node)
+        size = -(-values * bits // (8 * nodes))
+        for most, buses in product([CLASSIC_BYTES] if rate is None else _useful_limits(size), BUSES):
+            payloads = _payloads(size, most)
+            on_bus = -(-nodes // buses)
+            average, worst = (_wire(payloads, on_bus, rate, is_worst=each) for each in (False, True))
+            yield Scheme(
+                what=what,
+                values=values,
+                bits=bits,
+                blocks_per_node=per_node,
+                nodes=nodes,
+                buses=buses,
+                data_bitrate=rate,
+                most_bytes=most,
+                payloads=payloads,
+                frames_per_cycle=nodes * len(payloads),
+                fits_node_ids=on_bus <= HIGHEST_NODE_ID,
+                max_rate_hz_average=average.rate_hz(),
+                max_rate_hz_worst=worst.rate_hz(),
+                max_rate_hz_worst_80=worst.rate_hz(CAUTION),
+            )
+
+
+def _useful_limits(size: int) -> list[int]:
+    """Return the limits on a frame that shorten one, and the standard's own."""
+    return [most for most in FD_LIMITS if most < size or most == FD_BYTES]
+
+
+def _payloads(size: int, most: int) -> list[int]:
+    """Divide `size` bytes into full frames and a rest, which CAN FD pads."""
+    full, rest = divmod(size, most)
+    padded = [next(each for each in FD_LENGTHS if each >= rest)] if rest else []
+    return [most] * full + padded
+
+
+def _wire(payloads: list[int], nodes: int, data_bitrate: int | None, *, is_worst: bool) -> Wire:
+    """Return one bus of `nodes` nodes that send `payloads` each, SYNC and heartbeats included."""
+    flags = FD | BRS if data_bitrate else 0
+    sizes = [_frame_bits(length, flags, is_worst=is_worst) for length in payloads]
+    nominal, data = (nodes * total for total in np.sum(sizes, axis=0).tolist())
+    sync, beat = _short_bits(is_worst=is_worst)
+    nominal += sync
+    return Wire(
+        cycle_s=nominal / BITRATE + data / (data_bitrate or BITRATE),
+        cycle_bits=nominal + data,
+        beats_s=nodes * beat / (HEARTBEAT_MS * 1e-3) / BITRATE,
+    )
+
+
+@cache
+def _frame_bits(length: int, flags: int, *, is_worst: bool) -> tuple[float, float]:
+    if not is_worst:
+        return mean_wire_bits(length, flags)
+    one = frames(1)
+    one["length"], one["flags"] = length, flags
+    nominal, data = wire_bits(one, "worst")
+    return float(nominal[0]), float(data[0])
+
+
+@cache
+def _short_bits(*, is_worst: bool) -> tuple[float, float]:
+    """Return the bits of SYNC and of a heartbeat, each a classic frame of one byte."""
+    if is_worst:
+        return (_frame_bits(1, 0, is_worst=True)[0],) * 2
+    return float(wire_bits(sync_frames())[0].mean()), mean_wire_bits(1)[0]

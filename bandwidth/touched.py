@@ -1,0 +1,65 @@
+"""How long the frames of a touched skin really are: sums of simulated touches, stuffed bit by bit.
+
+Sums are not random bits. Those of an untouched skin are small, and in two's complement a small number is a run of
+equal bits, which needs stuff bits.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.frame_bits import wire_bits
+from dbc.codec import encode
+from dbc.contract import PHASES, Contract
+from dbc.frame import frames
+from skin.layout import Layout
+from skin.sources import TaxelSource, load_source
+
+#: The source that presses and slides objects, of group ``canskin.sources``.
+SOURCE: Final = "objects"
+#: Standard deviation of the sensor noise, as the nodes simulate it.
+NOISE_N: Final = 0.001
+#: Instants looked at, this far apart: several touches of every object, none twice at the same place.
+SAMPLES: Final = 400
+STRIDE_S: Final = 0.137
+
+
+def touched_bits(made: Contract, *, samples: int = SAMPLES, seed: int = 0) -> npt.NDArray[np.float64]:
+    """Return the mean bits of all TPDOs of one cycle, shape (buses, PHASES, 2): nominal and data.
+
+    Parameters
+    ----------
+    made : Contract
+    samples : int
+        How many instants of the simulated touches to average.
+    seed : int
+        Of touches and noise.
+    """
+    layout, table = made.layout, made.table
+    taxels = layout.taxels
+    source = load_source(
+        SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=layout.sync.rate_hz, seed=seed
+    )
+    random = np.random.default_rng(seed)
+    burst = frames(len(table.cob_id))
+    burst["can_id"], burst["length"], burst["flags"] = table.cob_id, table.length, table.flags
+    total = np.zeros((len(layout.bus), PHASES, 2))
+    stride = max(1, round(STRIDE_S * layout.sync.rate_hz))
+    for sample in range(samples):
+        counts = _counts(layout, source, sample * stride, random)
+        payloads = encode(made.phi.block_sums(counts), table.gather, made.packing)
+        burst["data"][:, : payloads.shape[1]] = payloads
+        np.add.at(total, (table.bus, table.phase), np.stack(wire_bits(burst), axis=1))
+    mean: npt.NDArray[np.float64] = total / samples
+    return mean
+
+
+def _counts(layout: Layout, source: TaxelSource, step: int, random: np.random.Generator) -> npt.NDArray[np.int32]:
+    """Return what the nodes measure: noise, a clipped range, whole counts."""
+    taxels = layout.taxels
+    felt = source.frame(step).force_n.ravel().astype(np.float64)
+    if not source.has_noise:
+        felt += NOISE_N * random.standard_normal(felt.size)
+    counts: npt.NDArray[np.int32] = np.clip(np.rint(felt / taxels.newton_per_count), 0, (1 << taxels.adc_bits) - 1)
+    return counts.astype(np.int32)

@@ -1,0 +1,125 @@
+"""Everything one bus carries, as streams of frames by falling priority: what all the arithmetic starts from."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.frame_bits import frame_time_ns
+from bandwidth.response import blocking_ns, response_times_ns
+from dbc.contract import CLASSIC_BYTES, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Contract
+from dbc.dictionary import HEARTBEAT_MS
+from dbc.frame import Frames, frames
+from skin.layout import Bus
+
+#: NMT state OPERATIONAL, which every heartbeat of a running skin tells.
+_OPERATIONAL: Final = 5
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What a response time allows for besides the cycle itself.
+
+    Attributes
+    ----------
+    jitter_s : float
+        How long after SYNC the slowest node has its TPDOs queued.
+    sdo_per_s : float
+        SDO transfers a second, each one request and one response of 8 bytes.
+    errors_per_s : float
+        Frames a second that are disturbed and sent again.
+    """
+
+    jitter_s: float = 100e-6
+    sdo_per_s: float = 20.0
+    errors_per_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """One bus in cycles of one phase; the frames of the other phase have the same lengths.
+
+    Attributes
+    ----------
+    frames : array of FRAME, shape (n,)
+        One of each stream, by identifier: SYNC, TPDOs, SDO, heartbeats.
+    period_s, jitter_s : array of float, shape (n,)
+    node : array of int, shape (n,)
+        Sender's node-ID; 0 is the gateway.
+    is_cyclic, is_tpdo, is_heartbeat, is_sdo_response : array of bool, shape (n,)
+        Cyclic are SYNC and the TPDOs.
+    """
+
+    bus: Bus
+    frames: Frames
+    period_s: npt.NDArray[np.float64]
+    jitter_s: npt.NDArray[np.float64]
+    node: npt.NDArray[np.intp]
+    is_cyclic: npt.NDArray[np.bool_]
+    is_tpdo: npt.NDArray[np.bool_]
+
+    @property
+    def is_heartbeat(self) -> npt.NDArray[np.bool_]:
+        """Which streams are heartbeats."""
+        return self.frames["can_id"] >= HEARTBEAT_BASE
+
+    @property
+    def is_sdo_response(self) -> npt.NDArray[np.bool_]:
+        """Which stream is the response of an SDO server."""
+        can_id = self.frames["can_id"]
+        return (can_id >= SDO_RESPONSE_BASE) & (can_id < SDO_REQUEST_BASE) & ~self.is_cyclic
+
+    @property
+    def worst_ns(self) -> npt.NDArray[np.int64]:
+        """Longest time of each frame, intermission included."""
+        return frame_time_ns(self.frames, self.bus.bitrate, self.bus.data_bitrate, "worst")
+
+    def responses_ns(self, errors_per_s: float = 0.0) -> npt.NDArray[np.int64]:
+        """Bound how long after its event each stream's frame has ended, see `response_times_ns`.
+
+        TPDOs can also be held up by one of the other phase, begun at the end of its window, whatever its priority.
+        """
+        worst = self.worst_ns
+        blocked = blocking_ns(worst)
+        blocked[self.is_tpdo] = np.maximum(blocked, worst[self.is_tpdo].max(initial=0))[self.is_tpdo]
+        return response_times_ns(
+            worst,
+            np.rint(self.period_s * 1e9).astype(np.int64),
+            np.rint(self.jitter_s * 1e9).astype(np.int64),
+            bit_ns=round(1e9 / self.bus.bitrate),
+            blocked_ns=blocked,
+            error_interval_ns=round(1e9 / errors_per_s) if errors_per_s else 0,
+        )
+
+
+def traffic(made: Contract, bus: int, phase: int = 0, allowed: Disturbance | None = None) -> Traffic:
+    """Return the streams of bus number `bus` in cycles of `phase`; SDO goes to the node with the highest node-ID."""
+    wish = allowed or Disturbance()
+    nodes = made.on_bus(bus)
+    cycle = made.cycle(bus, phase)
+    owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
+    beats = frames(len(nodes))
+    beats["can_id"] = [HEARTBEAT_BASE + node.node_id for node in nodes]
+    beats["length"], beats["data"][:, 0] = 1, _OPERATIONAL
+    last = nodes[-1].node_id
+    transfers = frames(2 if wish.sdo_per_s else 0)
+    transfers["can_id"] = [SDO_RESPONSE_BASE + last, SDO_REQUEST_BASE + last][: len(transfers)]
+    transfers["length"] = CLASSIC_BYTES
+    streams = np.concatenate([cycle, transfers, beats])
+    sizes = len(cycle), len(transfers), len(beats)
+    periods = made.layout.sync.period_s, 1 / wish.sdo_per_s if wish.sdo_per_s else 1.0, HEARTBEAT_MS * 1e-3
+    cyclic = np.repeat([True, False, False], sizes)
+    senders = [owner.get(int(can_id), 0) for can_id in cycle["can_id"]]
+    node = np.array([*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes)], np.intp)
+    is_tpdo = cyclic & (node > 0)
+    order = np.argsort(streams["can_id"], kind="stable")
+    return Traffic(
+        bus=made.layout.bus[bus],
+        frames=streams[order],
+        period_s=np.repeat(periods, sizes)[order],
+        jitter_s=np.where(is_tpdo, wish.jitter_s, 0.0)[order],
+        node=node[order],
+        is_cyclic=cyclic[order],
+        is_tpdo=is_tpdo[order],
+    )

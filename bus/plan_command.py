@@ -1,0 +1,168 @@
+"""``skin plan``: what a layout asks of its buses, and the layout that meets a wish.
+
+It stands in this room and not beside the arithmetic because a plan can be checked against a log, which only this room
+reads.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from cyclopts import Parameter
+
+from bandwidth.alternatives import alternatives
+from bandwidth.layout_text import layout_text
+from bandwidth.plan import BusPlan
+from bandwidth.plan import plan as plan_buses
+from bandwidth.schemes import schemes
+from bandwidth.search import Kind, Wish, search, what_is_missing
+from bandwidth.traffic import Disturbance
+from bus.options import BusOptions, channels
+from dbc.contract import Contract, contract
+from dbc.packing import rounding_error_n
+from skin.errors import InputError
+from skin.layout import load_layout
+from skin.service import say
+
+
+def plan(
+    layout: Path | None = None,
+    *,
+    check: Path | None = None,
+    channel: Annotated[list[str] | None, Parameter(alias="-c", negative=())] = None,
+    taxels: int | None = None,
+    rate: float = 100.0,
+    buses: int = 4,
+    budget: float = 0.8,
+    can: Kind = "any",
+    out: Path | None = None,
+    plot: Path | None = None,
+    jitter_s: float = 100e-6,
+    sdo_per_s: float = 20.0,
+    errors_per_s: float = 0.0,
+    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
+    """Say what the buses of a skin carry before any hardware is bought, or find the layout that meets a wish.
+
+    Ends with 1 when something does not fit, or a log left the plan.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    check
+        Compare a log of the buses with the plan, and print one line for each way in which they left it.
+    channel
+        Channels of that log, one per bus of the layout; default the buses' names, else all in their order.
+    taxels
+        Search for a layout of so many taxels instead of planning one.
+    rate
+        Of the search: measurements a second.
+    buses
+        Of the search: how many buses there may be.
+    budget
+        Of the search: the part of each bus that may be used at worst.
+    can
+        Of the search: which kind of CAN.
+    out
+        Of the search: file for the TOML of the layout, else it is printed.
+    plot
+        Folder for pictures: rates against buses and widths, the time line of one cycle.
+    jitter_s
+        How long after SYNC the slowest node has its TPDOs queued.
+    sdo_per_s
+        SDO transfers a second that response times allow for.
+    errors_per_s
+        Disturbed frames a second that response times allow for.
+    json_
+        Print one JSON object.
+
+    Examples
+    --------
+    skin plan palm.toml --plot pictures
+    skin plan --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
+    """
+    if min(jitter_s, sdo_per_s, errors_per_s) < 0:
+        raise InputError("expected a jitter, SDO transfers and errors of 0 or more")
+    allowed = Disturbance(jitter_s, sdo_per_s, errors_per_s)
+    if taxels is not None:
+        if layout is not None or check is not None or plot is not None:
+            raise InputError("expected --taxels or a layout, not both: a search makes its own")
+        return _search(Wish(taxels, rate, buses, budget, can), allowed, out, as_json=json_)
+    if out is not None:
+        raise InputError("--out is for the layout that a search finds: give --taxels as well")
+    made = contract(load_layout(layout))
+    plans = plan_buses(made, allowed=allowed)
+    if check is not None:
+        return _check(made, plans, check, channel or [], as_json=json_)
+    if plot is not None:
+        from bandwidth.plots import write_plots
+
+        for path in write_plots(made, plot):
+            say("plan", f"wrote {path}")
+    if json_:
+        print(msgspec.json.encode(_document(made, plans, allowed)).decode())
+    else:
+        from bandwidth.tables import plan_tables, shown
+
+        print(shown(plan_tables(plans, alternatives(made.layout, allowed))))
+    return int(any(each.problems for each in plans))
+
+
+def _document(made: Contract, plans: list[BusPlan], allowed: Disturbance) -> dict[str, object]:
+    layout = made.layout
+    return {
+        "name": layout.name,
+        "sync_rate_hz": layout.sync.rate_hz,
+        "taxels": layout.taxels.count,
+        "sums": layout.measurement.sums,
+        "sum_bits": layout.encoding.sum_bits,
+        "rounding_error_n": rounding_error_n(layout),
+        "allowed": allowed,
+        "fits": not any(each.problems for each in plans),
+        "buses": plans,
+        "alternatives": list(alternatives(layout, allowed)),
+        "schemes": list(schemes(layout)),
+    }
+
+
+def _search(wish: Wish, allowed: Disturbance, out: Path | None, *, as_json: bool) -> int:
+    found, seen = search(wish, allowed)
+    text = layout_text(found) if found is not None else None
+    if text is not None and out is not None:
+        try:
+            out.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
+    if as_json:
+        missing = None if text is not None else what_is_missing(wish, seen)
+        document = {"wish": wish, "fits": text is not None, "layout": text, "missing": missing, "candidates": seen}
+        print(msgspec.json.encode(document).decode())
+        return int(text is None)
+    if text is None:
+        raise InputError(what_is_missing(wish, seen))
+    chosen = seen[-1]
+    say(
+        "plan",
+        f"{chosen.words}: each bus {chosen.load_worst or 0:.1%} full at worst; {len(seen) - 1} others did not do",
+    )
+    print(str(out) if out is not None else text, end="\n" if out is not None else "")
+    return 0
+
+
+def _check(made: Contract, plans: list[BusPlan], log: Path, names: list[str], *, as_json: bool) -> int:
+    from bandwidth.departures import departures
+    from bandwidth.measured import measure
+    from bus.logs import of_buses, read_log
+
+    wanted = channels(made.layout, BusOptions(channel=names))
+    lines = []
+    for number, seen in of_buses(made.layout, wanted, read_log(log), log).items():
+        load = measure(made, number, seen, plans[number])
+        say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full, {load.plan_average:.1%} planned")
+        lines += departures(made, number, seen, plans[number], load)
+    if as_json:
+        print(msgspec.json.encode(lines).decode())
+    elif lines:
+        print("\n".join(lines))
+    return int(bool(lines))

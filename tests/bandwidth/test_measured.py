@@ -1,0 +1,170 @@
+"""Measured loads and departures, of a bus simulated frame by frame and then disturbed on purpose."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from bandwidth.departures import departures
+from bandwidth.measured import kind_of, measure, whole_cycles
+from bandwidth.plan import BusPlan, plan
+from bus.core import Bus
+from dbc.contract import Contract, contract
+from dbc.frame import ERROR, EXTENDED, Frames, frames
+from skin.errors import InputError
+from skin.layout import load_layout
+
+CYCLES = 200
+PERIOD_NS = 10_000_000
+
+
+@pytest.fixture(scope="module")
+def made() -> Contract:
+    return contract(load_layout())
+
+
+@pytest.fixture(scope="module")
+def planned(made: Contract) -> BusPlan:
+    return plan(made)[1]
+
+
+@pytest.fixture(scope="module")
+def healthy(made: Contract) -> Frames:
+    """Two seconds of bus 1 with random sums, as its gateway saw them."""
+    wire = Bus(1_000_000)
+    nodes, gateway = wire.attach("nodes", queue_size=1000), wire.attach("gateway")
+    random = np.random.default_rng(1)
+    seen = []
+    for cycle in range(CYCLES + 1):
+        burst = made.cycle(1, cycle % 2)
+        burst["time_ns"] = 1 + cycle * PERIOD_NS
+        burst["data"][1:, :8] = random.integers(0, 256, (len(burst) - 1, 8))
+        burst["data"][0, 0] = cycle % 240 + 1
+        burst["port"] = np.arange(len(burst))
+        wire.submit(gateway, burst[:1])
+        wire.submit(nodes, np.concatenate([burst[1:], beats(made, cycle)]))
+        seen.append(wire.run_until((cycle + 1) * PERIOD_NS).frames)
+    return np.concatenate(seen)
+
+
+def beats(made: Contract, cycle: int) -> Frames:
+    """Return the heartbeats of the nodes whose turn it is, one each second."""
+    ids = [node.node_id for node in made.on_bus(1) if node.node_id == cycle % 100]
+    due = frames(len(ids))
+    due["can_id"] = [0x700 + node_id for node_id in ids]
+    due["length"], due["data"][:, 0], due["port"] = 1, 5, 500
+    due["time_ns"] = 1 + cycle * PERIOD_NS
+    return due
+
+
+def left(made: Contract, planned: BusPlan, seen: Frames) -> list[str]:
+    return departures(made, 1, seen, planned, measure(made, 1, seen, planned))
+
+
+def test_load_is_that_of_the_wire_and_adds_up(made: Contract, planned: BusPlan, healthy: Frames) -> None:
+    load = measure(made, 1, healthy, planned)
+    assert load.seconds == pytest.approx(CYCLES * PERIOD_NS * 1e-9, abs=1e-5)
+    assert load.load_exact == pytest.approx(planned.load_random, rel=0.005)
+    assert load.load_worst == pytest.approx(planned.load_worst, rel=0.001)
+    assert sum(each.load_exact for each in load.nodes) == pytest.approx(load.load_exact)
+    assert sum(each.frames for each in load.identifiers) == load.frames == CYCLES * 65 + 64
+    assert [each.node_id for each in load.nodes] == list(range(33))
+    for each in load.identifiers:
+        assert each.planned_rate_hz == pytest.approx(each.rate_hz, rel=0.001)
+    assert {each.kind for each in load.identifiers} == {"SYNC", "TPDO", "heartbeat"}
+
+
+def test_a_healthy_bus_keeps_its_plan(made: Contract, planned: BusPlan, healthy: Frames) -> None:
+    assert left(made, planned, healthy) == []
+
+
+def drop(cob_id: int) -> Callable[[Frames], Frames]:
+    return lambda seen: seen[seen["can_id"] != cob_id]
+
+
+def put(place: int, cob_id: int, flags: int = 0, length: int = 8) -> Callable[[Frames], Frames]:
+    def change(seen: Frames) -> Frames:
+        one = seen[place : place + 1].copy()
+        one["can_id"], one["flags"], one["length"] = cob_id, flags, length
+        return np.insert(seen, place + 1, one)
+
+    return change
+
+
+def shorten(seen: Frames) -> Frames:
+    changed = seen.copy()
+    changed["length"][np.flatnonzero(seen["can_id"] == 0x183)[5]] = 7
+    return changed
+
+
+def delay(seen: Frames) -> Frames:
+    changed = seen.copy()
+    changed["time_ns"][np.flatnonzero(seen["can_id"] == 0x2A0)[3]] += 2_500_000
+    return changed
+
+
+def delay_cycle(seen: Frames) -> Frames:
+    changed = seen.copy()
+    first = int(np.flatnonzero(seen["can_id"] == 0x80)[10])
+    changed["time_ns"][first + 1 : first + 65] += 2_000_000
+    return changed
+
+
+def slow(seen: Frames) -> Frames:
+    changed = seen.copy()
+    changed["time_ns"] *= 2
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (drop(0x185), ["bus1: node 5: 100 TPDOs missing"]),
+        (drop(0x705), ["bus1: node 5: no heartbeat for 2.0 s, one every 1000 ms was planned"]),
+        (put(700, 0x123), ["bus1: 123h is not planned: 1 frames, 0.01% of the bus"]),
+        (put(700, 0x721, length=1), ["bus1: 721h is not planned: 1 frames, 0.00% of the bus"]),
+        (put(700, 0x1ABCDEF, EXTENDED), ["bus1: 01ABCDEFh is not planned: 1 frames, 0.01% of the bus"]),
+        (put(700, 0x084), ["bus1: node 4 sent 1 emergencies"]),
+        (put(700, 0x020, ERROR), ["bus1: 1 errors reported"]),
+        (put(700, 0x186), ["bus1: node 6: 1 TPDOs came again in the same cycle"]),
+        (put(700, 0x386), ["bus1: node 6: 1 TPDOs came in cycles of the other phase"]),
+        (shorten, ["bus1: node 3: 1 TPDOs have another length or format"]),
+        (delay, ["bus1: node 32: 1 TPDOs later than 8.94 ms after SYNC, the latest after"]),
+        (delay_cycle, ["bus1: nodes 1 to 32: late TPDOs; node 32: 1 TPDOs later than 8.94 ms"]),
+        (slow, ["bus1: SYNC every 20.000 ms, 10.000 ms were planned"]),
+    ],
+)
+def test_what_left_the_plan_is_named(
+    made: Contract, planned: BusPlan, healthy: Frames, change: Callable[[Frames], Frames], said: list[str]
+) -> None:
+    found = left(made, planned, change(healthy))
+    assert all(any(line.startswith(wanted) for line in found) for wanted in said), found
+    if change is not slow:
+        assert len(found) == len(said), found
+
+
+def test_a_missing_sync_is_named(made: Contract, planned: BusPlan, healthy: Frames) -> None:
+    places = np.flatnonzero(healthy["can_id"] == 0x80)
+    found = left(made, planned, np.delete(healthy, places[20]))
+    assert "bus1: 1 SYNC counters do not follow each other" in found
+    assert left(made, planned, drop(0x80)(healthy)) == ["bus1: no SYNC: cycles cannot be told apart"]
+
+
+def test_overload_is_named(made: Contract, planned: BusPlan, healthy: Frames) -> None:
+    flood = np.repeat(healthy[healthy["can_id"] == 0x285], 40, axis=0)
+    found = left(made, planned, np.insert(healthy, 700, flood))
+    assert any("at most 87.3% were planned" in line for line in found)
+
+
+def test_services_have_their_names(made: Contract) -> None:
+    assert kind_of(made, 1, 0x000) == ("NMT", 0)
+    assert kind_of(made, 1, 0x605) == ("SDO request", 0)
+    assert kind_of(made, 1, 0x585) == ("SDO response", 5)
+    assert kind_of(made, 1, 0x585 + 32) == ("foreign", None)
+    assert kind_of(made, 1, 0x7FF) == ("foreign", None)
+
+
+@pytest.mark.parametrize("seen", [frames(0), frames(1), frames(5)])
+def test_nothing_to_measure_is_said(made: Contract, planned: BusPlan, seen: Frames) -> None:
+    with pytest.raises(InputError, match="expected"):
+        whole_cycles(seen)

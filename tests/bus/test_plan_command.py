@@ -1,0 +1,166 @@
+"""``skin plan`` and ``skin load`` as a person and as a program use them."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import msgspec
+import numpy as np
+import pytest
+
+from bandwidth.schemes import schemes
+from dbc.contract import contract
+from skin.command import main
+from skin.layout import load_layout, parse_layout
+
+# The arguments stand where the command finds them, in sys.argv.
+pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
+
+
+Skin = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def skin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Skin:
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["skin", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capsys.readouterr()
+        return int(ended.value.code or 0), said.out, said.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One second of all four buses; TPDOs follow each other with the most stuff bits."""
+    made = contract(load_layout())
+    path = tmp_path_factory.mktemp("logs") / "skin.log"
+    random = np.random.default_rng(2)
+    with can.Logger(path) as logger:
+        for cycle in range(101):
+            for bus in range(4):
+                for place, frame in enumerate(made.cycle(bus, cycle % 2)):
+                    data = bytes([cycle % 240 + 1]) if place == 0 else random.bytes(int(frame["length"]))
+                    logger(
+                        can.Message(
+                            timestamp=1000 + 0.01 * cycle + 65e-6 + 135e-6 * place,
+                            arbitration_id=int(frame["can_id"]),
+                            is_extended_id=False,
+                            data=data,
+                            channel=f"vcan{bus}",
+                        )
+                    )
+    return path
+
+
+def test_json_plan_has_buses_alternatives_and_schemes(skin: Skin) -> None:
+    status, out, said = skin("plan", "--json")
+    document = json.loads(out)
+    assert (status, said) == (0, "")
+    assert document["fits"] is True
+    bus = document["buses"][3]
+    assert bus["name"] == "bus3"
+    assert bus["max_rate_hz_average"] == pytest.approx(135.6, rel=0.01)
+    assert bus["max_rate_hz_worst"] == pytest.approx(114.6, rel=0.01)
+    assert bus["load_average"] == pytest.approx(0.761, rel=0.01)
+    assert bus["load_worst"] == pytest.approx(0.8726, rel=0.001)
+    assert [node["node_id"] for node in bus["node_plans"]] == list(range(1, 33))
+    assert {"as it is", "8 buses", "12-bit sums", "CAN FD 8 Mbit/s, 4 per node"} <= {
+        each["change"] for each in document["alternatives"]
+    }
+    assert document["schemes"] == msgspec.to_builtins(list(schemes(load_layout())))  # tested against published tables
+    full_scan = [each for each in document["schemes"] if each["what"] == "taxels" and each["data_bitrate"] is None]
+    assert {each["bits"] for each in full_scan} == {10, 12, 16}
+
+
+def test_a_person_gets_a_table(skin: Skin) -> None:
+    status, out, _ = skin("plan", "fd")
+    assert status == 0
+    assert "load, average / worst" in out
+    assert "183.8" in out
+    assert "bus0: 1: " in out
+
+
+def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_path: Path) -> None:
+    path = tmp_path / "fast.toml"
+    path.write_text('[sync]\nrate_hz = 150.0\n[[bus]]\nname = "a"\nnodes = 64\n[[bus]]\nname = "b"\nnodes = 64\n')
+    status, out, _ = skin("plan", path)
+    assert status == 1
+    assert "bits a second are missing" in " ".join(out.split())
+
+
+def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
+    path = tmp_path / "wish.toml"
+    status, out, said = skin("plan", "--taxels", 1024, "--rate", 100, "--buses", 1, "--out", path)
+    assert (status, out) == (0, f"{path}\n")
+    assert "at worst" in said
+    layout = parse_layout(path.read_bytes(), "wish")
+    assert (layout.taxels.count, len(layout.bus), layout.sync.rate_hz) == (1024, 1, 100.0)
+    status, text, _ = skin("plan", "--taxels", 1024, "--rate", 100, "--buses", 1)
+    assert parse_layout(text.encode(), "printed") == layout
+
+
+def test_a_wish_that_cannot_be_met_says_what_is_missing(skin: Skin) -> None:
+    wish = ("plan", "--taxels", 4096, "--rate", 100, "--buses", 1, "--can", "classic")
+    status, out, said = skin(*wish)
+    assert (status, out) == (2, "")
+    assert "bits a second" in said
+    assert "node-IDs" in said
+    status, out, _ = skin(*wish, "--json")
+    document = json.loads(out)
+    assert (status, document["fits"], document["layout"]) == (1, False, None)
+    assert "bits a second" in document["missing"]
+
+
+def test_pictures(skin: Skin, tmp_path: Path) -> None:
+    assert skin("plan", "fd", "--plot", tmp_path / "p")[0] == 0
+    assert {path.name for path in (tmp_path / "p").iterdir()} == {"rates.png", "cycle.png"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["plan", "default", "--taxels", "64"], "not both"),
+        (["plan", "--out", "x.toml"], "give --taxels"),
+        (["plan", "--taxels", "100"], "power of two"),
+        (["plan", "--jitter-s", "-1"], "0 or more"),
+        (["plan", "--check", "nowhere.log"], "no such log"),
+        (["load", "nowhere.log"], "no such log"),
+        (["load", "--seconds", "0"], "seconds above 0"),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(skin: Skin, arguments: list[str], said: str) -> None:
+    status, out, words = skin(*arguments)
+    assert (status, out) == (2, "")
+    assert said in words
+    assert words.count("\n") == 1
+
+
+def test_load_of_a_log(skin: Skin, log: Path) -> None:
+    status, out, _ = skin("load", log, "--json")
+    loads = json.loads(out)["buses"]
+    assert status == 0
+    assert [each["name"] for each in loads] == ["bus0", "bus1", "bus2", "bus3"]
+    for each in loads:
+        assert each["load_exact"] == pytest.approx(0.7362, rel=0.005)  # random sums, no heartbeats
+        assert each["load_worst"] == pytest.approx(0.8705, rel=0.001)
+    table = skin("load", log)[1]
+    assert "load planned" in table
+    assert "4A0h" in table
+
+
+def test_check_of_a_log(skin: Skin, log: Path, tmp_path: Path) -> None:
+    status, out, said = skin("plan", "--check", log)
+    assert (status, out) == (0, "")
+    assert "bus3: 1.00 s" in said
+    lines = log.read_text().splitlines()
+    broken = tmp_path / "broken.log"
+    broken.write_text("\n".join(line for line in lines if " vcan2 187#" not in line) + "\n")
+    assert skin("plan", "--check", broken)[:2] == (1, "bus2: node 7: 50 TPDOs missing\n")
+    status, out, _ = skin("plan", "--check", broken, "--json")
+    assert (status, json.loads(out)) == (1, ["bus2: node 7: 50 TPDOs missing"])
+    assert skin("plan", "--check", broken, "-c", "vcan2", "-c", "vcan1", "-c", "none", "-c", "vcan3")[0] == 1
