@@ -81,7 +81,7 @@ def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
         if version != VERSION:
             raise ModelError(f"{path}: version {version} of the model format, expected {VERSION}: train it again")
         about = msgspec.json.decode(metadata, type=Metadata)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ModelError(f"{path}: damaged model: {error}") from error
     _check_skin(path, about, layout, phi)
     _check_arrays(path, about, arrays)

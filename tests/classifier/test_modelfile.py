@@ -79,6 +79,19 @@ def test_metadata_that_does_not_fit(
         load_model(path, layout, phi)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [(b'"dome"', b'"d\xffme"'), (b'{"version":1', b'{"other":' + 99_999 * b"[" + b',"version":1')]
+)
+def test_metadata_that_is_no_json(path: Path, layout: Layout, phi: Sbhe, old: bytes, new: bytes) -> None:
+    def edit(entries: Entries) -> None:
+        changed = entries["metadata"].tobytes().replace(old, new, 1)
+        entries["metadata"] = np.frombuffer(changed, np.uint8)
+
+    change(path, edit)
+    with pytest.raises(ModelError, match="damaged model"):
+        load_model(path, layout, phi)
+
+
 @pytest.mark.parametrize("name", ARRAYS)
 def test_arrays_that_do_not_fit(path: Path, layout: Layout, phi: Sbhe, name: str) -> None:
     original = path.read_bytes()
