@@ -77,8 +77,13 @@ class Processes:
             time.sleep(0.01)
 
 
-def free_endpoint() -> str:
-    """Return an endpoint for a hub on this machine that nobody uses now."""
+def free_port() -> int:
+    """Return a port of this machine that nobody uses now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        return int(probe.getsockname()[1])
+
+
+def free_endpoint() -> str:
+    """Return an endpoint for a hub on this machine that nobody uses now."""
+    return f"tcp/127.0.0.1:{free_port()}"

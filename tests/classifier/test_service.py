@@ -1,6 +1,5 @@
 """The service: labels for measurements of its Φ, one complaint about others."""
 
-import socket
 import threading
 from collections.abc import Iterator
 
@@ -17,13 +16,6 @@ from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.messages import LABEL, MEASUREMENT, Label, Measurement
 from skin.service import StopSignal
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture

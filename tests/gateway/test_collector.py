@@ -10,6 +10,7 @@ from dbc.contract import SYNC_COB_ID, contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames, frames
 from gateway.collector import Collector
 from skin.layout import load_layout
+from tests.bus.harness import frame
 
 MADE = contract(load_layout())
 TABLE = MADE.table
@@ -24,10 +25,7 @@ def new_collector() -> Collector:
 
 
 def echo(counter: int) -> Frames:
-    sync = frames(1)
-    sync["can_id"], sync["length"], sync["flags"] = SYNC_COB_ID, 1, ECHO
-    sync["data"][0, 0] = counter
-    return sync
+    return frame(SYNC_COB_ID, bytes((counter,)), ECHO)
 
 
 def burst(bus: int, counter: int, sums: np.ndarray = SUMS) -> Frames:

@@ -9,7 +9,7 @@ from canopen import SdoAbortedError
 
 from dbc.contract import CLASSIC_BYTES, FD_BYTES, SYNC_COB_ID, Contract, NodeContract, contract
 from dbc.dictionary import dictionary
-from dbc.frame import ECHO, frames
+from dbc.frame import ECHO
 from dbc.indices import (
     OD_GAIN,
     OD_MANUFACTURER,
@@ -26,6 +26,7 @@ from nodes.burst import Burst
 from nodes.objects import LocalNode, object_dictionary
 from nodes.tpdo import read_tpdos
 from skin.layout import Encoding, load_layout
+from tests.bus.harness import frame
 
 SUMS = np.random.default_rng(3).integers(-16368, 16369, 1024).astype(np.int32)
 
@@ -74,9 +75,7 @@ def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, obje
             by_id = burst[np.argsort(burst["can_id"])]
             for key in ("can_id", "length", "flags"):
                 assert np.array_equal(by_id[key], planned[key])
-            sync = frames(1)
-            sync["can_id"], sync["length"], sync["flags"] = SYNC_COB_ID, 1, ECHO
-            sync["data"][0, 0] = counter
+            sync = frame(SYNC_COB_ID, bytes((counter,)), ECHO)
             collector.take(bus, np.concatenate((sync, burst)))
         gathered = collector.close(counter)
         assert gathered.complete
@@ -91,8 +90,7 @@ def test_lost_frame_spoils_the_blocks_in_it_and_no_other(name: str) -> None:
     collector = Collector(made)
     collector.trusted[:] = True
     collector.open(1)
-    sync = frames(1)
-    sync["can_id"], sync["length"], sync["flags"], sync["data"][0, 0] = SYNC_COB_ID, 1, ECHO, 1
+    sync = frame(SYNC_COB_ID, b"\1", ECHO)
     collector.take(0, np.concatenate((sync, np.delete(burst, 5))))
     gathered = collector.close(1)
     there = made.table.gather[made.table.row_of[0, burst["can_id"][5]]]

@@ -6,19 +6,13 @@ import numpy as np
 import pytest
 
 from dbc.contract import Contract
-from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames, frames
+from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames
 from nodes.segment import Segment
+from tests.bus.harness import frame
 from tests.nodes.conftest import ArrayLink
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 MILLISECOND_NS = 1_000_000
-
-
-def frame(can_id: int, data: bytes = b"", flags: int = 0, time_ns: int = 0) -> Frames:
-    made = frames(1)
-    made["can_id"], made["length"], made["flags"], made["time_ns"] = can_id, len(data), flags, time_ns
-    made["data"][0, : len(data)] = tuple(data)
-    return made
 
 
 def give(segment: Segment, link: ArrayLink, *arrived: Frames, now_s: float = 0.0) -> list[tuple[int, bytes]]:

@@ -1,6 +1,5 @@
 """The fabric: messages, mailboxes, liveliness, and what happens to garbage."""
 
-import socket
 import threading
 from collections.abc import Iterator
 
@@ -15,13 +14,6 @@ from skin.messages import LABEL, Label
 
 def label(cycle: int) -> Label:
     return Label(cycle=cycle, sync_counter=1, sync_mono_ns=0, label="cup", confidence=0.5, valid_sums=1024)
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture

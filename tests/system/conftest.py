@@ -1,6 +1,5 @@
 """A whole skin of real processes, at a SYNC rate that a busy machine carries."""
 
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,15 +11,10 @@ from demo.supervisor import Supervisor
 from skin.fabric import Fabric
 from skin.layout import load_layout
 from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Image, Label, Measurement
+from tests.processes import free_endpoint
 
 DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
 PATIENCE_S = 60.0
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +33,7 @@ class Chain:
         self.layout = load_layout(layout)
         self.phi = self.layout.phi()
         self.supervisor = Supervisor(folder)
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = free_endpoint()
         self.fabric = Fabric(self.layout.name, "test", self.endpoint, hub=True)
         self.measurements: list[Measurement] = []
         self.images: list[Image] = []

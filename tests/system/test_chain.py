@@ -12,7 +12,8 @@ import msgspec
 import pytest
 
 from bus.protocol import socket_path
-from tests.system.conftest import Chain, free_port, invalid_blocks
+from tests.processes import free_port
+from tests.system.conftest import Chain, invalid_blocks
 
 pytestmark = pytest.mark.slow
 

@@ -1,6 +1,5 @@
 """Messages of a small skin, and a hub to send them through."""
 
-import socket
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -110,13 +109,6 @@ class Messages:
 @pytest.fixture
 def messages() -> Messages:
     return Messages()
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture
