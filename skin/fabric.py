@@ -4,6 +4,7 @@ One process, the hub, listens; every other connects to it, and connects again by
 Nothing that arrives can raise out of decoding: what cannot be decoded is counted in `Fabric.malformed`.
 """
 
+import contextlib
 import json
 import threading
 from collections import deque
@@ -15,11 +16,14 @@ import zenoh
 
 from skin.errors import BusError
 from skin.messages import Topic
+from skin.service import say
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
-#: How long a service tries to reach its hub before it gives up.
-CONNECT_PATIENCE_MS: Final = 10_000
+#: How long a service tries to reach its hub before it gives up; services may be started in any order.
+CONNECT_PATIENCE_S: Final = 30.0
+#: After this long without a hub a service says that it waits.
+FIRST_TRY_S: Final = 3.0
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
@@ -73,11 +77,7 @@ class Fabric:
         self._encoder = msgspec.msgpack.Encoder()
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
-        try:
-            self._session = zenoh.open(_config(endpoint, hub=hub))
-        except zenoh.ZError as error:
-            doing = "listen on" if hub else "connect to"
-            raise BusError(f"cannot {doing} {endpoint}: {_first_sentence(error)}") from error
+        self._session = _listen(endpoint) if hub else _connect(endpoint, service)
         self._kept.append(self._session.liveliness().declare_token(f"{self._prefix}/alive/{service}"))
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
@@ -125,7 +125,26 @@ class Fabric:
         self._session.close()
 
 
-def _config(endpoint: str, *, hub: bool) -> Any:
+def _listen(endpoint: str) -> Any:
+    """Open a session that others connect to."""
+    try:
+        return zenoh.open(_config(endpoint, hub=True))
+    except zenoh.ZError as error:
+        raise BusError(f"cannot listen on {endpoint}: {_first_sentence(error)}") from error
+
+
+def _connect(endpoint: str, service: str) -> Any:
+    """Open a session to the hub, which may be still starting."""
+    with contextlib.suppress(zenoh.ZError):
+        return zenoh.open(_config(endpoint, patience_s=min(FIRST_TRY_S, CONNECT_PATIENCE_S)))
+    say(service, f"waits for the fabric's hub at {endpoint}")
+    try:
+        return zenoh.open(_config(endpoint, patience_s=CONNECT_PATIENCE_S))
+    except zenoh.ZError as error:
+        raise BusError(f"cannot connect to {endpoint}: {_first_sentence(error)}") from error
+
+
+def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any:
     """Build a zenoh configuration that talks to `endpoint` and to nothing else."""
     config = zenoh.Config()
     settings = {
@@ -135,8 +154,7 @@ def _config(endpoint: str, *, hub: bool) -> Any:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
-        # A service may be started before its hub.
-        "connect/timeout_ms": CONNECT_PATIENCE_MS,
+        "connect/timeout_ms": round(patience_s * 1000),
     }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))

@@ -104,7 +104,7 @@ def test_endpoint_in_use_is_one_clear_line(hub: Fabric, endpoint: str) -> None:
 
 
 def test_no_hub_is_one_clear_line(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fabric_module, "CONNECT_PATIENCE_MS", 200)
+    monkeypatch.setattr(fabric_module, "CONNECT_PATIENCE_S", 0.2)
     with pytest.raises(BusError, match="cannot connect to tcp/127"):
         Fabric("test", "lonely", endpoint)
 
