@@ -6,6 +6,7 @@ Nothing that arrives can raise out of decoding: what cannot be decoded is counte
 
 import contextlib
 import json
+import re
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -77,6 +78,8 @@ class Fabric:
         self._encoder = msgspec.msgpack.Encoder()
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
+        if not re.fullmatch(r"\w+/.+", endpoint):
+            raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
         self._session = _listen(endpoint) if hub else _connect(endpoint, service)
         self._kept.append(self._session.liveliness().declare_token(f"{self._prefix}/alive/{service}"))
 

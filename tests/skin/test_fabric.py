@@ -118,3 +118,8 @@ def test_mailbox_keeps_the_newest_and_counts_the_rest() -> None:
     assert second is not None
     assert (first.cycle, second.cycle, mailbox.overrun) == (3, 4, 3)
     assert mailbox.get(0) is None
+
+
+def test_endpoint_of_no_known_form_is_one_clear_line() -> None:
+    with pytest.raises(BusError, match=r"expected an endpoint such as tcp/127\.0\.0\.1:7447, got 'bogus'"):
+        Fabric("test", "lonely", "bogus")
