@@ -9,6 +9,11 @@ import cyclopts
 from skin.errors import RunError, SkinError
 from skin.explain import docstring, examples, summary
 
+FAILED: Final = 1
+WRONG_INPUT: Final = 2
+#: 128 and SIGINT, as shells have it.
+INTERRUPTED: Final = 130
+
 #: Verb: where its function lives. Strings, so that this room imports none of the others.
 VERBS: Final = {
     "demo": "demo.command:demo",
@@ -53,20 +58,18 @@ def main() -> None:
     try:
         status = app(exit_on_error=False, print_error=False)
     except RunError as error:
-        _complain(str(error))
-        sys.exit(1)
-    except SkinError as error:
-        sys.exit(_complain(str(error)))
-    except cyclopts.CycloptsError as error:
-        sys.exit(_complain(" ".join(str(error).split())))
+        sys.exit(_complain(error, FAILED))
+    except (SkinError, cyclopts.CycloptsError) as error:
+        sys.exit(_complain(error, WRONG_INPUT))
     except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(1)
+        sys.stderr.close()  # where Python would complain of the same once more
+        sys.exit(FAILED)
     except KeyboardInterrupt:
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _complain(message: str) -> int:
-    print(f"skin: {message}", file=sys.stderr)
-    return 2
+def _complain(error: Exception, status: int) -> int:
+    """Print an error as one line and return `status`."""
+    print(f"skin: {' '.join(str(error).split())}", file=sys.stderr)
+    return status

@@ -7,7 +7,7 @@ expected, what came, and what to do::
     ├── LayoutError       a skin's TOML is wrong; names the path of the key
     ├── InputError        a file, array or option a user gave cannot be used
     ├── ModelError        a trained model cannot be read or belongs to another Φ
-    ├── BusError          an interface cannot be opened, or a bus cannot be reached
+    ├── BusError          a CAN interface or the fabric cannot be opened or reached
     └── RunError          nothing was wrong with the input, but a run failed
 
 The command line prints the message and exits with code 2, after a `RunError` with 1, without a traceback.

@@ -86,7 +86,7 @@ class Sbhe:
 
     @cached_property
     def starts(self) -> npt.NDArray[np.intp]:
-        """Return where each block's sums start in y, shape (blocks + 1,)."""
+        """Where each block's sums start in y, shape (blocks + 1,)."""
         return np.concatenate(([0], np.cumsum(self.kept.sum(axis=1)))).astype(np.intp)
 
     @cached_property
@@ -139,12 +139,12 @@ class Sbhe:
         return taxels
 
     def block_sums(self, taxels: npt.NDArray[np.integer]) -> npt.NDArray[np.int16]:
-        """Return the sums a node sends, exact in int16, of integer `taxels` of shape (..., n).
+        """Return exact sums in int16, shape (..., m), of integer `taxels` of shape (..., n).
 
         Raises
         ------
         OverflowError
-            If a sum does not fit 16 bits, which a checked layout excludes.
+            If a sum does not fit 16 bits; those of 32 taxels of 10 bits do.
         """
         sums = self.forward(taxels)
         narrow = sums.astype(np.int16)

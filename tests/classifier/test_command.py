@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -160,16 +160,13 @@ def test_service_comes_alive_and_ends_quietly(
 ) -> None:
     out = small.with_suffix(".npz")
     save_model(model, out)
-    alive: list[str] = []
-    hub.watch(lambda name, there: alive.append(name) if there else None)
+    alive = threading.Event()
+    hub.watch(lambda name, there: alive.set() if there and name == "classifier" else None)
     command = [sys.executable, "-c", "from skin.command import main; main()", "classify"]
     options = ["--layout", str(small), "--model", str(out), "--connect", endpoint]
     process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, env=dict(os.environ))
     try:
-        deadline = time.monotonic() + 30
-        while "classifier" not in alive and process.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert "classifier" in alive
+        assert alive.wait(30)
         process.send_signal(number)
         _, said = process.communicate(timeout=30)
     finally:
