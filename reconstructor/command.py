@@ -30,7 +30,7 @@ def reconstruct(
     solver
         ``live``: total variation and non-negative forces on sums averaged as far as the motion allows.
         ``variation``: the same on one cycle's sums alone. ``spun``: cycle-spun Haar wavelets. ``paper``: the paper's,
-        tensor Haar, L = 2B.
+        tensor Haar, L = 2B. ``paper-contourlet``: the paper's with contourlets.
     iterations
         FISTA iterations per image; without it the solver's own.
     penalty_n

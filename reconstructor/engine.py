@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.clipping import ClipCorrection
-from reconstructor.kernels.fused import FusedSolver, Prior
+from reconstructor.kernels.contourlet import ContourletSolver
+from reconstructor.kernels.fused import FusedSolver
 from reconstructor.memory import Memory
-from reconstructor.presets import LIVE
+from reconstructor.presets import LIVE, Prior
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
@@ -33,7 +34,7 @@ class Reconstructor:
     rows, columns : int
         The grid, powers of two from 8 to 256.
     prior, iterations, penalty_n, lipschitz_ratio, spins, nonnegative, matched
-        See `FusedSolver`; `LIVE` without, and ``**PAPER`` for the paper's solver.
+        See `FusedSolver` and `ContourletSolver`; `LIVE` without, and ``**PAPER`` for the paper's solver.
     remembering : bool
         Average sums over cycles.
     noise_n : float, optional
@@ -64,19 +65,33 @@ class Reconstructor:
         noise_n: float | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        self._kernel = FusedSolver(
-            phi,
-            rows,
-            columns,
-            prior=prior,
-            iterations=iterations,
-            penalty_n=penalty_n,
-            lipschitz_ratio=lipschitz_ratio,
-            spins=spins,
-            nonnegative=nonnegative,
-            matched=matched,
-            dtype=dtype,
-        )
+        self._kernel: FusedSolver | ContourletSolver
+        if prior == "contourlet":
+            if spins != 1 or nonnegative or matched:
+                raise InputError("the contourlet is solved for its coefficients: no spins, nonnegative or matched")
+            self._kernel = ContourletSolver(
+                phi,
+                rows,
+                columns,
+                iterations=iterations,
+                penalty_n=penalty_n,
+                lipschitz_ratio=lipschitz_ratio,
+                dtype=dtype,
+            )
+        else:
+            self._kernel = FusedSolver(
+                phi,
+                rows,
+                columns,
+                prior=prior,
+                iterations=iterations,
+                penalty_n=penalty_n,
+                lipschitz_ratio=lipschitz_ratio,
+                spins=spins,
+                nonnegative=nonnegative,
+                matched=matched,
+                dtype=dtype,
+            )
         self._correct = None if noise_n is None else ClipCorrection(noise_n)
         self._memory = Memory(phi.shape[0], self._kernel.dtype)
         self._remembering = remembering

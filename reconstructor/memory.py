@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.kernels.recall import BOOST, FLOOR, GAIN, WHITE, Recall, remember
+from reconstructor.kernels.recall import FLOOR, GAIN, WHITE, Recall, remember
 
 Values = npt.NDArray[np.floating[Any]]
 
@@ -66,7 +66,7 @@ class Memory:
         for each in (self._recall.sums, self._recall.weights, self._recall.innovation):
             each[:] = 0
         state = self._recall.state
-        state[WHITE], state[GAIN] = 1 / BOOST, 1.0
+        state[WHITE] = state[GAIN] = 1.0
 
     def restart(self) -> None:
         """Forget everything, as after construction."""

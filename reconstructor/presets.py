@@ -1,9 +1,10 @@
 """The solvers one can ask for by name."""
 
-from typing import Final, TypedDict
+from typing import Final, Literal, TypedDict
 
-from reconstructor.kernels.fused import Prior
 from skin.errors import InputError
+
+Prior = Literal["haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "variation", "contourlet"]
 
 
 class Settings(TypedDict):
@@ -50,7 +51,16 @@ PAPER: Final[Settings] = {
     "remembering": False,
 }
 
-PRESETS: Final[dict[str, Settings]] = {"live": LIVE, "variation": VARIATION, "spun": SPUN, "paper": PAPER}
+#: The paper's with the contourlet, whose tables come out with this λ in the same convention.
+PAPER_CONTOURLET: Final[Settings] = {**PAPER, "prior": "contourlet", "penalty_n": 0.008}
+
+PRESETS: Final[dict[str, Settings]] = {
+    "live": LIVE,
+    "variation": VARIATION,
+    "spun": SPUN,
+    "paper": PAPER,
+    "paper-contourlet": PAPER_CONTOURLET,
+}
 
 
 def preset(name: str) -> Settings:

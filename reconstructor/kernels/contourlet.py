@@ -9,6 +9,7 @@ import numpy.typing as npt
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.ladder import PyramidFilter
 from reconstructor.fista import largest_eigenvalue, momentum
+from reconstructor.kernels.fused import check_settings
 from reconstructor.kernels.ladder import synthesise, transpose
 from reconstructor.kernels.ladder_plan import Plan, Room, coefficient_order, image_order, plan_of, room_of
 from reconstructor.kernels.steps import aligned, deliver, gather, load
@@ -67,6 +68,35 @@ def _advance(estimate: Flat, ahead: Flat, slope: Flat, threshold: Any, momentum:
         estimate[k] = new
 
 
+class CompiledContourlet(Contourlet):
+    """`Contourlet` with compiled `forward` and `adjoint`, of one dtype; for basis pursuit and other long iterations."""
+
+    def __init__(
+        self, rows: int, columns: int, pyramid: PyramidFilter = "pkva", dtype: npt.DTypeLike = np.float64
+    ) -> None:
+        super().__init__(rows, columns, pyramid)
+        self._kind = np.dtype(dtype)
+        self._plan = plan_of(self, self._kind)
+        self._room = room_of(self._plan, self._kind)
+        self._pixels, self._order = image_order(rows), coefficient_order(self)
+
+    def forward(self, image: Values) -> Values:
+        """Return Ψᵀx, shape (5n/4,)."""
+        made = aligned(self._order.size, self._kind)
+        kept = image.reshape(-1)[self._pixels].astype(self._kind, copy=False)
+        transpose(made, kept, self._plan, self._room)
+        return made[self._order]
+
+    def adjoint(self, coefficients: Values) -> Values:
+        """Return x = Ψs, shape (rows, columns)."""
+        kept, made = np.empty_like(coefficients, self._kind), aligned(self._pixels.size, self._kind)
+        kept[self._order] = coefficients
+        synthesise(made, kept, self._plan, self._room)
+        image = np.empty_like(made)
+        image[self._pixels] = made
+        return image.reshape(self.image_shape)
+
+
 class ContourletSolver:
     """min over s of ½‖ΦΨs - y‖² + λ‖s‖₁ by FISTA, Φ an SBHE and Ψ the contourlet; equal to `reconstructor.fista.fista`.
 
@@ -101,7 +131,8 @@ class ContourletSolver:
         pyramid: PyramidFilter = "pkva",
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        psi = Contourlet(rows, columns, pyramid)
+        check_settings(iterations, penalty_n, lipschitz_ratio)
+        psi = CompiledContourlet(rows, columns, pyramid)
         self.dtype: Final = np.dtype(dtype)
         self.lipschitz: Final = lipschitz_ratio * largest_eigenvalue(phi, psi)
         self.shape: Final = psi.image_shape
@@ -139,38 +170,15 @@ class ContourletSolver:
         """Return an estimate in the toolbox's order."""
         return estimate[self._order]
 
+    def estimate_of(self, coefficients: Values) -> Values:
+        """Return coefficients in the toolbox's order as an estimate."""
+        estimate = self.new_estimate()
+        estimate[self._order] = coefficients
+        return estimate
+
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
         """Return a new image of shape (rows, columns), negative forces as 0."""
         synthesise(self._scratch.image, estimate, self._plan, self._room)
         image = np.empty(self.shape, np.float32)
         deliver(image.reshape(-1), self._scratch.image, self._deliver)
         return image
-
-
-class CompiledContourlet(Contourlet):
-    """`Contourlet` with compiled `forward` and `adjoint`, of one dtype; for basis pursuit and other long iterations."""
-
-    def __init__(
-        self, rows: int, columns: int, pyramid: PyramidFilter = "pkva", dtype: npt.DTypeLike = np.float64
-    ) -> None:
-        super().__init__(rows, columns, pyramid)
-        self._kind = np.dtype(dtype)
-        self._plan = plan_of(self, self._kind)
-        self._room = room_of(self._plan, self._kind)
-        self._pixels, self._order = image_order(rows), coefficient_order(self)
-
-    def forward(self, image: Values) -> Values:
-        """Return Ψᵀx, shape (5n/4,)."""
-        made = aligned(self._order.size, self._kind)
-        kept = image.reshape(-1)[self._pixels].astype(self._kind, copy=False)
-        transpose(made, kept, self._plan, self._room)
-        return made[self._order]
-
-    def adjoint(self, coefficients: Values) -> Values:
-        """Return x = Ψs, shape (rows, columns)."""
-        kept, made = np.empty_like(coefficients, self._kind), aligned(self._pixels.size, self._kind)
-        kept[self._order] = coefficients
-        synthesise(made, kept, self._plan, self._room)
-        image = np.empty_like(made)
-        image[self._pixels] = made
-        return image.reshape(self.image_shape)

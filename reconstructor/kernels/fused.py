@@ -96,8 +96,8 @@ class FusedSolver:
         matched: bool = False,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        _check_grid(phi, rows, columns)
-        _check_settings(iterations, penalty_n, lipschitz_ratio)
+        check_grid_of(phi, rows, columns)
+        check_settings(iterations, penalty_n, lipschitz_ratio)
         _check_prior(prior, spins, most=min(8, rows) * min(8, columns))
         self.shape: Final = (rows, columns)
         self.shifts: Final = spin_shifts(spins, rows, columns)
@@ -169,14 +169,16 @@ def _tables(addresses: Indices, shifts: list[tuple[int, int]], taxel: Indices) -
     return np.stack((np.argsort(to_blocks, axis=1), to_blocks)).astype(np.uint16)
 
 
-def _check_grid(phi: Sbhe, rows: int, columns: int) -> None:
+def check_grid_of(phi: Sbhe, rows: int, columns: int) -> None:
+    """Raise InputError unless the grid is that of Φ's taxels and its sides are powers of two."""
     count = phi.order.size
     if rows * columns != count:
         raise InputError(f"Φ measures {count} taxels but the grid has {rows} x {columns} = {rows * columns}")
     check_grid(rows, columns)
 
 
-def _check_settings(iterations: int, penalty_n: float, lipschitz_ratio: float) -> None:
+def check_settings(iterations: int, penalty_n: float, lipschitz_ratio: float) -> None:
+    """Raise InputError unless FISTA can run with these."""
     if iterations < 1:
         raise InputError(f"expected at least 1 iteration, got {iterations}")
     if not 0 <= penalty_n < math.inf:

@@ -8,10 +8,11 @@ import numpy.typing as npt
 
 Flat = npt.NDArray[np.floating[Any]]
 
-#: Gain over what the test of whiteness asks for: errors that lag are worse than noise, which the prior removes.
-BOOST: Final = 3.0
-#: Bounds of what the test of whiteness asks for.
-WHITE_MIN: Final = 0.06
+#: Least gain.
+GAIN_MIN: Final = 0.18
+#: How much of the correlation that noise alone would give is asked for. 0 asks for innovations that do not correlate;
+#: more allows less lag, because lag is worse than noise, which the prior removes.
+LEAD: Final = 0.6
 #: How far the innovation's energy may be above what noise explains without being taken for a change.
 BAND: Final = 1.15
 #: How fast a change takes the gain to 1.
@@ -21,7 +22,7 @@ FALL: Final = 0.2
 RISE: Final = 0.002
 #: A sum that has not come for so long that less than this of it counts is forgotten.
 FORGOTTEN: Final = 0.01
-#: Places of `Recall.state`: what whiteness asks for, the noise floor (newtons squared, 0: unknown), the last gain.
+#: Places of `Recall.state`: the gain that the correlation asks for, the noise floor (newtons squared, 0: unknown), the last gain.
 WHITE, FLOOR, GAIN = 0, 1, 2
 
 
@@ -76,12 +77,12 @@ def remember(recall: Recall, sums: Flat, valid: npt.NDArray[np.bool_]) -> bool:
 def _adapt(state: npt.NDArray[np.float64], energy: float, correlation: float) -> float:
     """Return the gain for an innovation of mean square `energy` that correlates so with the one before."""
     last = state[GAIN]
-    state[WHITE] = min(1.0, max(WHITE_MIN, state[WHITE] * np.exp(correlation)))
+    state[WHITE] = min(1.0, max(GAIN_MIN, state[WHITE] * np.exp(correlation + LEAD * last / 2.0)))
     noise = energy * (2.0 - last) / 2.0  # of the sums alone: what was averaged has g / (2 - g) of it
     if state[FLOOR] == 0.0:
         state[FLOOR] = noise
     explained = BAND * state[FLOOR] * 2.0 / (2.0 - last)
-    gain = min(1.0, BOOST * float(state[WHITE]))
+    gain = float(state[WHITE])
     if energy > explained:
         gain = max(gain, 1.0 - (explained / energy) ** STEEPNESS)
     if noise < state[FLOOR]:

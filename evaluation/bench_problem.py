@@ -1,0 +1,128 @@
+"""The problem every solver of `skin bench reconstruct` is given, and how they are timed."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.bases import Basis
+from reconstructor.fista import fista, objective
+from skin.layout import load_layout
+from skin.measurement import Sbhe
+from touch.contact import Grid, press
+from touch.objects import spheres_of
+from touch.trajectory import paper_pose
+
+Values = npt.NDArray[np.floating[Any]]
+
+FORCE_MAX_N: Final = 0.02
+NOISE_N: Final = 0.001
+#: The step of the paper's trajectory that is solved, and the object that slides there.
+STEP: Final = 2000
+OBJECT: Final = "golf-ball"
+#: Iterations behind the warm start and behind the best objective.
+WARM, EXACT = 60, 3000
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """min ½‖As - y‖² + λ‖s‖₁, A = ΦΨ, and a start near its solution.
+
+    Attributes
+    ----------
+    matrix : float64, shape (m, p)
+        A, for methods that need it.
+    sums, start : float64, shape (m,) and (p,)
+        y, and the previous noisy frame's solution.
+    lipschitz : float
+        Largest eigenvalue of AᵀA.
+    best : float
+        The objective's minimum, from a long run in float64.
+    """
+
+    phi: Sbhe
+    psi: Basis
+    true: Values
+    matrix: Values
+    sums: Values
+    start: Values
+    penalty_n: float
+    lipschitz: float
+    best: float
+    iterations: int
+
+    def gap(self, s: Values) -> float:
+        """Return (F(s) - F*) / F* in float64."""
+        residual = self.matrix @ s.astype(np.float64) - self.sums
+        value = 0.5 * residual @ residual + self.penalty_n * np.abs(s.astype(np.float64)).sum()
+        return float(value / self.best - 1)
+
+    def psnr_db(self, s: Values) -> float:
+        """Return the PSNR of the image, negative taxels as 0, peak 0.02 N."""
+        image = np.maximum(self.psi.adjoint(s.astype(np.float64).reshape(self.psi.shape)), 0)
+        return float(10 * np.log10(FORCE_MAX_N**2 / np.mean((image - self.true) ** 2)))
+
+
+def make_problem(psi: Basis, penalty_n: float, lipschitz: float, iterations: int = 20, seed: int = 1) -> Problem:
+    """Return the problem of one noisy frame of the default skin, warm-started from the frame before."""
+    phi = load_layout().phi()
+    random = np.random.default_rng(seed)
+    frames = [press(Grid(), [(spheres_of(OBJECT), paper_pose(step))]) for step in (STEP - 1, STEP)]
+    felt = [np.clip(frame + NOISE_N * random.standard_normal(frame.shape), 0, FORCE_MAX_N) for frame in frames]
+    before, sums = (np.asarray(phi.forward(each.reshape(-1)), np.float64) for each in felt)
+    count = int(np.prod(psi.shape))
+    atoms = (psi.adjoint(atom.reshape(psi.shape)).reshape(-1) for atom in np.eye(count))
+    matrix = np.stack([phi.forward(atom) for atom in atoms], axis=1)
+    start = fista(phi, psi, before, penalty_n=penalty_n, lipschitz=lipschitz, iterations=WARM)
+    exact = fista(phi, psi, sums, penalty_n=penalty_n, lipschitz=lipschitz, iterations=EXACT, start=start)
+    return Problem(
+        phi=phi,
+        psi=psi,
+        true=frames[1].astype(np.float64),
+        matrix=matrix,
+        sums=sums,
+        start=start.reshape(-1),
+        penalty_n=penalty_n,
+        lipschitz=lipschitz,
+        best=objective(phi, psi, sums, exact, penalty_n),
+        iterations=iterations,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """One way to solve it: `solve` does the timed work and returns what `coefficients` makes s of, shape (p,)."""
+
+    name: str
+    dtype: str
+    solve: Callable[[], Any]
+    coefficients: Callable[[Any], Values]
+
+
+def race(problem: Problem, methods: Sequence[Method], rounds: int) -> list[dict[str, Any]]:
+    """Run every method in turn, `rounds` times after a first that does not count; return a row for each."""
+    results: dict[int, Any] = {}
+    times_s: list[list[float]] = [[] for _ in methods]
+    for turn in range(rounds + 1):
+        for index, method in enumerate(methods):
+            started_s = time.perf_counter()
+            results[index] = method.solve()
+            if turn:
+                times_s[index].append(time.perf_counter() - started_s)
+    rows = []
+    for index, method in enumerate(methods):
+        s = method.coefficients(results[index])
+        rows.append(
+            {
+                "method": method.name,
+                "dtype": method.dtype,
+                "ms": 1e3 * float(np.median(times_s[index])),
+                "ms_least": 1e3 * min(times_s[index]),
+                "gap": problem.gap(s),
+                "psnr_db": problem.psnr_db(s),
+            }
+        )
+    return rows

@@ -1,0 +1,84 @@
+"""``skin bench reconstruct``: our solvers against every other, on one problem, in one run, on one thread."""
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from evaluation.bench_limit import measure_limit
+from evaluation.bench_peers import dense_only, peers
+from evaluation.bench_problem import Method, Problem, Values, make_problem, race
+from reconstructor.bases import haar_pyramid
+from reconstructor.fista import largest_eigenvalue
+from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
+from reconstructor.kernels.fused import FusedSolver
+from skin.layout import load_layout
+
+OURS: Final = "canskin"
+#: λ, newtons, of the paper's tables in our convention.
+PENALTY_N: Final = 0.0125
+CONTOURLET_PENALTY_N: Final = 0.008
+
+
+def run(rounds: int) -> dict[str, Any]:
+    """Return ``{"rows": […], "contourlet": […], "limit": {…}}``; rows as in the verb's docstring."""
+    with threadpool_limits(1):
+        haar = _rows(make_problem(haar_pyramid(64, 64), PENALTY_N, lipschitz=32.0), _haar, rounds, everyone=True)
+        psi = CompiledContourlet(64, 64)
+        eigenvalue = largest_eigenvalue(load_layout().phi(), psi)
+        contourlet = _rows(make_problem(psi, CONTOURLET_PENALTY_N, eigenvalue), _contourlet, rounds, everyone=False)
+        limit = measure_limit(iterations=20)
+    least = next(row["ms_least"] for row in haar if row["method"] == OURS)
+    return {"rows": haar, "contourlet": contourlet, "limit": {**limit, "ours_to_limit": least / limit["limit_ms"]}}
+
+
+def _rows(problem: Problem, ours: Any, rounds: int, *, everyone: bool) -> list[dict[str, Any]]:
+    methods: list[Method] = []
+    for dtype in (np.float32, np.float64):
+        others = peers if everyone else dense_only
+        methods += [ours(problem, dtype), *others(problem, dtype)]
+    rows = race(problem, methods, rounds)
+    own_ms = {row["dtype"]: row["ms"] for row in rows if row["method"] == OURS}
+    return [{**row, "ratio_to_ours": row["ms"] / own_ms[row["dtype"]]} for row in rows]
+
+
+def _haar(problem: Problem, dtype: npt.DTypeLike) -> Method:
+    solver = FusedSolver(
+        problem.phi,
+        64,
+        64,
+        prior="haar-pyramid",
+        iterations=problem.iterations,
+        penalty_n=problem.penalty_n,
+        dtype=dtype,
+    )
+    start = solver.blocks_of(problem.psi.adjoint(problem.start.reshape(problem.psi.shape)))
+    sums, ones = problem.sums.astype(solver.dtype), np.ones(problem.sums.size, solver.dtype)
+    estimate = solver.new_estimate()
+
+    def solve() -> Values:
+        estimate[:] = start
+        solver.solve(estimate, sums, ones)
+        return estimate
+
+    def coefficients(made: Values) -> Values:
+        return problem.psi.forward(solver.image_of(made).astype(np.float64)).reshape(-1)
+
+    return Method(OURS, solver.dtype.name, solve, coefficients)
+
+
+def _contourlet(problem: Problem, dtype: npt.DTypeLike) -> Method:
+    solver = ContourletSolver(
+        problem.phi, 64, 64, iterations=problem.iterations, penalty_n=problem.penalty_n, dtype=dtype
+    )
+    start = solver.estimate_of(problem.start)
+    sums, ones = problem.sums.astype(solver.dtype), np.ones(problem.sums.size, solver.dtype)
+    estimate = solver.new_estimate()
+
+    def solve() -> Values:
+        estimate[:] = start
+        solver.solve(estimate, sums, ones)
+        return estimate
+
+    return Method(OURS, solver.dtype.name, solve, solver.coefficients_of)

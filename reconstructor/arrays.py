@@ -1,0 +1,165 @@
+"""FISTA on whole batches with any array library that follows the Python array API: NumPy, or CuPy on a GPU.
+
+Every step is a matrix product or an elementwise operation on (frames, …) arrays; wavelets and Hadamard blocks are
+applied as small dense matrices, which suits a GPU better than butterflies.
+"""
+
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.bases.separable import haar_tensor
+from reconstructor.fista import momentum
+from reconstructor.kernels.fused import check_grid_of, check_settings
+from skin.errors import InputError
+from skin.measurement import Sbhe, fast_hadamard
+
+
+def array_library(name: str) -> ModuleType:
+    """Return NumPy or CuPy by name.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, or CuPy is not installed or finds no GPU.
+    """
+    if name == "numpy":
+        return np
+    if name != "cupy":
+        raise InputError(f"unknown array library '{name}': expected numpy or cupy")
+    try:
+        import cupy
+    except ImportError as error:
+        raise InputError(f"CuPy cannot be loaded ({error}): install canskin[gpu]") from error
+    try:
+        cupy.cuda.runtime.getDeviceCount()
+    except cupy.cuda.runtime.CUDARuntimeError as error:
+        raise InputError(f"CuPy finds no GPU: {error}") from error
+    return cupy  # type: ignore[no-any-return]  # cupy has no types
+
+
+class BatchSolver:
+    """min ½‖Φx_f - y_f‖² + λ‖Ψᵀx_f‖₁ for all frames f at once, Ψ the tensor Haar: the paper's solver for recordings.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    rows, columns : int
+        Powers of two, 8 to 256.
+    iterations : int
+    penalty_n : float
+        λ, newtons.
+    lipschitz_ratio : float
+        L / B, from 1.
+    nonnegative : bool
+        Lift negative taxels to 0 in every iteration.
+    library : module
+        NumPy, CuPy or another of the array API.
+    dtype : float32 or float64
+
+    Raises
+    ------
+    InputError
+        If the grid or a number does not fit.
+    """
+
+    def __init__(
+        self,
+        phi: Sbhe,
+        rows: int,
+        columns: int,
+        *,
+        iterations: int,
+        penalty_n: float,
+        lipschitz_ratio: float = 1.0,
+        nonnegative: bool = False,
+        library: ModuleType = np,
+        dtype: npt.DTypeLike = np.float32,
+    ) -> None:
+        check_grid_of(phi, rows, columns)
+        check_settings(iterations, penalty_n, lipschitz_ratio)
+        self._xp: Final = library
+        self._kind = np.dtype(dtype)
+        self._grid, self._blocks = (rows, columns), (phi.blocks, phi.block_size)
+        self._step = 1 / (lipschitz_ratio * phi.block_size)
+        self._threshold = penalty_n * self._step
+        self._nonnegative = nonnegative
+        self._momentum = [float(weight) for weight in momentum(iterations)]
+        psi = haar_tensor(rows, columns)
+        self._down, self._across = (self._send(matrix) for matrix in (psi.rows_matrix, psi.columns_matrix))
+        self._hadamard = self._send(fast_hadamard(np.eye(phi.block_size)))
+        self._order = library.asarray(phi.order)
+        self._place = library.asarray(np.argsort(phi.order))
+        self._spot = library.asarray(np.flatnonzero(phi.kept.reshape(-1)))
+        self._slot = library.asarray(np.maximum(np.cumsum(phi.kept.reshape(-1)) - 1, 0))
+        self._kept = self._send(phi.kept.reshape(-1))
+
+    def solve(self, sums_n: Any, valid: Any, start: Any = None) -> Any:
+        """Return images, shape (frames, rows, columns), negative forces as 0, as an array of the library.
+
+        Parameters
+        ----------
+        sums_n : array, shape (frames, m)
+            Newtons; of any library that this one can take in.
+        valid : array of bool, shape (frames, m)
+            Sums that are not valid are left out exactly.
+        start : array, shape (frames, rows, columns), optional
+            Images to start from, zeros without.
+
+        Raises
+        ------
+        InputError
+            If the shapes do not fit, or a valid sum is not finite.
+        """
+        xp = self._xp
+        mask, target = self._load(sums_n, valid)
+        frames = mask.shape[0]
+        if start is None:
+            estimate = xp.zeros((frames, *self._grid), dtype=mask.dtype)
+        else:
+            estimate = xp.asarray(start, dtype=mask.dtype)
+        ahead = estimate
+        for weight in self._momentum:
+            previous = estimate
+            estimate = self._shrink(ahead - self._slope(ahead, mask, target))
+            ahead = estimate + weight * (estimate - previous)
+        return xp.where(estimate > 0, estimate, xp.zeros_like(estimate))
+
+    def _send(self, values: npt.NDArray[Any]) -> Any:
+        return self._xp.asarray(values.astype(self._kind))
+
+    def _load(self, sums_n: Any, valid: Any) -> tuple[Any, Any]:
+        """Return mask and masked sums over all Hadamard rows, both times 1 / L, shape (frames, n)."""
+        xp = self._xp
+        sums, told = xp.asarray(sums_n), xp.asarray(valid)
+        count = self._spot.shape[0]
+        if sums.ndim != 2 or sums.shape[1] != count or told.shape != sums.shape:
+            raise InputError(f"expected sums and validity of shape (frames, {count}): got {sums.shape}, {told.shape}")
+        sums = xp.where(told, sums, xp.zeros_like(sums))
+        if not bool(xp.all(xp.isfinite(sums))):
+            raise InputError("a valid sum is not finite: expected newtons")
+        scale = self._kept * self._step
+        mask = xp.take(xp.astype(told, self._kind), self._slot, axis=1) * scale
+        return mask, xp.take(xp.astype(sums, self._kind), self._slot, axis=1) * mask
+
+    def _slope(self, images: Any, mask: Any, target: Any) -> Any:
+        """Return Φᵀ W (Φ x - y) / L."""
+        xp = self._xp
+        frames = images.shape[0]
+        taxels = xp.take(xp.reshape(images, (frames, -1)), self._order, axis=1)
+        residual = mask * self._transform(taxels) - target
+        return xp.reshape(xp.take(self._transform(residual), self._place, axis=1), images.shape)
+
+    def _transform(self, values: Any) -> Any:
+        xp = self._xp
+        blocks = xp.reshape(values, (values.shape[0], *self._blocks))
+        return xp.reshape(xp.matmul(blocks, self._hadamard), values.shape)
+
+    def _shrink(self, images: Any) -> Any:
+        xp = self._xp
+        s = xp.matmul(xp.matmul(self._down, images), self._across.T)
+        s = s - xp.clip(s, -self._threshold, self._threshold)
+        made = xp.matmul(xp.matmul(self._down.T, s), self._across)
+        return xp.where(made > 0, made, xp.zeros_like(made)) if self._nonnegative else made
