@@ -63,7 +63,9 @@ class Score:
         self.nodes[status.process] = status
 
     def take_truth(self, truth: Truth) -> None:
-        """Use what the skin really felt in a cycle."""
+        """Use what the skin really felt in a cycle; of another size than the skin's it is none of ours."""
+        if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
+            return
         image, label = self._images.take_truth(truth), self._labels.take_truth(truth)
         if image is not None:
             self._compare(image, truth)
@@ -71,7 +73,9 @@ class Score:
             self._judge(label, truth)
 
     def take_image(self, image: Image) -> None:
-        """Compare an image with the truth of its cycle."""
+        """Compare an image with the truth of its cycle; one of another size is none of ours."""
+        if len(image.pixels) != 4 * self.layout.taxels.count:
+            return
         self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
         truth = self._images.take(image)
         if truth is not None:

@@ -1,5 +1,6 @@
 """The figures of a run, from messages in any order."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -134,3 +135,9 @@ def test_nothing_measured_is_none_and_not_zero(score: Score) -> None:
     assert report["psnr_image_db"] is None
     assert report["label_accuracy"] is None
     assert report["latency_ms"] == {"p50": None, "p99": None}
+
+
+def test_messages_of_another_size_are_left_alone(score: Score) -> None:
+    score.take_truth(msgspec.structs.replace(truth(1), true=b"1234"))
+    score.take_image(msgspec.structs.replace(image(1), pixels=b""))
+    assert score.report()["contact_cycles"] == 0
