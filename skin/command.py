@@ -28,6 +28,7 @@ VERBS: Final = {
     "load": "bus.load_command:load",
     "objects": "touch.command:objects",
     "train": "classifier.command:train",
+    "bench": "evaluation.command:bench",
 }
 
 

@@ -22,7 +22,7 @@ FALL: Final = 0.2
 RISE: Final = 0.002
 #: A sum that has not come for so long that less than this of it counts is forgotten.
 FORGOTTEN: Final = 0.01
-#: Places of `Recall.state`: the gain that the correlation asks for, the noise floor (newtons squared, 0: unknown), the last gain.
+#: Places of `Recall.state`: the gain that the correlation asks for, the noise floor (N², 0: unknown), the last gain.
 WHITE, FLOOR, GAIN = 0, 1, 2
 
 

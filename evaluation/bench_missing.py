@@ -1,0 +1,74 @@
+"""``skin bench missing``: images with dead nodes, and with frames that random loss takes from the bus."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.bench_scenes import make_scenes, mean_over, mean_psnr_db, solved
+from reconstructor.engine import Reconstructor
+from reconstructor.presets import preset
+from skin.layout import load_layout
+from skin.measurement import Sbhe
+
+METHODS: Final = ("live", "variation", "spun", "paper")
+#: Of 128, drawn at random and the same for every method.
+DEAD_NODES: Final = (0, 1, 2, 4, 8, 16, 32)
+LOSS_RATIOS: Final = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3)
+#: A node's eight sums travel in two frames, and count only if both come.
+FRAMES_PER_BLOCK: Final = 2
+#: At 100 cycles a second the paper's motion, of 1 kHz, is ten times as far from cycle to cycle.
+SPEED: Final = 10
+
+Validity = npt.NDArray[np.bool_]
+
+
+def run(rounds: int) -> dict[str, Any]:
+    """Return the curves as rows of method, kind, amount and PSNR over `rounds` draws of what is missing."""
+    phi = load_layout().phi()
+    rows: list[dict[str, Any]] = []
+    for scene in make_scenes(phi, SPEED):
+        for kind, amounts in (("dead_nodes", DEAD_NODES), ("loss_ratio", LOSS_RATIOS)):
+            for amount in amounts:
+                for draw in range(rounds if amount else 1):
+                    blocks = _present(phi, kind, amount, len(scene.sums), seed=draw)
+                    valid = blocks[:, phi.block_of_sum]
+                    for method in METHODS:
+                        engine = Reconstructor(phi, 64, 64, **preset(method))
+                        psnr_db = mean_psnr_db(solved(engine, scene, valid), scene)
+                        rows.append({"method": method, "kind": kind, "amount": amount, "psnr_db": psnr_db})
+    return {"rows": mean_over(rows, "psnr_db", "method", "kind", "amount")}
+
+
+def _present(phi: Sbhe, kind: str, amount: float, frames: int, seed: int) -> Validity:
+    """Return which blocks' sums come in each cycle, shape (frames, blocks)."""
+    random = np.random.default_rng(seed)
+    if kind == "dead_nodes":
+        alive = np.ones(phi.blocks, np.bool_)
+        alive[random.permutation(phi.blocks)[: int(amount)]] = False
+        return np.tile(alive, (frames, 1))
+    return np.asarray((random.random((frames, phi.blocks, FRAMES_PER_BLOCK)) >= amount).all(axis=2))
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """Write both curves as a figure, the format by the ending of `path`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    for place, (kind, label) in enumerate((("dead_nodes", "dead nodes of 128"), ("loss_ratio", "frames lost, %"))):
+        axes = figure.add_subplot(1, 2, place + 1)
+        for method in METHODS:
+            points = [
+                (row["amount"], row["psnr_db"])
+                for row in result["rows"]
+                if (row["kind"], row["method"]) == (kind, method)
+            ]
+            amounts, values = zip(*points, strict=True)
+            scale = 100 if kind == "loss_ratio" else 1
+            axes.plot([scale * amount for amount in amounts], values, marker="o", label=method)
+        axes.set_xlabel(label)
+        axes.set_ylabel("PSNR, dB")
+        axes.grid(alpha=0.3)
+        axes.legend()
+    figure.savefig(path)

@@ -1,0 +1,80 @@
+"""The benchmark verb: its subjects, what it refuses, and what must show."""
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluation import bench_missing, bench_reconstruct
+from evaluation.bench_limit import measure_limit
+from evaluation.bench_problem import Method, make_problem, race
+from evaluation.bench_scenes import mean_over
+from evaluation.command import bench
+from reconstructor.bases import haar_pyramid
+from skin.errors import InputError
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(InputError, match="unknown subject 'all': expected one of reconstruct"):
+        bench("all")  # type: ignore[arg-type]  # what a caller without a type checker may do
+    with pytest.raises(InputError, match="only 'missing' has a figure"):
+        bench("images", figure=Path("x.svg"))
+    with pytest.raises(InputError, match="1 round or more"):
+        bench("images", rounds=0)
+
+
+def test_race_measures_gap_and_quality() -> None:
+    problem = make_problem(haar_pyramid(64, 64), 0.0125, lipschitz=32.0)
+    rows = race(
+        problem,
+        [
+            Method("nothing", "float64", lambda: np.zeros(4096), np.asarray),
+            Method("start", "float64", lambda: problem.start, np.asarray),
+        ],
+        rounds=2,
+    )
+    assert [row["method"] for row in rows] == ["nothing", "start"]
+    assert rows[0]["gap"] > rows[1]["gap"] > 0
+    assert rows[1]["psnr_db"] > rows[0]["psnr_db"]
+    assert rows[0]["psnr_db"] == pytest.approx(10 * np.log10(4e-4 / np.mean(problem.true**2)))
+
+
+def test_limit_is_positive_and_grows_with_the_iterations() -> None:
+    one, two = measure_limit(10), measure_limit(1000)
+    assert 0 < one["limit_ms"] < two["limit_ms"]
+    assert one["limit_ms"] == pytest.approx(one["arithmetic_ms"] + one["moves_ms"])
+
+
+def test_means() -> None:
+    rows = [{"a": 1, "b": 2.0}, {"a": 2, "b": 5.0}, {"a": 1, "b": 4.0}]
+    assert mean_over(rows, "b", "a") == [{"a": 1, "b": 3.0}, {"a": 2, "b": 5.0}]
+
+
+@pytest.mark.slow
+def test_ours_is_as_close_to_the_minimum_as_dense_fista_and_far_faster() -> None:
+    result = bench_reconstruct.run(rounds=3)
+    for rows, times in ((result["rows"], 40), (result["contourlet"], 4)):
+        dense = {row["dtype"]: row for row in rows if row["method"] == "NumPy dense"}
+        for row in rows:
+            if row["method"] == "canskin":
+                assert row["gap"] == pytest.approx(dense[row["dtype"]]["gap"], rel=0.05)
+                assert dense[row["dtype"]]["ratio_to_ours"] > times  # the aims are 100 and 8 on a quiet machine
+    assert json.loads(json.dumps(result)) == result
+
+
+@pytest.mark.slow
+def test_missing_blocks_cost_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bench("missing", rounds=1, figure=tmp_path / "curves.svg", json=True)
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    curves = {
+        (method, kind): [row["psnr_db"] for row in rows if (row["method"], row["kind"]) == (method, kind)]
+        for method in bench_missing.METHODS
+        for kind in ("dead_nodes", "loss_ratio")
+    }
+    for (method, kind), curve in curves.items():
+        assert len(curve) == 7, (method, kind)
+        assert all(later < earlier + 0.1 for earlier, later in itertools.pairwise(curve))
+        assert curve[0] - curve[4] < 1  # 8 dead nodes of 128, or a tenth of the frames
+    assert "<svg" in (tmp_path / "curves.svg").read_text()
