@@ -1,6 +1,6 @@
 """`Reconstructor`: one tactile image per cycle, from its sums and what earlier cycles said."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,12 @@ from reconstructor.presets import LIVE, Prior
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
+#: Noise of one sum of 32 idle taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.
+SUM_NOISE_N: Final = 0.0033
+#: Bounds of the λ that follows the noise, relative to `penalty_n`; without any, ten iterations fill no gaps.
+LEAST_PENALTY: Final = 0.03
+MOST_PENALTY: Final = 10.0
+
 
 class Reconstructor:
     """The solver of the service.
@@ -21,7 +27,8 @@ class Reconstructor:
     the null space of Φ, so the start is first scaled by how well it explains the sums (`matched`): all of it
     while a touch moves slowly, nothing of it when another touch has taken its place.
 
-    With `remembering`, sums are averaged over cycles with the gain of `Memory`, and λ falls with their noise.
+    With `remembering`, sums are averaged over cycles with the gain of `Memory`, and λ follows their noise: `penalty_n`
+    is then that for sums with a noise of `SUM_NOISE_N` that are not averaged.
 
     The taxels of a block whose sums do not come are not measured: within a few cycles, one or two while the touch
     moves, they show what the measured taxels around them make likely, somewhat too little, and nothing of the past
@@ -137,9 +144,17 @@ class Reconstructor:
         if not valid_sums.any():
             self.reset()
         else:
-            kernel.solve(self._estimate, memory.sums, memory.weights, relative_penalty=memory.noise_ratio)
+            kernel.solve(self._estimate, memory.sums, memory.weights, relative_penalty=self._relative_penalty())
         image = kernel.deliver(self._estimate)
         return image if self._correct is None else self._correct(image)
+
+    def _relative_penalty(self) -> float:
+        """Return by how much λ is to be scaled: with the noise that is seen, and with what is left of it."""
+        if not self._remembering:
+            return 1.0
+        noise_n = self._memory.noise_n
+        seen = min(max(noise_n / SUM_NOISE_N, LEAST_PENALTY), MOST_PENALTY) if noise_n else 1.0
+        return seen * self._memory.noise_ratio
 
     def reset(self) -> None:
         """Forget the previous images and sums."""

@@ -57,6 +57,11 @@ class Memory:
         """Standard deviation of ȳ over that of y, √(g / (2 - g))."""
         return float((self.gain / (2 - self.gain)) ** 0.5)
 
+    @property
+    def noise_n(self) -> float:
+        """Standard deviation of the noise of one cycle's sums in the quietest of recent times, 0 while unknown."""
+        return float(self._recall.state[FLOOR] ** 0.5)
+
     def take(self, sums_n: Values, valid: npt.NDArray[np.bool_]) -> bool:
         """Take in one cycle, arrays of shape (m,); False, and nothing is changed, if a valid sum is not finite."""
         return bool(remember(self._recall, sums_n, valid))

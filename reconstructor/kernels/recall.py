@@ -17,8 +17,10 @@ LEAD: Final = 0.6
 BAND: Final = 1.15
 #: How fast a change takes the gain to 1.
 STEEPNESS: Final = 4
-#: The floor of the noise falls fast and rises by this much a cycle.
+#: The floor of the noise falls by this much of what it is too high, at once to where it is no more than so often too
+#: high, and rises by this much a cycle.
 FALL: Final = 0.2
+FAR: Final = 1.5
 RISE: Final = 0.002
 #: A sum that has not come for so long that less than this of it counts is forgotten.
 FORGOTTEN: Final = 0.01
@@ -86,7 +88,7 @@ def _adapt(state: npt.NDArray[np.float64], energy: float, correlation: float) ->
     if energy > explained:
         gain = max(gain, 1.0 - (explained / energy) ** STEEPNESS)
     if noise < state[FLOOR]:
-        state[FLOOR] += FALL * (noise - state[FLOOR])
+        state[FLOOR] = min(state[FLOOR] + FALL * (noise - state[FLOOR]), FAR * noise)
     else:
         state[FLOOR] *= 1.0 + RISE
     return gain

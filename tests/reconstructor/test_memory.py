@@ -29,6 +29,7 @@ def test_resting_sums_are_averaged_whatever_the_noise(level_n: float) -> None:
     assert gains[0] == 1
     assert max(gains[50:]) < 0.3
     assert np.std(memory.sums - 0.05) < 0.4 * level_n
+    assert memory.noise_n == pytest.approx(level_n, rel=0.15)
     assert memory.noise_ratio == pytest.approx(np.std(memory.sums - 0.05) / level_n, rel=0.2)
 
 
