@@ -34,13 +34,8 @@ def bench(subject: Subject, *, rounds: int | None = None, figure: Path | None = 
 
     Examples
     --------
-    Against the others::
-
-        skin bench reconstruct
-
-    The curves, for a program and as a figure::
-
-        skin bench missing --json --figure missing-data.svg
+    skin bench reconstruct
+    skin bench missing --json --figure missing-data.svg
     """
     if subject not in _MODULES:
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(_MODULES)}")
