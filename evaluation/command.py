@@ -1,68 +1,99 @@
-"""``skin bench``: the engine measured, and measured against others."""
+"""``skin evaluate``: the paper's tables and figures made again, and what goes beyond them."""
 
 import json as json_format
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from skin.errors import InputError
 
-Subject = Literal["reconstruct", "images", "missing"]
-_MODULES: Final = {subject: f"evaluation.bench_{subject}" for subject in get_args(Subject)}
+if TYPE_CHECKING:
+    from evaluation.findings import Findings
+
+Subject = Literal["all"]
+#: Where each subject's ``evaluate(options) -> Findings`` lives, in the order of the report.
+SUBJECTS: Final[dict[str, str]] = {}
 
 
-def bench(subject: Subject, *, rounds: int | None = None, figure: Path | None = None, json: bool = False) -> None:
-    """Measure one part of the system and print a table.
-
-    ``reconstruct`` solves one problem with our solver, with the paper's dense FISTA and with every peer of the extra
-    ``bench`` that is installed, in turn and on one thread: median milliseconds of 20 iterations from a warm start,
-    the gap (F - F*) / F* each is left with, the PSNR, and the ratio to ours of the same precision; then the same for
-    the contourlet, and the time that arithmetic and memory alone would take. ``images`` gives the PSNR of every solver
-    at the paper's speed of motion and ten times faster. ``missing`` gives it with dead nodes and with lost frames.
+def evaluate(
+    subject: Subject,
+    *,
+    quick: bool = False,
+    meshes: Path | None = None,
+    recordings: Path | None = None,
+    out: Path | None = None,
+    jobs: int | None = None,
+    draws: int | None = None,
+    seed: int = 0,
+    json: bool = False,
+) -> None:
+    """Make tables and figures of the paper again and print ours beside the paper's numbers.
 
     Parameters
     ----------
     subject
-        What to measure.
-    rounds
-        Times each method runs after the first; of ``missing``, draws of what is missing. Default 8 and 2.
-    figure
-        File for the curves of ``missing``, for example .svg.
+        What to evaluate; ``all`` writes ``report.html`` into the folder `out`.
+    quick
+        A look at everything in a small fraction of the time, with fewer steps and draws.
+    meshes
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
+    recordings
+        Folder of real pressure recordings (S1.npz and so on), for the parts that use them.
+    out
+        Folder for the report and for measured results, which a later run takes up. Default for ``all``:
+        skin-evaluation.
+    jobs
+        Processes at the same time. Default: one per core.
+    draws
+        Draws of Φ to average over. Default: each subject's own.
+    seed
+        Of all random numbers.
     json
         Print JSON instead of tables.
 
     Examples
     --------
-    skin bench reconstruct
-    skin bench missing --json --figure missing-data.svg
+    skin evaluate all --quick
+    skin evaluate all --meshes ycb-meshes --out report
     """
-    if subject not in _MODULES:
-        raise InputError(f"unknown subject '{subject}': expected one of {', '.join(_MODULES)}")
-    if figure is not None and subject != "missing":
-        raise InputError(f"only 'missing' has a figure, not '{subject}'")
-    count = (2 if subject == "missing" else 8) if rounds is None else rounds
-    if count < 1:
-        raise InputError(f"expected 1 round or more, got {count}")
-    module = import_module(_MODULES[subject])
-    result: dict[str, Any] = module.run(count)
-    if figure is not None:
-        module.draw(result, figure)
+    from evaluation.findings import Options
+
+    if subject not in get_args(Subject):
+        raise InputError(f"unknown subject '{subject}': expected one of {', '.join(get_args(Subject))}")
+    if out is None and subject == "all":
+        out = Path("skin-evaluation")
+    processes = jobs if jobs is not None else os.cpu_count() or 1
+    options = Options(quick, meshes, recordings, out, processes, draws, seed)
+    findings = {}
+    for name in SUBJECTS if subject == "all" else [subject]:
+        findings[name] = import_module(SUBJECTS[name]).evaluate(options)
+        if not json:
+            _print(findings[name])
+    if out is not None:
+        from evaluation.report import write_report
+
+        print(f"report: {write_report(findings, options, out)}", file=sys.stderr)
     if json:
-        json_format.dump(result, sys.stdout)
-        print()
-    else:
-        _print_tables(result)
+        _dump(findings)
 
 
-def _print_tables(result: dict[str, Any]) -> None:
+def _dump(findings: "dict[str, Findings]") -> None:
+    rows = [{"subject": name, **row} for name, found in findings.items() for row in found.rows]
+    notes = [note for found in findings.values() for note in found.notes]
+    json_format.dump({"rows": rows, "notes": notes}, sys.stdout)
+    print()
+
+
+def _print(found: "Findings") -> None:
     from rich.console import Console
     from rich.table import Table
 
     console = Console(file=sys.stdout)
-    for name, rows in result.items():
-        listed = rows if isinstance(rows, list) else [rows]
-        table = Table(*listed[0], title=name)
-        for row in listed:
-            table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
-        console.print(table)
+    table = Table(*(found.rows[0] if found.rows else ()), title=found.title)
+    for row in found.rows:
+        table.add_row(*("" if value is None else str(value) for value in row.values()))
+    console.print(table)
+    for note in found.notes:
+        console.print(f"- {note}", highlight=False, markup=False)

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Final
 
 import cyclopts
@@ -28,7 +29,8 @@ VERBS: Final = {
     "load": "bus.load_command:load",
     "objects": "touch.command:objects",
     "train": "classifier.command:train",
-    "bench": "evaluation.command:bench",
+    "evaluate": "evaluation.command:evaluate",
+    "bench": "evaluation.bench.command:bench",
 }
 
 
@@ -40,6 +42,7 @@ def build_app(arguments: Sequence[str] = ()) -> cyclopts.App:
     app = cyclopts.App(
         name="skin",
         help="A distributed robot skin on CAN: sums from CANopen nodes, images by FISTA, objects by name.",
+        version=lambda: version("canskin"),
         version_flags=["--version"],
     )
     lists_verbs = not arguments or arguments[0] in HELP_FLAGS

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.bench_problem import FORCE_MAX_N, NOISE_N
+from evaluation.bench.problem import FORCE_MAX_N, NOISE_N
 from reconstructor.engine import Reconstructor
 from skin.measurement import Sbhe
 from touch.contact import Grid, press

@@ -4,8 +4,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from evaluation.bench_problem import NOISE_N
-from evaluation.bench_scenes import make_scenes, mean_over, mean_psnr_db, solved
+from evaluation.bench.problem import NOISE_N
+from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
 from reconstructor.engine import Reconstructor
 from reconstructor.presets import LIVE, PRESETS
 from skin.layout import load_layout

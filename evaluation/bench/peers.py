@@ -1,4 +1,4 @@
-"""The other ways to solve `evaluation.bench_problem.Problem`: the paper's dense FISTA and the libraries installed.
+"""The other ways to solve `evaluation.bench.problem.Problem`: the paper's dense FISTA and the libraries installed.
 
 Each gets the same A, y, start, λ, L and number of iterations, in the form it is meant to be used. Coordinate descent
 gets as many sweeps as bring it to a gap no larger than ours.
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pywt
 
-from evaluation.bench_problem import Method, Problem, Values
+from evaluation.bench.problem import Method, Problem, Values
 from reconstructor.fista import momentum
 from reconstructor.proximal import soft
 

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from evaluation.bench_limit import measure_limit
-from evaluation.bench_peers import dense_only, peers
-from evaluation.bench_problem import Method, Problem, Values, make_problem, race
+from evaluation.bench.limit import measure_limit
+from evaluation.bench.peers import dense_only, peers
+from evaluation.bench.problem import Method, Problem, Values, make_problem, race
 from reconstructor.bases import haar_pyramid
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.bench_scenes import make_scenes, mean_over, mean_psnr_db, solved
+from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
 from reconstructor.engine import Reconstructor
 from reconstructor.presets import preset
 from skin.layout import load_layout

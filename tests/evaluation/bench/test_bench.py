@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation import bench_missing, bench_reconstruct
-from evaluation.bench_limit import measure_limit
-from evaluation.bench_problem import Method, make_problem, race
-from evaluation.bench_scenes import mean_over
-from evaluation.command import bench
+from evaluation.bench import missing, reconstruct
+from evaluation.bench.command import bench
+from evaluation.bench.limit import measure_limit
+from evaluation.bench.problem import Method, make_problem, race
+from evaluation.bench.scenes import mean_over
 from reconstructor.bases import haar_pyramid
 from skin.errors import InputError
 
@@ -54,7 +54,7 @@ def test_means() -> None:
 
 @pytest.mark.slow
 def test_ours_is_as_close_to_the_minimum_as_dense_fista_and_far_faster() -> None:
-    result = bench_reconstruct.run(rounds=3)
+    result = reconstruct.run(rounds=3)
     for rows, times in ((result["rows"], 40), (result["contourlet"], 4)):
         dense = {row["dtype"]: row for row in rows if row["method"] == "NumPy dense"}
         for row in rows:
@@ -70,7 +70,7 @@ def test_missing_blocks_cost_little(tmp_path: Path, capsys: pytest.CaptureFixtur
     rows = json.loads(capsys.readouterr().out)["rows"]
     curves = {
         (method, kind): [row["psnr_db"] for row in rows if (row["method"], row["kind"]) == (method, kind)]
-        for method in bench_missing.METHODS
+        for method in missing.METHODS
         for kind in ("dead_nodes", "loss_ratio")
     }
     for (method, kind), curve in curves.items():

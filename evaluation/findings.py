@@ -1,0 +1,112 @@
+"""What an evaluation is asked, and what it answers: rows beside the paper's, notes, pictures."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skin.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every evaluation is asked.
+
+    Attributes
+    ----------
+    quick : bool
+        Fewer steps, draws and objects: a look at all that the whole does, not its figures.
+    meshes : pathlib.Path, optional
+        Folder of meshes that take the place of the shapes that ship.
+    recordings : pathlib.Path, optional
+        Folder of real pressure recordings, for what needs them.
+    out : pathlib.Path, optional
+        Folder of measured cells, which a later run takes up; without it nothing is kept.
+    jobs : int
+        Processes that measure at the same time.
+    draws : int, optional
+        Draws of Φ that are averaged; without it the subject's own number.
+    seed : int
+        Of all random numbers.
+
+    Raises
+    ------
+    InputError
+        If a folder is none, or a number is out of range.
+    """
+
+    quick: bool = False
+    meshes: Path | None = None
+    recordings: Path | None = None
+    out: Path | None = None
+    jobs: int = 1
+    draws: int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):
+            if folder is not None and not folder.is_dir():
+                raise InputError(f"no folder '{folder}': expected a folder of {what}")
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError(f"'{self.out}' is a file: expected a folder for the results")
+        for name, number, least in (("jobs", self.jobs, 1), ("draws", self.draws, 1), ("seed", self.seed, 0)):
+            if number is not None and number < least:
+                raise InputError(f"{name} needs a whole number of {least} or more: got {number}")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A plot of the report.
+
+    Attributes
+    ----------
+    name : str
+        Of its file, without ending.
+    caption : str
+        What it shows and what to see in it.
+    draw : callable
+        Makes the figure.
+    """
+
+    name: str
+    caption: str
+    draw: "Callable[[], Figure]"
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What one evaluation found.
+
+    Attributes
+    ----------
+    title : str
+        One line.
+    rows : list of dict
+        All with the same keys in the same order; ``ours``, ``paper`` and ``difference`` where the paper has a number.
+    notes : list of str
+        What a reader must know to judge the rows: what is fitted, what falls short and the likely cause.
+    pictures : list of Picture
+        Plots of the rows.
+    """
+
+    title: str
+    rows: list[Row]
+    notes: list[str] = field(default_factory=list)
+    pictures: list[Picture] = field(default_factory=list)
+
+
+def beside(ours: float, paper: float | None, digits: int = 2) -> Row:
+    """Return the columns ``ours``, ``paper`` and ``difference``, the last two None where the paper has no number."""
+    if paper is None or not math.isfinite(ours):
+        return {"ours": _finite(ours, digits), "paper": paper, "difference": None}
+    return {"ours": round(ours, digits), "paper": paper, "difference": round(ours - paper, digits)}
+
+
+def _finite(number: float, digits: int) -> float | None:
+    return round(number, digits) if math.isfinite(number) else None

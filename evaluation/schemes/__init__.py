@@ -1,0 +1,1 @@
+"""Ways of acquiring a touch over one bus, held against each other."""

@@ -1,0 +1,73 @@
+"""Measured cells: their order, what is kept, and what is measured again."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from evaluation.cells import measure_cells
+from evaluation.findings import Findings, Options, beside
+from evaluation.report import write_report
+from skin.errors import InputError
+
+_calls: list[int] = []
+
+
+def double(number: int) -> dict[str, int]:
+    _calls.append(number)
+    return {"double": 2 * number}
+
+
+CELLS = [{"number": number} for number in (3, 1, 2)]
+DOUBLED = [{"double": number} for number in (6, 2, 4)]
+
+
+def test_results_come_in_the_order_of_the_cells_from_one_process_and_from_two() -> None:
+    assert measure_cells(double, CELLS, Options(), "cells") == DOUBLED
+    assert measure_cells(double, CELLS, Options(jobs=2), "cells") == DOUBLED
+
+
+def test_a_run_that_was_cut_short_goes_on(tmp_path: Path) -> None:
+    options = Options(out=tmp_path)
+    measure_cells(double, CELLS, options, "cells")
+    path = tmp_path / "cells.jsonl"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:2]) + "\n" + lines[2][:20])
+    _calls.clear()
+    assert measure_cells(double, CELLS, options, "cells") == DOUBLED
+    assert _calls == [2]
+    assert [json.loads(line)["cell"]["number"] for line in path.read_text().splitlines() if line != lines[2][:20]]
+    assert measure_cells(double, CELLS, options, "cells") == DOUBLED
+    assert _calls == [2]
+
+
+def test_other_code_is_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = Options(out=tmp_path)
+    measure_cells(double, CELLS, options, "cells")
+    _calls.clear()
+    monkeypatch.setattr("evaluation.cells._code", lambda: "changed")
+    measure_cells(double, CELLS, options, "cells")
+    assert _calls == [3, 1, 2]
+
+
+def test_options_that_cannot_be_used(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="expected a folder of meshes"):
+        Options(meshes=tmp_path / "none")
+    with pytest.raises(InputError, match="is a file"):
+        Options(out=tmp_path / "file")
+    with pytest.raises(InputError, match="draws needs a whole number of 1 or more: got 0"):
+        Options(draws=0)
+
+
+def test_beside_the_paper() -> None:
+    assert beside(1.234, 1.0) == {"ours": 1.23, "paper": 1.0, "difference": 0.23}
+    assert beside(1.234, None) == {"ours": 1.23, "paper": None, "difference": None}
+    assert beside(float("nan"), 1.0) == {"ours": None, "paper": 1.0, "difference": None}
+
+
+def test_the_report_shows_what_it_is_given_and_no_markup_of_it(tmp_path: Path) -> None:
+    found = Findings("Table of <things>", [{"object": "a & b", **beside(1.5, 2.0)}], ["one <note>"])
+    text = write_report({"things": found}, Options(quick=True), tmp_path).read_text()
+    for shown in ("Table of &lt;things&gt;", "a &amp; b", "<td>-0.5</td>", "one &lt;note&gt;", "A quick look"):
+        assert shown in text
