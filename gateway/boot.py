@@ -20,6 +20,9 @@ from skin.service import say
 NMT_START: Final = 1
 #: An SDO answer waits behind a whole burst of sums; five SYNC periods are ample.
 SDO_TIMEOUT_S: Final = 0.3
+#: What a segment of an SDO transfer carries (CiA 301, 7.2.4.3.6), and far more than any object asked for.
+SEGMENT_BYTES: Final = 7
+LONGEST_VALUE: Final = 256
 #: Stands in the queue behind the nodes of the first pass; no node has this ID.
 _FIRST_PASS_ENDS: Final = 0
 
@@ -101,9 +104,9 @@ class Boot:
         remote.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
         self._network[node.node_id] = remote
         try:
-            block = int.from_bytes(remote.sdo.upload(OD_BLOCK, 0), "little")
-            encoding = int.from_bytes(remote.sdo.upload(OD_ENCODING, 0), "little")
-            phi = remote.sdo.upload(OD_PHI_FINGERPRINT, 0).decode("ascii", "replace")
+            block = int.from_bytes(_read(remote, OD_BLOCK), "little")
+            encoding = int.from_bytes(_read(remote, OD_ENCODING), "little")
+            phi = _read(remote, OD_PHI_FINGERPRINT).decode("ascii", "replace")
         except canopen.SdoCommunicationError:
             return
         except canopen.SdoAbortedError as error:
@@ -125,3 +128,14 @@ class Boot:
             return
         self._trust(node, True)
         self._network.send_message(NMT_COB_ID, bytes((NMT_START, node.node_id)))
+
+
+def _read(remote: canopen.RemoteNode, index: int) -> bytes:
+    """Return the value of an object; a transfer without end is left after `LONGEST_VALUE`."""
+    with remote.sdo.open(index, 0, buffering=0) as transfer:
+        value = b""
+        while segment := transfer.read(SEGMENT_BYTES):
+            value += segment
+            if len(value) > LONGEST_VALUE:
+                raise ValueError(f"object {index:04X}h is longer than {LONGEST_VALUE} bytes")
+    return value

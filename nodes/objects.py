@@ -1,13 +1,24 @@
 """From the dictionary as data to the ``canopen`` library's object dictionary and local node."""
 
+import logging
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
+from canopen.sdo.server import SdoServer
 
 from dbc.dictionary import Object
 from dbc.indices import BITS, OD_SUMS, split_block
+
+#: Abort codes (CiA 301, table 22): command specifier not valid; value too long.
+ABORT_COMMAND: Final = 0x0504_0001
+ABORT_TOO_LONG: Final = 0x0607_0012
+#: Bytes, far more than any object of a node holds.
+LONGEST_VALUE: Final = 256
+
+# The library logs every request it refuses; the abort on the bus says it already.
+logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
 
 def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
@@ -32,6 +43,31 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
     return dictionary
 
 
+class BoundedSdoServer(SdoServer):
+    """The library's SDO server, which neither a download without end nor a segment out of turn can upset."""
+
+    _buffer: bytearray | None
+
+    def __init__(self, rx_cobid: int, tx_cobid: int, node: canopen.LocalNode) -> None:
+        super().__init__(rx_cobid, tx_cobid, node)  # type: ignore[no-untyped-call]
+        self._index = self._subindex = 0  # what an abort before the first transfer names
+
+    def segmented_upload(self, command: int) -> None:
+        """Send one segment (CiA 301, 7.2.4.3.6), or abort where no transfer was begun."""
+        if self._buffer is None:
+            raise canopen.SdoAbortedError(ABORT_COMMAND)
+        super().segmented_upload(command)  # type: ignore[no-untyped-call]
+
+    def segmented_download(self, command: int, request: bytes) -> None:
+        """Take one segment (CiA 301, 7.2.4.3.4), or abort a value longer than any object."""
+        if self._buffer is None:
+            raise canopen.SdoAbortedError(ABORT_COMMAND)
+        if len(self._buffer) > LONGEST_VALUE:
+            self._buffer = None
+            raise canopen.SdoAbortedError(ABORT_TOO_LONG)
+        super().segmented_download(command, request)  # type: ignore[no-untyped-call]
+
+
 class LocalNode(canopen.LocalNode):
     """The library's local node for its dictionary and SDO server only; NMT and heartbeat are `nodes.node`'s.
 
@@ -47,6 +83,7 @@ class LocalNode(canopen.LocalNode):
         super().__init__(node_id, dictionary)
         self.sum_bits = sum_bits
         self.pdo_bytes = pdo_bytes
+        self.sdo = BoundedSdoServer(self.sdo.rx_cobid, self.sdo.tx_cobid, self)
         # The library would start a thread per node for the heartbeat.
         self._write_callbacks.clear()
 

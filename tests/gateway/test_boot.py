@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from bus.link import State
-from dbc.contract import NMT_COB_ID, SDO_RESPONSE_BASE, Contract, NodeContract, contract
+from dbc.contract import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Contract, NodeContract, contract
 from dbc.frame import Frames, frames
 from gateway.boot import NMT_START, Boot
 from gateway.network import MasterNetwork
@@ -122,3 +122,24 @@ def test_stop_does_not_ask_the_nodes_that_still_wait(made: Contract) -> None:
     boot._thread.join(PATIENCE_S)
     assert not boot._thread.is_alive()
     assert len({can_id for can_id, _ in silent.sent}) < len(made.on_bus(0))
+
+
+class Endless(Wire):
+    """A far end whose every object is a segmented transfer that never ends."""
+
+    def send(self, burst: Frames) -> int:
+        for frame in burst:
+            command = int(frame["data"][0])
+            if frame["can_id"] > SDO_REQUEST_BASE and command >> 5 == 2:  # initiate upload
+                self.heard(SDO_RESPONSE_BASE + 1, bytearray([0x40, *frame["data"][1:4], 0, 0, 0, 0]), 0.0)
+            elif frame["can_id"] > SDO_REQUEST_BASE and command >> 5 == 3:  # upload segment
+                self.heard(SDO_RESPONSE_BASE + 1, bytearray([command & 0x10, *range(7)]), 0.0)
+        return super().send(burst)
+
+
+def test_a_transfer_without_end_is_left(made: Contract, capsys: pytest.CaptureFixture[str]) -> None:
+    wire, trusted = Endless(), []
+    boot, _ = boot_of(wire, [made.on_bus(0)[0]], made.phi.fingerprint, trusted)
+    run(boot)
+    assert not trusted
+    assert "answers strangely: object" in capsys.readouterr().err

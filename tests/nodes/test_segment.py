@@ -175,6 +175,18 @@ def test_writes_are_refused_with_the_code_of_the_standard(
     assert write(segment, link, index, sub, value, size) == abort
 
 
+def test_segments_without_a_transfer_and_without_an_end_are_aborted(segment: Segment, link: ArrayLink) -> None:
+    for stray in (0x60, 0x00):
+        assert sdo(segment, link, 1, bytes((stray,)))[4:] == struct.pack("<I", 0x0504_0001)
+    assert sdo(segment, link, 1, struct.pack("<BHBI", 0x21, 0x1017, 0, 1 << 30))[0] == 0x60
+    answers = [sdo(segment, link, 1, bytes((place % 2 << 4, *range(7)))) for place in range(60)]
+    taken = sum(answer[0] >> 5 == 1 for answer in answers)
+    assert taken == 37  # 259 bytes
+    assert answers[taken][4:] == struct.pack("<I", 0x0607_0012)
+    assert {answer[4:] for answer in answers[taken + 1 :]} == {struct.pack("<I", 0x0504_0001)}
+    assert segment.frames_rejected == 0
+
+
 def test_stored_parameters_survive_a_reset_and_defaults_come_back(segment: Segment, link: ArrayLink) -> None:
     assert write(segment, link, 0x1017, 0, 250, 2) == 0
     give(segment, link, frame(0, bytes((RESET_NODE, 1))))
