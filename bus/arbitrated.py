@@ -61,7 +61,6 @@ class ArbitratedLink:
 
     def __init__(self, channel: str, hello: Hello, *, wait_s: float = 0.0) -> None:
         self.channel = channel
-        self.bus_time_ns = 0
         self._hello = hello
         self._path = socket_path(channel)
         self._lock = threading.RLock()
@@ -189,7 +188,7 @@ class ArbitratedLink:
         header, payload = unpack(packet)
         arrived = unpack_frames(header, payload).copy()
         self._state = State(min(header.state, State.BUS_OFF))
-        self._dropped, self.bus_time_ns = header.dropped, header.time_ns
+        self._dropped = header.dropped
         own = arrived["flags"] & ECHO != 0
         if not own.any():
             return arrived

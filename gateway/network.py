@@ -15,17 +15,16 @@ class MasterNetwork(canopen.Network):
         super().__init__()
         self._link = link
         self._sending = threading.Lock()
-        self.frames_refused = 0
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG002
-        """Send one frame; a full transmit queue is counted, not raised."""
+        """Send one frame; a full transmit queue is not raised."""
         frame = frames(1)
         frame["can_id"] = can_id
         frame["length"] = len(data)
         frame["data"][0, : len(data)] = tuple(data)
         self.send_frames(frame)
 
-    def send_frames(self, burst: Frames) -> None:
-        """Send frames as they are."""
+    def send_frames(self, burst: Frames) -> int:
+        """Send frames as they are; return how many the transmit queue took."""
         with self._sending:
-            self.frames_refused += len(burst) - self._link.send(burst)
+            return self._link.send(burst)

@@ -221,8 +221,10 @@ class GatewayService:
         # When it was due, so that on a virtual bus a late turn of this loop is no jitter of the SYNC.
         sync["time_ns"] = sync_ns = round(self._next_sync_s * 1e9)
         time_ns = time.time_ns() - time.monotonic_ns() + sync_ns
-        for line in self._lines.values():
-            line.network.send_frames(sync)
+        for number, line in self._lines.items():
+            if not line.network.send_frames(sync):
+                name = self._made.layout.bus[number].name
+                self._complaints.complain(f"{name} took no SYNC: its transmit queue is full, or the bus is gone")
         # Absolute deadlines: lateness of one SYNC does not move the next; whole missed periods are skipped.
         self._next_sync_s += self._period_s * max(1, int((now_s - self._next_sync_s) / self._period_s) + 1)
         closes_s = self._next_sync_s + GRACE * self._period_s
