@@ -19,6 +19,9 @@ from skin.errors import InputError
 
 #: Spring of one taxel: force in newtons is compression in metres times this.
 STIFFNESS_N_PER_M: Final = 1.0
+#: How far a taxel can be pushed, and the force that full travel takes (section V).
+TRAVEL_M: Final = 0.02
+FORCE_MAX_N: Final = STIFFNESS_N_PER_M * TRAVEL_M
 #: Radius of one taxel's sphere; the taxels of the paper's array touch each other at a pitch of 4 mm.
 TAXEL_RADIUS_M: Final = 0.002
 PITCH_M: Final = 0.004
@@ -79,6 +82,14 @@ class Spheres:
 
     def __len__(self) -> int:
         return int(self.radii_m.size)
+
+    def footprint_m(self, depth_m: float) -> tuple[float, float]:
+        """Return length and width of the part within `depth_m` of the highest point, metres."""
+        indent = np.clip(depth_m + self.centres_m[:, 2] + self.radii_m, 0.0, self.radii_m)
+        span = np.sqrt(indent * (2.0 * self.radii_m - indent))[:, None]
+        centres, span = self.centres_m[indent > 0.0, :2], span[indent > 0.0]
+        length, width = np.max(centres + span, axis=0) - np.min(centres - span, axis=0)
+        return float(length), float(width)
 
 
 @dataclass(frozen=True)
@@ -141,6 +152,25 @@ def press(grid: Grid, objects: Iterable[tuple[Spheres, Pose]]) -> Force:
             (grid.pitch_m, grid.taxel_radius_m),
         )
     return compression * np.float32(STIFFNESS_N_PER_M)
+
+
+def press_along(grid: Grid, spheres: Spheres, poses: Iterable[Pose]) -> Force:
+    """Return the true force of every taxel while one object moves from pose to pose.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32, shape (poses, rows, columns), newtons.
+
+    Raises
+    ------
+    InputError
+        If there is no pose, or one is not finite.
+    """
+    images = [press(grid, [(spheres, pose)]) for pose in poses]
+    if not images:
+        raise InputError("expected 1 pose or more, got none")
+    return np.stack(images)
 
 
 def _deepest(

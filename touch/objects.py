@@ -1,13 +1,16 @@
 """The objects that can touch the skin, by name (section V of the paper)."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Final
 
 from skin.errors import InputError
-from touch import primitives
+from touch import primitives, shapes
 from touch.contact import Spheres
+from touch.meshes import MeshPose, find_mesh, load_mesh
 
 
 @dataclass(frozen=True)
@@ -19,15 +22,18 @@ class TouchObject:
     name, shape : str
         What it is called, and which primitive makes it.
     size_m : tuple of float
-        Length and width of what faces the array, metres.
+        Length and width of what faces the array, of an own shape of its upper 10 mm, metres.
     build : callable
         Makes its spheres.
+    mesh : MeshPose, optional
+        How it lies when it is made from a mesh; None where the paper itself uses a simple body.
     """
 
     name: str
     shape: str
     size_m: tuple[float, float]
     build: Callable[[], Spheres]
+    mesh: MeshPose | None = None
 
 
 def _ball(name: str, diameter_m: float) -> TouchObject:
@@ -46,10 +52,20 @@ def _ring(name: str, diameter_m: float, wall_m: float) -> TouchObject:
     return TouchObject(name, "ring", (diameter_m, diameter_m), lambda: primitives.ring(diameter_m, wall_m))
 
 
+def _own(name: str, size_m: tuple[float, float], build: Callable[[], Spheres], mesh: MeshPose) -> TouchObject:
+    return TouchObject(name, "own", size_m, build, mesh)
+
+
+#: How the authors' meshes lie under the array, as turns about y and z one after the other.
+_ON_ITS_SIDE: Final = (("y", math.pi / 2), ("y", math.pi))
+_DRILL: Final = MeshPose(("drill",), (("z", 5 * math.pi / 16), *_ON_ITS_SIDE))
+_CLAMP: Final = MeshPose(("clamp", "largeclamp"), _ON_ITS_SIDE)
+_MUSTARD_LYING: Final = MeshPose(("mustard",), (("z", math.pi / 6), *_ON_ITS_SIDE))
+_MUSTARD_UPRIGHT: Final = MeshPose(("mustard",), (("z", math.pi / 6), *_ON_ITS_SIDE, ("y", math.pi / 2)))
+
 #: Balls and boxes have the sizes of BubbleTouch's scripts. The paper does not give its cans: these are
-#: sizes of common cans that show the confusions the paper reports. The ring has the width and the wall of the
-#: paper's cup.
-_OBJECTS: Final = (
+#: sizes of common cans that show the confusions the paper reports.
+_PAPER: Final = (
     _ball("golf-ball", 0.04267),
     _ball("racquetball", 0.057),
     _ball("volleyball", 0.207),
@@ -61,10 +77,19 @@ _OBJECTS: Final = (
     _can("gravy-can", 0.0683),
     _can("tuna-can", 0.0873),
     _can("salmon-can", 0.1032),
-    _ring("ring", 0.1004, 0.0043),
+    _own("banana", (0.144, 0.092), shapes.banana, MeshPose(("banana",), ())),
+    _own("cup", (0.106, 0.106), shapes.cup, MeshPose(("cup",), ())),
+    _own("drill", (0.183, 0.157), shapes.drill, _DRILL),
+    _own("clamp", (0.198, 0.130), shapes.clamp, _CLAMP),
+    _own("mustard-lying", (0.160, 0.075), shapes.mustard_lying, _MUSTARD_LYING),
+    _own("mustard-upright", (0.024, 0.024), shapes.mustard_upright, _MUSTARD_UPRIGHT),
 )
 
-CATALOGUE: Final = {item.name: item for item in _OBJECTS}
+#: The paper's 17 objects: 16 it classifies and the golf ball.
+PAPER_OBJECTS: Final = tuple(item.name for item in _PAPER)
+
+#: Those and a ring with the width and the wall of the paper's cup.
+CATALOGUE: Final = {item.name: item for item in (*_PAPER, _ring("ring", 0.1004, 0.0043))}
 
 
 def checked_names(names: Iterable[str]) -> tuple[str, ...]:
@@ -86,13 +111,24 @@ def checked_names(names: Iterable[str]) -> tuple[str, ...]:
 
 
 @cache
-def spheres_of(name: str) -> Spheres:
+def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
     """Return the spheres of the object called `name`, built once.
+
+    Parameters
+    ----------
+    name : str
+        One of `CATALOGUE`.
+    meshes : pathlib.Path, optional
+        Folder of meshes in metres, of any format trimesh reads: ``banana.ply``, ``drill.stl``, … The objects
+        that the paper takes from meshes are made from it, the others as ever.
 
     Raises
     ------
     InputError
-        If the catalogue has no such object.
+        If the catalogue has no such object, or the folder has no mesh of it that can be used.
     """
     (checked,) = checked_names([name])
-    return CATALOGUE[checked].build()
+    item = CATALOGUE[checked]
+    if meshes is None or item.mesh is None:
+        return item.build()
+    return load_mesh(find_mesh(meshes, item.mesh), item.mesh)

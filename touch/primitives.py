@@ -3,7 +3,9 @@
 The sizes of the spheres are those of BubbleTouch's own models: 1.5 mm for boxes, 5 mm for cans.
 """
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -17,6 +19,10 @@ CAN_SPHERE_M: Final = 0.005
 #: Half a taxel's pitch: the lid between its spheres is flat to 0.15 mm.
 CAN_SPACING_M: Final = 0.002
 RIM_SPACING_M: Final = 0.001
+ROD_SPACING_M: Final = 0.002
+
+#: Rows of numbers, metres; what they are, the function tells.
+Knots = Sequence[Sequence[float]] | FloatArray
 
 
 def ball(diameter_m: float) -> Spheres:
@@ -54,6 +60,50 @@ def ring(diameter_m: float, wall_m: float) -> Spheres:
     return _flat(x, y, wall_m / 2)
 
 
+def rods(parts: Sequence[Knots]) -> Spheres:
+    """Return bent rods of varying width: spheres from knot to knot, their place and size changing evenly.
+
+    Parameters
+    ----------
+    parts : sequence of Knots
+        For each rod x, y, height of the top, and radius of each knot, metres. One knot is a ball.
+
+    Raises
+    ------
+    InputError
+        If there is no knot, or a radius is not above 0.
+    """
+    spheres = np.concatenate([_rod(np.array(knots, np.float64).reshape(-1, 4)) for knots in parts])
+    x, y, top, radii = spheres.T
+    return Spheres(np.stack([x, y, top - radii], axis=1), radii)
+
+
+def rim(circles: Knots, middle_m: tuple[float, float] = (0.0, 0.0), slope: tuple[float, float] = (0.0, 0.0)) -> Spheres:
+    """Return the rim of a cup with a rounded lip: circles of spheres about one middle.
+
+    Parameters
+    ----------
+    circles : Knots
+        Each radius, height of the top, and the spheres' radius, metres.
+    middle_m : tuple of float
+        Middle x, y.
+    slope : tuple of float
+        How much the rim rises along x and along y.
+
+    Raises
+    ------
+    InputError
+        If there is no circle, or a radius is not above 0.
+    """
+    parts = []
+    for circle_m, top_m, radius_m in circles:
+        x, y = _circle(circle_m, RIM_SPACING_M)
+        z = top_m - radius_m + slope[0] * x + slope[1] * y
+        parts.append(np.stack([x + middle_m[0], y + middle_m[1], z, np.full_like(x, radius_m)]))
+    x, y, z, radii = np.concatenate(parts, axis=1)
+    return Spheres(np.stack([x, y, z], axis=1), radii)
+
+
 def _need_size(name: str, length_m: float, above_m: float) -> None:
     if not (math.isfinite(length_m) and length_m > above_m):
         raise InputError(f"{name} needs a length above {above_m} m: got {length_m}")
@@ -68,6 +118,15 @@ def _circle(radius_m: float, spacing_m: float) -> FloatArray:
     count = max(1, math.ceil(2 * math.pi * radius_m / spacing_m))
     angle = 2 * math.pi * np.arange(count) / count
     return radius_m * np.stack([np.cos(angle), np.sin(angle)])
+
+
+def _rod(knots: FloatArray) -> FloatArray:
+    """Return spheres (x, y, top, radius) from knot to knot, shape (n, 4)."""
+    parts = [knots[:1]]
+    for near, far in itertools.pairwise(knots):
+        count = max(1, math.ceil(math.dist(near[:2], far[:2]) / ROD_SPACING_M))
+        parts.append(near + (far - near) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(parts)
 
 
 def _flat(x: FloatArray, y: FloatArray, radius_m: float) -> Spheres:

@@ -90,7 +90,7 @@ def test_small_and_oblong_skins_are_touched_too() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"names": ["golf-ball", "banana"]}, "unknown object 'banana': expected one or more|one of golf-ball"),
+        ({"names": ["golf-ball", "spoon"]}, "unknown object 'spoon': expected one or more|one of golf-ball"),
         ({"names": []}, "no object named"),
         ({"rate_hz": 0.0}, "rate_hz"),
         ({"rate_hz": float("nan")}, "rate_hz"),
@@ -144,7 +144,7 @@ def test_training_touches_are_not_those_of_the_live_source() -> None:
 
 
 def test_wrong_training_options_are_refused() -> None:
-    for names, count, seed in ((["banana"], 1, 0), ([], 1, 0), (["ring"], -1, 0), (["ring"], 1, -1)):
+    for names, count, seed in ((["spoon"], 1, 0), ([], 1, 0), (["ring"], -1, 0), (["ring"], 1, -1)):
         with pytest.raises(InputError):
             random_touches(names, count, seed=seed)
     with pytest.raises(InputError, match="never felt"):

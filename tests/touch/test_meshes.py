@@ -1,0 +1,99 @@
+"""Objects from meshes, on small ones made here."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from skin.errors import InputError
+from touch.meshes import MeshPose, find_mesh, load_mesh
+from touch.objects import spheres_of
+
+AS_IT_IS = MeshPose(("thing",), ())
+
+
+def saved(path: Path, mesh: trimesh.Trimesh) -> Path:
+    mesh.export(path)
+    return path
+
+
+def ball_mesh(radius: float = 0.03) -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions=4, radius=radius)
+
+
+def open_mesh() -> trimesh.Trimesh:
+    mesh = ball_mesh()
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[1:])
+
+
+@pytest.mark.parametrize("ending", ["ply", "stl", "obj", "off", "glb"])
+def test_any_format_gives_the_same_spheres(tmp_path: Path, ending: str) -> None:
+    mesh = ball_mesh()
+    spheres = load_mesh(saved(tmp_path / f"thing.{ending}", mesh), AS_IT_IS)
+    corners = mesh.vertices
+    apart = np.linalg.norm(corners[:, None] - corners, axis=2) + 9 * np.eye(len(corners))
+    np.testing.assert_allclose(spheres.radii_m, 2 * apart.min(axis=1).mean(), rtol=1e-5)
+    assert len(spheres) == (corners[:, 2] > 0.03 - 0.02).sum()
+    assert spheres.footprint_m(0.02)[0] == pytest.approx(0.06, abs=0.006)
+
+
+def test_turns_are_made_one_after_the_other_and_y_runs_down(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((0.1, 0.02, 0.02))
+    for _ in range(5):
+        mesh = mesh.subdivide()
+    path = saved(tmp_path / "thing.ply", mesh)
+    assert load_mesh(path, AS_IT_IS).footprint_m(0.005)[0] > 0.1
+    turned = load_mesh(path, MeshPose(("thing",), (("z", math.pi / 2),)))
+    assert turned.footprint_m(0.005)[1] > 0.1
+    upright = load_mesh(path, MeshPose(("thing",), (("z", math.pi / 2), ("x", math.pi / 2))))
+    assert max(upright.footprint_m(0.005)) < 0.04
+    mesh.apply_translation((0.0, 0.0, 0.3))
+    cone = trimesh.util.concatenate([mesh, ball_mesh(0.02).apply_translation((0.0, 0.04, 0.32))])
+    leaning = load_mesh(saved(tmp_path / "leaning.ply", cone), AS_IT_IS)
+    assert leaning.centres_m[leaning.centres_m[:, 2].argmax(), 1] < 0
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (ball_mesh(30.0), "60 m long.*millimetres.*0.001"),
+        (ball_mesh(1e-4), "long.*scale it to metres"),
+        (trimesh.creation.box((0.1, 0.1, 0.1)), "too coarse.*100.0 mm apart.*subdivide"),
+        (open_mesh(), "open.*closed surface"),
+    ],
+)
+def test_meshes_that_cannot_be_used(tmp_path: Path, mesh: trimesh.Trimesh, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load_mesh(saved(tmp_path / "thing.ply", mesh), AS_IT_IS)
+
+
+def test_files_that_are_no_meshes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "thing.ply"
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match=r"thing\.ply' cannot be read as a mesh"):
+        load_mesh(path, AS_IT_IS)
+    cloud = trimesh.PointCloud(np.eye(3))
+    cloud.export(path)
+    with pytest.raises(InputError, match="is empty"):
+        load_mesh(path, AS_IT_IS)
+    saved(path, ball_mesh())
+    monkeypatch.setattr("touch.meshes.MOST_VERTICES", 100)
+    with pytest.raises(InputError, match="2562 vertices, expected at most 100: decimate"):
+        load_mesh(path, AS_IT_IS)
+    monkeypatch.setattr("touch.meshes.MOST_BYTES", 1000)
+    with pytest.raises(InputError, match="too large"):
+        load_mesh(path, AS_IT_IS)
+
+
+def test_the_folder_is_named_when_a_mesh_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected a folder of meshes"):
+        spheres_of("cup", tmp_path / "nowhere")
+    (tmp_path / "clamp.txt").write_text("no mesh")
+    with pytest.raises(InputError, match=r"no mesh clamp\.ply or largeclamp\.ply"):
+        spheres_of("clamp", tmp_path)
+    path = saved(tmp_path / "largeclamp.ply", ball_mesh())
+    assert find_mesh(tmp_path, MeshPose(("clamp", "largeclamp"), ())) == path
+    assert len(spheres_of("clamp", tmp_path)) > 100
+    assert spheres_of("tuna-can", tmp_path) is not None

@@ -1,0 +1,76 @@
+"""The seven arrays of the paper: 256 mm square, from 64 x 64 taxels to one (section V).
+
+The paper does not say what its coarse taxels are. Three readings of it can be made, and are named apart::
+
+    averaged   cells of the 64 x 64 array, each the mean of its taxels: reproduces the paper's accuracies
+    large      one sphere that fills its cell, radius half the pitch
+    sparse     the fine array's 2 mm sphere in the middle of each cell
+"""
+
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from skin.errors import InputError
+from touch.contact import TAXEL_RADIUS_M, Force, Grid
+
+Kind = Literal["averaged", "large", "sparse"]
+
+#: Taxels along one side: 4096, 1024, 256, 64, 16, 4 and 1 in all.
+ARRAYS: Final = (64, 32, 16, 8, 4, 2, 1)
+FINE_SIDE: Final = ARRAYS[0]
+SIDE_M: Final = 0.256
+
+
+def grid_of(side: int, kind: Kind = "large") -> Grid:
+    """Return the array of `side` x `side` spheres on 256 mm.
+
+    For ``averaged`` that is the fine array whose cells `averaged` takes the mean of.
+
+    Raises
+    ------
+    InputError
+        If the paper has no array of that side, or the kind is unknown.
+    """
+    _check(side, kind)
+    if kind == "averaged":
+        side = FINE_SIDE
+    pitch_m = SIDE_M / side
+    radius_m = TAXEL_RADIUS_M if kind == "sparse" else pitch_m / 2
+    return Grid(side, side, pitch_m, radius_m)
+
+
+def averaged(force_n: Force, side: int) -> Force:
+    """Return the mean force of the taxels in each of `side` x `side` cells.
+
+    Parameters
+    ----------
+    force_n : numpy.ndarray
+        Shape (..., 64, 64), newtons.
+    side : int
+        One of `ARRAYS`.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32, shape (..., side, side), newtons.
+
+    Raises
+    ------
+    InputError
+        If the shape is another, or the paper has no array of that side.
+    """
+    _check(side, "averaged")
+    if force_n.shape[-2:] != (FINE_SIDE, FINE_SIDE):
+        raise InputError(f"expected forces of shape (..., {FINE_SIDE}, {FINE_SIDE}), got {force_n.shape}")
+    cell = FINE_SIDE // side
+    cells = force_n.reshape(*force_n.shape[:-2], side, cell, side, cell)
+    means: Force = cells.mean(axis=(-3, -1), dtype=np.float64).astype(np.float32)
+    return means
+
+
+def _check(side: int, kind: Kind) -> None:
+    if side not in ARRAYS:
+        raise InputError(f"unknown array side {side}: expected one of {', '.join(map(str, ARRAYS))}")
+    if kind not in get_args(Kind):
+        raise InputError(f"unknown kind of array '{kind}': expected one of {', '.join(get_args(Kind))}")

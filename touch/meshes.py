@@ -1,0 +1,128 @@
+"""Objects from meshes: one sphere per vertex, as the paper makes its YCB objects (section V)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skin.errors import InputError
+from touch.contact import TRAVEL_M, FloatArray, Spheres
+
+#: A mesh of more is refused before it is read, or before its spheres are made: the objects of the paper have
+#: 0.5 MB and 14 000 vertices.
+MOST_BYTES: Final = 256 * 2**20
+MOST_VERTICES: Final = 300_000
+#: Extent of what a hand can press; beyond it a file is hardly in metres.
+SMALLEST_M, LARGEST_M = 0.005, 1.5
+#: Spheres as wide as two taxels would show the mesh's vertices, not the object.
+MOST_RADIUS_M: Final = 0.008
+
+
+@dataclass(frozen=True)
+class MeshPose:
+    """Which mesh an object is made from and how it lies under the array.
+
+    Attributes
+    ----------
+    stems : tuple of str
+        File names without their ending, the first found is taken.
+    turns : tuple of (str, float)
+        Axis and angle (radians) of the turns that bring the mesh into its position with the array above, in the
+        order they are made.
+    """
+
+    stems: tuple[str, ...]
+    turns: tuple[tuple[str, float], ...]
+
+
+def find_mesh(folder: Path, pose: MeshPose) -> Path:
+    """Return the file of a mesh in a folder.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, or no such file in it.
+    """
+    if not folder.is_dir():
+        raise InputError(f"expected a folder of meshes, got '{folder}'")
+    endings = _trimesh().available_formats()
+    for stem in pose.stems:
+        for path in sorted(folder.glob(f"{stem}.*")):
+            if path.suffix[1:].lower() in endings:
+                return path
+    names = " or ".join(f"{stem}.ply" for stem in pose.stems)
+    raise InputError(f"no mesh {names} (or .stl, .obj, .off, .glb) in '{folder}': add it, or leave the folder out")
+
+
+def load_mesh(path: Path, pose: MeshPose) -> Spheres:
+    """Return the spheres of a mesh: at every vertex one, radius twice the mean distance to the nearest other.
+
+    The mesh is centred by the middle of its extent in x and y and by the mean of z, then turned. Spheres that
+    no taxel can reach are left out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is too large, empty or open, too coarse, or not in metres.
+    """
+    from scipy.spatial import KDTree
+
+    vertices = _read(path)
+    near_m = KDTree(vertices).query(vertices, k=2)[0][:, 1]
+    radius_m = 2.0 * float(near_m.mean())
+    if radius_m > MOST_RADIUS_M:
+        raise InputError(
+            f"'{path}' is too coarse: its vertices lie {radius_m / 2 * 1e3:.1f} mm apart, expected at most "
+            f"{MOST_RADIUS_M / 2 * 1e3:.0f} mm; subdivide it"
+        )
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    middle[2] = vertices[:, 2].mean()
+    placed = _turned(vertices - middle, pose.turns)
+    # The array looks down: its columns run as the world's x, its rows against the world's y.
+    placed[:, 1] *= -1.0
+    reached = placed[placed[:, 2] > placed[:, 2].max() - TRAVEL_M]
+    return Spheres(reached, np.full(len(reached), radius_m))
+
+
+def _read(path: Path) -> FloatArray:
+    """Return the vertices of a file, shape (n, 3), after every check."""
+    size = path.stat().st_size
+    if size > MOST_BYTES:
+        raise InputError(f"'{path}' is too large: {size / 2**20:.0f} MiB, expected at most {MOST_BYTES // 2**20}")
+    try:
+        mesh: Any = _trimesh().load_mesh(path)
+    except Exception as error:  # trimesh's readers raise whatever their format's library raises
+        raise InputError(f"'{path}' cannot be read as a mesh: {error or type(error).__name__}") from error
+    vertices = np.asarray(getattr(mesh, "vertices", ()), np.float64)
+    if len(vertices) < 4 or not len(getattr(mesh, "faces", ())):
+        raise InputError(f"'{path}' is empty: expected a mesh with vertices and triangles")
+    if not np.isfinite(vertices).all():
+        raise InputError(f"'{path}' has vertices that are no finite numbers")
+    if len(vertices) > MOST_VERTICES:
+        raise InputError(f"'{path}' has {len(vertices)} vertices, expected at most {MOST_VERTICES}: decimate it")
+    extent_m = float(np.ptp(vertices, axis=0).max())
+    if not SMALLEST_M <= extent_m <= LARGEST_M:
+        hint = "is it in millimetres? scale it by 0.001" if extent_m > LARGEST_M else "scale it to metres"
+        raise InputError(f"'{path}' is {extent_m:g} m long, expected {SMALLEST_M} to {LARGEST_M} m: {hint}")
+    if not mesh.is_watertight:
+        raise InputError(f"'{path}' is open: expected a closed surface; fill its holes")
+    return vertices
+
+
+def _turned(points: FloatArray, turns: Sequence[tuple[str, float]]) -> FloatArray:
+    from scipy.spatial.transform import Rotation
+
+    turned = points
+    for axis, angle_rad in turns:
+        turned = Rotation.from_euler(axis, angle_rad).apply(turned)
+    return np.array(turned)
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise InputError('meshes need the package trimesh: pip install "canskin[mesh]"') from error
+    return trimesh
