@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases.separable import haar_tensor
+from reconstructor.checks import LARGEST_N, check_grid_of, check_settings, float_kind
 from reconstructor.fista import momentum
-from reconstructor.kernels.fused import check_grid_of, check_settings
 from skin.errors import InputError
 from skin.measurement import Sbhe, fast_hadamard
 
@@ -81,7 +81,7 @@ class BatchSolver:
         check_grid_of(phi, rows, columns)
         check_settings(iterations, penalty_n, lipschitz_ratio)
         self._xp: Final = library
-        self._kind = np.dtype(dtype)
+        self._kind = getattr(library, float_kind(dtype).name)
         self._grid, self._blocks = (rows, columns), (phi.blocks, phi.block_size)
         self._step = 1 / (lipschitz_ratio * phi.block_size)
         self._threshold = penalty_n * self._step
@@ -111,16 +111,11 @@ class BatchSolver:
         Raises
         ------
         InputError
-            If the shapes do not fit, or a valid sum is not finite.
+            If shapes or dtypes do not fit, a valid sum is not finite or above 1e6 N, or the start is not finite.
         """
         xp = self._xp
         mask, target = self._load(sums_n, valid)
-        frames = mask.shape[0]
-        if start is None:
-            estimate = xp.zeros((frames, *self._grid), dtype=mask.dtype)
-        else:
-            estimate = xp.asarray(start, dtype=mask.dtype)
-        ahead = estimate
+        ahead = estimate = self._begin(start, mask.shape[0])
         for weight in self._momentum:
             previous = estimate
             estimate = self._shrink(ahead - self._slope(ahead, mask, target))
@@ -128,7 +123,17 @@ class BatchSolver:
         return xp.where(estimate > 0, estimate, xp.zeros_like(estimate))
 
     def _send(self, values: npt.NDArray[Any]) -> Any:
-        return self._xp.asarray(values.astype(self._kind))
+        return self._xp.asarray(values, dtype=self._kind)
+
+    def _begin(self, start: Any, frames: int) -> Any:
+        """Return the images to start from."""
+        xp, shape = self._xp, (frames, *self._grid)
+        if start is None:
+            return xp.zeros(shape, dtype=self._kind)
+        images = xp.asarray(start, dtype=self._kind)
+        if images.shape != shape or not bool(xp.all(xp.isfinite(images))):
+            raise InputError(f"expected a start of finite newtons of shape {shape}: got {images.shape}")
+        return images
 
     def _load(self, sums_n: Any, valid: Any) -> tuple[Any, Any]:
         """Return mask and masked sums over all Hadamard rows, both times 1 / L, shape (frames, n)."""
@@ -137,12 +142,16 @@ class BatchSolver:
         count = self._spot.shape[0]
         if sums.ndim != 2 or sums.shape[1] != count or told.shape != sums.shape:
             raise InputError(f"expected sums and validity of shape (frames, {count}): got {sums.shape}, {told.shape}")
+        # In a tuple, for NumPy's dtypes equal float32 and the like but have another hash.
+        if sums.dtype not in (xp.float32, xp.float64) or told.dtype != xp.asarray(True).dtype:
+            raise InputError(f"expected floats and bools, got {sums.dtype} and {told.dtype}")
         sums = xp.where(told, sums, xp.zeros_like(sums))
-        if not bool(xp.all(xp.isfinite(sums))):
-            raise InputError("a valid sum is not finite: expected newtons")
-        scale = self._kept * self._step
-        mask = xp.take(xp.astype(told, self._kind), self._slot, axis=1) * scale
-        return mask, xp.take(xp.astype(sums, self._kind), self._slot, axis=1) * mask
+        if not bool(xp.all(xp.abs(sums) <= LARGEST_N)):  # so written, NaN fails
+            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
+        # asarray with a dtype, for CuPy 13 has no astype that is a function.
+        counts, sums = xp.asarray(told, dtype=self._kind), xp.asarray(sums, dtype=self._kind)
+        mask = xp.take(counts, self._slot, axis=1) * (self._kept * self._step)
+        return mask, xp.take(sums, self._slot, axis=1) * mask
 
     def _slope(self, images: Any, mask: Any, target: Any) -> Any:
         """Return Φᵀ W (Φ x - y) / L."""

@@ -128,7 +128,7 @@ class Reconstructor:
         Raises
         ------
         InputError
-            If the shapes differ from Φ's, a dtype is of another kind, or a valid sum is not finite.
+            If the shapes differ from Φ's, a dtype is of another kind, or a valid sum is not finite or above 1e6 N.
         """
         memory, kernel = self._memory, self._kernel
         if sums_n.shape != memory.sums.shape or valid_sums.shape != memory.sums.shape:
@@ -139,8 +139,10 @@ class Reconstructor:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
         if not self._remembering:
             memory.reset()
-        if not memory.take(sums_n.astype(kernel.dtype, copy=False), valid_sums):
-            raise InputError("a valid sum is not finite: expected newtons")
+        with np.errstate(over="ignore"):  # what stands where a sum is not valid has no effect
+            taken = memory.take(np.ascontiguousarray(sums_n, kernel.dtype), np.ascontiguousarray(valid_sums))
+        if not taken:
+            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
         if not valid_sums.any():
             self.reset()
         else:

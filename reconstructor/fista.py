@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from reconstructor.bases import Basis
+from reconstructor.checks import check_above_zero, check_iterations, check_penalty, check_values
 from reconstructor.proximal import Proximal, soft
 from skin.errors import InputError
 from skin.operator import Operator
@@ -61,13 +62,19 @@ def fista(
         Coefficients to start from, zeros without; the previous cycle's for a warm start.
     observe : callable
         Sees every estimate; must not change it.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit, an array is not of finite float32 or float64, or a number is out of its range.
     """
+    begin = check_problem(phi, psi, sums_n, start)
+    _check_numbers(penalty_n, lipschitz, iterations)
 
     def gradient(s: Values) -> Values:
         residual = phi.forward(psi.adjoint(s).reshape(-1)) - sums_n
         return psi.forward(phi.adjoint(residual).reshape(psi.image_shape))
 
-    begin = np.zeros(psi.shape, sums_n.dtype) if start is None else start
     shrink = penalty_n / lipschitz
     return _accelerated(
         gradient,
@@ -92,8 +99,13 @@ def fista_image(
 ) -> Values:
     """Return the image x, shape (rows, columns), with `proximal` in place of the shrinkage of coefficients.
 
-    The same iteration as `fista` when `proximal` shrinks the coefficients of one orthonormal Ψ.
+    The same iteration as `fista` when `proximal` shrinks the coefficients of one orthonormal Ψ; raises as it does.
     """
+    check_values("sums", sums_n, phi.shape[:1])
+    check_values("start", start, np.shape(start))
+    if start.ndim != 2 or start.size != phi.shape[1]:
+        raise InputError(f"Φ measures {phi.shape[1]} taxels but the start is of shape {start.shape}")
+    _check_numbers(penalty_n, lipschitz, iterations)
 
     def gradient(x: Values) -> Values:
         return phi.adjoint(phi.forward(x.reshape(-1)) - sums_n).reshape(x.shape)
@@ -138,15 +150,18 @@ def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) 
     Raises
     ------
     InputError
-        If Φ and Ψ have different numbers of taxels.
+        If Φ and Ψ have different numbers of taxels, or the error is not above 0.
     """
     check_sizes(phi, psi)
+    check_above_zero("relative error", relative_error)
 
     def gram(y: Values) -> Values:
         image = phi.adjoint(y).reshape(psi.image_shape)
         return phi.forward(psi.adjoint(psi.forward(image)).reshape(-1))
 
     size = phi.shape[0]
+    if size == 1:  # Lanczos needs two
+        return float(gram(np.ones(1))[0])
     start = np.random.default_rng(0).normal(size=size)
     operator = LinearOperator((size, size), matvec=gram, dtype=np.float64)
     (value,) = eigsh(operator, k=1, tol=relative_error / 10, v0=start, return_eigenvectors=False)
@@ -160,7 +175,31 @@ def check_sizes(phi: Operator, psi: Basis) -> None:
         raise InputError(f"Φ measures {phi.shape[1]} taxels but the image of Ψ has {pixels}")
 
 
+def check_problem(phi: Operator, psi: Basis, sums_n: Values, start: Values | None) -> Values:
+    """Return the coefficients to start from, zeros without `start`.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit, or an array is not of finite float32 or float64.
+    """
+    check_sizes(phi, psi)
+    check_values("sums", sums_n, phi.shape[:1])
+    if start is None:
+        return np.zeros(psi.shape, sums_n.dtype)
+    check_values("start", start, psi.shape)
+    return start
+
+
+def _check_numbers(penalty_n: float, lipschitz: float, iterations: int) -> None:
+    check_penalty(penalty_n)
+    check_above_zero("L", lipschitz)
+    check_iterations(iterations)
+
+
 def objective(phi: Operator, psi: Basis, sums_n: Values, coefficients: Values, penalty_n: float) -> float:
-    """Return ½‖ΦΨs - y‖² + λ‖s‖₁, newtons squared."""
+    """Return ½‖ΦΨs - y‖² + λ‖s‖₁, newtons squared; raises as `fista` does."""
+    check_problem(phi, psi, sums_n, coefficients)
+    check_penalty(penalty_n)
     residual = phi.forward(psi.adjoint(coefficients).reshape(-1)) - sums_n
     return float(0.5 * residual @ residual + penalty_n * np.abs(coefficients).sum())

@@ -63,7 +63,7 @@ class Memory:
         return float(self._recall.state[FLOOR] ** 0.5)
 
     def take(self, sums_n: Values, valid: npt.NDArray[np.bool_]) -> bool:
-        """Take in one cycle, arrays of shape (m,); False, and nothing is changed, if a valid sum is not finite."""
+        """Take in one cycle, arrays of shape (m,); False, and nothing changes, if a valid sum is not finite newtons."""
         return bool(remember(self._recall, sums_n, valid))
 
     def reset(self) -> None:

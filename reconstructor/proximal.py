@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases import Basis
+from reconstructor.checks import check_iterations
 
 Values = npt.NDArray[np.floating[Any]]
 
@@ -59,9 +60,15 @@ class Variation:
         Rows and columns of the images.
     inner : int
     nonnegative : bool
+
+    Raises
+    ------
+    InputError
+        Without a step.
     """
 
     def __init__(self, shape: tuple[int, int], inner: int, *, nonnegative: bool = True) -> None:
+        check_iterations(inner)
         self._inner = inner
         self._floor = 0.0 if nonnegative else -np.inf
         self._down = np.zeros((shape[0] - 1, shape[1]))

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases import Basis
+from reconstructor.checks import check_above_zero, check_iterations, check_values
 from reconstructor.proximal import soft
 from skin.errors import InputError
 
@@ -38,14 +39,16 @@ def basis_pursuit(
     Raises
     ------
     InputError
-        If the shape differs, or the method does not converge.
+        If the image is not finite or not of that shape, a number is out of its range, or the method does not converge.
     """
-    if image.shape != psi.image_shape:
-        raise InputError(f"Ψ makes images of shape {psi.image_shape}, got {image.shape}")
+    check_values("image", image, psi.image_shape)
+    check_iterations(iterations)
+    check_above_zero("relative error", relative_error)
     if not image.any():
         return np.zeros(psi.shape, image.dtype)
     norm = _norm(psi)
     size = float(np.abs(image).max()) / 5 if scale is None else scale
+    check_above_zero("scale", size)
     tau, sigma = 0.1 * size, 0.99 / (norm**2 * 0.1 * size)
     s = np.zeros(psi.shape, image.dtype)
     beyond, dual = s, np.zeros_like(image)

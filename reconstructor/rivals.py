@@ -4,13 +4,15 @@ Both need A Aᵀ = ν I of A = ΦΨ, which holds for an SBHE or a noiselet with 
 Then the linear systems inside them have closed forms.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases import Basis
-from reconstructor.fista import Observer, check_sizes
+from reconstructor.checks import check_above_zero, check_iterations, check_penalty
+from reconstructor.fista import Observer, check_problem
 from reconstructor.proximal import soft
 from skin.errors import InputError
 from skin.operator import Operator
@@ -40,16 +42,19 @@ def admm(
     phi, psi, sums_n, penalty_n, start, observe
         As for `reconstructor.fista.fista`, the same objective; Ψ orthonormal.
     coupling : float, optional
-        ρ; without it ν / 10, which suits forces of some millinewtons.
+        ρ, above 0; without it ν / 10, which suits forces of some millinewtons.
 
     Raises
     ------
     InputError
-        If Ψ is not orthonormal or the sizes do not fit.
+        If Ψ is not orthonormal, the sizes do not fit, or a number is out of its range.
     """
+    estimate = check_problem(phi, psi, sums_n, start)
+    check_penalty(penalty_n)
+    check_iterations(iterations)
     norm = _row_norm(phi, psi)
     rho = norm / 10 if coupling is None else coupling
-    estimate = np.zeros(psi.shape, sums_n.dtype) if start is None else start
+    check_above_zero("coupling", rho)
     dual = np.zeros_like(estimate)
     pulled = _back(phi, psi, sums_n)
     for k in range(iterations):
@@ -95,11 +100,13 @@ def smoothed_l0(
     InputError
         If Ψ is not orthonormal, the sizes do not fit, or a number is out of its range.
     """
+    check_problem(phi, psi, sums_n, None)
     norm = _row_norm(phi, psi)
-    if not (0 < shrink < 1 and smallest_n > 0 and tolerance_n >= 0 and inner >= 1):
+    check_iterations(inner)
+    if not (0 < shrink < 1 and 0 < smallest_n < math.inf and 0 <= tolerance_n < math.inf):
         raise InputError(
-            "smoothed L0 needs 0 < shrink < 1, smallest_n > 0, tolerance_n >= 0 and inner >= 1: got "
-            f"{shrink}, {smallest_n}, {tolerance_n} and {inner}"
+            "smoothed L0 needs 0 < shrink < 1, smallest_n > 0 and tolerance_n >= 0: got "
+            f"{shrink}, {smallest_n} and {tolerance_n}"
         )
     estimate = _back(phi, psi, sums_n) / norm
     width = 2 * float(np.abs(estimate).max())
@@ -120,7 +127,6 @@ def smoothed_l0(
 
 def _row_norm(phi: Operator, psi: Basis) -> float:
     """Return ν of A Aᵀ = ν I, after trying it on one vector."""
-    check_sizes(phi, psi)
     probe = np.random.default_rng(0).normal(size=phi.shape[0])
     if not np.allclose(_ahead(phi, psi, _back(phi, psi, probe)), phi.norm_squared * probe):
         raise InputError("ADMM and smoothed L0 need an orthonormal basis: use Haar, D4 or the cosine transform")

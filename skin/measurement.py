@@ -8,12 +8,13 @@ so every sum can be formed where its B taxels are. W W^T = B I, hence Φ Φ^T = 
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.operator import check_vectors
 
 Selection = Literal["balanced", "uniform"]
 Array = TypeVar("Array", bound=npt.NDArray[np.generic])
@@ -123,13 +124,20 @@ class Sbhe:
         Returns
         -------
         array, shape (..., m)
+
+        Raises
+        ------
+        InputError
+            If the last axis has another length, or a number is complex, NaN or infinite; so does `adjoint`.
         """
+        check_vectors("taxels", x, self.shape[1])
         work = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32)
         scrambled = work[..., self.order].reshape(*x.shape[:-1], *self.kept.shape)
         return fast_hadamard(scrambled)[..., self.kept]
 
     def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
         """Return Φᵀ y, shape (..., n), of sums `y` of shape (..., m)."""
+        check_vectors("sums", y, self.shape[0])
         work = y if np.issubdtype(y.dtype, np.floating) else y.astype(np.int32)
         spread = np.zeros((*y.shape[:-1], *self.kept.shape), work.dtype)
         spread[..., self.kept] = work
@@ -153,7 +161,15 @@ class Sbhe:
         return narrow
 
     def sums_of_blocks(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Spread one validity per block, shape (blocks,), to one per sum, shape (m,)."""
+        """Spread one validity per block, shape (blocks,), to one per sum, shape (m,).
+
+        Raises
+        ------
+        InputError
+            If there is not one boolean for each block.
+        """
+        if valid.shape != (self.blocks,) or valid.dtype != np.bool_:
+            raise InputError(f"expected {self.blocks} booleans, one a block, got {valid.dtype} of shape {valid.shape}")
         return valid[self.block_of_sum]
 
 
@@ -182,10 +198,11 @@ def sbhe(
     InputError
         If the sizes do not fit each other.
     """
-    if block_size & (block_size - 1) or taxels % block_size or not 0 < sums <= taxels:
-        raise InputError(f"no SBHE of {sums} sums of {taxels} taxels in blocks of {block_size}")
+    _check_sizes(taxels, sums, block_size)
+    if selection not in get_args(Selection):
+        raise InputError(f"expected rows that are {' or '.join(get_args(Selection))}, got '{selection}'")
     blocks = taxels // block_size
-    random = np.random.Generator(np.random.PCG64(seed))
+    random = seeded(seed)
     order = random.permutation(taxels)
     kept = np.zeros((blocks, block_size), np.bool_)
     if selection == "balanced":
@@ -196,3 +213,28 @@ def sbhe(
     else:
         kept.flat[random.permutation(taxels)[:sums]] = True
     return Sbhe(order.astype(np.intp), kept)
+
+
+def _check_sizes(taxels: int, sums: int, block_size: int) -> None:
+    """Raise InputError unless there is an SBHE of these sizes."""
+    if not all(isinstance(each, int | np.integer) for each in (taxels, sums, block_size)):
+        raise InputError(f"expected whole numbers, got {taxels} taxels, {sums} sums and blocks of {block_size}")
+    if block_size < 1 or block_size & (block_size - 1):
+        raise InputError(f"expected blocks of a power of two, got blocks of {block_size} taxels")
+    if taxels < 1 or taxels % block_size:
+        raise InputError(f"expected taxels a multiple of the block size {block_size}, got {taxels}")
+    if not 0 < sums <= taxels:
+        raise InputError(f"expected 1 to {taxels} sums of {taxels} taxels, got {sums}")
+
+
+def seeded(seed: int) -> np.random.Generator:
+    """Return the random numbers that draw a Φ, the same on every platform.
+
+    Raises
+    ------
+    InputError
+        If the seed is negative.
+    """
+    if seed < 0:
+        raise InputError(f"expected a seed of 0 or above, got {seed}")
+    return np.random.Generator(np.random.PCG64(seed))

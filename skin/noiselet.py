@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.measurement import seeded
+from skin.operator import check_vectors
 
 Pairs = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
 
@@ -92,10 +94,12 @@ class Noiselet:
 
     def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
         """Return y = Φ x, shape (..., m), of taxels (..., n); integers are summed exactly in int64."""
+        check_vectors("taxels", x, self.shape[1])
         return self._transform(_summable(x))[..., self.kept]
 
     def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
         """Return Φᵀ y, shape (..., n), of sums (..., m)."""
+        check_vectors("sums", y, self.shape[0])
         work = _summable(y)
         spread = np.zeros((*y.shape[:-1], self.shape[1]), work.dtype)
         spread[..., self.kept] = work
@@ -113,14 +117,14 @@ def noiselet(rows: int, columns: int, sums: int, *, seed: int = 1) -> Noiselet:
     Raises
     ------
     InputError
-        If a side is not a power of two from 2, or there are more sums than taxels.
+        If a side is not a power of two from 2, there are more sums than taxels, or the seed is negative.
     """
     for size in (rows, columns):
         if size < 2 or size & (size - 1):
             raise InputError(f"a noiselet needs sides that are powers of two: got {rows} x {columns}")
     if not 0 < sums <= rows * columns:
         raise InputError(f"expected 1 to {rows * columns} sums of {rows * columns} taxels, got {sums}")
-    random = np.random.Generator(np.random.PCG64(seed))
+    random = seeded(seed)
     return Noiselet(rows, columns, np.sort(random.permutation(rows * columns)[:sums]).astype(np.intp))
 
 

@@ -5,11 +5,14 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from skin.errors import InputError
+
 
 class Operator(Protocol):
     """A matrix that is applied and never formed.
 
-    `forward` and `adjoint` keep the dtype of floating arrays and take any leading axes.
+    `forward` and `adjoint` keep the dtype of floating arrays and take any leading axes. They raise InputError for an
+    array of another length, of NaN or infinity, or of what is no real number.
     """
 
     @property
@@ -39,3 +42,15 @@ class Operator(Protocol):
     def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
         """Return Φᵀ y, shape (..., n), of sums (..., m)."""
         ...
+
+
+def check_vectors(name: str, values: Any, size: int) -> None:
+    """Raise InputError unless `values` is an array of real, finite numbers whose last axis has `size` of them."""
+    if not isinstance(values, np.ndarray):
+        raise InputError(f"{name}: expected an array with a last axis of {size}, got {type(values).__name__}")
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"{name}: expected an array of real numbers, got {values.dtype}")
+    if values.ndim == 0 or values.shape[-1] != size:
+        raise InputError(f"{name}: expected an array with a last axis of {size}, got shape {values.shape}")
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        raise InputError(f"{name}: expected finite numbers, got NaN or infinity")

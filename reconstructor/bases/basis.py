@@ -5,15 +5,14 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
-
 Values = npt.NDArray[np.floating[Any]]
 
 
 class Basis(Protocol):
     """Ψ of images of `image_shape`; `shape` is that of its coefficients, equal for an orthonormal Ψ.
 
-    Both directions keep the dtype of floating arrays.
+    Both directions take finite float32 or float64 of just that shape and keep the dtype; they raise InputError for
+    anything else.
     """
 
     @property
@@ -38,10 +37,3 @@ class Basis(Protocol):
     def adjoint(self, coefficients: Values) -> Values:
         """Return the synthesis x = Ψs."""
         ...
-
-
-def check_grid(rows: int, columns: int) -> None:
-    """Raise InputError unless both sides are powers of two, 8 to 256."""
-    for size in (rows, columns):
-        if size & (size - 1) or not 8 <= size <= 256:
-            raise InputError(f"a basis needs sides that are powers of two, 8 to 256: got {rows} x {columns}")

@@ -5,6 +5,7 @@ import numpy as np
 from reconstructor.bases.basis import Values
 from reconstructor.bases.directional import Level, bank
 from reconstructor.bases.ladder import ROOT_TWO, PyramidFilter, fan, pyramid_pair
+from reconstructor.checks import check_values, is_whole
 from skin.errors import InputError
 
 #: 2⁵ directions: the toolbox's nlevs = [5].
@@ -35,7 +36,7 @@ class Contourlet:
     """
 
     def __init__(self, rows: int, columns: int, pyramid: PyramidFilter = "pkva") -> None:
-        if rows != columns or rows & (rows - 1) or not 16 <= rows <= 256:
+        if rows != columns or not is_whole(rows) or rows & (rows - 1) or not 16 <= rows <= 256:
             raise InputError(f"a contourlet needs a square, a power of two, 16 to 256: got {rows} x {columns}")
         if pyramid not in {"pkva", "9-7"}:
             raise InputError(f"unknown pyramid filter '{pyramid}': expected pkva or 9-7")
@@ -51,6 +52,7 @@ class Contourlet:
 
     def analyse(self, image: Values) -> Values:
         """Return coefficients whose synthesis is `image`, shape (5n/4,): the toolbox's ``pdfbdec``."""
+        check_values("image", image, self.image_shape)
         down, up = (side.astype(image.dtype) for side in self.pair)
         coarse = down @ image @ down.T
         work = (image - up @ coarse @ up.T).reshape(-1)
@@ -63,6 +65,7 @@ class Contourlet:
 
     def forward(self, image: Values) -> Values:
         """Return Ψᵀx, shape (5n/4,)."""
+        check_values("image", image, self.image_shape)
         down, up = (side.astype(image.dtype) for side in self.pair)
         coarse = up.T @ image @ up
         work = (image - down.T @ coarse @ down).reshape(-1)
@@ -75,6 +78,7 @@ class Contourlet:
 
     def adjoint(self, coefficients: Values) -> Values:
         """Return x = Ψs, shape (rows, columns)."""
+        check_values("coefficients", coefficients, self.shape)
         kind = coefficients.dtype.type
         coarse_size = self.order.size // 4
         coarse = coefficients[:coarse_size].reshape(self.image_shape[0] // 2, -1)

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from reconstructor.bases.basis import Values, check_grid
+from reconstructor.bases.basis import Values
+from reconstructor.checks import check_grid, check_values
 
 
 class Dct:
@@ -34,10 +35,12 @@ class Dct:
 
     def forward(self, image: Values) -> Values:
         """Return the coefficients, shape (rows, columns)."""
+        check_values("image", image, self.image_shape)
         coefficients: npt.NDArray[Any] = fft.dctn(image, norm="ortho")
         return coefficients
 
     def adjoint(self, coefficients: Values) -> Values:
         """Return the image."""
+        check_values("coefficients", coefficients, self.shape)
         image: npt.NDArray[Any] = fft.idctn(coefficients, norm="ortho")
         return image

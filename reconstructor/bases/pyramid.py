@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from reconstructor.bases.basis import Values, check_grid
+from reconstructor.bases.basis import Values
 from reconstructor.bases.separable import Matrix, daubechies4_step, haar_step
+from reconstructor.checks import check_grid, check_values
 
 
 class Pyramid:
@@ -37,6 +38,7 @@ class Pyramid:
 
     def forward(self, image: Values) -> Values:
         """Return the coefficients, shape (rows, columns), coarsest at the upper left."""
+        check_values("image", image, self.image_shape)
         coefficients = image.copy()
         for (height, width), (down, across) in zip(self._sizes, self._steps, strict=True):
             coefficients[:height, :width] = down @ coefficients[:height, :width] @ across.T
@@ -44,6 +46,7 @@ class Pyramid:
 
     def adjoint(self, coefficients: Values) -> Values:
         """Return the image."""
+        check_values("coefficients", coefficients, self.shape)
         image: Values = np.array(coefficients)
         for (height, width), (down, across) in zip(self._sizes[::-1], self._steps[::-1], strict=True):
             image[:height, :width] = down.T @ image[:height, :width] @ across

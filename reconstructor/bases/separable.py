@@ -7,7 +7,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.bases.basis import Values, check_grid
+from reconstructor.bases.basis import Values
+from reconstructor.checks import check_grid, check_values
 
 Matrix = npt.NDArray[np.float64]
 
@@ -47,11 +48,13 @@ class Separable:
 
     def forward(self, image: Values) -> Values:
         """Return T_rows X T_columnsᵀ."""
+        check_values("image", image, self.image_shape)
         result: npt.NDArray[Any] = self.rows_matrix @ image @ self.columns_matrix.T
         return result.astype(image.dtype, copy=False)
 
     def adjoint(self, coefficients: Values) -> Values:
         """Return T_rowsᵀ S T_columns."""
+        check_values("coefficients", coefficients, self.shape)
         result: npt.NDArray[Any] = self.rows_matrix.T @ coefficients @ self.columns_matrix
         return result.astype(coefficients.dtype, copy=False)
 

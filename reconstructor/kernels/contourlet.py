@@ -8,10 +8,11 @@ import numpy.typing as npt
 
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.ladder import PyramidFilter
+from reconstructor.checks import check_estimate, check_settings, check_values, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
-from reconstructor.kernels.fused import check_settings
 from reconstructor.kernels.ladder import synthesise, transpose
 from reconstructor.kernels.ladder_plan import Plan, Room, coefficient_order, image_order, plan_of, room_of
+from reconstructor.kernels.problem import check_penalty_ratio, checked, places_of_sums, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from skin.measurement import Sbhe
@@ -75,13 +76,14 @@ class CompiledContourlet(Contourlet):
         self, rows: int, columns: int, pyramid: PyramidFilter = "pkva", dtype: npt.DTypeLike = np.float64
     ) -> None:
         super().__init__(rows, columns, pyramid)
-        self._kind = np.dtype(dtype)
+        self._kind = float_kind(dtype)
         self._plan = plan_of(self, self._kind)
         self._room = room_of(self._plan, self._kind)
         self._pixels, self._order = image_order(rows), coefficient_order(self)
 
     def forward(self, image: Values) -> Values:
         """Return Ψᵀx, shape (5n/4,)."""
+        check_values("image", image, self.image_shape)
         made = aligned(self._order.size, self._kind)
         kept = image.reshape(-1)[self._pixels].astype(self._kind, copy=False)
         transpose(made, kept, self._plan, self._room)
@@ -89,6 +91,7 @@ class CompiledContourlet(Contourlet):
 
     def adjoint(self, coefficients: Values) -> Values:
         """Return x = Ψs, shape (rows, columns)."""
+        check_values("coefficients", coefficients, self.shape)
         kept, made = np.empty_like(coefficients, self._kind), aligned(self._pixels.size, self._kind)
         kept[self._order] = coefficients
         synthesise(made, kept, self._plan, self._room)
@@ -116,7 +119,7 @@ class ContourletSolver:
     Raises
     ------
     InputError
-        If the grid does not fit.
+        If the grid does not fit, or an option is out of its range.
     """
 
     def __init__(
@@ -132,16 +135,17 @@ class ContourletSolver:
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         check_settings(iterations, penalty_n, lipschitz_ratio)
+        self.dtype: Final = float_kind(dtype)
         psi = CompiledContourlet(rows, columns, pyramid)
-        self.dtype: Final = np.dtype(dtype)
         self.lipschitz: Final = lipschitz_ratio * largest_eigenvalue(phi, psi)
         self.shape: Final = psi.image_shape
-        taxel = phi.order.reshape(phi.blocks, phi.block_size).T.ravel()
+        self.sums: Final = phi.shape[0]
+        taxel = taxels_in_block_order(phi)
         place = np.argsort(image_order(rows))
         to_blocks = place[taxel]
         self._threshold = penalty_n / self.lipschitz
         self._problem = _Problem(
-            places=(phi.row_of_sum * phi.blocks + phi.block_of_sum).astype(np.uint16),
+            places=places_of_sums(phi),
             tables=np.stack((np.argsort(to_blocks), to_blocks)).astype(np.uint16),
             numbers=np.array((1 / self.lipschitz, self._threshold), self.dtype),
             momentum=momentum(iterations).astype(self.dtype),
@@ -159,26 +163,32 @@ class ContourletSolver:
         return aligned(self._order.size, self.dtype)
 
     def solve(self, estimate: Values, sums_n: Values, weights: Values, *, relative_penalty: float = 1.0) -> int:
-        """Improve `estimate` in place and return how many sums count; see `FusedSolver.solve`."""
+        """Improve `estimate` in place and return how many sums count; raises as `FusedSolver.solve` does."""
+        check_estimate(estimate, self._order.shape, self.dtype)
+        sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
+        check_penalty_ratio(relative_penalty)
         self._problem.numbers[1] = self._threshold * relative_penalty
-        return int(_solve(estimate, sums_n, weights, self._problem, self._plan, self._scratch, self._room))
+        return int(_solve(estimate, sums, counting, self._problem, self._plan, self._scratch, self._room))
 
     def reset(self) -> None:
         """Forget what is kept from solve to solve besides the estimate: nothing."""
 
     def coefficients_of(self, estimate: Values) -> Values:
         """Return an estimate in the toolbox's order."""
+        check_values("estimate", estimate, self._order.shape)
         return estimate[self._order]
 
     def estimate_of(self, coefficients: Values) -> Values:
         """Return coefficients in the toolbox's order as an estimate."""
+        check_values("coefficients", coefficients, self._order.shape)
         estimate = self.new_estimate()
         estimate[self._order] = coefficients
         return estimate
 
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
         """Return a new image of shape (rows, columns), negative forces as 0."""
-        synthesise(self._scratch.image, estimate, self._plan, self._room)
+        kept = placed("estimate", estimate, self._order.shape, self.dtype)
+        synthesise(self._scratch.image, kept, self._plan, self._room)
         image = np.empty(self.shape, np.float32)
         deliver(image.reshape(-1), self._scratch.image, self._deliver)
         return image

@@ -26,9 +26,9 @@ def solve_daubechies(estimate: Flat, sums: Flat, weights: Flat, problem: Problem
         descend(estimate.size, problem, scratch)
         gather(image, work, problem.tables[0, shift])
         if problem.levels:
-            _shrink_pyramid(image, other, problem, threshold, taps)
+            shrink_pyramid(image, other, problem, 1, threshold, taps)
         else:
-            _shrink_tensor(image, other, problem, threshold, taps)
+            shrink_tensor(image, other, problem, 1, threshold, taps)
         gather(work, image, problem.tables[1, shift])
         advance(estimate, floor, problem.momentum[turn], scratch)
     return count
@@ -41,15 +41,18 @@ def _soft(work: Flat, threshold: Any) -> None:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _shrink_tensor(image: Flat, other: Flat, problem: Problem, threshold: Any, taps: Flat) -> None:
+def shrink_tensor(  # noqa: PLR0917  compiled functions take no keywords
+    image: Flat, other: Flat, problem: Problem, lanes: int, threshold: Any, taps: Flat
+) -> None:
+    """Replace the image by Ψ soft(Ψᵀ image) with the tensor D4; `lanes` images side by side, taxel by taxel."""
     rows, columns = problem.rows, problem.columns
-    _analyse(image, other, rows, columns, taps)
-    _transpose(other, image, rows, columns)
-    _analyse(other, image, columns, rows, taps)
+    _analyse(image, other, rows, columns * lanes, taps)
+    _transpose(other, image, rows, columns, lanes)
+    _analyse(other, image, columns, rows * lanes, taps)
     _soft(other, threshold)
-    _synthesise(other, image, columns, rows, taps)
-    _transpose(image, other, columns, rows)
-    _synthesise(image, other, rows, columns, taps)
+    _synthesise(other, image, columns, rows * lanes, taps)
+    _transpose(image, other, columns, rows, lanes)
+    _synthesise(image, other, rows, columns * lanes, taps)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
@@ -72,36 +75,50 @@ def _synthesise(work: Flat, other: Flat, height: int, width: int, taps: Flat) ->
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _shrink_pyramid(image: Flat, other: Flat, problem: Problem, threshold: Any, taps: Flat) -> None:
-    """Each level leaves its quadrants one after the other, transposed; the next takes the first."""
+def shrink_pyramid(  # noqa: PLR0917  compiled functions take no keywords
+    image: Flat, other: Flat, problem: Problem, lanes: int, threshold: Any, taps: Flat
+) -> None:
+    """Replace the image by Ψ soft(Ψᵀ image) with the D4 pyramid; `lanes` images side by side, taxel by taxel.
+
+    Each level leaves its quadrants one after the other, transposed; the next takes the first.
+    """
     height, width = problem.rows, problem.columns
     for _ in range(problem.levels):
-        size, half = height * width, height * width // 2
-        _split(other[:size], image[:size], width, taps)
+        size = height * width * lanes
+        half = size // 2
+        _split(other[:size], image[:size], width * lanes, taps)
         for start in (0, half):
             part = image[start : start + half]
-            _transpose(part, other[start : start + half], height // 2, width)
-            _split(other[start : start + half], part, height // 2, taps)
+            _transpose(part, other[start : start + half], height // 2, width, lanes)
+            _split(other[start : start + half], part, height // 2 * lanes, taps)
         image[:size] = other[:size]
         height, width = width // 2, height // 2
     _soft(image, threshold)
     for _ in range(problem.levels):
         height, width = 2 * width, 2 * height
-        size, half = height * width, height * width // 2
+        size = height * width * lanes
+        half = size // 2
         for start in (0, half):
             part, spare = image[start : start + half], other[start : start + half]
-            _join(spare, part, height // 2, taps)
-            _transpose(part, spare, width, height // 2)
-        _join(other[:size], image[:size], width, taps)
+            _join(spare, part, height // 2 * lanes, taps)
+            _transpose(part, spare, width, height // 2, lanes)
+        _join(other[:size], image[:size], width * lanes, taps)
         image[:size] = other[:size]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _transpose(target: Flat, source: Flat, rows: int, columns: int) -> None:
-    """Set target, (columns, rows), to the transpose of source, (rows, columns)."""
+def _transpose(target: Flat, source: Flat, rows: int, columns: int, lanes: int) -> None:
+    """Set target, (columns, rows, lanes), to the transpose of source, (rows, columns, lanes)."""
+    if lanes == 1:
+        for j in range(columns):
+            for i in range(rows):
+                target[j * rows + i] = source[i * columns + j]
+        return
     for j in range(columns):
         for i in range(rows):
-            target[j * rows + i] = source[i * columns + j]
+            there, taken = target[(j * rows + i) * lanes :], source[(i * columns + j) * lanes :]
+            for lane in range(lanes):
+                there[lane] = taken[lane]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)

@@ -39,7 +39,7 @@ def solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scra
         if problem.levels:
             shrink_pyramid(image, problem.levels, threshold, half)
         else:
-            shrink_tensor(image, problem.columns, threshold, root_half)
+            shrink_tensor(image, problem.columns, 1, threshold, root_half)
         gather(work, image, problem.tables[1, shift])
         advance(estimate, floor, problem.momentum[turn], scratch)
     return count
@@ -73,15 +73,19 @@ def shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def shrink_tensor(work: Flat, columns: int, threshold: Any, root_half: Any) -> None:
-    """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`."""
-    _analyse(work, work.size, columns, root_half)
-    _analyse(work, columns, 1, root_half)
+def shrink_tensor(work: Flat, columns: int, lanes: int, threshold: Any, root_half: Any) -> None:
+    """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`.
+
+    Of `lanes` images side by side the same way: every taxel is then so many values.
+    """
+    width = columns * lanes
+    _analyse(work, work.size, width, root_half)
+    _analyse(work, width, lanes, root_half)
     for k in range(work.size):
         x = work[k]
         work[k] = x - max(-threshold, min(threshold, x))
-    _synthesise(work, columns, 1, root_half)
-    _synthesise(work, work.size, columns, root_half)
+    _synthesise(work, width, lanes, root_half)
+    _synthesise(work, work.size, width, root_half)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)

@@ -6,6 +6,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.checks import LARGEST_N
+
 Flat = npt.NDArray[np.floating[Any]]
 
 #: Least gain.
@@ -46,11 +48,11 @@ class Recall(NamedTuple):
 
 @numba.njit(cache=True, nogil=True)
 def remember(recall: Recall, sums: Flat, valid: npt.NDArray[np.bool_]) -> bool:
-    """Take in one cycle; False, and nothing is changed, if a valid sum is not finite."""
+    """Take in one cycle; False, and nothing is changed, if a valid sum is no number of newtons."""
     energy, before, product, count = 0.0, 0.0, 0.0, 0
     for k in range(sums.size):
         if valid[k]:
-            if not np.isfinite(sums[k]):
+            if not abs(sums[k]) <= LARGEST_N:  # so written, NaN fails
                 return False
             if recall.weights[k] > 0:
                 innovation = float(sums[k] - recall.sums[k])

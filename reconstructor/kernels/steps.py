@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.checks import LARGEST_N
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard, masked_gram
 
 Table = npt.NDArray[np.uint16]
@@ -22,8 +23,8 @@ class Problem(NamedTuple):
         The prior's image order from block order, and back, a pair for each shift of the basis.
     deliver : shape (n,)
         The image row by row from block order.
-    numbers : shape (4,)
-        1 / L, λ / L, the least allowed force, and the 1 / √2 of the transforms.
+    numbers : shape (8,)
+        1 / L, λ / L, the least allowed force, the 1 / √2 of the transforms, and the four taps of D4.
     momentum : shape (iterations,)
         (t_k - 1) / t_{k+1}.
     blocks, rows, columns : int
@@ -74,6 +75,16 @@ def row(scratch: Flat, number: int, size: int) -> Flat:
 
 # Compiled functions take no keywords, hence the arguments by position.
 # Each loop is a function of its own: written inside the solvers not all of them are vectorised.
+
+
+@numba.njit(cache=True, nogil=True)
+def usable(sums: Flat, weights: Flat) -> bool:
+    """Return whether all weights are 0 to 1, and all sums that count finite and no larger than a skin's can be."""
+    good = 0  # counted without a way out: that loop is one of vectors
+    for k in range(sums.size):
+        counts = (weights[k] > 0) & (weights[k] <= 1) & (abs(sums[k]) <= LARGEST_N)  # NaN fails
+        good += (weights[k] == 0) | counts
+    return good == sums.size
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)

@@ -2,7 +2,6 @@
 
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -38,13 +37,6 @@ def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None
         valid=valid.tobytes(),
         fingerprint=phi.fingerprint,
     )
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture

@@ -1,0 +1,113 @@
+"""What bases and solvers ask of their input, before they compute: one line for each thing that is wrong."""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+from skin.measurement import Sbhe
+
+Values = npt.NDArray[np.floating[Any]]
+
+#: No sum of a skin is larger, newtons; beyond it float32 would overflow inside a solver.
+LARGEST_N: Final = 1e6
+_KINDS: Final = (np.dtype(np.float32), np.dtype(np.float64))
+
+
+def float_kind(dtype: npt.DTypeLike) -> np.dtype[Any]:
+    """Return a dtype as NumPy's.
+
+    Raises
+    ------
+    InputError
+        If it is neither float32 nor float64.
+    """
+    try:
+        kind = np.dtype(dtype)
+    except TypeError:
+        raise InputError(f"expected float32 or float64, got {dtype}") from None
+    if kind not in _KINDS:
+        raise InputError(f"expected float32 or float64, got {kind}")
+    return kind
+
+
+def is_whole(value: object) -> bool:
+    """Return whether a number is a whole one by its type, not only by its value."""
+    return isinstance(value, int | np.integer)
+
+
+def check_values(name: str, values: Any, shape: tuple[int, ...]) -> None:
+    """Raise InputError unless `values` are finite float32 or float64 of this shape."""
+    if not isinstance(values, np.ndarray) or values.dtype not in _KINDS or values.shape != shape:
+        raise InputError(f"{name}: expected an array of float32 or float64 of shape {shape}, got {_seen(values)}")
+    if not np.isfinite(values).all():
+        raise InputError(f"{name}: expected finite numbers, got NaN or infinity")
+
+
+def placed(name: str, values: Any, shape: tuple[int, ...], kind: np.dtype[Any]) -> Values:
+    """Return an array as compiled solvers read it: contiguous, which most are already.
+
+    Raises
+    ------
+    InputError
+        If it is of another shape or dtype.
+    """
+    if not isinstance(values, np.ndarray) or values.dtype != kind or values.shape != shape:
+        raise InputError(f"{name}: expected an array of {kind} of shape {shape}, got {_seen(values)}")
+    return np.ascontiguousarray(values)
+
+
+def check_estimate(values: Any, shape: tuple[int, ...], kind: np.dtype[Any]) -> None:
+    """Raise InputError unless a compiled solver can improve an estimate where it stands."""
+    if placed("estimate", values, shape, kind) is not values or not values.flags.writeable:
+        raise InputError("estimate: expected contiguous, writeable memory, as `new_estimate` returns")
+
+
+def check_grid(rows: int, columns: int) -> None:
+    """Raise InputError unless both sides are powers of two, 8 to 256."""
+    for size in (rows, columns):
+        if not is_whole(size) or size & (size - 1) or not 8 <= size <= 256:
+            raise InputError(f"a basis needs sides that are powers of two, 8 to 256: got {rows} x {columns}")
+
+
+def check_grid_of(phi: Sbhe, rows: int, columns: int) -> None:
+    """Raise InputError unless the grid is that of Φ's taxels and its sides are powers of two."""
+    count = phi.order.size
+    if rows * columns != count:
+        raise InputError(f"Φ measures {count} taxels but the grid has {rows} x {columns} = {rows * columns}")
+    check_grid(rows, columns)
+
+
+def check_iterations(iterations: int) -> None:
+    """Raise InputError unless there is one at least."""
+    if not is_whole(iterations) or iterations < 1:
+        raise InputError(f"expected at least 1 iteration, got {iterations}")
+
+
+def check_penalty(penalty_n: float) -> None:
+    """Raise InputError unless λ is 0 or above and finite."""
+    if not 0 <= penalty_n < math.inf:
+        raise InputError(f"expected a penalty λ of 0 newtons or more, got {penalty_n}")
+
+
+def check_above_zero(name: str, value: float) -> None:
+    """Raise InputError unless a number is above 0 and finite."""
+    if not 0 < value < math.inf:
+        raise InputError(f"{name}: expected a number above 0, got {value}")
+
+
+def check_settings(iterations: int, penalty_n: float, lipschitz_ratio: float) -> None:
+    """Raise InputError unless FISTA can run with these."""
+    check_iterations(iterations)
+    check_penalty(penalty_n)
+    if not 1 <= lipschitz_ratio < math.inf:
+        raise InputError(f"expected L / B of 1 or more, below which FISTA diverges: got {lipschitz_ratio}")
+
+
+def _seen(values: Any) -> str:
+    """Say what came in place of the array that was expected."""
+    if not isinstance(values, np.ndarray):
+        return type(values).__name__
+    return f"{values.dtype} of shape {values.shape}"

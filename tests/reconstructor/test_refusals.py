@@ -1,0 +1,343 @@
+"""Everything that cannot be computed is refused: one line that says what was expected and what came."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from reconstructor.arrays import BatchSolver
+from reconstructor.bases import BASES, Contourlet, haar_tensor
+from reconstructor.batch import reconstruct_recording
+from reconstructor.engine import Reconstructor
+from reconstructor.fista import fista, fista_image, largest_eigenvalue, objective
+from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
+from reconstructor.kernels.fused import FusedSolver
+from reconstructor.kernels.lanes import LANES, LaneSolver
+from reconstructor.proximal import Shrinkage, Variation
+from reconstructor.pursuit import basis_pursuit
+from reconstructor.rivals import admm, smoothed_l0
+from skin.errors import InputError
+from skin.measurement import Sbhe, sbhe
+from skin.noiselet import Noiselet, noiselet
+
+PHI = sbhe(256, 64, block_size=16, seed=3)
+NOISELET = noiselet(16, 16, 64)
+PSI = haar_tensor(16, 16)
+SUMS = np.random.default_rng(0).normal(0, 0.02, 64)
+ONES = np.ones(64)
+NAN, INF = float("nan"), float("inf")
+
+
+def spoilt(values: np.ndarray, value: float) -> np.ndarray:
+    made = np.array(values)
+    made.flat[3] = value
+    return made
+
+
+def one_line(call: Callable[[], Any], says: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("phi", [PHI, NOISELET])
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda x: x[:-1], "shape"),
+        (lambda x: np.append(x, 0), "shape"),
+        (lambda x: x.reshape(-1, 1), "shape"),
+        (lambda x: x[0], "array"),
+        (list, "array"),
+        (lambda x: x.astype(np.complex128), "complex128"),
+        (lambda x: x.astype(object), "object"),
+        (lambda x: spoilt(x, NAN), "finite"),
+        (lambda x: spoilt(x, -INF), "finite"),
+    ],
+)
+def test_measurement_operators(phi: Sbhe | Noiselet, spoil: Callable[[np.ndarray], Any], says: str) -> None:
+    one_line(lambda: phi.forward(spoil(np.ones(256))), says)
+    one_line(lambda: phi.adjoint(spoil(np.ones(64))), says)
+
+
+@pytest.mark.parametrize(
+    "valid", [np.ones(15, np.bool_), np.ones(17, np.bool_), np.ones(16), np.ones((16, 1), np.bool_)]
+)
+def test_validity_of_blocks(valid: np.ndarray) -> None:
+    one_line(lambda: PHI.sums_of_blocks(valid), "expected 16 booleans, one a block")
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: sbhe(256, 0), "1 to 256 sums"),
+        (lambda: sbhe(256, 257), "1 to 256 sums"),
+        (lambda: sbhe(256, -1), "1 to 256 sums"),
+        (lambda: sbhe(0, 0), "multiple of the block size"),
+        (lambda: sbhe(250, 64), "multiple of the block size"),
+        (lambda: sbhe(256, 64, block_size=0), "power of two"),
+        (lambda: sbhe(256, 64, block_size=-32), "power of two"),
+        (lambda: sbhe(256, 64, block_size=24), "power of two"),
+        (lambda: sbhe(256, 65), "multiple of 8 blocks"),
+        (lambda: sbhe(256, 64, selection="every"), "balanced or uniform"),  # type: ignore[arg-type]
+        (lambda: sbhe(256, 64, seed=-1), "seed"),
+        (lambda: sbhe(256.0, 64), "whole numbers"),  # type: ignore[arg-type]
+        (lambda: noiselet(16, 12, 9), "powers of two"),
+        (lambda: noiselet(-16, -16, 9), "powers of two"),
+        (lambda: noiselet(16, 16, 0), "1 to 256 sums"),
+        (lambda: noiselet(16, 16, 257), "1 to 256 sums"),
+        (lambda: noiselet(16, 16, 9, seed=-1), "seed"),
+    ],
+)
+def test_sizes_of_measurement_operators(make: Callable[[], Any], says: str) -> None:
+    one_line(make, says)
+
+
+@pytest.mark.parametrize("psi", [*(make(16, 16) for make in BASES.values()), CompiledContourlet(16, 16)], ids=repr)
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda x: x[:-1], "expected an array of float32 or float64 of shape"),
+        (lambda x: x[None], "of shape"),
+        (list, "got list"),
+        (lambda x: x.astype(np.int64), "got int64"),
+        (lambda x: x.astype(np.float16), "got float16"),
+        (lambda x: x.astype(np.complex64), "got complex64"),
+        (lambda x: spoilt(x, NAN), "finite numbers"),
+        (lambda x: spoilt(x, INF), "finite numbers"),
+    ],
+)
+def test_bases(psi: Any, spoil: Callable[[np.ndarray], Any], says: str) -> None:
+    one_line(lambda: psi.forward(spoil(np.ones((16, 16)))), says)
+    one_line(lambda: psi.adjoint(spoil(np.ones(psi.shape))), says)
+    if hasattr(psi, "analyse"):
+        one_line(lambda: psi.analyse(spoil(np.ones((16, 16)))), says)
+
+
+@pytest.mark.parametrize("name", sorted(BASES))
+@pytest.mark.parametrize("grid", [(0, 0), (-16, -16), (12, 12), (4, 4), (512, 512), (16.0, 16.0)])
+def test_grids(name: str, grid: tuple[Any, Any]) -> None:
+    one_line(lambda: BASES[name](*grid), "power(s)? of two, (8|16) to 256")
+
+
+def test_contourlet_takes_squares_and_known_filters() -> None:
+    one_line(lambda: Contourlet(16, 32), "square")
+    one_line(lambda: Contourlet(16, 16, "5-3"), "expected pkva or 9-7")  # type: ignore[arg-type]
+
+
+SOLVERS: dict[str, Callable[..., Any]] = {
+    "fista": lambda **changed: fista(PHI, PSI, **{**FISTA, **changed}),
+    "fista_image": lambda **changed: fista_image(
+        PHI, Shrinkage(PSI), **{**FISTA, "start": np.zeros((16, 16)), **changed}
+    ),
+    "admm": lambda **changed: admm(
+        PHI, PSI, **{name: value for name, value in {**FISTA, **changed}.items() if name != "lipschitz"}
+    ),
+}
+FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "iterations": 3}
+
+
+@pytest.mark.parametrize("solve", SOLVERS.values(), ids=SOLVERS)
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"sums_n": SUMS[:-1]}, "sums: .*shape"),
+        ({"sums_n": np.float64(0.1)}, "sums: .*float64"),
+        ({"sums_n": np.ones(64, np.int64)}, "got int64"),
+        ({"sums_n": spoilt(SUMS, NAN)}, "sums: .*finite"),
+        ({"start": np.zeros((16, 8))}, "start"),
+        ({"start": np.zeros(256)}, "start"),
+        ({"start": spoilt(np.zeros((16, 16)), INF)}, "start: .*finite"),
+        ({"penalty_n": -0.01}, "penalty"),
+        ({"penalty_n": NAN}, "penalty"),
+        ({"penalty_n": INF}, "penalty"),
+        ({"iterations": 0}, "at least 1 iteration"),
+        ({"iterations": -3}, "at least 1 iteration"),
+        ({"iterations": 2.5}, "at least 1 iteration"),
+    ],
+)
+def test_plain_solvers(solve: Callable[..., Any], changed: dict[str, Any], says: str) -> None:
+    one_line(lambda: solve(**changed), says)
+
+
+@pytest.mark.parametrize("value", [0.0, -16.0, NAN, INF])
+def test_steps_and_couplings(value: float) -> None:
+    one_line(lambda: SOLVERS["fista"](lipschitz=value), "L: expected a number above 0")
+    one_line(lambda: SOLVERS["fista_image"](lipschitz=value), "L: expected a number above 0")
+    one_line(lambda: SOLVERS["admm"](coupling=value), "coupling: expected a number above 0")
+    one_line(lambda: largest_eigenvalue(PHI, PSI, value), "relative error: expected a number above 0")
+    one_line(lambda: basis_pursuit(PSI, np.ones((16, 16)), scale=value), "scale: expected a number above 0")
+    one_line(lambda: basis_pursuit(PSI, np.ones((16, 16)), relative_error=value), "relative error")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"tolerance_n": -1}, {"tolerance_n": NAN}, {"smallest_n": 0}, {"smallest_n": INF}, {"shrink": 1}, {"shrink": NAN}],
+)
+def test_smoothed_l0(changed: dict[str, Any]) -> None:
+    options = {"tolerance_n": 0.1, "smallest_n": 0.001, **changed}
+    one_line(lambda: smoothed_l0(PHI, PSI, SUMS, **options), "smoothed L0 needs")
+    one_line(lambda: smoothed_l0(PHI, PSI, SUMS, tolerance_n=0.1, smallest_n=0.001, inner=0), "at least 1 iteration")
+    one_line(lambda: smoothed_l0(PHI, PSI, spoilt(SUMS, NAN), tolerance_n=0.1, smallest_n=0.001), "finite")
+
+
+def test_other_functions_of_the_plain_solvers() -> None:
+    wide = haar_tensor(16, 32)
+    for call in (
+        lambda: fista(PHI, wide, **FISTA),
+        lambda: largest_eigenvalue(PHI, wide),
+        lambda: objective(PHI, wide, SUMS, np.zeros((16, 32)), 0.01),
+    ):
+        one_line(call, "256 taxels but the image of Ψ has 512")
+    one_line(lambda: objective(PHI, PSI, SUMS, np.zeros(256), 0.01), "start: .*shape")
+    one_line(lambda: basis_pursuit(PSI, spoilt(np.ones((16, 16)), NAN)), "finite")
+    one_line(lambda: basis_pursuit(PSI, np.ones((16, 16)), iterations=0), "at least 1 iteration")
+    one_line(lambda: Variation((16, 16), 0), "at least 1 iteration")
+
+
+COMPILED: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
+    "fused": (lambda **o: FusedSolver(PHI, 16, 16, prior="haar-pyramid", **o), (64,)),
+    "variation": (lambda **o: FusedSolver(PHI, 16, 16, prior="variation", **o), (64,)),
+    "contourlet": (lambda **o: ContourletSolver(PHI, 16, 16, **o), (64,)),
+    "lanes": (lambda **o: LaneSolver(PHI, 16, 16, **o), (LANES, 64)),
+    "batch": (lambda **o: BatchSolver(PHI, 16, 16, **o), (3, 64)),
+}
+
+
+@pytest.mark.parametrize("kind", COMPILED)
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"iterations": 0}, "at least 1 iteration"),
+        ({"iterations": 1.5}, "at least 1 iteration"),
+        ({"penalty_n": -1e-9}, "penalty"),
+        ({"penalty_n": NAN}, "penalty"),
+        ({"penalty_n": INF}, "penalty"),
+        ({"lipschitz_ratio": 0.99}, "diverges"),
+        ({"lipschitz_ratio": NAN}, "diverges"),
+        ({"dtype": np.int32}, "float32 or float64, got int32"),
+        ({"dtype": np.float16}, "float32 or float64, got float16"),
+        ({"dtype": "single precision"}, "float32 or float64, got single precision"),
+    ],
+)
+def test_options_of_compiled_solvers(kind: str, options: dict[str, Any], says: str) -> None:
+    one_line(lambda: COMPILED[kind][0](**{"iterations": 3, "penalty_n": 0.01, **options}), says)
+
+
+@pytest.mark.parametrize("kind", ["fused", "variation", "contourlet", "lanes"])
+@pytest.mark.parametrize(
+    ("place", "spoil", "says"),
+    [
+        (0, lambda x: x[:-1], "estimate: .*shape"),
+        (0, lambda x: x.astype(np.float32), "estimate: .*float32"),
+        (0, lambda x: np.repeat(x, 2)[::2], "estimate: expected contiguous, writeable"),
+        (0, lambda x: np.broadcast_to(x, x.shape), "estimate: expected contiguous, writeable"),
+        (1, lambda x: x[..., :-1], "sums: .*shape"),
+        (1, lambda x: np.append(x, 0.0), "sums: .*shape"),
+        (1, lambda x: x.astype(np.float32), "sums: .*float32"),
+        (1, lambda x: x.astype(np.int64), "sums: .*int64"),
+        (1, lambda x: spoilt(x, NAN), "finite newtons"),
+        (1, lambda x: spoilt(x, -INF), "finite newtons"),
+        (1, lambda x: spoilt(x, 1e30), "below 1e6"),
+        (2, lambda x: x[..., :-1], "weights: .*shape"),
+        (2, lambda x: x > 0, "weights: .*bool"),
+        (2, lambda x: spoilt(x, 1.5), "weights of 0 to 1"),
+        (2, lambda x: spoilt(x, -0.1), "weights of 0 to 1"),
+        (2, lambda x: spoilt(x, NAN), "weights of 0 to 1"),
+    ],
+)
+def test_arrays_of_compiled_solvers(kind: str, place: int, spoil: Callable[[np.ndarray], Any], says: str) -> None:
+    make, shape = COMPILED[kind]
+    solver = make(iterations=3, penalty_n=0.01, dtype=np.float64)
+    rng = np.random.default_rng(0)
+    given = [solver.new_estimate(), rng.normal(0, 0.02, shape), np.ones(shape)]
+    solver.solve(*given)
+    before = given[0].copy()
+    wrong = [*given]
+    wrong[place] = spoil(given[place])
+    one_line(lambda: solver.solve(*wrong), says)
+    np.testing.assert_array_equal(given[0], before)
+    one_line(lambda: solver.deliver(before[:-1]), "estimate: .*shape")
+    if kind != "lanes":
+        one_line(lambda: solver.solve(*given, relative_penalty=-1), "relative penalty")
+        one_line(lambda: solver.solve(*given, relative_penalty=NAN), "relative penalty")
+
+
+def test_images_and_coefficients_of_compiled_solvers() -> None:
+    fused = FusedSolver(PHI, 16, 16, prior="haar-tensor", iterations=3, penalty_n=0.01)
+    contourlet = ContourletSolver(PHI, 16, 16, iterations=3, penalty_n=0.01)
+    one_line(lambda: fused.blocks_of(np.zeros(256)), "image: .*shape")
+    one_line(lambda: fused.image_of(np.zeros(255)), "estimate: .*shape")
+    one_line(lambda: contourlet.estimate_of(np.zeros(256)), "coefficients: .*shape")
+    one_line(lambda: contourlet.coefficients_of(np.zeros(256)), "estimate: .*shape")
+    one_line(
+        lambda: LaneSolver(PHI, 16, 16, prior="variation", iterations=3, penalty_n=0.01), "no solver in lanes: use"
+    )
+
+
+@pytest.mark.parametrize("kind", ["fused", "contourlet", "lanes", "batch"])
+@pytest.mark.parametrize(
+    ("sums", "valid", "says"),
+    [
+        (np.zeros((3, 63)), np.ones((3, 63), np.bool_), r"\(frames, 64\)"),
+        (np.zeros(64), ONES > 0, r"\(frames, 64\)"),
+        (np.zeros((3, 64)), np.ones((2, 64), np.bool_), r"\(frames, 64\)"),
+        (np.zeros((3, 64), np.int64), np.ones((3, 64), np.bool_), "expected floats and bools, got int64"),
+        (np.zeros((3, 64)), np.ones((3, 64), np.int64), "expected floats and bools, got float64 and int64"),
+        (np.full((3, 64), NAN), np.ones((3, 64), np.bool_), "not finite"),
+        (np.full((3, 64), INF), np.ones((3, 64), np.bool_), "not finite"),
+        (np.full((3, 64), 1e7), np.ones((3, 64), np.bool_), "above 1e6"),
+    ],
+)
+def test_recordings(kind: str, sums: np.ndarray, valid: np.ndarray, says: str) -> None:
+    solver = COMPILED[kind][0](iterations=3, penalty_n=0.01)
+    solve = solver.solve if kind == "batch" else lambda *given: reconstruct_recording(solver, *given)
+    one_line(lambda: solve(sums, valid), says)
+
+
+@pytest.mark.parametrize("start", [np.zeros((2, 16, 16)), np.zeros((3, 256)), np.full((3, 16, 16), NAN)])
+def test_starts_of_batches(start: np.ndarray) -> None:
+    solver = BatchSolver(PHI, 16, 16, iterations=3, penalty_n=0.01)
+    one_line(lambda: solver.solve(np.zeros((3, 64)), np.ones((3, 64), np.bool_), start), "a start of finite newtons")
+
+
+@pytest.mark.parametrize(
+    ("sums", "valid", "says"),
+    [
+        (SUMS[:-1], ONES > 0, "64 sums"),
+        (SUMS, ONES[:-1] > 0, "64 sums"),
+        (SUMS[None], ONES > 0, "64 sums"),
+        (SUMS, ONES, "floats and bools, got float64 and float64"),
+        (SUMS.astype(np.complex64), ONES > 0, "got complex64"),
+        (spoilt(SUMS, NAN), ONES > 0, "not finite"),
+        (spoilt(SUMS, -1e300), ONES > 0, "above 1e6"),
+    ],
+)
+def test_reconstructor(sums: np.ndarray, valid: np.ndarray, says: str) -> None:
+    one_line(lambda: Reconstructor(PHI, 16, 16).solve(sums, valid), says)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"prior": "fourier"}, "expected one of haar-pyramid"),
+        ({"noise_n": 0.0}, "above 0"),
+        ({"noise_n": NAN}, "above 0"),
+        ({"iterations": 0}, "at least 1 iteration"),
+        ({"penalty_n": -1.0}, "penalty"),
+        ({"dtype": np.int8}, "float32 or float64, got int8"),
+    ],
+)
+def test_options_of_the_reconstructor(options: dict[str, Any], says: str) -> None:
+    one_line(lambda: Reconstructor(PHI, 16, 16, **options), says)
+    one_line(lambda: Reconstructor(PHI, 16, 32), "256 taxels but the grid has 16 x 32")
+
+
+def test_sums_that_did_not_come_may_hold_anything() -> None:
+    """Also what no float32 can hold, and without a warning."""
+    valid = np.arange(64) % 2 > 0
+    huge = np.where(valid, SUMS, 1e300)
+    np.testing.assert_array_equal(
+        Reconstructor(PHI, 16, 16).solve(huge, valid), Reconstructor(PHI, 16, 16).solve(SUMS, valid)
+    )
