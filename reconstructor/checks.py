@@ -13,6 +13,8 @@ Values = npt.NDArray[np.floating[Any]]
 
 #: No sum of a skin is larger, newtons; beyond it float32 would overflow inside a solver.
 LARGEST_N: Final = 1e6
+#: More would be a slip: a second for one small image, where twenty iterations serve.
+MOST_ITERATIONS: Final = 100_000
 _KINDS: Final = (np.dtype(np.float32), np.dtype(np.float64))
 
 
@@ -81,9 +83,11 @@ def check_grid_of(phi: Sbhe, rows: int, columns: int) -> None:
 
 
 def check_iterations(iterations: int) -> None:
-    """Raise InputError unless there is one at least."""
+    """Raise InputError unless there are 1 to `MOST_ITERATIONS`."""
     if not is_whole(iterations) or iterations < 1:
         raise InputError(f"expected at least 1 iteration, got {iterations}")
+    if iterations > MOST_ITERATIONS:
+        raise InputError(f"expected at most {MOST_ITERATIONS} iterations, got {iterations}")
 
 
 def check_penalty(penalty_n: float) -> None:

@@ -211,6 +211,7 @@ COMPILED: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
     [
         ({"iterations": 0}, "at least 1 iteration"),
         ({"iterations": 1.5}, "at least 1 iteration"),
+        ({"iterations": 10**9}, "at most 100000 iterations"),
         ({"penalty_n": -1e-9}, "penalty"),
         ({"penalty_n": NAN}, "penalty"),
         ({"penalty_n": INF}, "penalty"),
