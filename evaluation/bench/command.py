@@ -2,14 +2,19 @@
 
 import json as json_format
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from skin.errors import InputError
 
-Subject = Literal["reconstruct", "images", "missing"]
+Subject = Literal["reconstruct", "images", "missing", "skins"]
 _MODULES: Final = {subject: f"evaluation.bench.{subject}" for subject in get_args(Subject)}
+FIGURES: Final = (".svg", ".png", ".pdf")
+#: Columns of a table that goes to a file or to another program.
+PIPED_WIDTH: Final = 160
 
 
 def bench(subject: Subject, *, rounds: int | None = None, figure: Path | None = None, json: bool = False) -> None:
@@ -20,6 +25,7 @@ def bench(subject: Subject, *, rounds: int | None = None, figure: Path | None = 
     the gap (F - F*) / F* each is left with, the PSNR, and the ratio to ours of the same precision; then the same for
     the contourlet, and the time that arithmetic and memory alone would take. ``images`` gives the PSNR of every solver
     at the paper's speed of motion and ten times faster. ``missing`` gives it with dead nodes and with lost frames.
+    ``skins`` times one cycle of several skins in one process, each with its own Φ, on one thread and on more.
 
     Parameters
     ----------
@@ -28,7 +34,7 @@ def bench(subject: Subject, *, rounds: int | None = None, figure: Path | None = 
     rounds
         Times each method runs after the first; of ``missing``, draws of what is missing. Default 8 and 2.
     figure
-        File for the curves of ``missing``, for example .svg.
+        File for the curves of ``missing``: .svg, .png or .pdf.
     json
         Print JSON instead of tables.
 
@@ -39,13 +45,14 @@ def bench(subject: Subject, *, rounds: int | None = None, figure: Path | None = 
     """
     if subject not in _MODULES:
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(_MODULES)}")
-    if figure is not None and subject != "missing":
-        raise InputError(f"only 'missing' has a figure, not '{subject}'")
+    if figure is not None:
+        _check_figure(subject, figure)
     count = (2 if subject == "missing" else 8) if rounds is None else rounds
     if count < 1:
         raise InputError(f"expected 1 round or more, got {count}")
     module = import_module(_MODULES[subject])
-    result: dict[str, Any] = module.run(count)
+    with _said_to_run(subject):
+        result: dict[str, Any] = module.run(count)
     if figure is not None:
         module.draw(result, figure)
     if json:
@@ -55,14 +62,43 @@ def bench(subject: Subject, *, rounds: int | None = None, figure: Path | None = 
         _print_tables(result)
 
 
+def _check_figure(subject: str, figure: Path) -> None:
+    """Raise InputError unless the figure can be written, before minutes are spent on its curves."""
+    if subject != "missing":
+        raise InputError(f"only 'missing' has a figure, not '{subject}'")
+    if figure.suffix not in FIGURES:
+        raise InputError(f"{figure}: expected a figure that ends with one of {', '.join(FIGURES)}")
+    if not figure.parent.is_dir() or figure.is_dir():
+        raise InputError(f"{figure}: expected a file in a folder that exists")
+
+
+@contextmanager
+def _said_to_run(subject: str) -> Iterator[None]:
+    """Show on a terminal that something goes on; redrawn rarely, for it shares the processor with what is timed."""
+    from rich.console import Console
+    from rich.progress import Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(
+        *columns, console=console, transient=True, refresh_per_second=1, disable=not console.is_terminal
+    ) as progress:
+        progress.add_task(f"measuring {subject}", total=None)
+        yield
+
+
 def _print_tables(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
     console = Console(file=sys.stdout)
+    if not console.is_terminal:
+        console.width = PIPED_WIDTH
     for name, rows in result.items():
         listed = rows if isinstance(rows, list) else [rows]
-        table = Table(*listed[0], title=name)
+        table = Table(title=name)
+        for heading in listed[0]:
+            table.add_column(heading, overflow="fold")
         for row in listed:
             table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
         console.print(table)

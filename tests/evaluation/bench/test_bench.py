@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.bench import missing, reconstruct
+from evaluation.bench import missing, reconstruct, skins
 from evaluation.bench.command import bench
 from evaluation.bench.limit import measure_limit
 from evaluation.bench.problem import Method, make_problem, race
@@ -19,8 +19,13 @@ from skin.errors import InputError
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(InputError, match="unknown subject 'all': expected one of reconstruct"):
         bench("all")  # type: ignore[arg-type]  # what a caller without a type checker may do
-    with pytest.raises(InputError, match="only 'missing' has a figure"):
-        bench("images", figure=Path("x.svg"))
+    for subject, figure, says in (
+        ("images", "x.svg", "only 'missing' has a figure"),
+        ("missing", "curves.txt", r"ends with one of \.svg, \.png, \.pdf"),
+        ("missing", "no/such/folder/curves.svg", "a folder that exists"),
+    ):
+        with pytest.raises(InputError, match=says):
+            bench(subject, figure=Path(figure))  # type: ignore[arg-type]  # of a loop
     with pytest.raises(InputError, match="1 round or more"):
         bench("images", rounds=0)
 
@@ -50,6 +55,25 @@ def test_limit_is_positive_and_grows_with_the_iterations() -> None:
 def test_means() -> None:
     rows = [{"a": 1, "b": 2.0}, {"a": 2, "b": 5.0}, {"a": 1, "b": 4.0}]
     assert mean_over(rows, "b", "a") == [{"a": 1, "b": 3.0}, {"a": 2, "b": 5.0}]
+
+
+def test_skins_are_timed_on_one_thread_and_on_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(skins, "TURN_S", 0.001)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    rows = skins.run(rounds=1)["rows"]
+    assert [(row["skins"], row["threads"]) for row in rows] == [(1, 1), (2, 1), (2, 2), (4, 1), (4, 2), (8, 1), (8, 2)]
+    assert all(row["ms"] > 0 and (row["threads"] > 1 or row["speed_up"] == 1) for row in rows)
+
+
+def test_tables_cut_nothing_off(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "SigPy LinearLeastSquares, operator"
+    rows = [{"method": name, "dtype": "float32", "gap": 2.68756e-05, "ratio_to_ours": 155.77}]
+    monkeypatch.setattr(skins, "run", lambda _: {"rows": rows, "limit": {"limit_ms": 0.0922}})
+    bench("skins", rounds=1)
+    said, words = capsys.readouterr()
+    assert words == ""
+    for part in (name, "ratio_to_ours", "2.688e-05", "155.8", "limit_ms", "0.0922"):
+        assert part in said
 
 
 @pytest.mark.slow
