@@ -31,7 +31,7 @@ def fast_noiselet(values: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
         n a power of two of at least 2.
     """
     work: npt.NDArray[Any] = np.array(values)
-    (first, last), *others = _butterflies(values.shape[-1])
+    (first, last), *others = butterflies(values.shape[-1])
     a, b = work[..., first], work[..., last]
     work[..., first], work[..., last] = a + b, a - b
     for first, last in others:
@@ -41,8 +41,8 @@ def fast_noiselet(values: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
 
 
 @cache
-def _butterflies(size: int) -> list[Pairs]:
-    """Return which places are paired in each of the log2(size) steps; the first adds where the others subtract."""
+def butterflies(size: int) -> list[Pairs]:
+    """Return which places are paired in each of the log2(size) steps of N; the first adds where the others subtract."""
     first = np.arange(size // 2)
     top = size - 1
     steps = [(first, top - first)]

@@ -1,0 +1,35 @@
+"""The compiled noiselet solvers against the plain FISTA."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from reconstructor.bases import make_basis
+from reconstructor.fista import fista
+from reconstructor.kernels.noiselet import NoiseletSolver
+from skin.errors import InputError
+from skin.noiselet import noiselet
+
+
+@pytest.mark.parametrize(("prior", "columns"), [("haar-tensor", 16), ("haar-tensor", 32), ("contourlet", 32)])
+@pytest.mark.parametrize(("dtype", "error"), [(np.float64, 1e-13), (np.float32, 1e-6)])
+def test_solver_is_the_reference_with_rows_deleted(prior: Any, columns: int, dtype: type, error: float) -> None:
+    phi, rng = noiselet(32, columns, 200, seed=3), np.random.default_rng(0)
+    sums, valid = rng.normal(0, 0.3, 200), rng.random(200) > 0.2
+    solver = NoiseletSolver(phi, prior=prior, iterations=9, penalty_n=2.0, lipschitz_ratio=2.0, dtype=dtype)
+    estimate = solver.new_estimate()
+    spoilt = np.where(valid, sums, 1e6).astype(dtype)
+    assert solver.solve(estimate, spoilt, valid.astype(dtype)) == valid.sum()
+    rows = type(phi)(32, columns, phi.kept[valid])
+    psi = make_basis(prior, 32, columns)
+    expected = fista(rows, psi, sums[valid], penalty_n=2.0, lipschitz=solver.lipschitz, iterations=9)
+    assert np.count_nonzero(expected) < expected.size / 2
+    np.testing.assert_allclose(solver.deliver(estimate), np.maximum(psi.adjoint(expected), 0), atol=max(error, 1e-8))
+
+
+def test_options_are_checked() -> None:
+    with pytest.raises(InputError, match="unknown prior 'dct'"):
+        NoiseletSolver(noiselet(16, 16, 10), prior="dct", iterations=5, penalty_n=1.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="needs a square"):
+        NoiseletSolver(noiselet(16, 32, 10), prior="contourlet", iterations=5, penalty_n=1.0)
