@@ -12,9 +12,15 @@ from skin.errors import InputError
 if TYPE_CHECKING:
     from evaluation.findings import Findings
 
-Subject = Literal["all"]
+Subject = Literal["all", "sparsity", "compression", "iterations", "figures", "solvers"]
 #: Where each subject's ``evaluate(options) -> Findings`` lives, in the order of the report.
-SUBJECTS: Final[dict[str, str]] = {}
+SUBJECTS: Final[dict[str, str]] = {
+    "sparsity": "evaluation.paper.sparsity",
+    "compression": "evaluation.paper.compression",
+    "iterations": "evaluation.paper.iterations",
+    "figures": "evaluation.paper.figures",
+    "solvers": "evaluation.paper.solvers",
+}
 
 
 def evaluate(
@@ -90,7 +96,8 @@ def _print(found: "Findings") -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(file=sys.stdout)
+    # Without a terminal rich takes 80 columns, which cuts off the names of columns.
+    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 200)
     table = Table(*(found.rows[0] if found.rows else ()), title=found.title)
     for row in found.rows:
         table.add_row(*("" if value is None else str(value) for value in row.values()))

@@ -5,8 +5,8 @@
 after Beck and Teboulle 2009: with the factor ½, steps of 1 / L and a threshold of λ / L. With Φ of ±1 and forces in
 newtons, λ is in newtons. L must be at least the largest eigenvalue of (ΦΨ)ᵀΦΨ: `Operator.norm_squared` exactly for an
 orthonormal Ψ, `largest_eigenvalue` for any other. The paper takes twice that, which is the L of the objective without
-the factor ½; its tables come out with λ = 0.0125 in this convention (the printed λ is 0.1) and with the momentum
-started anew in every time step.
+the factor ½; its tables come out with the printed λ = 1 for noiselets in this convention, with λ = 0.01 for an SBHE
+(the printed λ is 0.1), and with the momentum started anew in every time step.
 """
 
 from collections.abc import Callable

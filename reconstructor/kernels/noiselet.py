@@ -178,25 +178,24 @@ class NoiseletSolver:
         count = phi.shape[1]
         if prior == "contourlet":
             psi = CompiledContourlet(phi.rows, phi.columns)
-            self.lipschitz: Final = lipschitz_ratio * largest_eigenvalue(phi, psi)
+            largest = largest_eigenvalue(phi, psi)
             places = np.argsort(image_order(phi.rows)).reshape(self.shape)
             self._size = psi.shape[0]
             plan = plan_of(psi, self.dtype)
             self._more: tuple[Any, ...] = (plan, room_of(plan, self.dtype))
         else:
-            self.lipschitz = lipschitz_ratio * phi.norm_squared
+            largest = phi.norm_squared
             places = tensor_addresses(phi.rows, phi.columns)
             self._size = count
             self._more = ()
+        self.lipschitz: Final = lipschitz_ratio * largest
         self._run: Callable[..., int] = _solve_contourlet if self._more else _solve_haar
         self._places = places.astype(np.uint16).ravel()
         self._problem = self._problem_of(phi, places, iterations, penalty_n)
         sizes = (count,) * 4 + (self._size,) * 2
         self._scratch = _Scratch(*(aligned(size, self.dtype) for size in sizes))
 
-    def _problem_of(
-        self, phi: Noiselet, places: npt.NDArray[np.intp], iterations: int, penalty_n: float
-    ) -> _Problem:
+    def _problem_of(self, phi: Noiselet, places: npt.NDArray[np.intp], iterations: int, penalty_n: float) -> _Problem:
         row_at, column_at = places[:, 0] // phi.columns, places[0]
         step = 1 / self.lipschitz
         return _Problem(
