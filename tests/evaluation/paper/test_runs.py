@@ -1,0 +1,76 @@
+"""Runs over a trajectory: what they measure with, and that they give the paper's numbers where it is exact."""
+
+import numpy as np
+import pytest
+
+from evaluation.findings import Options
+from evaluation.paper.compression import measure_sensor, psnr_columns
+from evaluation.paper.printed import SENSOR, TABLE_TWO, Matrix, Psnr
+from evaluation.paper.runs import CHUNK, PENALTY_N, Method, cell, measure, psnr_db, rebuild, sums_of, true_force
+from reconstructor.bases import make_basis
+from reconstructor.fista import fista
+from skin.noiselet import noiselet
+
+GOLF = {"name": "golf-ball", "meshes": None, "seed": 0, "draw": 0}
+
+
+def test_psnr_has_the_papers_peak() -> None:
+    true = np.zeros((64, 64), np.float32)
+    assert psnr_db(true + np.float32(0.02), true) == pytest.approx(0.0, abs=1e-5)
+    assert psnr_db(true + np.float32(0.0002), true) == pytest.approx(40.0, abs=1e-5)
+    assert psnr_db(true, true) == pytest.approx(160.0)
+
+
+def test_sums_are_phi_times_the_taxels_whatever_the_chunks() -> None:
+    phi = noiselet(64, 64, 50)
+    felt = np.random.default_rng(0).random((CHUNK + 3, 64, 64), np.float32)
+    expected = phi.forward(felt.reshape(len(felt), -1).astype(np.float64))
+    np.testing.assert_allclose(sums_of(phi, felt), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("matrix", ["sbhe", "noiselet"])
+def test_a_run_is_the_plain_fista_kept_from_step_to_step(matrix: Matrix) -> None:
+    method = Method(matrix, 1024, "haar", 4)
+    true = true_force("golf-ball", None, 700)
+    phi, solver = method.make(seed=5)
+    psi, s, expected = make_basis("haar-tensor", 64, 64), None, []
+    for image in true.astype(np.float64):
+        sums_n = phi.forward(image.reshape(-1))
+        penalty_n, lipschitz = PENALTY_N[matrix, "haar"], 2 * phi.norm_squared
+        s = fista(phi, psi, sums_n, penalty_n=penalty_n, lipschitz=lipschitz, iterations=4, start=s)
+        expected.append(psnr_db(np.maximum(psi.adjoint(s), 0), image))
+    np.testing.assert_allclose(rebuild(phi, solver, true, true)[1:], expected[1:], atol=0.01)
+
+
+def test_draws_differ_and_are_repeated_by_their_number() -> None:
+    method = Method("sbhe", 819, "haar", 3)
+    first, second = (cell("golf-ball", method, Options(), draw=draw, stride=600) for draw in (0, 1))
+    assert measure(**first) == measure(**first)
+    assert measure(**first) != measure(**second)
+    assert len(measure(**first | {"series": True})["psnr_db"]) == 7
+
+
+@pytest.mark.parametrize("matrix", ["sbhe", "noiselet"])
+def test_golf_ball_of_table_two(matrix: Matrix) -> None:
+    found = measure(**cell("golf-ball", Method(matrix, 1024, "haar", 20), Options(), stride=10))
+    assert abs(found["mean"] - TABLE_TWO["golf-ball", matrix, 1024]["haar"].mean) < 0.3
+
+
+def test_sensor_signal_of_the_golf_ball() -> None:
+    found = measure_sensor(**GOLF, stride=10)
+    assert abs(found["mean"] - SENSOR["golf-ball"].mean) < 0.1
+    assert found["least"] < found["mean"] < found["most"]
+
+
+def test_columns_are_means_over_draws() -> None:
+    found = [{"mean": 30.0, "least": 28.0, "most": 33.0}, {"mean": 31.0, "least": 29.0, "most": 34.0}]
+    assert psnr_columns(found, Psnr(30.3, 28.0, 34.0)) == {
+        "ours": 30.5,
+        "paper": 30.3,
+        "difference": 0.2,
+        "spread": 0.5,
+        "least": 28.5,
+        "paper_least": 28.0,
+        "most": 33.5,
+        "paper_most": 34.0,
+    }
