@@ -18,9 +18,20 @@ Values = npt.NDArray[np.floating[Any]]
 class ImageSolver(Protocol):
     """`FusedSolver` or `ContourletSolver`: one image after the other."""
 
-    sums: int
-    shape: tuple[int, int]
-    dtype: np.dtype[Any]
+    @property
+    def sums(self) -> int:
+        """Number of sums m."""
+        ...
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the images."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of sums and estimates."""
+        ...
 
     def new_estimate(self) -> Values:
         """Return an estimate of zeros."""

@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from evaluation.findings import Options, Row
 from evaluation.paper.printed import BasisName, Matrix
+from reconstructor.batch import ImageSolver
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.noiselet import NoiseletSolver
@@ -39,22 +40,6 @@ Decibels = npt.NDArray[np.float64]
 Values = npt.NDArray[np.floating]
 
 
-class Solver(Protocol):
-    """What the compiled solvers share."""
-
-    def new_estimate(self) -> Values:
-        """Return a cold start."""
-        ...
-
-    def solve(self, estimate: Values, sums_n: Values, weights: Values) -> int:
-        """Improve `estimate` in place."""
-        ...
-
-    def deliver(self, estimate: Values) -> Force:
-        """Return the image, negative forces as 0."""
-        ...
-
-
 @dataclass(frozen=True)
 class Method:
     """How a trajectory is measured and rebuilt.
@@ -75,7 +60,7 @@ class Method:
     basis: BasisName
     iterations: int
 
-    def make(self, seed: int) -> tuple[Operator, Solver]:
+    def make(self, seed: int) -> tuple[Operator, ImageSolver]:
         """Return a drawn Φ and its solver with the paper's settings: L twice the largest eigenvalue."""
         penalty_n = PENALTY_N[self.matrix, self.basis]
         if self.matrix == "noiselet":
@@ -132,7 +117,7 @@ def sums_of(phi: Operator, felt: Force) -> npt.NDArray[np.float32]:
     return np.concatenate(parts).astype(np.float32)
 
 
-def rebuild(phi: Operator, solver: Solver, felt: Force, true: Force) -> Decibels:
+def rebuild(phi: Operator, solver: ImageSolver, felt: Force, true: Force) -> Decibels:
     """Return the PSNR of every step, dB, each started from the step before."""
     estimate, weights = solver.new_estimate(), np.ones(phi.shape[0], np.float32)
     found = np.empty(len(true))

@@ -11,13 +11,14 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.checks import check_estimate, check_grid, check_settings, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.addresses import tensor_addresses
 from reconstructor.kernels.contourlet import CompiledContourlet
-from reconstructor.kernels.fused import check_settings
 from reconstructor.kernels.haar import shrink_tensor
 from reconstructor.kernels.ladder import synthesise, transpose
 from reconstructor.kernels.ladder_plan import Plan, Room, image_order, plan_of, room_of
+from reconstructor.kernels.problem import checked
 from reconstructor.kernels.steps import aligned, deliver, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 from skin.errors import InputError
@@ -111,7 +112,7 @@ def _solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, sc
         _gram(slope, problem, scratch)
         for k in range(slope.size):
             slope[k] = ahead[k] - slope[k]
-        shrink_tensor(slope, problem.columns, problem.numbers[1], problem.numbers[2])
+        shrink_tensor(slope, problem.columns, 1, problem.numbers[1], problem.numbers[2])
         for k in range(slope.size):
             ahead[k] = slope[k] + problem.momentum[turn] * (slope[k] - estimate[k])
             estimate[k] = slope[k]
@@ -173,8 +174,10 @@ class NoiseletSolver:
         check_settings(iterations, penalty_n, lipschitz_ratio)
         if prior not in {"haar-tensor", "contourlet"}:
             raise InputError(f"unknown prior '{prior}': expected haar-tensor or contourlet")
-        self.dtype: Final = np.dtype(dtype)
+        check_grid(phi.rows, phi.columns)
+        self.dtype: Final = float_kind(dtype)
         self.shape: Final = (phi.rows, phi.columns)
+        self.sums: Final = phi.shape[0]
         count = phi.shape[1]
         if prior == "contourlet":
             psi = CompiledContourlet(phi.rows, phi.columns)
@@ -221,14 +224,24 @@ class NoiseletSolver:
             From `new_estimate`, or the result of the solve before.
         sums_n, weights : arrays of `dtype`, shape (m,)
             Newtons, and how much each sum counts, 0 to 1.
+
+        Raises
+        ------
+        InputError
+            As `reconstructor.kernels.fused.FusedSolver.solve`.
         """
-        return int(self._run(estimate, sums_n, weights, self._problem, self._scratch, *self._more))
+        check_estimate(estimate, (self._size,), self.dtype)
+        sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
+        return int(self._run(estimate, sums, counting, self._problem, self._scratch, *self._more))
+
+    def reset(self) -> None:
+        """Forget what is kept from solve to solve besides the estimate: nothing."""
 
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
         """Return a new image of shape (rows, columns), negative forces as 0."""
-        kept = estimate
+        kept = placed("estimate", estimate, (self._size,), self.dtype)
         if self._more:
-            synthesise(self._scratch.image, estimate, *self._more)
+            synthesise(self._scratch.image, kept, *self._more)
             kept = self._scratch.image
         image = np.empty(self.shape, np.float32)
         deliver(image.reshape(-1), kept, self._places)
