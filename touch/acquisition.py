@@ -35,7 +35,7 @@ class Start:
 #: The paper's five objects in the order of its tables.
 ACQUISITION_OBJECTS: Final = {
     "golf-ball": Start(GOLF_START_M, 0.0, exact=True),
-    "granola-box": Start((0.02, 0.0), math.pi, exact=False),
+    "granola-box": Start((0.03, 0.03), math.pi / 2, exact=False),
     "drill": Start((0.01, 0.0), 0.0, exact=False),
     "cup": Start((0.05, 0.05), 0.0, exact=False),
     "clamp": Start((0.05, 0.07), 0.0, exact=False),
