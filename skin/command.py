@@ -28,6 +28,7 @@ VERBS: Final = {
     "plan": "bus.plan_command:plan",
     "load": "bus.load_command:load",
     "objects": "touch.command:objects",
+    "dataset": "touch.datasets.command:dataset",
     "train": "classifier.command:train",
     "evaluate": "evaluation.command:evaluate",
     "bench": "evaluation.bench.command:bench",

@@ -1,66 +1,95 @@
 """The verb ``skin objects``."""
 
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+from touch.contact import Force
 
-def objects(*, json: bool = False) -> None:
-    """List the objects that can touch the simulated skin, with the taxels each presses and its peak force.
 
-    The contact is that of the object in the middle of a skin of 64 x 64 taxels at 4 mm, pressed in by
-    9.99 mm, the depth of the paper's data.
+def objects(
+    names: str | None = None, *, meshes: Path | None = None, figure: Path | None = None, json: bool = False
+) -> None:
+    """List and draw the objects that can touch the simulated skin.
+
+    The contact is that of the object in the middle of a skin of 64 x 64 taxels at 4 mm, pressed in by 9.99 mm, the
+    depth of the paper's data.
 
     Parameters
     ----------
-    json : bool
-        Print one JSON array instead of a table.
+    names
+        Comma-separated: only these, each drawn with characters below the table.
+    meshes
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
+    figure
+        File for a picture of every listed object's tactile image, for example .png.
+    json
+        Print one JSON array instead of a table and drawings.
 
     Examples
     --------
     skin objects
+    skin objects drill,cup --meshes ycb-meshes
+    skin objects --figure objects.png
     skin objects --json | jq 'max_by(.contact_taxels).name'
     """
-    rows = _describe()
+    from touch.drawing import as_text, check_place, save_images
+    from touch.objects import CATALOGUE, checked_names
+
+    if figure is not None:
+        check_place(figure)
+    images = _press_each(tuple(CATALOGUE) if names is None else checked_names(names), meshes)
+    rows = [_describe(name, meshes, force_n) for name, force_n in images.items()]
     if json:
         import msgspec
 
         sys.stdout.write(msgspec.json.encode(rows).decode() + "\n")
-        return
+    else:
+        _print_table(rows)
+        for name in images if names is not None else ():
+            print(f"\n{name}\n{as_text(images[name])}")
+    if figure is not None:
+        save_images(images, figure)
+
+
+def _press_each(names: Sequence[str], meshes: Path | None) -> dict[str, Force]:
+    from touch.contact import Grid, Pose, press
+    from touch.objects import spheres_of
+    from touch.trajectory import PAPER_DEPTH_M
+
+    middle = Pose(0.0, 0.0, 0.0, PAPER_DEPTH_M)
+    return {name: press(Grid(), [(spheres_of(name, meshes), middle)]) for name in names}
+
+
+def _describe(name: str, meshes: Path | None, force_n: Force) -> dict[str, Any]:
+    from touch.objects import made_of, size_m, spheres_of
+
+    length_m, width_m = size_m(name, meshes)
+    return {
+        "name": name,
+        "made_of": made_of(name, meshes),
+        "length_m": length_m,
+        "width_m": width_m,
+        "spheres": len(spheres_of(name, meshes)),
+        "contact_taxels": int((force_n > 0).sum()),
+        "peak_force_n": round(float(force_n.max()), 6),
+        "total_force_n": round(float(force_n.sum(dtype=float)), 6),
+    }
+
+
+def _print_table(rows: Sequence[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("object", "shape", "length mm", "width mm", "spheres", "taxels", "peak mN")
+    table = Table("object", "made of", "size mm", "spheres", "taxels", "force mN")
     for row in rows:
         table.add_row(
             row["name"],
-            row["shape"],
-            f"{row['length_m'] * 1e3:.1f}",
-            f"{row['width_m'] * 1e3:.1f}",
+            row["made_of"],
+            f"{row['length_m'] * 1e3:.0f} x {row['width_m'] * 1e3:.0f}",
             str(row["spheres"]),
             str(row["contact_taxels"]),
-            f"{row['peak_force_n'] * 1e3:.2f}",
+            f"{row['total_force_n'] * 1e3:.0f}",
         )
     Console(file=sys.stdout).print(table)
-
-
-def _describe() -> list[dict[str, Any]]:
-    from touch.contact import Grid, Pose, press
-    from touch.objects import CATALOGUE, spheres_of
-    from touch.trajectory import PAPER_DEPTH_M
-
-    rows = []
-    for name, item in CATALOGUE.items():
-        spheres = spheres_of(name)
-        force_n = press(Grid(), [(spheres, Pose(0.0, 0.0, 0.0, PAPER_DEPTH_M))])
-        rows.append(
-            {
-                "name": name,
-                "shape": item.shape,
-                "length_m": item.size_m[0],
-                "width_m": item.size_m[1],
-                "spheres": len(spheres),
-                "contact_taxels": int((force_n > 0).sum()),
-                "peak_force_n": round(float(force_n.max()), 6),
-            }
-        )
-    return rows

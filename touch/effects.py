@@ -13,6 +13,9 @@ import numpy.typing as npt
 from skin.errors import InputError
 from touch.contact import STIFFNESS_N_PER_M, Force
 
+#: Streams of random numbers, so that effects of one seed do not meet the same taxels.
+_GAIN, _DRIFT, _STUCK, _DEAD = range(4)
+
 
 @dataclass(frozen=True)
 class Damper:
@@ -65,7 +68,7 @@ class GainSpread:
 
     def gains(self, taxels: tuple[int, ...]) -> Force:
         """Return the gain of each taxel of an array of that shape."""
-        drawn = np.random.default_rng(self.seed).normal(1.0, self.deviation, taxels)
+        drawn = _stream(self.seed, _GAIN).normal(1.0, self.deviation, taxels)
         return np.maximum(drawn, 0.0).astype(np.float32)
 
 
@@ -81,7 +84,7 @@ class Drift:
 
     def offsets_n(self, taxels: tuple[int, ...], time_s: npt.NDArray[np.float64]) -> Force:
         """Return offsets of shape (times, *taxels), newtons."""
-        rates = np.random.default_rng(self.seed).normal(0.0, self.deviation_n_per_s, taxels)
+        rates = _stream(self.seed, _DRIFT).normal(0.0, self.deviation_n_per_s, taxels)
         return np.multiply.outer(time_s, rates).astype(np.float32)
 
 
@@ -97,7 +100,7 @@ class Stuck:
 
     def values(self, taxels: tuple[int, ...], force_max_n: float) -> tuple[npt.NDArray[np.intp], Force]:
         """Return flat indices of the stuck taxels and what each reads, newtons."""
-        rng = np.random.default_rng(self.seed)
+        rng = _stream(self.seed, _STUCK)
         chosen = _chosen(self.ratio, taxels, rng)
         return chosen, rng.uniform(0.0, force_max_n, chosen.size).astype(np.float32)
 
@@ -114,13 +117,17 @@ class Dead:
 
     def taxels(self, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
         """Return flat indices of the dead taxels."""
-        return _chosen(self.ratio, taxels, np.random.default_rng(self.seed))
+        return _chosen(self.ratio, taxels, _stream(self.seed, _DEAD))
 
 
 def _need_ratio(name: str, value: float, most: float) -> None:
     if not (math.isfinite(value) and 0 <= value <= most):
         expected = "a number of 0 or more" if most == math.inf else f"a number from 0 to {most:g}"
         raise InputError(f"{name} needs {expected}: got {value}")
+
+
+def _stream(seed: int, effect: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(effect,)))
 
 
 def _chosen(ratio: float, taxels: tuple[int, ...], rng: np.random.Generator) -> npt.NDArray[np.intp]:

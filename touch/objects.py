@@ -22,7 +22,7 @@ class TouchObject:
     name, shape : str
         What it is called, and which primitive makes it.
     size_m : tuple of float
-        Length and width of what faces the array, of an own shape of its upper 10 mm, metres.
+        Length and width of what faces the array, metres; of an own shape, that of its upper 10 mm.
     build : callable
         Makes its spheres.
     mesh : MeshPose, optional
@@ -53,8 +53,11 @@ def _ring(name: str, diameter_m: float, wall_m: float) -> TouchObject:
 
 
 def _own(name: str, size_m: tuple[float, float], build: Callable[[], Spheres], mesh: MeshPose) -> TouchObject:
-    return TouchObject(name, "own", size_m, build, mesh)
+    return TouchObject(name, "own shape", size_m, build, mesh)
 
+
+#: Depth of what faces the array, about that of the paper's presses.
+FACING_M: Final = 0.01
 
 #: How the authors' meshes lie under the array, as turns about y and z one after the other.
 _ON_ITS_SIDE: Final = (("y", math.pi / 2), ("y", math.pi))
@@ -132,3 +135,32 @@ def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
     if meshes is None or item.mesh is None:
         return item.build()
     return load_mesh(find_mesh(meshes, item.mesh), item.mesh)
+
+
+def made_of(name: str, meshes: Path | None = None) -> str:
+    """Return what `spheres_of` makes an object of: a primitive, an own shape, or the name of a mesh file.
+
+    Raises
+    ------
+    InputError
+        As `spheres_of`.
+    """
+    (checked,) = checked_names([name])
+    item = CATALOGUE[checked]
+    if meshes is None or item.mesh is None:
+        return item.shape
+    return find_mesh(meshes, item.mesh).name
+
+
+def size_m(name: str, meshes: Path | None = None) -> tuple[float, float]:
+    """Return length and width of what faces the array: as built, or of the upper 10 mm of a mesh.
+
+    Raises
+    ------
+    InputError
+        As `spheres_of`.
+    """
+    item = CATALOGUE[checked_names([name])[0]]
+    if meshes is None or item.mesh is None:
+        return item.size_m
+    return spheres_of(name, meshes).footprint_m(FACING_M)

@@ -45,7 +45,7 @@ def poses(perturbations: int = PERTURBATIONS, seed: int = 0) -> list[Pose]:
         raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
     every = [
         # The array moves one way, so that the object is seen to move the other.
-        Pose(-x_m, -y_m, -rotation_rad, PAPER_DEPTH_M)
+        Pose(0.0 - x_m, 0.0 - y_m, 0.0 - rotation_rad, PAPER_DEPTH_M)
         for x_m, y_m, rotation_rad in itertools.product(OFFSETS_M, OFFSETS_M, ROTATIONS_RAD)
     ]
     if perturbations == PERTURBATIONS:

@@ -7,14 +7,13 @@ import numpy.typing as npt
 import pytest
 from scipy import fft
 
+from tests.touch.table_one import THRESHOLD_N, haar_counts
 from touch.contact import Grid, Pose, press
 from touch.objects import spheres_of
 from touch.trajectory import PAPER_DEPTH_M, PAPER_STEPS, paper_pose
 
 #: Ball and taxel radius together, metres.
 REACH_M = 0.04267 / 2 + 0.002
-#: |coefficient| above which Table I counts one, newtons.
-TABLE_THRESHOLD_N = 0.001
 
 
 def closed_form(step: int) -> npt.NDArray[np.float64]:
@@ -33,14 +32,6 @@ def trajectory() -> npt.NDArray[np.float32]:
     return np.stack([press(Grid(), [(ball, paper_pose(step))]) for step in range(PAPER_STEPS)])
 
 
-def full_haar(n: int) -> npt.NDArray[np.float64]:
-    transform = np.ones((1, 1))
-    while transform.shape[0] < n:
-        size = transform.shape[0]
-        transform = np.concatenate([np.kron(transform, [1.0, 1.0]), np.kron(np.eye(size), [1.0, -1.0])]) / np.sqrt(2.0)
-    return transform
-
-
 def test_force_equals_the_closed_form() -> None:
     steps = [*range(0, PAPER_STEPS, 37), 99, 100, 101, 1099, 1100, 4199]
     worst = max(float(np.abs(trajectory()[step] - closed_form(step)).max()) for step in steps)
@@ -55,15 +46,13 @@ def test_contact_has_the_paper_files_size() -> None:
 
 
 def test_table_one_haar() -> None:
-    haar = full_haar(64)
-    np.testing.assert_allclose(haar @ haar.T, np.eye(64), atol=1e-12)
-    counts = (np.abs(haar @ trajectory() @ haar.T) > TABLE_THRESHOLD_N).sum(axis=(1, 2))
+    counts = haar_counts(trajectory())
     assert (round(counts.mean(), 1), counts.max()) == (95.9, 146)
 
 
 def test_table_one_dct() -> None:
     coefficients = fft.dctn(trajectory().astype(np.float64), axes=(1, 2), norm="ortho")
-    counts = (np.abs(coefficients) > TABLE_THRESHOLD_N).sum(axis=(1, 2))
+    counts = (np.abs(coefficients) > THRESHOLD_N).sum(axis=(1, 2))
     assert (round(counts.mean(), 1), counts.max()) == (148.4, 203)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from skin.errors import InputError
 from touch.contact import Grid, Pose, Spheres, press
-from touch.objects import CATALOGUE, checked_names, spheres_of
+from touch.objects import CATALOGUE, FACING_M, checked_names, spheres_of
 from touch.primitives import ball, box, can, ring
 from touch.trajectory import PAPER_DEPTH_M
 
@@ -24,11 +24,11 @@ def test_sizes_are_exact_and_centred(name: str) -> None:
         assert extent_m(spheres, 0) == pytest.approx(item.size_m[0], abs=1e-12)
         assert extent_m(spheres, 1) == pytest.approx(item.size_m[1], abs=1e-12)
     reach = np.hypot(spheres.centres_m[:, 0], spheres.centres_m[:, 1]) + spheres.radii_m
-    if item.shape == "own":
-        assert spheres.footprint_m(0.01) == pytest.approx(item.size_m, abs=5e-4)
+    if item.shape == "own shape":
+        assert spheres.footprint_m(FACING_M) == pytest.approx(item.size_m, abs=5e-4)
     elif item.shape != "box":
         assert 2 * reach.max() == pytest.approx(item.size_m[0], abs=1e-12)
-    if item.shape != "own":
+    if item.shape != "own shape":
         np.testing.assert_allclose(spheres.centres_m[:, :2].mean(axis=0), 0.0, atol=1e-12)
     assert (spheres.centres_m[:, 2] + spheres.radii_m).max() == pytest.approx(0.0, abs=1e-15)
 

@@ -1,0 +1,106 @@
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skin.errors import InputError
+from touch.acquisition import trajectory
+from touch.contact import Force
+from touch.datasets.plan import Plan, plan_acquisition, plan_classification
+from touch.effects import Damper, Drift
+from touch.electronics import Electronics
+from touch.perturbations import observations
+
+PLAIN = Electronics()
+
+
+def all_made(plan: Plan) -> dict[str, Force]:
+    return {name: values for task in plan.tasks for name, values in zip(task.files, task.make(), strict=True)}
+
+
+def test_all_of_the_papers_observations_are_planned() -> None:
+    plan = plan_classification(electronics=PLAIN)
+    files = [about for task in plan.tasks for about in task.files.values()]
+    assert len(plan.objects) == 16
+    assert len(plan.about["poses"]) == 360
+    assert sum(about["signal"] == "sensor" for about in files) * 360 == 40320
+
+
+def test_all_of_the_papers_steps_are_planned() -> None:
+    plan = plan_acquisition(electronics=PLAIN)
+    assert len(plan.tasks) == 5 * 6
+    assert plan.about["settings"]["steps"] == 4200
+    assert [name for name, start in plan.about["starts"].items() if start["exact"]] == ["golf-ball"]
+
+
+def test_trajectories_are_true_force_and_seeded_noise() -> None:
+    plan = plan_acquisition(["golf-ball", "clamp"], speed=5, electronics=PLAIN, seed=3)
+    arrays = all_made(plan)
+    for name in ("golf-ball", "clamp"):
+        true = np.concatenate([arrays[f"{name}/true-{part:02d}.npy"] for part in (0, 1)])
+        sensor = np.concatenate([arrays[f"{name}/sensor-{part:02d}.npy"] for part in (0, 1)])
+        np.testing.assert_array_equal(true, trajectory(name, speed=5))
+        assert sensor.dtype == true.dtype == np.float32
+        inside = true > 0.005
+        assert (sensor - true)[inside].std() == pytest.approx(1e-3, rel=0.02)
+        assert 0 <= sensor.min() <= sensor.max() <= np.float32(0.02)
+    alone = all_made(plan_acquisition(["clamp"], speed=5, electronics=PLAIN, seed=3))
+    np.testing.assert_array_equal(alone["clamp/sensor-01.npy"], arrays["clamp/sensor-01.npy"])
+    other = all_made(plan_acquisition(["clamp"], speed=5, electronics=PLAIN, seed=4))
+    assert (other["clamp/sensor-01.npy"] != alone["clamp/sensor-01.npy"]).any()
+
+
+def test_damper_and_drift_do_not_see_where_chunks_begin() -> None:
+    worn = Electronics(noise_n=0.0, damper=Damper(0.01), drift=Drift(1e-3, seed=2))
+    arrays = all_made(plan_acquisition(["golf-ball"], steps=1400, electronics=worn))
+    sensor = np.concatenate([arrays["golf-ball/sensor-00.npy"], arrays["golf-ball/sensor-01.npy"]])
+    whole = worn.signal(trajectory("golf-ball", steps=1400), np.random.default_rng(0))
+    np.testing.assert_allclose(sensor, whole, rtol=0, atol=2e-9)
+
+
+def test_observations_of_every_array_are_of_the_same_touches() -> None:
+    names = ("tuna-can", "banana")
+    plan = plan_classification(names, sides=(64, 8, 8, 1), perturbations=4, electronics=PLAIN, seed=1)
+    arrays = all_made(plan)
+    assert len(arrays) == 2 * 2 * 3
+    for side in (64, 8, 1):
+        expected = observations(side, perturbations=4, seed=1, names=names)
+        for name, true in zip(names, expected, strict=True):
+            np.testing.assert_array_equal(arrays[f"averaged-{side:02d}x{side:02d}/{name}-true.npy"], true)
+            assert arrays[f"averaged-{side:02d}x{side:02d}/{name}-sensor.npy"].shape == (4, side, side)
+    large = all_made(plan_classification(names, sides=(4,), kind="large", perturbations=4, electronics=PLAIN, seed=1))
+    np.testing.assert_array_equal(
+        large["large-04x04/banana-true.npy"], observations(4, "large", perturbations=4, seed=1, names=names)[1]
+    )
+
+
+def test_a_task_can_be_sent_to_another_process() -> None:
+    plan = plan_classification(["drill"], sides=(4,), perturbations=2, electronics=PLAIN)
+    sent = pickle.loads(pickle.dumps(plan.tasks[0]))  # noqa: S301
+    for ours, theirs in zip(plan.tasks[0].make(), sent.make(), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_wrong_wishes_are_refused(tmp_path: Path) -> None:
+    refused = pytest.raises(InputError)
+    with refused:
+        plan_acquisition(["banana"], electronics=PLAIN)
+    with refused:
+        plan_acquisition([], electronics=PLAIN)
+    with refused:
+        plan_acquisition(seed=-1, electronics=PLAIN)
+    with refused:
+        plan_acquisition(speed=0, electronics=PLAIN)
+    with refused:
+        plan_acquisition(meshes=tmp_path, electronics=PLAIN)
+    with refused:
+        plan_classification(sides=(5,), electronics=PLAIN)
+    with refused:
+        plan_classification(sides=(), electronics=PLAIN)
+    with refused:
+        plan_classification(perturbations=0, electronics=PLAIN)
+    with refused:
+        plan_classification(seed=-1, electronics=PLAIN)
+    with pytest.raises(InputError, match="damper and drift need a trajectory"):
+        plan_classification(electronics=Electronics(drift=Drift(0.1)))

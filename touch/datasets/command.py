@@ -1,0 +1,173 @@
+"""The verb ``skin dataset``."""
+
+import json as json_format
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+from skin.errors import InputError
+from touch.arrays import ARRAYS
+from touch.datasets.folder import DatasetFolder, alone
+from touch.datasets.options import Slides, Taxels, Touches
+from touch.datasets.plan import Plan, plan_acquisition, plan_classification
+from touch.datasets.work import made
+
+Subject = Literal["acquisition", "classification"]
+_SLIDES: Final = Slides()
+_TOUCHES: Final = Touches()
+_TAXELS: Final = Taxels()
+
+
+def dataset(
+    subject: Subject,
+    *,
+    out: Path,
+    objects: str | None = None,
+    meshes: Path | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    slides: Slides = _SLIDES,
+    touches: Touches = _TOUCHES,
+    taxels: Taxels = _TAXELS,
+    json: bool = False,
+) -> None:
+    """Make one of the paper's two data sets in a folder.
+
+    ``acquisition`` presses and slides five objects over 64 x 64 taxels: 4200 steps of 1 ms each, 690 MB.
+    ``classification`` touches 16 objects from 360 offsets with seven arrays: 40320 observations, 250 MB. Each chunk is
+    two .npy files of float32 newtons, the true force and the sensor signal; manifest.json tells the settings, the
+    units and the SHA-256 of every file. A run that was interrupted goes on where it was; files that were damaged are
+    made again; a folder with other settings is refused.
+
+    Parameters
+    ----------
+    subject
+        Which data set.
+    out
+        Its folder.
+    objects
+        Comma-separated names; default: all of the paper's.
+    meshes
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
+    seed
+        Of all random numbers.
+    jobs
+        Processes at the same time; default: one per core.
+    cluster
+        Address of a Dask scheduler, for example tcp://10.0.0.1:8786, whose workers have canskin installed.
+    json
+        Print JSON instead of a table.
+
+    Examples
+    --------
+    skin dataset classification --out touches
+    skin dataset acquisition --out slides --objects drill,cup --meshes ycb-meshes
+    skin dataset acquisition --out worn --gain-spread 0.05 --dead 0.01 --json
+    """
+    names = None if objects is None else objects.split(",")
+    electronics = taxels.electronics(seed)
+    if subject == "acquisition":
+        if touches != _TOUCHES:
+            raise InputError("--arrays, --kind and --perturbations belong to 'classification': leave them out")
+        speed, steps = slides.speed, slides.steps
+        plan = plan_acquisition(names, meshes=meshes, speed=speed, steps=steps, electronics=electronics, seed=seed)
+    elif subject == "classification":
+        if slides != _SLIDES:
+            raise InputError("--speed and --steps belong to 'acquisition': leave them out")
+        plan = plan_classification(
+            names,
+            meshes=meshes,
+            sides=_sides(touches.arrays),
+            kind=touches.kind,
+            perturbations=touches.perturbations,
+            electronics=electronics,
+            seed=seed,
+        )
+    else:
+        raise InputError(f"unknown data set '{subject}': expected one of {', '.join(get_args(Subject))}")
+    with alone(out):
+        done = fill(plan, out, (os.cpu_count() or 1) if jobs is None else jobs, cluster)
+    _show(done, as_json=json)
+
+
+def fill(plan: Plan, out: Path, jobs: int, cluster: str | None = None) -> dict[str, Any]:
+    """Make what the folder lacks of a data set, with a progress bar on a terminal's stderr.
+
+    Returns
+    -------
+    dict
+        ``folder``, ``data_set``, ``files``, how many of them were made, ``bytes`` and ``seconds``, and the files and
+        frames of each object.
+
+    Raises
+    ------
+    SkinError
+        If the folder, the number of jobs or the cluster cannot be used, or a file cannot be written.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    began_s = time.monotonic()
+    folder = DatasetFolder(out, plan.about)
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("looking", total=len(plan.tasks))
+        missing = []
+        for task in plan.tasks:
+            if all(folder.holds(name) for name in task.files):
+                progress.advance(bar)
+            else:
+                missing.append(task)
+        progress.update(bar, description=plan.about["data_set"])
+        for task, arrays in made(missing, jobs, cluster):
+            folder.put(task.files, arrays)
+            progress.advance(bar)
+    return _summary(folder, plan, sum(len(task.files) for task in missing), time.monotonic() - began_s)
+
+
+def _summary(folder: DatasetFolder, plan: Plan, files_made: int, seconds: float) -> dict[str, Any]:
+    objects = {name: {"made_of": about["made_of"], "files": 0, "bytes": 0} for name, about in plan.objects.items()}
+    for task in plan.tasks:
+        for name, about in task.files.items():
+            found = objects[about["object"]]
+            found["files"] += 1
+            found["bytes"] += (folder.path / name).stat().st_size
+    return {
+        "data_set": plan.about["data_set"],
+        "folder": str(folder.path),
+        "files": sum(about["files"] for about in objects.values()),
+        "files_made": files_made,
+        "bytes": sum(about["bytes"] for about in objects.values()),
+        "seconds": round(seconds, 2),
+        "objects": objects,
+    }
+
+
+def _show(done: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        json_format.dump(done, sys.stdout)
+        print()
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("object", "made of", "files", "MB")
+    for name, about in done["objects"].items():
+        table.add_row(name, about["made_of"], str(about["files"]), f"{about['bytes'] / 1e6:.1f}")
+    table.add_row("all", "", str(done["files"]), f"{done['bytes'] / 1e6:.1f}")
+    Console(file=sys.stdout).print(table)
+    kept = done["files"] - done["files_made"]
+    before = f", {kept} were there" if kept else ""
+    print(f"{done['folder']}: {done['files_made']} files made in {done['seconds']} s{before}")
+
+
+def _sides(arrays: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(side) for side in arrays.split(","))
+    except ValueError:
+        known = ",".join(map(str, ARRAYS))
+        raise InputError(f"--arrays needs numbers with commas between, such as {known}: got '{arrays}'") from None

@@ -1,0 +1,174 @@
+"""A data set's folder: a manifest, and one .npy file per signal and chunk, each with its SHA-256.
+
+A file counts once the manifest names it and its digest is right. Files and manifest are written beside their place
+and moved there, so that a run that is cut short leaves nothing that is taken for whole.
+"""
+
+import contextlib
+import fcntl
+import io
+import os
+from collections.abc import Iterator, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from skin.errors import InputError, RunError
+from touch.contact import Force
+
+FORMAT: Final = "canskin data set 1"
+MANIFEST: Final = "manifest.json"
+_LOCK: Final = ".lock"
+
+
+class DatasetFolder:
+    """The folder of one data set, opened to be filled.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Made if it does not exist. An existing one must be empty or hold a data set of the same settings.
+    about : dict
+        All of the manifest but its chunks; JSON values.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be used, holds something else, or a data set of other settings.
+    """
+
+    def __init__(self, folder: Path, about: dict[str, Any]) -> None:
+        self.path = folder
+        self._manifest = msgspec.json.decode(msgspec.json.encode({"format": FORMAT, **about}))
+        self._manifest["chunks"] = self._known_chunks()
+        self._save_manifest()
+
+    def holds(self, name: str) -> bool:
+        """Tell whether the file `name` is there as the manifest has it."""
+        entry = self._manifest["chunks"].get(name)
+        if entry is None:
+            return False
+        try:
+            with (self.path / name).open("rb") as file:
+                digest = sha256()
+                while block := file.read(1 << 20):
+                    digest.update(block)
+        except OSError:
+            return False
+        return bool(digest.hexdigest() == entry.get("sha256"))
+
+    def put(self, files: dict[str, dict[str, Any]], arrays: Sequence[Force]) -> None:
+        """Write files, and enter them in the manifest with what is said of each.
+
+        Raises
+        ------
+        RunError
+            If it cannot be written.
+        """
+        for (name, about), values in zip(files.items(), arrays, strict=True):
+            data = io.BytesIO()
+            np.save(data, values, allow_pickle=False)
+            self._write(name, data.getbuffer())
+            digest = sha256(data.getbuffer()).hexdigest()
+            self._manifest["chunks"][name] = {**about, "shape": list(values.shape), "sha256": digest}
+        self._save_manifest()
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """The manifest as it stands in the folder."""
+        return dict(self._manifest)
+
+    def _known_chunks(self) -> dict[str, Any]:
+        path = self.path / MANIFEST
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            if not path.exists():
+                others = [each.name for each in self.path.iterdir() if each.name != _LOCK]
+                if others:
+                    raise InputError(f"'{self.path}' holds {others[0]} and no data set: give an empty or new folder")
+                return {}
+            found = msgspec.json.decode(path.read_bytes())
+        except OSError as error:
+            raise InputError(f"'{self.path}' cannot be used as a folder: {error}; give another --out") from error
+        except msgspec.DecodeError as error:
+            raise InputError(f"'{path}' is no manifest: {error}; delete the folder or give another --out") from error
+        self._need_same(found)
+        return dict(found["chunks"])
+
+    def _need_same(self, found: Any) -> None:
+        where = f"'{self.path}' holds"
+        mend = "delete it or give another --out"
+        if not isinstance(found, dict) or not isinstance(found.get("chunks"), dict):
+            raise InputError(f"{where} a manifest that is not of '{FORMAT}': {mend}")
+        for name in ("format", "data_set", "made_by", "settings"):
+            theirs, ours = found.get(name), self._manifest[name]
+            if theirs == ours:
+                continue
+            what = name, theirs, ours
+            if name == "settings" and isinstance(theirs, dict):
+                what = _first_difference(theirs, ours)
+            raise InputError(f"{where} a data set with {what[0]} {_short(what[1])}, not {_short(what[2])}: {mend}")
+
+    def _save_manifest(self) -> None:
+        self._write(MANIFEST, msgspec.json.format(msgspec.json.encode(self._manifest), indent=1))
+
+    def _write(self, name: str, content: bytes | memoryview) -> None:
+        place = self.path / name
+        part = place.with_name(f".{place.name}.part")
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(content)
+            part.replace(place)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise RunError(f"'{place}' cannot be written: {error}; run it again to go on") from error
+
+
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keep other runs out of a folder.
+
+    Raises
+    ------
+    InputError
+        If one is at work there, or the folder cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise InputError(f"'{folder}' cannot be used as a folder: {error}; give another --out") from error
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(handle)
+        raise InputError(f"another run is at work in '{folder}': wait for it or give another --out") from error
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def _first_difference(theirs: dict[str, Any], ours: dict[str, Any]) -> tuple[str, Any, Any]:
+    for name in sorted({*theirs, *ours}):
+        if theirs.get(name) != ours.get(name):
+            if name == "objects" and isinstance(theirs.get(name), dict):
+                return _other_objects(theirs[name], ours[name])
+            return name, theirs.get(name), ours.get(name)
+    return "settings", theirs, ours
+
+
+def _other_objects(theirs: dict[str, Any], ours: dict[str, Any]) -> tuple[str, Any, Any]:
+    if list(theirs) != list(ours):
+        return "objects", ", ".join(theirs), ", ".join(ours)
+    name = next((name for name in ours if theirs[name] != ours[name]), "")
+    return name, theirs.get(name), ours.get(name)
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -1,0 +1,230 @@
+"""What a data set consists of: settings, and the chunks it is made in."""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skin.errors import InputError
+from touch.acquisition import ACQUISITION_OBJECTS, start_of, trajectory_range
+from touch.arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of
+from touch.contact import Force, Grid, Pose, Spheres, press_along
+from touch.electronics import PERIOD_S, Electronics
+from touch.objects import checked_names, made_of, spheres_of
+from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
+from touch.trajectory import paper_pose
+
+#: Steps of a trajectory in one chunk; 11 MB of each signal.
+CHUNK_STEPS: Final = 700
+SIGNALS: Final = ("true", "sensor")
+
+
+@dataclass(frozen=True)
+class Task:
+    """Files that are made together.
+
+    Attributes
+    ----------
+    files : dict
+        Their paths in the folder, and what the manifest says of each.
+    make : callable
+        Returns their arrays in that order; can be sent to another process.
+    """
+
+    files: dict[str, dict[str, Any]]
+    make: Callable[[], list[Force]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A data set: ``about`` goes into its manifest, ``tasks`` make its chunks."""
+
+    about: dict[str, Any]
+    tasks: tuple[Task, ...]
+
+    @property
+    def objects(self) -> dict[str, dict[str, Any]]:
+        """What each object is made of, by name."""
+        found: dict[str, dict[str, Any]] = self.about["settings"]["objects"]
+        return found
+
+
+def plan_acquisition(
+    names: Sequence[str] | None = None,
+    *,
+    meshes: Path | None = None,
+    speed: int = 1,
+    steps: int | None = None,
+    electronics: Electronics,
+    seed: int = 0,
+) -> Plan:
+    """Return the data set of the paper's trajectories (section V-A).
+
+    Parameters
+    ----------
+    names : sequence of str, optional
+        Some of the paper's five objects; default all.
+    meshes, speed, steps
+        As for `touch.acquisition.trajectory`.
+    electronics : Electronics
+        What makes the sensor signal.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    InputError
+        If a name or a number cannot be used.
+    """
+    _check_seed(seed)
+    listed = tuple(ACQUISITION_OBJECTS) if names is None else _once(checked_names(names))
+    taken = range(*trajectory_range(speed, steps))
+    tasks = []
+    for name in listed:
+        start, spheres = start_of(name), spheres_of(name, meshes)
+        way = [paper_pose(step, start.start_m, start.rotation_rad) for step in taken]
+        for first in range(0, len(way), CHUNK_STEPS):
+            files = _pair(f"{name}/{{}}-{first // CHUNK_STEPS:02d}.npy", {"object": name, "first_step": first})
+            # The step before goes along: a damper needs it.
+            stretch = way[max(first - 1, 0) : first + CHUNK_STEPS]
+            tasks.append(
+                Task(files, partial(_steps, spheres, stretch, first, _Sensor(electronics, seed, tuple(files))))
+            )
+    settings = {"speed": speed, "steps": len(taken), **_settings(seed, electronics)}
+    about = _about("acquisition", "step, row, column", settings, listed, meshes)
+    about["period_s"] = PERIOD_S
+    about["starts"] = {name: asdict(start_of(name)) for name in listed}
+    return Plan(about, tuple(tasks))
+
+
+def plan_classification(
+    names: Sequence[str] | None = None,
+    *,
+    meshes: Path | None = None,
+    sides: Sequence[int] = ARRAYS,
+    kind: Kind = "averaged",
+    perturbations: int = PERTURBATIONS,
+    electronics: Electronics,
+    seed: int = 0,
+) -> Plan:
+    """Return the data set of the paper's observations, for each array and object (section V-B).
+
+    Parameters
+    ----------
+    names : sequence of str, optional
+        Objects of the catalogue; default the paper's 16.
+    meshes, kind, perturbations
+        As for `touch.perturbations.observations`.
+    sides : sequence of int
+        Arrays, some of `touch.arrays.ARRAYS`.
+    electronics : Electronics
+        What makes the sensor signal. An observation is one moment: without damper and drift.
+    seed : int
+        Of the noise, and of the draw where there are fewer than 360 perturbations.
+
+    Raises
+    ------
+    InputError
+        If a name or a number cannot be used.
+    """
+    _check_seed(seed)
+    if electronics.damper is not None or electronics.drift is not None:
+        raise InputError("observations are single moments: damper and drift need a trajectory, leave them out")
+    listed = CLASSIFICATION_OBJECTS if names is None else _once(checked_names(names))
+    drawn = poses(perturbations, seed)
+    if not sides:
+        raise InputError(f"no array named: expected one or more of {', '.join(map(str, ARRAYS))}")
+    for side in sides:
+        grid_of(side, kind)
+    once = tuple(dict.fromkeys(sides))
+    tasks = []
+    for name in listed:
+        files: dict[str, dict[str, Any]] = {}
+        for side in once:
+            about = {"object": name, "side": side, "kind": kind}
+            files |= _pair(f"{kind}-{side:02d}x{side:02d}/{name}-{{}}.npy", about)
+        sensor = _Sensor(electronics, seed, tuple(files))
+        tasks.append(Task(files, partial(_moments, spheres_of(name, meshes), drawn, once, kind, sensor)))
+    settings = {
+        "sides": list(once),
+        "kind": kind,
+        "perturbations": perturbations,
+        **_settings(seed, electronics),
+    }
+    about = _about("classification", "perturbation, row, column", settings, listed, meshes)
+    about["poses"] = [{name: round(value, 9) for name, value in pose._asdict().items()} for pose in drawn]
+    return Plan(about, tuple(tasks))
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    """Makes sensor signals with a file's own random numbers, which do not depend on what else the data set holds."""
+
+    electronics: Electronics
+    seed: int
+    files: tuple[str, ...]
+
+    def signal(self, index: int, force_n: Force, start_s: float = 0.0) -> Force:
+        key = zlib.crc32(self.files[index].encode())
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(key,)))
+        return self.electronics.signal(force_n, rng, period_s=PERIOD_S, start_s=start_s)
+
+
+def _steps(spheres: Spheres, stretch: Sequence[Pose], first: int, sensor: _Sensor) -> list[Force]:
+    """Return a stretch of a trajectory; from the second on, `stretch` begins one step early."""
+    early = 1 if first else 0
+    force_n = press_along(Grid(), spheres, stretch)
+    signal = sensor.signal(1, force_n, (first - early) * PERIOD_S)
+    return [force_n[early:], signal[early:]]
+
+
+def _moments(spheres: Spheres, at: Sequence[Pose], sides: Sequence[int], kind: Kind, sensor: _Sensor) -> list[Force]:
+    """Return the observations of one object with every array."""
+    fine = observe(spheres, at, FINE_SIDE, kind) if kind == "averaged" else None
+    made: list[Force] = []
+    for side in sides:
+        force_n = observe(spheres, at, side, kind) if fine is None else averaged(fine, side)
+        made += [force_n, sensor.signal(len(made) + 1, force_n)]
+    return made
+
+
+def _pair(path: str, about: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the files of both signals."""
+    return {path.format(signal): {**about, "signal": signal} for signal in SIGNALS}
+
+
+def _about(
+    name: str, axes: str, settings: dict[str, Any], listed: Sequence[str], meshes: Path | None
+) -> dict[str, Any]:
+    objects = {}
+    for each in listed:
+        spheres = spheres_of(each, meshes)
+        digest = sha256(spheres.centres_m.tobytes() + spheres.radii_m.tobytes()).hexdigest()
+        objects[each] = {"made_of": made_of(each, meshes), "spheres": len(spheres), "sha256": digest}
+    return {
+        "data_set": name,
+        "made_by": f"canskin {version('canskin')}",
+        "axes": axes,
+        "units": {"true": "N", "sensor": "N"},
+        "dtype": "float32",
+        "settings": {**settings, "objects": objects},
+    }
+
+
+def _settings(seed: int, electronics: Electronics) -> dict[str, Any]:
+    return {"seed": seed, **asdict(electronics)}
+
+
+def _once(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(names))
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
