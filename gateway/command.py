@@ -38,7 +38,7 @@ def gateway(
     stop = StopSignal().install()
     skin = load_layout(layout)
     links = open_links(skin, bus or BusOptions(), name="gateway")
-    fabric = Fabric(skin.name, "gateway", connect or listen, hub=connect is None)
+    fabric = Fabric(skin.name, "gateway", connect or listen, hub=connect is None, stop=stop)
     say("gateway", f"{len(links)} buses, SYNC {skin.sync.rate_hz:g} Hz")
     try:
         GatewayService(contract(skin), links, fabric).run(stop)

@@ -79,7 +79,7 @@ def nodes(
     noise = 0.0 if source.has_noise else noise_n
     sampler = Sampler(made.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes")
-    joined = Fabric(skin.name, "nodes", connect) if fabric else None
+    joined = Fabric(skin.name, "nodes", connect, stop=stop) if fabric else None
     service = NodesService(made, links, chosen, sampler, joined)
     say("nodes", f"{sum(map(len, chosen.values()))} nodes on {len(links)} buses")
     try:

@@ -74,8 +74,15 @@ def check_grid(rows: int, columns: int) -> None:
             raise InputError(f"a basis needs sides that are powers of two, 8 to 256: got {rows} x {columns}")
 
 
+def check_sbhe(phi: object) -> None:
+    """Raise InputError unless Φ is an SBHE."""
+    if not isinstance(phi, Sbhe):
+        raise InputError(f"a compiled solver needs an SBHE, got {type(phi).__name__}: use `reconstructor.fista`")
+
+
 def check_grid_of(phi: Sbhe, rows: int, columns: int) -> None:
-    """Raise InputError unless the grid is that of Φ's taxels and its sides are powers of two."""
+    """Raise InputError unless Φ is an SBHE and the grid that of its taxels, with sides that are powers of two."""
+    check_sbhe(phi)
     count = phi.order.size
     if rows * columns != count:
         raise InputError(f"Φ measures {count} taxels but the grid has {rows} x {columns} = {rows * columns}")

@@ -52,7 +52,7 @@ def reconstruct(
         settings["penalty_n"] = penalty_n
     engine = Reconstructor(skin.phi(), skin.taxels.rows, skin.taxels.columns, noise_n=noise_n, **settings)
     engine.warm_up()
-    fabric = Fabric(skin.name, "reconstructor", connect)
+    fabric = Fabric(skin.name, "reconstructor", connect, stop=stop)
     try:
         service = ReconstructorService(skin, engine, fabric)
         say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {settings['iterations']} iterations")

@@ -131,6 +131,9 @@ class Reconstructor:
             If the shapes differ from Φ's, a dtype is of another kind, or a valid sum is not finite or above 1e6 N.
         """
         memory, kernel = self._memory, self._kernel
+        for each in (sums_n, valid_sums):
+            if not isinstance(each, np.ndarray):
+                raise InputError(f"expected arrays, got {type(each).__name__}")
         if sums_n.shape != memory.sums.shape or valid_sums.shape != memory.sums.shape:
             raise InputError(
                 f"Φ gives {memory.sums.size} sums: got sums of shape {sums_n.shape} and validity of {valid_sums.shape}"

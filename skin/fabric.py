@@ -4,10 +4,10 @@ One process, the hub, listens; every other connects to it, and connects again by
 Nothing that arrives can raise out of decoding: what cannot be decoded is counted in `Fabric.malformed`.
 """
 
-import contextlib
 import json
 import re
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, Generic, TypeVar
@@ -17,14 +17,16 @@ import zenoh
 
 from skin.errors import BusError
 from skin.messages import Topic
-from skin.service import say
+from skin.service import StopSignal, say
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
 #: How long a service tries to reach its hub before it gives up; services may be started in any order.
 CONNECT_PATIENCE_S: Final = 30.0
 #: After this long without a hub a service says that it waits.
-FIRST_TRY_S: Final = 3.0
+SILENT_S: Final = 3.0
+#: How soon a service that waits for its hub notices that it shall end.
+TRY_S: Final = 1.0
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
@@ -65,6 +67,8 @@ class Fabric:
         zenoh endpoint, ``tcp/HOST:PORT``.
     hub : bool
         Listen on the endpoint instead of connecting to it.
+    stop : StopSignal, optional
+        Ends the process, quietly and with 0, if it is set while this waits for its hub.
 
     Raises
     ------
@@ -72,7 +76,15 @@ class Fabric:
         If the endpoint cannot be used.
     """
 
-    def __init__(self, skin: str, service: str, endpoint: str = DEFAULT_ENDPOINT, *, hub: bool = False) -> None:
+    def __init__(
+        self,
+        skin: str,
+        service: str,
+        endpoint: str = DEFAULT_ENDPOINT,
+        *,
+        hub: bool = False,
+        stop: StopSignal | None = None,
+    ) -> None:
         self.malformed = 0
         self._prefix = f"canskin/{skin}"
         self._encoder = msgspec.msgpack.Encoder()
@@ -80,7 +92,7 @@ class Fabric:
         self._kept: list[Any] = []
         if not re.fullmatch(r"\w+/.+", endpoint):
             raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
-        self._session = _listen(endpoint) if hub else _connect(endpoint, service)
+        self._session = _listen(endpoint) if hub else _connect(endpoint, service, stop)
         self._kept.append(self._session.liveliness().declare_token(f"{self._prefix}/alive/{service}"))
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
@@ -136,15 +148,22 @@ def _listen(endpoint: str) -> Any:
         raise BusError(f"cannot listen on {endpoint}: {_first_sentence(error)}") from error
 
 
-def _connect(endpoint: str, service: str) -> Any:
-    """Open a session to the hub, which may be still starting."""
-    with contextlib.suppress(zenoh.ZError):
-        return zenoh.open(_config(endpoint, patience_s=min(FIRST_TRY_S, CONNECT_PATIENCE_S)))
-    say(service, f"waits for the fabric's hub at {endpoint}")
-    try:
-        return zenoh.open(_config(endpoint, patience_s=CONNECT_PATIENCE_S))
-    except zenoh.ZError as error:
-        raise BusError(f"cannot connect to {endpoint}: {_first_sentence(error)}") from error
+def _connect(endpoint: str, service: str, stop: StopSignal | None) -> Any:
+    """Open a session to the hub, which may be still starting; in short tries, for inside one no signal is heeded."""
+    started_s, said = time.monotonic(), False
+    while True:
+        waited_s = time.monotonic() - started_s
+        try:
+            return zenoh.open(_config(endpoint, patience_s=max(0.0, min(TRY_S, CONNECT_PATIENCE_S - waited_s))))
+        except zenoh.ZError as error:
+            waited_s = time.monotonic() - started_s
+            if stop is not None and stop.is_set():
+                raise SystemExit(0) from None
+            if waited_s >= CONNECT_PATIENCE_S:
+                raise BusError(f"cannot connect to {endpoint}: {_first_sentence(error)}") from error
+        if waited_s >= SILENT_S and not said:
+            say(service, f"waits for the fabric's hub at {endpoint}")
+            said = True
 
 
 def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any:

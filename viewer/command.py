@@ -52,7 +52,7 @@ def view(
     stop = StopSignal().install()
     skin = load_layout(layout)
     with _listen(host, port) as listener:
-        fabric = Fabric(skin.name, "viewer", connect)
+        fabric = Fabric(skin.name, "viewer", connect, stop=stop)
         try:
             if not stop.is_set():
                 feed = Feed(skin)

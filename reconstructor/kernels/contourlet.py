@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.ladder import PyramidFilter
-from reconstructor.checks import check_estimate, check_settings, check_values, float_kind, placed
+from reconstructor.checks import check_estimate, check_sbhe, check_settings, check_values, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.ladder import synthesise, transpose
 from reconstructor.kernels.ladder_plan import Plan, Room, coefficient_order, image_order, plan_of, room_of
@@ -135,6 +135,7 @@ class ContourletSolver:
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         check_settings(iterations, penalty_n, lipschitz_ratio)
+        check_sbhe(phi)
         self.dtype: Final = float_kind(dtype)
         psi = CompiledContourlet(rows, columns, pyramid)
         self.lipschitz: Final = lipschitz_ratio * largest_eigenvalue(phi, psi)

@@ -226,6 +226,18 @@ def test_options_of_compiled_solvers(kind: str, options: dict[str, Any], says: s
     one_line(lambda: COMPILED[kind][0](**{"iterations": 3, "penalty_n": 0.01, **options}), says)
 
 
+def test_compiled_solvers_take_an_sbhe_alone() -> None:
+    options = {"iterations": 3, "penalty_n": 0.01}
+    for make in (
+        lambda: FusedSolver(NOISELET, 16, 16, prior="haar-tensor", **options),
+        lambda: ContourletSolver(NOISELET, 16, 16, **options),
+        lambda: LaneSolver(NOISELET, 16, 16, **options),
+        lambda: BatchSolver(NOISELET, 16, 16, **options),
+        lambda: Reconstructor(NOISELET, 16, 16),
+    ):
+        one_line(make, "needs an SBHE, got Noiselet")
+
+
 @pytest.mark.parametrize("kind", ["fused", "variation", "contourlet", "lanes"])
 @pytest.mark.parametrize(
     ("place", "spoil", "says"),
@@ -309,6 +321,7 @@ def test_starts_of_batches(start: np.ndarray) -> None:
         (SUMS[:-1], ONES > 0, "64 sums"),
         (SUMS, ONES[:-1] > 0, "64 sums"),
         (SUMS[None], ONES > 0, "64 sums"),
+        (list(SUMS), ONES > 0, "expected arrays, got list"),
         (SUMS, ONES, "floats and bools, got float64 and float64"),
         (SUMS.astype(np.complex64), ONES > 0, "got complex64"),
         (spoilt(SUMS, NAN), ONES > 0, "not finite"),

@@ -10,6 +10,7 @@ from skin import fabric as fabric_module
 from skin.errors import BusError
 from skin.fabric import Fabric, Mailbox
 from skin.messages import LABEL, Label
+from skin.service import StopSignal
 
 
 def label(cycle: int) -> Label:
@@ -107,6 +108,21 @@ def test_no_hub_is_one_clear_line(endpoint: str, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(fabric_module, "CONNECT_PATIENCE_S", 0.2)
     with pytest.raises(BusError, match="cannot connect to tcp/127"):
         Fabric("test", "lonely", endpoint)
+
+
+def test_a_stop_while_waiting_for_the_hub_ends_quietly(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(fabric_module, "TRY_S", 0.05)
+    monkeypatch.setattr(fabric_module, "SILENT_S", 0.0)
+    stop = StopSignal()
+    later = threading.Timer(0.2, stop.set)
+    later.start()
+    with pytest.raises(SystemExit) as caught:
+        Fabric("test", "lonely", endpoint, stop=stop)
+    later.join()
+    assert caught.value.code == 0
+    assert capfd.readouterr().err == f"lonely: waits for the fabric's hub at {endpoint}\n"
 
 
 def test_mailbox_keeps_the_newest_and_counts_the_rest() -> None:
