@@ -1,6 +1,8 @@
 """``skin reconstruct``: the tactile image of every cycle."""
 
+import threading
 from pathlib import Path
+from typing import Final
 
 from reconstructor.engine import Reconstructor
 from reconstructor.presets import preset
@@ -8,6 +10,9 @@ from reconstructor.service import ReconstructorService
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import load_layout
 from skin.service import StopSignal, say
+
+#: A start that takes longer says why.
+SILENT_S: Final = 4.0
 
 
 def reconstruct(
@@ -51,7 +56,12 @@ def reconstruct(
     if penalty_n is not None:
         settings["penalty_n"] = penalty_n
     engine = Reconstructor(skin.phi(), skin.taxels.rows, skin.taxels.columns, noise_n=noise_n, **settings)
-    engine.warm_up()
+    patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
+    patience.start()
+    try:
+        engine.warm_up()
+    finally:
+        patience.cancel()
     fabric = Fabric(skin.name, "reconstructor", connect, stop=stop)
     try:
         service = ReconstructorService(skin, engine, fabric)

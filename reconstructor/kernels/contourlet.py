@@ -56,12 +56,13 @@ def _solve(  # noqa: PLR0917  compiled functions take no keywords
         masked_gram(work, gain, target, problem.blocks)
         gather(image, work, problem.tables[0])
         transpose(slope, image, plan, room)
-        _advance(estimate, ahead, slope, threshold, problem.momentum[turn])
+        advance_coefficients(estimate, ahead, slope, threshold, problem.momentum[turn])
     return count
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _advance(estimate: Flat, ahead: Flat, slope: Flat, threshold: Any, momentum: Any) -> None:
+def advance_coefficients(estimate: Flat, ahead: Flat, slope: Flat, threshold: Any, momentum: Any) -> None:
+    """Set the estimate to the shrunken step down `slope`, and `ahead` to the next point."""
     for k in range(estimate.size):
         moved = ahead[k] - slope[k]
         new = moved - max(-threshold, min(threshold, moved))

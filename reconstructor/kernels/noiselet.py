@@ -14,7 +14,7 @@ import numpy.typing as npt
 from reconstructor.checks import check_estimate, check_grid, check_settings, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.addresses import tensor_addresses
-from reconstructor.kernels.contourlet import CompiledContourlet
+from reconstructor.kernels.contourlet import CompiledContourlet, advance_coefficients
 from reconstructor.kernels.haar import shrink_tensor
 from reconstructor.kernels.ladder import synthesise, transpose
 from reconstructor.kernels.ladder_plan import Plan, Room, image_order, plan_of, room_of
@@ -131,11 +131,7 @@ def _solve_contourlet(  # noqa: PLR0917  compiled functions take no keywords
         synthesise(scratch.image, ahead, plan, room)
         _gram(scratch.image, problem, scratch)
         transpose(slope, scratch.image, plan, room)
-        for k in range(slope.size):
-            moved = ahead[k] - slope[k]
-            new = moved - max(-threshold, min(threshold, moved))
-            ahead[k] = new + problem.momentum[turn] * (new - estimate[k])
-            estimate[k] = new
+        advance_coefficients(estimate, ahead, slope, threshold, problem.momentum[turn])
     return count
 
 
