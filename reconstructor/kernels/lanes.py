@@ -88,7 +88,7 @@ class LaneSolver:
     phi, rows, columns, iterations, penalty_n, lipschitz_ratio, spins, nonnegative, dtype
         See `reconstructor.kernels.fused.FusedSolver`.
     prior : {"haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor"}
-        Total variation gains nothing in lanes: its loops are vectors as they are.
+        Not total variation: its loops are vectors as they are, and its dual would not fit the cache eight times.
 
     Raises
     ------
