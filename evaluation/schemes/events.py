@@ -1,0 +1,102 @@
+"""Event-triggered acquisition: a taxel is sent when it has changed by a threshold since it was sent last."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.frame import FRAME, frames
+from evaluation.schemes.event_kernel import ASKED, COUNT, EMPTY_BITS, ENDED, EVENTS, NODE, VALUE_BITS, send_on_delta
+from evaluation.schemes.judge import Updates
+from evaluation.schemes.patches import lines_of, patches
+from evaluation.schemes.wire import TICK_NS, Asked, Sent, first_beats_ns
+from touch.contact import Force
+
+BIT_NS: Final = 1000
+#: No classic frame is shorter, so that a bus cannot send more in a tick.
+FRAMES_PER_TICK: Final = TICK_NS // (EMPTY_BITS * BIT_NS) + 1
+_FIRST_BYTE: Final = FRAME.fields["can_id"][1]  # type: ignore[index]  # FRAME has fields
+
+
+@dataclass(frozen=True)
+class EventRule:
+    """When a taxel is sent.
+
+    Attributes
+    ----------
+    threshold_n : float
+        By how much it must differ from what was sent last.
+    dead_ms : int
+        How long it is silent after each sending.
+    """
+
+    threshold_n: float
+    dead_ms: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class EventRun:
+    """What event-triggered nodes sent.
+
+    Attributes
+    ----------
+    sent : Sent
+    node : array of int, shape (frames,)
+        Place on its bus.
+    updates : Updates
+        All events that arrived.
+    latency_ns : array of int64, shape (events,)
+        From the sample that reached the threshold to the end of the event's frame.
+    frame_of : array of int, shape (events,)
+    """
+
+    sent: Sent
+    node: npt.NDArray[np.int64]
+    updates: Updates
+    latency_ns: npt.NDArray[np.int64]
+    frame_of: npt.NDArray[np.int64]
+
+    def without(self, lost: npt.NDArray[np.bool_]) -> Updates:
+        """Return the updates when the `lost` frames, shape (frames,), do not reach the receiver."""
+        left = ~lost[self.frame_of]
+        return Updates(self.updates.ready_ns[left], self.updates.taxel[left], self.updates.force_n[left])
+
+
+def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, rule: EventRule) -> EventRun:
+    """Run the skin of 64 x 64 taxels on its buses.
+
+    Parameters
+    ----------
+    counts : array of int16, shape (ticks, 4096)
+        What every taxel reads, each millisecond.
+    newton_per_count : float
+    rule : EventRule
+    """
+    side = round(counts.shape[1] ** 0.5)
+    held = patches(side)
+    parts = [_run_bus(counts, mine, newton_per_count, rule) for mine in held]
+    bus = np.repeat(np.arange(len(held)), [len(part[0]) for part in parts])
+    sent, log, since = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    wire = Sent(Asked(sent, bus, log[:, ASKED]), log[:, ENDED], lines_of(side), len(counts))
+    frame, slot = np.nonzero(np.arange(EVENTS) < log[:, COUNT, None])
+    low, high = (sent["data"][frame, 2 * slot + byte].astype(np.int64) for byte in (0, 1))
+    word = low | high << 8
+    taxel = held[bus[frame], log[frame, NODE], word >> VALUE_BITS]
+    values = ((word & (1 << VALUE_BITS) - 1) * newton_per_count).astype(np.float32)
+    arrived = wire.arrived_ns[frame]
+    latency = arrived - since[frame, slot] * TICK_NS
+    return EventRun(wire, log[:, NODE], Updates(arrived, taxel, values), latency, frame)
+
+
+def _run_bus(
+    counts: npt.NDArray[np.int16], held: npt.NDArray[np.int64], newton_per_count: float, rule: EventRule
+) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    capacity = len(counts) * FRAMES_PER_TICK
+    sent, log = frames(capacity), np.empty((capacity, 5), np.int64)
+    since = np.empty((capacity, EVENTS), np.int64)
+    rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, _FIRST_BYTE:]
+    mine = np.ascontiguousarray(counts[:, held])
+    wish = max(1, round(rule.threshold_n / newton_per_count)), rule.dead_ms
+    count = send_on_delta(mine, wish, first_beats_ns(len(held)), BIT_NS, rows, log, since)
+    return sent[:count].copy(), log[:count], since[:count]

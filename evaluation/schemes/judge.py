@@ -1,0 +1,102 @@
+"""How good the image in use is, at every millisecond and against the truth of that millisecond."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.findings import Row
+from evaluation.schemes.judge_kernel import judge_images, judge_updates
+from touch.contact import Force
+
+FORCE_MAX_N: Final = 0.02
+#: No image of a 10-bit converter is better: PSNR is not counted above it, or an idle skin's would be infinite.
+PSNR_MOST_DB: Final = 71.0
+#: A taxel that is off by more shows something that is not there: four times the sensor noise.
+WRONG_N: Final = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """Whole images, each in use until the next.
+
+    Attributes
+    ----------
+    ready_ns : array of int64, shape (k,)
+        From when on, ascending.
+    force_n : array of float32, shape (k, n)
+    """
+
+    ready_ns: npt.NDArray[np.int64]
+    force_n: Force
+
+    def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
+        """Compare with the truth, shape (ticks, n); see `judge_images`."""
+        ticks = np.arange(len(true_n), dtype=np.int64) * 1_000_000
+        used = np.searchsorted(self.ready_ns, ticks, side="right") - 1
+        found: npt.NDArray[np.float64] = judge_images(true_n, self.force_n, used, WRONG_N)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Updates:
+    """Single taxels that arrive, each shown until its next value.
+
+    Attributes
+    ----------
+    ready_ns, taxel : arrays of int64, shape (k,)
+        In any order.
+    force_n : array of float32, shape (k,)
+    """
+
+    ready_ns: npt.NDArray[np.int64]
+    taxel: npt.NDArray[np.int64]
+    force_n: Force
+
+    def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
+        """Compare with the truth, shape (ticks, n); see `judge_images`."""
+        order = np.argsort(self.ready_ns, kind="stable")
+        ticks = -(-self.ready_ns[order] // 1_000_000)
+        found: npt.NDArray[np.float64] = judge_updates(true_n, ticks, self.taxel[order], self.force_n[order], WRONG_N)
+        return found
+
+    def held(self, ready_ns: npt.NDArray[np.int64], taxels: int) -> Images:
+        """Return the images that are shown at `ready_ns`, ascending."""
+        order = np.argsort(self.ready_ns, kind="stable")
+        until = np.searchsorted(self.ready_ns[order], ready_ns, side="right")
+        shown, images, done = np.zeros(taxels, np.float32), np.empty((len(ready_ns), taxels), np.float32), 0
+        for number, end in enumerate(until.tolist()):
+            part = order[done:end]
+            shown[self.taxel[part]] = self.force_n[part]
+            images[number], done = shown, end
+        return Images(ready_ns, images)
+
+
+def quality(true_n: Force, shown: Images | Updates) -> Row:
+    """Return the figures of what is shown.
+
+    Parameters
+    ----------
+    true_n : array of float32, shape (ticks, n)
+        One tick a millisecond.
+    shown : Images or Updates
+
+    Returns
+    -------
+    dict
+        ``psnr_mean_db``, ``psnr_least_db`` and ``psnr_peak_db`` over all ticks, each at most `PSNR_MOST_DB`; ``error_mn``
+        and ``touched_error_mn``, root mean square over all ticks of all taxels and of those that are touched;
+        ``longest_wrong_ms``, for how long any one taxel was off by more than `WRONG_N`.
+    """
+    total, touched, count, wrong = shown.judged(true_n).T
+    psnr_db = 10 * np.log10(FORCE_MAX_N**2 / np.maximum(total / true_n.shape[1], 1e-12))
+    psnr_db = np.minimum(psnr_db, PSNR_MOST_DB)
+    return {
+        "psnr_mean_db": float(psnr_db.mean()),
+        "psnr_least_db": float(psnr_db.min()),
+        "psnr_peak_db": float(psnr_db.max()),
+        "error_mn": 1e3 * float(np.sqrt(total.mean() / true_n.shape[1])),
+        "touched_error_mn": 1e3 * float(np.sqrt(touched.sum() / count.sum())) if count.any() else None,
+        "longest_wrong_ms": int(wrong.max()),
+    }

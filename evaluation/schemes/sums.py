@@ -1,0 +1,113 @@
+"""Our own: compressed sums of a layout that `skin plan` knows, and the images of the live reconstruction."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.codec import decode, encode
+from dbc.contract import PHASES, Contract
+from dbc.dictionary import WINDOW_RATIO
+from dbc.frame import Frames, frames
+from evaluation.schemes.judge import Images
+from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
+from reconstructor.engine import Reconstructor
+from reconstructor.presets import LIVE
+
+#: From the last frame of a cycle to its image; gateway, fabric and solver on one core take less.
+SOLVED_NS: Final = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class SumsRun:
+    """What the nodes of a skin sent.
+
+    Attributes
+    ----------
+    sent : Sent
+        TPDOs first, cycle by cycle.
+    sums_n : array of float32, shape (cycles, m)
+        As the gateway decodes them, newtons.
+    valid : array of bool, shape (cycles, m)
+        Whether every frame of their node came.
+    closed_ns : array of int64, shape (cycles,)
+        When the gateway had all of a cycle, or waited no longer.
+    latency_ns : array of int64, shape (sums' frames,)
+        From SYNC to the end of each frame.
+    """
+
+    sent: Sent
+    sums_n: npt.NDArray[np.float32]
+    valid: npt.NDArray[np.bool_]
+    closed_ns: Nanoseconds
+    latency_ns: Nanoseconds
+
+    def images(self, made: Contract, noise_n: float | None = None, **settings: Any) -> Images:
+        """Return the live reconstruction of every cycle, or that with other settings."""
+        taxels = made.layout.taxels
+        engine = Reconstructor(made.phi, taxels.rows, taxels.columns, **{**LIVE, **settings}, noise_n=noise_n)
+        images = np.empty((len(self.sums_n), taxels.count), np.float32)
+        for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
+            images[cycle] = engine.solve(sums_n, valid).ravel()
+        return Images(self.closed_ns + SOLVED_NS, images)
+
+
+def run_sums(made: Contract, counts: npt.NDArray[np.int16], loss_ratio: float = 0.0, seed: int = 0) -> SumsRun:
+    """Measure a recording with the nodes of a contract.
+
+    Parameters
+    ----------
+    made : Contract
+    counts : array of int16, shape (ticks, n)
+        What every taxel reads, each millisecond.
+    loss_ratio : float
+        Part of all frames that do not reach the gateway.
+    seed : int
+        Of the losses.
+    """
+    period_ns = 1e9 / made.layout.sync.rate_hz
+    cycles = int(len(counts) * TICK_NS / period_ns + 1e-9)
+    sync_ns = np.rint(np.arange(cycles) * period_ns).astype(np.int64)
+    sampled = np.minimum(np.rint(sync_ns / TICK_NS).astype(np.int64), len(counts) - 1)
+    sums = np.asarray(made.phi.block_sums(counts[sampled].astype(np.int32)))
+    table = made.table
+    rows = [np.flatnonzero(table.phase == phase) for phase in range(PHASES)]
+    bursts = [_burst(made, each, rows[cycle % PHASES]) for cycle, each in enumerate(sums)]
+    due = np.stack([rows[cycle % PHASES] for cycle in range(cycles)])
+    times = np.repeat(sync_ns, due.shape[1])
+    asked = Asked(np.concatenate(bursts), table.bus[due].ravel(), times)
+    sent = carry([asked, syncs(sync_ns, made.layout.bus)], made.layout.bus, len(counts))
+    arrived = sent.arrived_ns[: due.size].reshape(due.shape)
+    lost = np.random.default_rng(seed).random(due.shape) < loss_ratio
+    closed = np.where(lost.any(axis=1), sync_ns + round(WINDOW_RATIO * period_ns), arrived.max(axis=1))
+    valid = np.stack([_valid(made, row[gone]) for row, gone in zip(due, lost, strict=True)])
+    received = _decoded(made, sent.asked.frames[: due.size].reshape(due.shape), due)
+    sums_n = (received * made.layout.taxels.newton_per_count).astype(np.float32)
+    return SumsRun(sent, sums_n, valid, closed, (arrived - sync_ns[:, None]).ravel())
+
+
+def _burst(made: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp]) -> Frames:
+    table = made.table
+    burst = frames(len(rows))
+    burst["can_id"], burst["length"], burst["flags"] = table.cob_id[rows], table.length[rows], table.flags[rows]
+    payloads = encode(sums, table.gather[rows], made.packing)
+    burst["data"][:, : payloads.shape[1]] = payloads
+    return burst
+
+
+def _decoded(made: Contract, sent: Frames, due: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
+    """Return the sums that the frames of every cycle carry, counts, shape (cycles, m)."""
+    sums = np.zeros((len(due), made.phi.shape[0]), np.int32)
+    for cycle, rows in enumerate(due):
+        decode(sent[cycle]["data"], made.table.gather[rows], made.packing, sums[cycle])
+    return sums
+
+
+def _valid(made: Contract, lost: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Return which sums count when the frames of the table's rows `lost` do not come."""
+    blocks = np.ones(made.phi.blocks, np.bool_)
+    for place in np.unique(made.table.node[lost]).tolist():
+        node = made.nodes[place]
+        blocks[node.block : node.block + node.blocks] = False
+    return made.phi.sums_of_blocks(blocks)
