@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from bandwidth.kernels import count_classic
@@ -25,8 +26,15 @@ _HEARTBEAT_BASE: Final = 0x700
 _OPERATIONAL: Final = 5
 
 
+def new_state(nodes: int) -> npt.NDArray[np.int64]:
+    """Return the state of nodes whose taxels were all sent as 0 long ago."""
+    state = np.zeros((3, nodes, TAXELS), np.int64)
+    state[SINCE], state[LAST] = -1, _NEVER
+    return state
+
+
 @njit(cache=True, nogil=True)
-def send_on_delta(counts: Any, wish: Any, beats: Any, bit_ns: int, rows: Any, log: Any, since: Any) -> int:
+def send_on_delta(counts: Any, wish: Any, beats: Any, bit_ns: int, state: Any, rows: Any, log: Any, since: Any) -> int:
     """Run one bus and return how many frames were sent.
 
     Whenever the bus is free, every node that has something to say takes part with its one identifier; the winner sends
@@ -41,6 +49,8 @@ def send_on_delta(counts: Any, wish: Any, beats: Any, bit_ns: int, rows: Any, lo
     beats : array of int64, shape (nodes,)
         When each node sends its first heartbeat, ns; one a second follows.
     bit_ns : int
+    state : array of int64, shape (3, nodes, TAXELS)
+        From `new_state`; written: what is left at the end.
     rows : array of uint8, shape (capacity, 72)
         Written: the frames sent, FRAME records from `can_id` on.
     log : array of int64, shape (capacity, 5)
@@ -49,7 +59,6 @@ def send_on_delta(counts: Any, wish: Any, beats: Any, bit_ns: int, rows: Any, lo
         Written: the tick at which each event's change first reached the threshold.
     """
     ticks, nodes, _ = counts.shape
-    state = _start(nodes)
     pending, asked, due = np.zeros(nodes, np.int64), np.zeros(nodes, np.int64), beats.copy()
     now, tick, sent = 0, 0, 0
     while sent < rows.shape[0]:
@@ -80,13 +89,6 @@ def send_on_delta(counts: Any, wish: Any, beats: Any, bit_ns: int, rows: Any, lo
             asked[node] = now
         sent += 1
     return sent
-
-
-@njit(cache=True, nogil=True)
-def _start(nodes: int) -> Any:
-    state = np.zeros((3, nodes, TAXELS), np.int64)
-    state[SINCE], state[LAST] = -1, _NEVER
-    return state
 
 
 @njit(cache=True, nogil=True)

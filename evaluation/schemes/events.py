@@ -6,8 +6,19 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import FRAME, frames
-from evaluation.schemes.event_kernel import ASKED, COUNT, EMPTY_BITS, ENDED, EVENTS, NODE, VALUE_BITS, send_on_delta
+from dbc.frame import FRAME, Frames, frames
+from evaluation.schemes.event_kernel import (
+    ASKED,
+    COUNT,
+    EMPTY_BITS,
+    ENDED,
+    EVENTS,
+    NODE,
+    SINCE,
+    VALUE_BITS,
+    new_state,
+    send_on_delta,
+)
 from evaluation.schemes.judge import Updates
 from evaluation.schemes.patches import lines_of, patches
 from evaluation.schemes.wire import TICK_NS, Asked, Sent, first_beats_ns
@@ -49,6 +60,8 @@ class EventRun:
     latency_ns : array of int64, shape (events,)
         From the sample that reached the threshold to the end of the event's frame.
     frame_of : array of int, shape (events,)
+    waiting_ns : array of int64
+        For how long the changes that were not sent by the end had waited.
     """
 
     sent: Sent
@@ -56,6 +69,7 @@ class EventRun:
     updates: Updates
     latency_ns: npt.NDArray[np.int64]
     frame_of: npt.NDArray[np.int64]
+    waiting_ns: npt.NDArray[np.int64]
 
     def without(self, lost: npt.NDArray[np.bool_]) -> Updates:
         """Return the updates when the `lost` frames, shape (frames,), do not reach the receiver."""
@@ -77,7 +91,7 @@ def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, rule: Eve
     held = patches(side)
     parts = [_run_bus(counts, mine, newton_per_count, rule) for mine in held]
     bus = np.repeat(np.arange(len(held)), [len(part[0]) for part in parts])
-    sent, log, since = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    sent, log, since, unsent = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     wire = Sent(Asked(sent, bus, log[:, ASKED]), log[:, ENDED], lines_of(side), len(counts))
     frame, slot = np.nonzero(np.arange(EVENTS) < log[:, COUNT, None])
     low, high = (sent["data"][frame, 2 * slot + byte].astype(np.int64) for byte in (0, 1))
@@ -86,17 +100,20 @@ def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, rule: Eve
     values = ((word & (1 << VALUE_BITS) - 1) * newton_per_count).astype(np.float32)
     arrived = wire.arrived_ns[frame]
     latency = arrived - since[frame, slot] * TICK_NS
-    return EventRun(wire, log[:, NODE], Updates(arrived, taxel, values), latency, frame)
+    waiting = (len(counts) - unsent) * TICK_NS
+    return EventRun(wire, log[:, NODE], Updates(arrived, taxel, values), latency, frame, waiting)
 
 
 def _run_bus(
     counts: npt.NDArray[np.int16], held: npt.NDArray[np.int64], newton_per_count: float, rule: EventRule
-) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+) -> tuple[Frames, npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return frames, log, and since when events had waited, those of every frame and those never sent."""
     capacity = len(counts) * FRAMES_PER_TICK
     sent, log = frames(capacity), np.empty((capacity, 5), np.int64)
     since = np.empty((capacity, EVENTS), np.int64)
     rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, _FIRST_BYTE:]
     mine = np.ascontiguousarray(counts[:, held])
     wish = max(1, round(rule.threshold_n / newton_per_count)), rule.dead_ms
-    count = send_on_delta(mine, wish, first_beats_ns(len(held)), BIT_NS, rows, log, since)
-    return sent[:count].copy(), log[:count], since[:count]
+    state = new_state(len(held))
+    count = send_on_delta(mine, wish, first_beats_ns(len(held)), BIT_NS, state, rows, log, since)
+    return sent[:count].copy(), log[:count], since[:count], state[SINCE][state[SINCE] >= 0]

@@ -102,7 +102,8 @@ def _sync_times(ticks: int, rate_hz: float, turns: int) -> Nanoseconds:
 def _pack(raw: npt.NDArray[np.int64], bits: int, turns: int) -> npt.NDArray[np.uint8]:
     """Pack the values of each node, the last axis, from the lowest bit of the first byte on, into `turns` frames."""
     lead = raw.shape[:-1]
-    spread = np.unpackbits(raw.astype("<u2").view(np.uint8).reshape(*lead, -1, 2), axis=-1, bitorder="little")
+    octets = np.ascontiguousarray(raw, "<u2").view(np.uint8)
+    spread = np.unpackbits(octets.reshape(*lead, -1, 2), axis=-1, bitorder="little")
     joined = np.packbits(spread[..., :bits].reshape(*lead, -1), axis=-1, bitorder="little")
     padded = np.zeros((*lead, turns * 8), np.uint8)
     padded[..., : joined.shape[-1]] = joined

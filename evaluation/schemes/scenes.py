@@ -1,0 +1,162 @@
+"""The touches every scheme is shown: the paper's slides, and those that favour one scheme or another."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+from touch.acquisition import ACQUISITION_OBJECTS, trajectory
+from touch.contact import Force, Grid, Pose, press
+from touch.electronics import NOISE_N, sense
+from touch.objects import spheres_of
+from touch.primitives import ball
+from touch.reading import read_counts
+from touch.recording import Recording
+from touch.trajectory import PAPER_DEPTH_M, PAPER_PRESS_STEPS, paper_pose
+
+TAXELS: Final = 4096
+NEWTON_PER_COUNT: Final = 0.02 / 1023
+#: The press and as much of the slide as shows it.
+SLIDE_TICKS: Final = 2400
+TICKS: Final = 1500
+#: A recorded frame is shown for so long: the mats were read once a second, this is ten times as fast.
+RECORDED_MS: Final = 100
+RECORDED_FRAMES: Final = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A touch, one tick a millisecond.
+
+    Attributes
+    ----------
+    true_n, felt_n : array of float32, shape (ticks, TAXELS)
+        What presses and what the sensor makes of it, newtons. Of a recording both are what was recorded.
+    counts : array of int16, shape (ticks, TAXELS)
+        What 10-bit converters make of `felt_n`.
+    """
+
+    true_n: Force
+    felt_n: Force
+    counts: npt.NDArray[np.int16]
+    is_recorded: bool = False
+
+
+def _resting(tick: int) -> Iterator[tuple[str, Pose]]:
+    pose = paper_pose(min(tick, PAPER_PRESS_STEPS - 1), (0.013, 0.022))
+    yield "golf-ball", pose
+
+
+def _fingertips(tick: int) -> Iterator[tuple[str, Pose]]:
+    places = ((-0.05, 0.02), (-0.03, 0.05), (-0.01, 0.058), (0.012, 0.05), (0.04, -0.01))
+    for finger, (x, y) in enumerate(places):
+        depth = (0.005 + 0.001 * finger) * min(1.0, max(0.0, (tick - 100 - 40 * finger) / 150))
+        yield "fingertip", Pose(x, y, 0.0, depth)
+
+
+def _faint(tick: int) -> Iterator[tuple[str, Pose]]:
+    yield "granola-box", Pose(0.01 + 1e-5 * tick, 0.0, 0.3, 0.002 * min(1.0, tick / 200))
+
+
+def _slap(tick: int) -> Iterator[tuple[str, Pose]]:
+    depth = PAPER_DEPTH_M * min(1.0, max(0.0, (tick - 300) / 5))
+    for name, x, y in (("granola-box", 0.0, -0.07), ("cracker-box", -0.01, 0.02), ("cereal-box", 0.0, 0.09)):
+        yield name, Pose(x, y, 0.0, depth)
+
+
+def _shaking(tick: int) -> Iterator[tuple[str, Pose]]:
+    depth = 0.005 * min(1.0, tick / 300) * (1.0 + 0.9 * math.sin(2 * math.pi * 8 * tick * 1e-3))
+    for name, x, y in (("granola-box", 0.0, -0.05), ("cracker-box", -0.01, 0.06)):
+        yield name, Pose(x, y, 0.1, depth)
+
+
+def _nothing(tick: int) -> Iterator[tuple[str, Pose]]:
+    del tick
+    yield from ()
+
+
+#: Beside the slides: what happens, by name.
+OWN: Final[dict[str, Callable[[int], Iterator[tuple[str, Pose]]]]] = {
+    "nothing": _nothing,
+    "golf ball at rest": _resting,
+    "five fingertips": _fingertips,
+    "faint box": _faint,
+    "three boxes slapped on": _slap,
+    "two boxes shaking": _shaking,
+}
+SLIDES: Final = tuple(ACQUISITION_OBJECTS)
+
+
+@lru_cache(maxsize=1)
+def scene(
+    name: str, *, ticks: int | None = None, noise_n: float = NOISE_N, meshes: Path | None = None, seed: int = 0
+) -> Scene:
+    """Return a touch of `SLIDES` or `OWN`, or of a file of recordings.
+
+    Parameters
+    ----------
+    name : str
+        Or the path of an ``.npz`` whose first arrays are laid side by side until the skin is full.
+    ticks : int, optional
+        Only the first so many.
+    noise_n : float
+        Of the simulated sensor, standard deviation; a recording has its own.
+    meshes : pathlib.Path, optional
+        Folder of meshes.
+    seed : int
+        Of the noise.
+    """
+    if name not in SLIDES and name not in OWN:
+        felt = _recorded(Path(name), ticks)
+        return Scene(felt, felt, _counts(felt), is_recorded=True)
+    if name in SLIDES:
+        true = trajectory(name, meshes=meshes, steps=ticks or SLIDE_TICKS)
+    else:
+        true = np.stack([_pressed(OWN[name](tick), meshes) for tick in range(ticks or TICKS)])
+    flat = true.reshape(len(true), TAXELS)
+    felt = sense(flat, np.random.default_rng(seed), noise_n)
+    return Scene(flat, felt, _counts(felt))
+
+
+def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:
+    fingertip = ball(0.016)
+    return press(Grid(), [(fingertip if name == "fingertip" else spheres_of(name, meshes), pose) for name, pose in objects])
+
+
+def _counts(felt_n: Force) -> npt.NDArray[np.int16]:
+    counts: npt.NDArray[np.int16] = np.rint(felt_n / np.float32(NEWTON_PER_COUNT)).astype(np.int16)
+    return counts
+
+
+def _recorded(path: Path, ticks: int | None) -> Force:
+    """Return a recording, each frame for `RECORDED_MS`, in the middle of the skin."""
+    with np.load(path, allow_pickle=False) as file:
+        names = list(file.files)
+    wide = read_counts(path, names[:1], None, (64, 64))[0].shape[2]
+    beside = names[: max(1, 64 // wide)]
+    played = Recording(read_counts(path, beside, None, (64, 64)), 64, 64, steps_per_frame=RECORDED_MS)
+    length = min(played.frames, RECORDED_FRAMES) * RECORDED_MS
+    frames = [played.frame(tick).force_n.ravel() for tick in range(0, min(ticks or length, length), RECORDED_MS)]
+    return np.repeat(np.stack(frames), RECORDED_MS, axis=0)
+
+
+def recordings_in(folder: Path | None) -> list[str]:
+    """Return the recordings of a folder, none without one.
+
+    Raises
+    ------
+    InputError
+        If there are none in it.
+    """
+    if folder is None:
+        return []
+    found = sorted(str(path) for path in folder.glob("*.npz"))
+    if not found:
+        raise InputError(f"no recording in '{folder}': expected .npz files, such as S1.npz")
+    return found

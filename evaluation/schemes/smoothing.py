@@ -1,0 +1,68 @@
+"""What a receiver can make of a rival's values: our own live reconstruction, and arrays made finer."""
+
+from functools import cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import zoom
+
+from evaluation.schemes.judge import Images
+from evaluation.schemes.sums import SOLVED_NS
+from reconstructor.engine import Reconstructor
+from reconstructor.presets import LIVE
+from skin.measurement import Sbhe, sbhe
+from touch.contact import Force
+
+FINE_SIDE: Final = 64
+#: λ for complete arrays in newtons, those with the best mean over the slides of 3, 6, 12, 24 and 48 mN.
+SCAN_PENALTY_N: Final = 0.018
+CELLS_PENALTY_N: Final = 0.012
+EVENTS_PENALTY_N: Final = 0.024
+
+
+@cache
+def _complete(cells: int) -> Sbhe:
+    """Return a Φ that keeps every row of every block: an orthogonal transform, no compression."""
+    return sbhe(cells, cells)
+
+
+def smoothed(held: Images, penalty_n: float, *, remembering: bool = True, noise_n: float | None = None) -> Images:
+    """Return what the live reconstruction makes of complete images, as if every sum of every block had come.
+
+    Parameters
+    ----------
+    held : Images
+        Of a square array of 8 x 8 cells or more.
+    penalty_n : float
+        λ.
+    remembering : bool
+        Average over time as far as the motion allows; for images whose values are new each time.
+    noise_n : float, optional
+        Of the sensor, where it is known.
+    """
+    cells = held.force_n.shape[1]
+    side, phi = round(cells**0.5), _complete(cells)
+    settings = {**LIVE, "penalty_n": penalty_n, "remembering": remembering}
+    engine = Reconstructor(phi, side, side, **settings, noise_n=noise_n)  # type: ignore[arg-type]  # a typed dict, changed
+    valid = np.ones(cells, np.bool_)
+    sums = np.asarray(phi.forward(held.force_n), np.float32)
+    images = np.stack([engine.solve(each, valid).ravel() for each in sums])
+    return Images(held.ready_ns + SOLVED_NS, images)
+
+
+def refined(held: Images, order: int) -> Images:
+    """Return images of a coarse array on 64 x 64 taxels, by bilinear (`order` 1) or bicubic splines (3), none below 0."""
+    side = round(held.force_n.shape[1] ** 0.5)
+    if side == FINE_SIDE:
+        return held
+    spread = _spread(side, order)
+    fine: Force = np.maximum(spread @ held.force_n.reshape(-1, side, side) @ spread.T, 0)
+    return Images(held.ready_ns, fine.reshape(len(fine), -1))
+
+
+@cache
+def _spread(side: int, order: int) -> npt.NDArray[np.float32]:
+    """Return the matrix that interpolates `side` cells at 64 places, cell by cell from the edge."""
+    columns = [zoom(each, FINE_SIDE / side, order=order, mode="nearest", grid_mode=True) for each in np.eye(side)]
+    return np.stack(columns, axis=1).astype(np.float32)
