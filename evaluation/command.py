@@ -12,7 +12,7 @@ from skin.errors import InputError
 if TYPE_CHECKING:
     from evaluation.findings import Findings
 
-Subject = Literal["all", "sparsity", "compression", "iterations", "figures", "solvers"]
+Subject = Literal["all", "sparsity", "compression", "iterations", "figures", "solvers", "rivals", "rates"]
 #: Where each subject's ``evaluate(options) -> Findings`` lives, in the order of the report.
 SUBJECTS: Final[dict[str, str]] = {
     "sparsity": "evaluation.paper.sparsity",
@@ -20,6 +20,8 @@ SUBJECTS: Final[dict[str, str]] = {
     "iterations": "evaluation.paper.iterations",
     "figures": "evaluation.paper.figures",
     "solvers": "evaluation.paper.solvers",
+    "rivals": "evaluation.schemes.rivals",
+    "rates": "evaluation.schemes.rates",
 }
 
 

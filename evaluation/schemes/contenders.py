@@ -80,7 +80,7 @@ def measure_sums(touch: dict[str, Any], bits: int, kbit_per_s: float, receiver: 
     made = _skin(bits, rate_hz)
     run = run_sums(made, what.counts, shown.loss_ratio, shown.seed)
     images = run.images(made, shown.noise_n if receiver == "noise known" else None)
-    return _row(what, run.sent, run.latency_ns, images) | {"rate_hz": rate_hz}
+    return measured_row(what, run.sent, run.latency_ns, images) | {"rate_hz": rate_hz}
 
 
 def measure_scan(touch: dict[str, Any], side: int, bits: int, kbit_per_s: float, receiver: Receiver, cells: str) -> Row:
@@ -96,13 +96,13 @@ def measure_scan(touch: dict[str, Any], side: int, bits: int, kbit_per_s: float,
     run = run_scan(felt_n, bits, rate_hz)
     updates = _left(run, shown)
     if receiver == "plain" and side == 64:
-        return _row(what, run.sent, run.latency_ns, updates) | {"rate_hz": rate_hz}
+        return measured_row(what, run.sent, run.latency_ns, updates) | {"rate_hz": rate_hz}
     held = updates.held(run.scan_ns, side * side)
     if receiver != "plain":
         noise_n = shown.noise_n * (side / 64 if cells == "mean" else 1.0) if receiver == "noise known" else None
         held = smoothed(held, SCAN_PENALTY_N if side == 64 else CELLS_PENALTY_N, noise_n=noise_n)
     order = 1 if receiver == "plain" else 3
-    return _row(what, run.sent, run.latency_ns, refined(held, order)) | {"rate_hz": rate_hz}
+    return measured_row(what, run.sent, run.latency_ns, refined(held, order)) | {"rate_hz": rate_hz}
 
 
 def measure_events(touch: dict[str, Any], threshold_n: float, dead_ms: int, receiver: Receiver) -> Row:
@@ -112,7 +112,7 @@ def measure_events(touch: dict[str, Any], threshold_n: float, dead_ms: int, rece
     random = np.random.default_rng(shown.seed)
     updates = run.without(random.random(len(run.sent.asked)) < shown.loss_ratio)
     latency = np.concatenate([run.latency_ns, run.waiting_ns])
-    return _row(what, run.sent, latency, _received(updates, receiver, len(what.counts))) | {"rate_hz": None}
+    return measured_row(what, run.sent, latency, _received(updates, receiver, len(what.counts))) | {"rate_hz": None}
 
 
 def _received(updates: Updates, receiver: Receiver, ticks: int) -> Images | Updates:
@@ -154,7 +154,8 @@ def _skin(bits: int, rate_hz: float) -> Contract:
     return contract(msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz)))
 
 
-def _row(what: Scene, sent: Sent, latency_ns: Nanoseconds, shown: Images | Updates) -> Row:
+def measured_row(what: Scene, sent: Sent, latency_ns: Nanoseconds, shown: Images | Updates) -> Row:
+    """Return the figures of what was sent, how late it was, and what is shown of it."""
     late = {
         "latency_p99_ms": float(np.percentile(latency_ns, 99)) * 1e-6 if len(latency_ns) else 0.0,
         "latency_worst_ms": float(latency_ns.max()) * 1e-6 if len(latency_ns) else 0.0,

@@ -1,0 +1,64 @@
+"""The highest rate at which a layout still fits its buses: bits and window."""
+
+from typing import Final
+
+import msgspec
+
+from bandwidth.layout_text import layout_text
+from bandwidth.plan import counted_wire
+from bandwidth.traffic import Disturbance, traffic
+from dbc.contract import Contract, contract
+from dbc.dictionary import WINDOW_RATIO
+from skin.layout import Layout, parse_layout
+
+#: The standard's own limit on the layout's rate.
+RATE_MAX_HZ: Final = 2000
+#: How finely the rate is searched for.
+STEP_HZ: Final = 0.5
+
+
+def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | None = None) -> float:
+    """Return the highest SYNC rate, in steps of `STEP_HZ`, at which every bus keeps its bits and its window.
+
+    Parameters
+    ----------
+    layout : Layout
+        Its own rate has no effect.
+    budget : float
+        The part of each bus that frames with the most stuff bits may use.
+    allowed : Disturbance, optional
+        What response times make room for.
+
+    Returns
+    -------
+    float
+        0 where not even the lowest rate fits.
+
+    Raises
+    ------
+    LayoutError
+        If it is no layout.
+    """
+    wish = allowed or Disturbance()
+    made = contract(parse_layout(layout_text(layout).encode(), layout.name))
+    buses = range(len(layout.bus))
+    most_hz = min(counted_wire(traffic(made, bus, allowed=wish), "worst").rate_hz(budget) for bus in buses)
+    low, high = 0, int(min(most_hz, RATE_MAX_HZ) / STEP_HZ)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if all(_keeps_window(_at_rate(made, middle * STEP_HZ), bus, wish) for bus in buses):
+            low = middle
+        else:
+            high = middle - 1
+    return low * STEP_HZ
+
+
+def _keeps_window(made: Contract, bus: int, allowed: Disturbance) -> bool:
+    streams = traffic(made, bus, allowed=allowed)
+    needed_ns = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
+    return needed_ns <= WINDOW_RATIO * made.layout.sync.period_s * 1e9
+
+
+def _at_rate(made: Contract, rate_hz: float) -> Contract:
+    layout = msgspec.structs.replace(made.layout, sync=msgspec.structs.replace(made.layout.sync, rate_hz=rate_hz))
+    return Contract(layout, made.phi, made.packing, made.nodes)

@@ -1,0 +1,49 @@
+"""Surfaces of rate against quality."""
+
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from evaluation.findings import Picture, Row
+
+
+def pictures(rows: list[Row]) -> list[Picture]:
+    """Return a picture for every kind of touch that was measured."""
+    names = {"slides": "the paper's five slides", "shaking": "two boxes that shake", "recordings": "recorded touches"}
+    return [
+        Picture(
+            f"rates-{kind}",
+            f"Mean PSNR on {words}, each square the same bus time: rate in hertz below the decibels, the recommended ones "
+            "framed. To the right fewer bits and to the top fewer sums, both for more rate.",
+            partial(_surface, rows, f"psnr_{kind}_db"),
+        )
+        for kind, words in names.items()
+        if any(row[f"psnr_{kind}_db"] is not None for row in rows)
+    ]
+
+
+def _surface(rows: list[Row], key: str) -> Figure:
+    wires = list(dict.fromkeys(row["wires"] for row in rows))
+    heights = sorted({row["rows_of_32"] for row in rows})
+    widths = sorted({row["bits"] for row in rows}, reverse=True)
+    figure = Figure(figsize=(4 * len(wires), 4), layout="constrained")
+    panels = figure.subplots(1, len(wires), squeeze=False)[0]
+    values = [row[key] for row in rows]
+    for panel, name in zip(panels, wires, strict=True):
+        surface = np.full((len(heights), len(widths)), np.nan)
+        for row in (row for row in rows if row["wires"] == name):
+            down, across = heights.index(row["rows_of_32"]), widths.index(row["bits"])
+            surface[down, across] = row[key]
+            bright = row[key] < (min(values) + max(values)) / 2
+            weight = "bold" if row["recommended"] else "normal"
+            text = f"{row[key]:.1f} dB\n{row['rate_hz']:g} Hz"
+            panel.text(across, down, text, ha="center", va="center", color="white" if bright else "black", weight=weight)
+            if row["recommended"]:
+                panel.plot(across, down, "s", markersize=58, markerfacecolor="none", color="red")
+        drawn = panel.imshow(surface, vmin=min(values), vmax=max(values), cmap="viridis", aspect="auto")
+        panel.set_xticks(range(len(widths)), [str(bits) for bits in widths])
+        panel.set_yticks(range(len(heights)), [str(height) for height in heights])
+        panel.set(title=name, xlabel="bits of a sum", ylabel="rows of 32 that are sent")
+    figure.colorbar(drawn, ax=panels, label="mean PSNR, dB")
+    return figure

@@ -1,0 +1,84 @@
+"""Layouts that trade rate, sums and bits at the same bus time, each one that `skin plan` finds no fault with."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+
+from bandwidth.alternatives import with_bits, with_buses
+from bandwidth.highest import highest_rate_hz
+from bandwidth.layout_text import layout_text
+from skin.errors import LayoutError
+from skin.layout import Bus, Layout, load_layout, parse_layout
+
+#: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
+BUDGET: Final = 0.9
+SUM_BITS: Final = (8, 12, 16)
+#: Rows of 32 that every block sends.
+ROWS: Final = (4, 8, 16, 32)
+BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
+#: The recorded touches have one image a millisecond: more cycles would see nothing new.
+RATE_MAX_HZ: Final = 1000.0
+_FD: Final = Bus(name="bus0", nodes=1, fd=True, data_bitrate=5_000_000)
+#: How many buses of which kind.
+WIRES: Final = {
+    "one classic bus": (1, Bus(name="bus0", nodes=1)),
+    "four classic buses": (4, Bus(name="bus0", nodes=1)),
+    "one FD bus": (1, _FD),
+}
+
+
+@dataclass(frozen=True)
+class Point:
+    """One way to use the wires.
+
+    Attributes
+    ----------
+    wires : str
+        Of `WIRES`.
+    rows, bits : int
+        Sums of each block, and of what width.
+    layout : Layout
+        At the highest rate that keeps `BUDGET` and the window (1007h).
+    """
+
+    wires: str
+    rows: int
+    bits: int
+    layout: Layout
+
+    @property
+    def text(self) -> str:
+        """The layout as TOML."""
+        return layout_text(self.layout)
+
+
+def points() -> Iterator[Point]:
+    """Yield every combination that can be laid out, with as many blocks per node as make it fastest."""
+    for wires in WIRES:
+        for rows in ROWS:
+            for bits in SUM_BITS:
+                made = list(_layouts(wires, rows, bits))
+                if made:
+                    fastest = max(made, key=lambda layout: layout.sync.rate_hz)
+                    yield Point(wires, rows, bits, fastest)
+
+
+def _layouts(wires: str, rows: int, bits: int) -> Iterator[Layout]:
+    """Yield one layout for each number of blocks per node that is possible, each at its highest rate."""
+    start = load_layout()
+    buses, like = WIRES[wires]
+    measurement = msgspec.structs.replace(start.measurement, sums=rows * start.blocks)
+    encoding = msgspec.structs.replace(start.encoding, offset_binary=True)
+    start = with_bits(msgspec.structs.replace(start, measurement=measurement, encoding=encoding), bits)
+    for per_node in BLOCKS_PER_NODE:
+        layout = with_buses(start, buses, msgspec.structs.replace(like, blocks_per_node=per_node))
+        try:
+            rate_hz = min(RATE_MAX_HZ, highest_rate_hz(layout, BUDGET))
+        except LayoutError:
+            continue  # more nodes than node-IDs, or more frames than identifiers
+        if rate_hz > 0:
+            sync = msgspec.structs.replace(layout.sync, rate_hz=rate_hz)
+            layout = msgspec.structs.replace(layout, sync=sync)
+            yield parse_layout(layout_text(layout).encode(), layout.name)
