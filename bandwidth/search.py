@@ -8,6 +8,7 @@ from typing import Final, Literal
 import msgspec
 
 from bandwidth.alternatives import with_bits, with_buses
+from bandwidth.highest import highest_rate_hz
 from bandwidth.layout_text import layout_text
 from bandwidth.plan import counted_wire
 from bandwidth.response import UNBOUNDED
@@ -109,8 +110,8 @@ def search(wish: Wish, allowed: Disturbance | None = None) -> tuple[Layout | Non
     return None, seen
 
 
-def what_is_missing(wish: Wish, seen: list[Candidate]) -> str:
-    """Say why no layout met a wish: what the nearest one lacks, and how many lacked node-IDs."""
+def what_is_missing(wish: Wish, seen: list[Candidate], allowed: Disturbance | None = None) -> str:
+    """Say why no layout met a wish: what the nearest one lacks, at which rate it fits, and how many lacked node-IDs."""
     judged = [each for each in seen if each.load_worst is not None]
     most = "1 bus" if wish.buses == 1 else f"up to {wish.buses} buses"
     kind = "CAN or CAN FD" if wish.can == "any" else f"{wish.can} CAN" if wish.can == "classic" else "CAN FD"
@@ -118,7 +119,10 @@ def what_is_missing(wish: Wish, seen: list[Candidate]) -> str:
     lines = [f"no layout carries {asked} over {most} of {kind}, each at most {wish.budget:.0%} full"]
     if judged:
         nearest = min(judged, key=lambda each: each.load_worst or 0.0)
-        lines.append(f"the nearest, {nearest.words}, lacks: {nearest.problem}")
+        layout = next(layout for layout, each in zip(_layouts(wish), seen, strict=False) if each is nearest)
+        rate_hz = highest_rate_hz(layout, wish.budget, allowed)
+        would = f"; it fits at up to {rate_hz:g} Hz" if rate_hz else "; it fits at no rate"
+        lines.append(f"the nearest, {nearest.words}, lacks: {nearest.problem}{would}")
     short = [each for each in seen if each.missing_node_ids]
     if short:
         least = min(short, key=lambda each: each.missing_node_ids)

@@ -11,10 +11,15 @@ from bandwidth.response import blocking_ns, response_times_ns
 from dbc.contract import CLASSIC_BYTES, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
+from skin.errors import InputError
 from skin.layout import Bus
 
 #: NMT state OPERATIONAL, which every heartbeat of a running skin tells.
 _OPERATIONAL: Final = 5
+#: More of either than frames fit a classic bus in a second.
+PER_SECOND_MAX: Final = 20_000.0
+#: A node that answers later than this does not answer a SYNC.
+JITTER_MAX_S: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -29,11 +34,25 @@ class Disturbance:
         SDO transfers a second, each one request and one response of 8 bytes.
     errors_per_s : float
         Frames a second that are disturbed and sent again.
+
+    Raises
+    ------
+    InputError
+        If a number is below 0 or above what any bus could show.
     """
 
     jitter_s: float = 100e-6
     sdo_per_s: float = 20.0
     errors_per_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for what, value, most, unit in (
+            ("a jitter", self.jitter_s, JITTER_MAX_S, "s"),
+            ("SDO transfers", self.sdo_per_s, PER_SECOND_MAX, "a second"),
+            ("errors", self.errors_per_s, PER_SECOND_MAX, "a second"),
+        ):
+            if not 0 <= value <= most:
+                raise InputError(f"expected {what} of 0 to {most:g} {unit}, got {value:g}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from typing import Final, Literal
 from bus.faults import parse_fault
 from bus.server import BusServer, BusSettings
 from skin.errors import InputError
+from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
 from skin.service import StopSignal, be_punctual, say
 
 #: Far longer than any device waits, and far from where times no longer fit 64 bits.
@@ -36,9 +37,9 @@ def bus(
     channels
         Names of the buses; default bus0 to bus3.
     bitrate
-        Bits per second.
+        Bits per second, 10000 to 1000000.
     data_bitrate
-        Bits per second in the data phase of CAN FD frames; 0 for buses without CAN FD.
+        Bits per second in the data phase of CAN FD frames, up to 8000000; 0 for buses without CAN FD.
     clock
         ``real``: frames take as long as on a real bus. ``virtual``: as fast as possible, time is counted only.
     fault
@@ -58,8 +59,11 @@ def bus(
     skin bus bus0 bus1 bus2 bus3
     skin bus bus0 --bitrate 500000 --fault can_id=0x700,mask=0x780,loss_ratio=0.01
     """
-    if bitrate <= 0 or data_bitrate < 0:
-        raise InputError(f"expected bit rates above 0, got {bitrate} and {data_bitrate}")
+    if not BITRATE_MIN <= bitrate <= BITRATE_MAX:
+        raise InputError(f"expected a bit rate of {BITRATE_MIN} to {BITRATE_MAX} bit/s, got {bitrate}")
+    if data_bitrate and not bitrate <= data_bitrate <= DATA_BITRATE_MAX:
+        wanted = f"a data bit rate of {bitrate} (the bit rate) to {DATA_BITRATE_MAX} bit/s, or 0 for no CAN FD"
+        raise InputError(f"expected {wanted}, got {data_bitrate}")
     if queue_size < 1 or not 0 <= restart_s <= RESTART_MAX_S:
         wanted = f"a queue of 1 or more frames and a restart after 0 to {RESTART_MAX_S:g} s"
         raise InputError(f"expected {wanted}, got {queue_size} and {restart_s}")

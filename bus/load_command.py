@@ -46,8 +46,8 @@ def load(
     skin load candump-2026-11-20_120000.log
     skin load -i socketcan -c can0 --seconds 10 --json
     """
-    if not seconds > 0:
-        raise InputError(f"expected seconds above 0, got {seconds:g}")
+    if not 0 < seconds < float("inf"):
+        raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
     made = contract(load_layout(layout))
     options = can or BusOptions()
     if log is not None:

@@ -20,7 +20,7 @@ from bandwidth.traffic import Disturbance
 from bus.options import BusOptions, channels
 from dbc.contract import Contract, contract
 from dbc.packing import rounding_error_n
-from skin.errors import InputError
+from skin.errors import InputError, RunError
 from skin.layout import load_layout
 from skin.service import say
 
@@ -31,10 +31,10 @@ def plan(
     check: Path | None = None,
     channel: Annotated[list[str] | None, Parameter(alias="-c", negative=())] = None,
     taxels: int | None = None,
-    rate: float = 100.0,
-    buses: int = 4,
-    budget: float = 0.8,
-    can: Kind = "any",
+    rate: float | None = None,
+    buses: int | None = None,
+    budget: float | None = None,
+    can: Kind | None = None,
     out: Path | None = None,
     plot: Path | None = None,
     jitter_s: float = 100e-6,
@@ -57,13 +57,13 @@ def plan(
     taxels
         Search for a layout of so many taxels instead of planning one.
     rate
-        Of the search: measurements a second.
+        Of the search: measurements a second. Default: 100.
     buses
-        Of the search: how many buses there may be.
+        Of the search: how many buses there may be. Default: 4.
     budget
-        Of the search: the part of each bus that may be used at worst.
+        Of the search: the part of each bus that may be used at worst. Default: 0.8.
     can
-        Of the search: which kind of CAN.
+        Of the search: which kind of CAN; default any.
     out
         Of the search: file for the TOML of the layout, else it is printed.
     plot
@@ -82,15 +82,22 @@ def plan(
     skin plan palm.toml --plot pictures
     skin plan --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
     """
-    if min(jitter_s, sdo_per_s, errors_per_s) < 0:
-        raise InputError("expected a jitter, SDO transfers and errors of 0 or more")
     allowed = Disturbance(jitter_s, sdo_per_s, errors_per_s)
     if taxels is not None:
         if layout is not None or check is not None or plot is not None:
             raise InputError("expected --taxels or a layout, not both: a search makes its own")
-        return _search(Wish(taxels, rate, buses, budget, can), allowed, out, as_json=json_)
-    if out is not None:
-        raise InputError("--out is for the layout that a search finds: give --taxels as well")
+        wish = Wish(
+            taxels,
+            rate_hz=100.0 if rate is None else rate,
+            buses=4 if buses is None else buses,
+            budget=0.8 if budget is None else budget,
+            can=can or "any",
+        )
+        return _search(wish, allowed, out, as_json=json_)
+    wished = {"--rate": rate, "--buses": buses, "--budget": budget, "--can": can, "--out": out}
+    idle = [name for name, value in wished.items() if value is not None]
+    if idle:
+        raise InputError(f"{' and '.join(idle)}: only for the search of a layout: give --taxels as well")
     made = contract(load_layout(layout))
     plans = plan_buses(made, allowed=allowed)
     if check is not None:
@@ -135,12 +142,12 @@ def _search(wish: Wish, allowed: Disturbance, out: Path | None, *, as_json: bool
         except OSError as error:
             raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
     if as_json:
-        missing = None if text is not None else what_is_missing(wish, seen)
+        missing = None if text is not None else what_is_missing(wish, seen, allowed)
         document = {"wish": wish, "fits": text is not None, "layout": text, "missing": missing, "candidates": seen}
         print(msgspec.json.encode(document).decode())
         return int(text is None)
     if text is None:
-        raise InputError(what_is_missing(wish, seen))
+        raise RunError(what_is_missing(wish, seen, allowed))
     chosen = seen[-1]
     say(
         "plan",

@@ -11,6 +11,9 @@ from skin.measurement import Sbhe, sbhe
 
 #: Names of the layouts that come with the project.
 SHIPPED: Final = ("default", "fd", "one-bus-12bit")
+#: Bit rates of classic CAN and of the nominal phase: the ends of the table in CiA 301.
+BITRATE_MIN: Final = 10_000
+BITRATE_MAX: Final = 1_000_000
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
@@ -81,9 +84,9 @@ class Bus(_Table, frozen=True, kw_only=True):
     name: Name
     nodes: Annotated[int, msgspec.Meta(ge=1, le=127)]
     blocks_per_node: Literal[1, 2, 4, 8] = 1
-    bitrate: Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)] = 1_000_000
+    bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=BITRATE_MAX)] = BITRATE_MAX
     fd: bool = False
-    data_bitrate: Annotated[int, msgspec.Meta(ge=10_000, le=DATA_BITRATE_MAX)] | None = None
+    data_bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=DATA_BITRATE_MAX)] | None = None
 
 
 class Layout(_Table, frozen=True, kw_only=True):

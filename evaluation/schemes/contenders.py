@@ -1,25 +1,24 @@
 """One contender on one touch: what it sent, how late, and how good the image in use was."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from bandwidth.alternatives import with_bits, with_buses
+from bandwidth.alternatives import with_buses
 from dbc.contract import Contract, contract
 from evaluation.findings import Row
-from evaluation.schemes.events import EventRule, EventRun, run_events
+from evaluation.schemes.events import EventRule, run_events
 from evaluation.schemes.judge import Images, Updates, quality
 from evaluation.schemes.scan import ScanRun, run_scan
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, Scene, scene
 from evaluation.schemes.smoothing import CELLS_PENALTY_N, EVENTS_PENALTY_N, SCAN_PENALTY_N, refined, smoothed
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.wire import Nanoseconds, Sent
-from skin.layout import Layout, load_layout
+from skin.layout import load_layout
 from touch.arrays import averaged
 from touch.contact import Force
 from touch.electronics import sense
@@ -70,7 +69,7 @@ class Touch:
         return scene(self.name, ticks=self.ticks, noise_n=self.noise_n, meshes=meshes, seed=self.seed)
 
 
-def measure_sums(touch: dict[str, Any], bits: int, kbit_per_s: float, receiver: Receiver) -> Row:
+def measure_sums(touch: dict[str, Any], *, bits: int, kbit_per_s: float, receiver: Receiver) -> Row:
     """Return the figures of compressed sums of `bits` each at a rate that makes `kbit_per_s`."""
     shown, what = Touch(**touch), Touch(**touch).load()
     rate_hz = 100.0 * kbit_per_s / DEFAULT_KBIT_PER_S
@@ -83,7 +82,9 @@ def measure_sums(touch: dict[str, Any], bits: int, kbit_per_s: float, receiver: 
     return measured_row(what, run.sent, run.latency_ns, images) | {"rate_hz": rate_hz}
 
 
-def measure_scan(touch: dict[str, Any], side: int, bits: int, kbit_per_s: float, receiver: Receiver, cells: str) -> Row:
+def measure_scan(
+    touch: dict[str, Any], *, side: int, bits: int, kbit_per_s: float, receiver: Receiver, cells: str
+) -> Row:
     """Return the figures of an array of `side` x `side`, scanned as often as `kbit_per_s` allow.
 
     `cells` says what a cell of a coarse array is: ``sensor``, one with the noise of any taxel, or ``mean``, what the
@@ -105,7 +106,7 @@ def measure_scan(touch: dict[str, Any], side: int, bits: int, kbit_per_s: float,
     return measured_row(what, run.sent, run.latency_ns, refined(held, order)) | {"rate_hz": rate_hz}
 
 
-def measure_events(touch: dict[str, Any], threshold_n: float, dead_ms: int, receiver: Receiver) -> Row:
+def measure_events(touch: dict[str, Any], *, threshold_n: float, dead_ms: int, receiver: Receiver) -> Row:
     """Return the figures of event-triggered taxels."""
     shown, what = Touch(**touch), Touch(**touch).load()
     run = run_events(what.counts, NEWTON_PER_COUNT, EventRule(threshold_n, dead_ms))
@@ -148,9 +149,8 @@ def _skin(bits: int, rate_hz: float) -> Contract:
     layout = load_layout()
     if bits != 16:
         like = msgspec.structs.replace(layout.bus[0], blocks_per_node=2 if bits == 12 else 1)
-        encoding = msgspec.structs.replace(layout.encoding, offset_binary=True)
-        layout = msgspec.structs.replace(with_bits(with_buses(layout, 4, like), bits), encoding=encoding)
-        layout = with_bits(layout, bits)
+        encoding = msgspec.structs.replace(layout.encoding, sum_bits=bits, offset_binary=True)
+        layout = msgspec.structs.replace(with_buses(layout, len(layout.bus), like), encoding=encoding)
     return contract(msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz)))
 
 

@@ -1,6 +1,6 @@
 """Send-on-delta on one bus, compiled: nodes that compare, arbitrate and fill their frames, bit for bit."""
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,28 +13,82 @@ EVENTS: Final = 4
 #: Taxels of one node, as many as the place can tell.
 TAXELS: Final = 32
 VALUE_BITS: Final = 11
-#: Bits of a classic frame that are never stuffed or are there without any data, intermission included.
+#: Bits of a classic frame that are there without any data, unstuffed, intermission included.
 EMPTY_BITS: Final = 47
 TICK_NS: Final = 1_000_000
-#: Columns of `log`: node, asked, begun and ended (all ns, the end with intermission), events; a heartbeat has none.
+#: Columns of `Record.log`: node, asked, begun and ended (ns, with intermission), events; a heartbeat has none.
 NODE, ASKED, BEGUN, ENDED, COUNT = range(5)
-#: Columns of `state`: value last sent, tick since when it is to be sent again (-1: it is not), tick of the last sending.
+#: Rows of `Nodes.taxels`: value last sent, tick since when it waits to be sent (-1: it does not), tick of last sending.
 SENT, SINCE, LAST = range(3)
 _NEVER: Final = -(1 << 30)
 _CAN_ID, _LENGTH, _DATA = 0, 4, 8
+_TPDO_BASE: Final = 0x180
 _HEARTBEAT_BASE: Final = 0x700
 _OPERATIONAL: Final = 5
 
+Integers = npt.NDArray[np.int64]
 
-def new_state(nodes: int) -> npt.NDArray[np.int64]:
-    """Return the state of nodes whose taxels were all sent as 0 long ago."""
-    state = np.zeros((3, nodes, TAXELS), np.int64)
-    state[SINCE], state[LAST] = -1, _NEVER
-    return state
+
+class Wish(NamedTuple):
+    """When a taxel is sent, and how long a bit is.
+
+    Attributes
+    ----------
+    threshold : int
+        Counts by which it has changed since it was sent.
+    dead_ticks : int
+        Least ticks between two sendings.
+    bit_ns : int
+    """
+
+    threshold: int
+    dead_ticks: int
+    bit_ns: int
+
+
+class Nodes(NamedTuple):
+    """What the nodes of a bus know.
+
+    Attributes
+    ----------
+    taxels : array of int64, shape (3, nodes, TAXELS)
+    pending, asked_ns, beat_ns : arrays of int64, shape (nodes,)
+        Taxels to be sent, since when its frame takes part, and when the next heartbeat is due.
+    """
+
+    taxels: Integers
+    pending: Integers
+    asked_ns: Integers
+    beat_ns: Integers
+
+
+class Record(NamedTuple):
+    """What was sent, to be written.
+
+    Attributes
+    ----------
+    rows : array of uint8, shape (capacity, 72)
+        FRAME records from `can_id` on.
+    log : array of int64, shape (capacity, 5)
+    since : array of int64, shape (capacity, EVENTS)
+        The tick at which each event's change first reached the threshold.
+    """
+
+    rows: npt.NDArray[np.uint8]
+    log: Integers
+    since: Integers
+
+
+def new_nodes(beat_ns: Integers) -> Nodes:
+    """Return nodes whose taxels were all sent as 0 long ago; `beat_ns` of shape (nodes,)."""
+    nodes = len(beat_ns)
+    taxels = np.zeros((3, nodes, TAXELS), np.int64)
+    taxels[SINCE], taxels[LAST] = -1, _NEVER
+    return Nodes(taxels, np.zeros(nodes, np.int64), np.zeros(nodes, np.int64), beat_ns.copy())
 
 
 @njit(cache=True, nogil=True)
-def send_on_delta(counts: Any, wish: Any, beats: Any, bit_ns: int, state: Any, rows: Any, log: Any, since: Any) -> int:
+def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
     """Run one bus and return how many frames were sent.
 
     Whenever the bus is free, every node that has something to say takes part with its one identifier; the winner sends
@@ -44,99 +98,89 @@ def send_on_delta(counts: Any, wish: Any, beats: Any, bit_ns: int, state: Any, r
     ----------
     counts : array of int16, shape (ticks, nodes, TAXELS)
         What every taxel reads, each millisecond.
-    wish : tuple of int
-        Threshold in counts, and the least ticks between two sendings of one taxel.
-    beats : array of int64, shape (nodes,)
-        When each node sends its first heartbeat, ns; one a second follows.
-    bit_ns : int
-    state : array of int64, shape (3, nodes, TAXELS)
-        From `new_state`; written: what is left at the end.
-    rows : array of uint8, shape (capacity, 72)
-        Written: the frames sent, FRAME records from `can_id` on.
-    log : array of int64, shape (capacity, 5)
+    wish : Wish
+    nodes : Nodes
+        Changed to what is left at the end.
+    record : Record
         Written.
-    since : array of int64, shape (capacity, EVENTS)
-        Written: the tick at which each event's change first reached the threshold.
     """
-    ticks, nodes, _ = counts.shape
-    pending, asked, due = np.zeros(nodes, np.int64), np.zeros(nodes, np.int64), beats.copy()
+    ticks = counts.shape[0]
     now, tick, sent = 0, 0, 0
-    while sent < rows.shape[0]:
+    while now < ticks * TICK_NS:
         while tick < ticks and tick * TICK_NS <= now:
-            _compare(counts[tick], tick, wish, state, pending, asked)
+            _compare(counts[tick], tick, wish, nodes)
             tick += 1
-        if now >= ticks * TICK_NS:
-            break
-        node, is_beat = _winner(pending, due, now)
+        node, is_beat = _winner(nodes, now)
         if node < 0:
-            now = min(due.min(), tick * TICK_NS)
+            now = min(nodes.beat_ns.min(), tick * TICK_NS)
             continue
-        row = rows[sent]
-        log[sent, NODE], log[sent, BEGUN] = node, now
+        row, log = record.rows[sent], record.log[sent]
+        log[NODE], log[BEGUN] = node, now
         if is_beat:
-            log[sent, ASKED], log[sent, COUNT] = due[node], 0
-            due[node] += 1000 * TICK_NS
-            _address(row, _HEARTBEAT_BASE + node + 1, 1)
+            log[ASKED], log[COUNT] = nodes.beat_ns[node], 0
+            nodes.beat_ns[node] += 1000 * TICK_NS
             row[_DATA] = _OPERATIONAL
+            _address(row, _HEARTBEAT_BASE + node + 1, 1)
         else:
-            log[sent, ASKED] = asked[node]
-            log[sent, COUNT] = _fill(counts[tick - 1, node], tick - 1, wish, state[:, node], row, since[sent])
-            pending[node] -= log[sent, COUNT]
-            _address(row, 0x180 + node + 1, 2 * log[sent, COUNT])
-        now += (EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row)) * bit_ns
-        log[sent, ENDED] = now
+            log[ASKED] = nodes.asked_ns[node]
+            log[COUNT] = _fill(counts[tick - 1, node], tick - 1, wish, nodes.taxels[:, node], (row, record.since[sent]))
+            nodes.pending[node] -= log[COUNT]
+            _address(row, _TPDO_BASE + node + 1, 2 * log[COUNT])
+        now += (EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row)) * wish.bit_ns
+        log[ENDED] = now
         if not is_beat:
-            asked[node] = now
+            nodes.asked_ns[node] = now
         sent += 1
     return sent
 
 
 @njit(cache=True, nogil=True)
-def _compare(now: Any, tick: int, wish: Any, state: Any, pending: Any, asked: Any) -> None:
+def _compare(now: Any, tick: int, wish: Wish, nodes: Nodes) -> None:
     """Look at every taxel: since when has it changed, and how many of each node are to be sent."""
     for node in range(now.shape[0]):
-        before = pending[node]
-        pending[node] = 0
+        before = nodes.pending[node]
+        nodes.pending[node] = 0
         for taxel in range(TAXELS):
-            if abs(now[node, taxel] - state[SENT, node, taxel]) < wish[0]:
-                state[SINCE, node, taxel] = -1
+            if abs(now[node, taxel] - nodes.taxels[SENT, node, taxel]) < wish.threshold:
+                nodes.taxels[SINCE, node, taxel] = -1
                 continue
-            if state[SINCE, node, taxel] < 0:
-                state[SINCE, node, taxel] = tick
-            pending[node] += tick - state[LAST, node, taxel] >= wish[1]
+            if nodes.taxels[SINCE, node, taxel] < 0:
+                nodes.taxels[SINCE, node, taxel] = tick
+            nodes.pending[node] += tick - nodes.taxels[LAST, node, taxel] >= wish.dead_ticks
         if before == 0:
-            asked[node] = tick * TICK_NS
+            nodes.asked_ns[node] = tick * TICK_NS
 
 
 @njit(cache=True, nogil=True)
-def _winner(pending: Any, due: Any, now: int) -> tuple[int, bool]:
+def _winner(nodes: Nodes, now: int) -> tuple[int, bool]:
     """Return the node whose frame has the lowest identifier, and whether that is a heartbeat; -1 for nobody."""
-    for node in range(pending.size):
-        if pending[node]:
+    for node in range(nodes.pending.size):
+        if nodes.pending[node]:
             return node, False
-    for node in range(pending.size):
-        if due[node] <= now:
+    for node in range(nodes.pending.size):
+        if nodes.beat_ns[node] <= now:
             return node, True
     return -1, False
 
 
 @njit(cache=True, nogil=True)
-def _fill(now: Any, tick: int, wish: Any, state: Any, row: Any, since: Any) -> int:
+def _fill(now: Any, tick: int, wish: Wish, taxels: Any, frame: Any) -> int:
     """Write the most changed taxels of a node into its frame, and note them as sent; return how many."""
+    row, since = frame
     events = 0
     while events < EVENTS:
-        best, most = -1, wish[0] - 1
+        best, most = -1, wish.threshold - 1
         for taxel in range(TAXELS):
-            change = abs(now[taxel] - state[SENT, taxel])
-            if change > most and state[SINCE, taxel] >= 0 and tick - state[LAST, taxel] >= wish[1]:
+            change = abs(now[taxel] - taxels[SENT, taxel])
+            if change > most and taxels[SINCE, taxel] >= 0 and tick - taxels[LAST, taxel] >= wish.dead_ticks:
                 best, most = taxel, change
         if best < 0:
             break
         value = int(now[best])
         row[_DATA + 2 * events] = value & 0xFF
         row[_DATA + 2 * events + 1] = (best << VALUE_BITS - 8) | (value >> 8)
-        since[events] = state[SINCE, best]
-        state[SENT, best], state[SINCE, best], state[LAST, best] = value, -1, tick
+        since[events] = taxels[SINCE, best]
+        taxels[SENT, best], taxels[SINCE, best], taxels[LAST, best] = value, -1, tick
         events += 1
     return events
 

@@ -16,13 +16,14 @@ from evaluation.schemes.event_kernel import (
     NODE,
     SINCE,
     VALUE_BITS,
-    new_state,
+    Record,
+    Wish,
+    new_nodes,
     send_on_delta,
 )
 from evaluation.schemes.judge import Updates
 from evaluation.schemes.patches import lines_of, patches
 from evaluation.schemes.wire import TICK_NS, Asked, Sent, first_beats_ns
-from touch.contact import Force
 
 BIT_NS: Final = 1000
 #: No classic frame is shorter, so that a bus cannot send more in a tick.
@@ -109,11 +110,11 @@ def _run_bus(
 ) -> tuple[Frames, npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return frames, log, and since when events had waited, those of every frame and those never sent."""
     capacity = len(counts) * FRAMES_PER_TICK
-    sent, log = frames(capacity), np.empty((capacity, 5), np.int64)
-    since = np.empty((capacity, EVENTS), np.int64)
+    sent = frames(capacity)
     rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, _FIRST_BYTE:]
-    mine = np.ascontiguousarray(counts[:, held])
-    wish = max(1, round(rule.threshold_n / newton_per_count)), rule.dead_ms
-    state = new_state(len(held))
-    count = send_on_delta(mine, wish, first_beats_ns(len(held)), BIT_NS, state, rows, log, since)
-    return sent[:count].copy(), log[:count], since[:count], state[SINCE][state[SINCE] >= 0]
+    record = Record(rows, np.empty((capacity, 5), np.int64), np.empty((capacity, EVENTS), np.int64))
+    nodes = new_nodes(first_beats_ns(len(held)))
+    wish = Wish(max(1, round(rule.threshold_n / newton_per_count)), rule.dead_ms, BIT_NS)
+    count = send_on_delta(np.ascontiguousarray(counts[:, held]), wish, nodes, record)
+    unsent = nodes.taxels[SINCE]
+    return sent[:count].copy(), record.log[:count], record.since[:count], unsent[unsent >= 0]

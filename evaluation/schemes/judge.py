@@ -85,7 +85,7 @@ def quality(true_n: Force, shown: Images | Updates) -> Row:
     Returns
     -------
     dict
-        ``psnr_mean_db``, ``psnr_least_db`` and ``psnr_peak_db`` over all ticks, each at most `PSNR_MOST_DB`; ``error_mn``
+        ``psnr_mean_db``, ``psnr_least_db`` and ``psnr_peak_db`` over all ticks, at most `PSNR_MOST_DB`; ``error_mn``
         and ``touched_error_mn``, root mean square over all ticks of all taxels and of those that are touched;
         ``longest_wrong_ms``, for how long any one taxel was off by more than `WRONG_N`.
     """

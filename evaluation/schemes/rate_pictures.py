@@ -10,20 +10,21 @@ from evaluation.findings import Picture, Row
 
 def pictures(rows: list[Row]) -> list[Picture]:
     """Return a picture for every kind of touch that was measured."""
-    names = {"slides": "the paper's five slides", "shaking": "two boxes that shake", "recordings": "recorded touches"}
+    names = {"slides": "the paper's slides", "shaking": "two boxes that shake", "recordings": "recorded touches"}
     return [
         Picture(
             f"rates-{kind}",
-            f"Mean PSNR on {words}, each square the same bus time: rate in hertz below the decibels, the recommended ones "
-            "framed. To the right fewer bits and to the top fewer sums, both for more rate.",
-            partial(_surface, rows, f"psnr_{kind}_db"),
+            f"Mean PSNR on {words}, every square the same bus time; below the decibels the rate, the best framed. To "
+            "the right fewer bits and to the top fewer sums, both for more rate.",
+            partial(_surface, rows, kind),
         )
         for kind, words in names.items()
         if any(row[f"psnr_{kind}_db"] is not None for row in rows)
     ]
 
 
-def _surface(rows: list[Row], key: str) -> Figure:
+def _surface(rows: list[Row], kind: str) -> Figure:
+    key = f"psnr_{kind}_db"
     wires = list(dict.fromkeys(row["wires"] for row in rows))
     heights = sorted({row["rows_of_32"] for row in rows})
     widths = sorted({row["bits"] for row in rows}, reverse=True)
@@ -38,7 +39,9 @@ def _surface(rows: list[Row], key: str) -> Figure:
             bright = row[key] < (min(values) + max(values)) / 2
             weight = "bold" if row["recommended"] else "normal"
             text = f"{row[key]:.1f} dB\n{row['rate_hz']:g} Hz"
-            panel.text(across, down, text, ha="center", va="center", color="white" if bright else "black", weight=weight)
+            panel.text(
+                across, down, text, ha="center", va="center", color="white" if bright else "black", weight=weight
+            )
             if row["recommended"]:
                 panel.plot(across, down, "s", markersize=58, markerfacecolor="none", color="red")
         drawn = panel.imshow(surface, vmin=min(values), vmax=max(values), cmap="viridis", aspect="auto")

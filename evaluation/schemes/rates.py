@@ -38,16 +38,22 @@ def evaluate(options: Options) -> Findings:
     looked_at = [point for point in points() if not options.quick or (point.rows in {4, 8} and point.bits != 12)]
     touches = _touches(options)
     cells = [
-        {"text": point.text, "touch": asdict(touch)} for point in looked_at for mine in touches.values() for touch in mine
+        {"text": point.text, "touch": asdict(touch)}
+        for point in looked_at
+        for mine in touches.values()
+        for touch in mine
     ]
     results = iter(measure_cells(measure_point, cells, options, "rates"))
     rows = []
     for point in looked_at:
         found = {kind: [next(results) for _ in mine] for kind, mine in touches.items()}
         rows.append(_row(point, found))
-    chosen = {wires: _best(rows, wires) for wires in WIRES}
+    chosen = {}
+    for wires in WIRES:
+        for kind in reversed([kind for kind, mine in touches.items() if mine]):
+            index = chosen[wires] = _best(rows, wires, kind)
+            rows[index]["best_for"] = " ".join([kind, *str(rows[index]["best_for"]).split()])
     for wires, index in chosen.items():
-        rows[index]["recommended"] = "yes"
         if options.out is not None:
             _write(options.out / f"{wires.replace(' ', '-')}.toml", looked_at[index].text)
     return Findings(
@@ -96,22 +102,17 @@ def _row(point: Point, found: dict[str, list[Row]]) -> Row:
     row["touched_error_mn"] = _mean(found["slides"], "touched_error_mn", 3)
     row["touched_shaking_mn"] = _mean(found.get("shaking", ()), "touched_error_mn", 3)
     row["latency_worst_ms"] = round(max(each["latency_worst_ms"] for each in found["slides"]), 2)
-    return row | {"recommended": ""}
+    return row | {"best_for": ""}
 
 
 def _mean(found: Sequence[Row], key: str, digits: int) -> float | None:
     return round(float(np.mean([each[key] for each in found])), digits) if found else None
 
 
-def _best(rows: list[Row], wires: str) -> int:
-    """Return the row with the best mean PSNR over all kinds of touches that were looked at, each kind counted once."""
+def _best(rows: list[Row], wires: str, kind: str) -> int:
+    """Return the row of `wires` with the best mean PSNR on a kind of touches."""
     mine = [index for index, row in enumerate(rows) if row["wires"] == wires]
-    return max(mine, key=lambda index: _score(rows[index]))
-
-
-def _score(row: Row) -> float:
-    known = [row[f"psnr_{kind}_db"] for kind in _KINDS if row[f"psnr_{kind}_db"] is not None]
-    return float(np.mean(known))
+    return max(mine, key=lambda index: float(rows[index][f"psnr_{kind}_db"]))
 
 
 def _write(path: Path, text: str) -> None:
@@ -123,29 +124,34 @@ def _write(path: Path, text: str) -> None:
 
 
 def _notes(rows: list[Row], chosen: dict[str, int], options: Options) -> list[str]:
-    found = [
-        f"Every point is the highest rate at which frames with the most stuff bits use at most {BUDGET:.0%} of each bus and "
-        "the window (1007h) holds, with as many blocks per node as make that highest; offset binary.",
-        "The last image is held: at every millisecond it is compared with the truth of that millisecond. Slides are the "
-        f"paper's five at its speed; '{FAST}' moves ten times as fast.",
-        "More sums than 1024 and fewer node-IDs or identifiers than frames: such points of one classic bus cannot be laid "
-        "out and are left out.",
-        "Recommended: the best mean PSNR over the kinds of touches that were measured, each kind counted once.",
-    ]
-    for wires, index in chosen.items():
-        row = rows[index]
-        found.append(
-            f"{wires}: {row['rate_hz']:g} Hz, {row['sums']} sums of {row['bits']} bits, {row['psnr_slides_db']:.1f} dB on the "
-            f"slides, buses {row['load']:.0%} full, {row['load_worst']:.0%} at worst."
-        )
-    if options.out is None:
-        found.append("Give --out FOLDER to have the recommended layouts written, for `skin plan`.")
-    else:
-        found.append("The recommended layouts are in the folder of this report, a TOML file for each: `skin plan FILE`.")
-    if options.recordings is None:
-        found.append("Recorded touches are left out: give --recordings FOLDER.")
-    else:
-        found.append(
-            "A recording's own values count as the truth, its noise included: what averages noise away loses PSNR there."
-        )
-    return found
+    given = (
+        f"Every point is the highest rate at which frames with the most stuff bits use at most {BUDGET:.0%} of each "
+        "bus and the window (1007h) holds, with as many blocks per node as make that highest, in offset binary."
+    )
+    judged = (
+        "The last image is held: at every millisecond it is compared with the truth of that millisecond. Slides are "
+        f"the paper's five at its speed; '{FAST}' moves ten times as fast."
+    )
+    missing = (
+        "Points of one classic bus that need more node-IDs or identifiers than CANopen has cannot be laid out and are "
+        "left out. Recommended are those that are best on the slides."
+    )
+    recordings = (
+        "Recorded touches are left out: give --recordings FOLDER."
+        if options.recordings is None
+        else "A recording's own values count as the truth, its noise included, and it moves little: there, more sums "
+        "win whatever they cost in rate, and what averages noise away loses."
+    )
+    written = (
+        "Give --out FOLDER to have the recommended layouts written, for `skin plan`."
+        if options.out is None
+        else "The recommended layouts are in the folder of this report, a TOML file for each: `skin plan FILE`."
+    )
+    return [given, judged, missing, recordings, *(_words(rows[index]) for index in chosen.values()), written]
+
+
+def _words(row: Row) -> str:
+    return (
+        f"{row['wires']}: {row['rate_hz']:g} Hz, {row['sums']} sums of {row['bits']} bits, {row['psnr_slides_db']:.1f} "
+        f"dB on the slides, buses {row['load']:.0%} full, {row['load_worst']:.0%} at worst."
+    )

@@ -33,7 +33,7 @@ def images_figure() -> Figure:
         shown = {"truth": what.true_n[tick], **_shown(what, tick)}
         for panel, (title, force_n) in zip(row, shown.items(), strict=True):
             drawn = panel.imshow(1e3 * force_n.reshape(64, 64), vmin=0, vmax=SCALE_MN, cmap="viridis")
-            panel.set_title(f"{title}" if title != "truth" else f"{name}, {tick} ms: truth", fontsize="small")
+            panel.set_title(f"{name}, {tick} ms: truth" if title == "truth" else title, fontsize="small")
             panel.set_axis_off()
     figure.colorbar(drawn, ax=panels, label="mN", shrink=0.7)
     return figure
@@ -56,6 +56,7 @@ def _shown(what: Scene, tick: int) -> dict[str, Force]:
 
 def _at(shown: Images | Updates, tick: int) -> Force:
     now = np.array([tick * 1_000_000])
-    if isinstance(shown, Updates):
-        return shown.held(now, 4096).force_n[0]
-    return shown.force_n[max(0, int(np.searchsorted(shown.ready_ns, now[0], side="right")) - 1)]
+    images = shown.held(now, 4096) if isinstance(shown, Updates) else shown
+    used = int(np.searchsorted(images.ready_ns, now[0], side="right")) - 1
+    force_n: Force = images.force_n[used] if used >= 0 else np.zeros(4096, np.float32)
+    return force_n

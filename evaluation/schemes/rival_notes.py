@@ -20,8 +20,8 @@ def _given(options: Options) -> Iterator[str]:
         "compared with the truth of the same millisecond, so that what is late counts as wrong."
     )
     yield (
-        "PSNR has its peak at 20 mN and is not counted above 71 dB, the rounding of 10 bits. A taxel is wrong while it is "
-        "off by more than 4 mN. Latency is from the sample to the end of the frame that brings it."
+        "PSNR has its peak at 20 mN and is not counted above 71 dB, the rounding of 10 bits. A taxel is wrong while it "
+        "is off by more than 4 mN. Latency is from the sample to the end of the frame that brings it."
     )
     yield (
         "Scans are interleaved: a node's frames are spread over the scan and each is sampled when it is called for. "
@@ -29,8 +29,8 @@ def _given(options: Options) -> Iterator[str]:
         "Coarse arrays are interpolated bilinearly, after solving bicubically."
     )
     yield (
-        "Event-triggered taxels are compared every millisecond, ten times as often as ours are sampled, four to a frame "
-        "with the values of the moment it wins the bus, the most changed first. No node filters its samples, ours neither."
+        "Event-triggered taxels are compared every millisecond, ten times as often as ours are sampled. A frame holds "
+        "four, the most changed first, with the values of the moment it wins the bus. No node filters its samples."
     )
     yield (
         "Images of sums, and of all that is solved, are in use 1 ms after the last frame. Noise known: the service was "
@@ -45,39 +45,38 @@ def _given(options: Options) -> Iterator[str]:
         )
 
 
-def tuned(measured: list[Row], receiver: str) -> dict[str, Row]:
-    """Return for every touch the best rule within the bits, by mean PSNR."""
-    best: dict[str, Row] = {}
-    for row in _affordable(measured, receiver):
-        if row["touch"] not in best or row["psnr_mean_db"] > best[row["touch"]]["psnr_mean_db"]:
-            best[row["touch"]] = row
-    return best
+def chosen_rules(measured: list[Row]) -> list[Row]:
+    """Return for every touch and receiver the row of the rule tuned to it, and that of the one rule for all touches."""
+    found = []
+    for receiver in ("plain", "solved"):
+        rules = [row for row in measured if "threshold_n" in row and row["receiver"] == receiver]
+        best = one_rule(rules)
+        for touch in dict.fromkeys(row["touch"] for row in rules):
+            mine = [row for row in rules if row["touch"] == touch]
+            fits = [row for row in mine if row["kbit_per_s"] <= DEFAULT_KBIT_PER_S] or mine
+            tuned = max(fits, key=lambda row: float(row["psnr_mean_db"]))
+            found.append(tuned | {"contender": f"{tuned['contender']} (tuned to this touch)"})
+            found += [row | {"contender": f"{best} (for all)"} for row in mine if row["contender"] == best]
+    return found
 
 
-def one_rule(measured: list[Row], receiver: str) -> str | None:
-    """Return the contender whose rule has the best mean over all touches, with whatever bits it then takes."""
-    sums: dict[str, list[float]] = {}
-    for row in measured:
-        if row.get("receiver") == receiver and "threshold_n" in row:
-            sums.setdefault(row["contender"], []).append(row["psnr_mean_db"])
-    return max(sums, key=lambda name: sum(sums[name]) / len(sums[name])) if sums else None
-
-
-def _affordable(measured: list[Row], receiver: str) -> Iterator[Row]:
-    for row in measured:
-        if row.get("receiver") == receiver and "threshold_n" in row and row["kbit_per_s"] <= DEFAULT_KBIT_PER_S:
-            yield row
+def one_rule(rules: list[Row]) -> str:
+    """Return the contender whose rule has the best mean PSNR over all touches, with whatever bits it then takes."""
+    quality: dict[str, list[float]] = {}
+    for row in rules:
+        quality.setdefault(row["contender"], []).append(row["psnr_mean_db"])
+    return max(quality, key=lambda name: sum(quality[name]) / len(quality[name]))
 
 
 def _rules(measured: list[Row]) -> Iterator[str]:
     for receiver in ("plain", "solved"):
-        name = one_rule(measured, receiver)
-        if name is not None:
-            taken = [row["kbit_per_s"] for row in measured if row["contender"] == name]
-            yield (
-                f"One rule for all touches, the best by mean PSNR ({receiver}): {name}; it takes {min(taken):.0f} to "
-                f"{max(taken):.0f} kbit/s, sums the same at any touch."
-            )
+        rules = [row for row in measured if "threshold_n" in row and row["receiver"] == receiver]
+        mine = [row for row in rules if row["contender"] == one_rule(rules)]
+        most, least = (choose(mine, key=lambda row: float(row["kbit_per_s"])) for choose in (max, min))
+        yield (
+            f"One rule for all touches, the best by mean PSNR: {most['contender']}. It takes {least['kbit_per_s']:.0f} "
+            f"kbit/s ({least['touch']}) to {most['kbit_per_s']:.0f} ({most['touch']}); sums take the same at any touch."
+        )
 
 
 def _winners(measured: list[Row]) -> Iterator[str]:
@@ -103,14 +102,13 @@ def _stands(row: Row, key: str, unit: str, digits: int = 1) -> str:
 
 
 def _latencies(measured: list[Row]) -> Iterator[str]:
-    """Say how late each gets at worst over all touches: the tuned rules and what goes by the clock."""
-    best = {row["contender"] for row in tuned(measured, "plain").values()}
-    groups = {"sums, 16 bits": OURS, "scan, 10 bits": "scan, 10 bits"} | {name: name for name in sorted(best)}
-    for words, name in groups.items():
+    """Say how late each gets at worst over all touches: the one rule, ours and the scan."""
+    rules = [row for row in measured if "threshold_n" in row and row["receiver"] == "plain"]
+    for name in (OURS, "scan, 10 bits", one_rule(rules)):
         mine = [row for row in measured if row["contender"] == name and row["share"] == 1.0]
         worst = max(mine, key=lambda row: float(row["latency_worst_ms"]))
         fullest = max(row["load_peak"] for row in mine)
         yield (
-            f"{words}: latest value after {worst['latency_worst_ms']:.1f} ms ({worst['touch']}), fullest 100 ms of a bus "
-            f"{fullest:.0%}."
+            f"{name}: latest value after {worst['latency_worst_ms']:.1f} ms ({worst['touch']}), fullest 100 ms of a "
+            f"bus {fullest:.0%}."
         )

@@ -28,20 +28,20 @@ def pictures(measured: list[Row], options: Options) -> list[Picture]:
     found = [
         Picture(
             "rivals-curves",
-            "Error where the skin is touched against bits a second of all four buses, both on logarithmic scales: lower "
-            "and further left is better. Every point of an event-triggered skin is one rule; its bits follow the touch.",
+            "Error where the skin is touched against bits a second of all four buses, both logarithmic: lower and "
+            "further left is better. Every point of an event-triggered skin is one rule; its bits follow the touch.",
             partial(_curves, measured),
         ),
         Picture(
             "rivals-latency",
-            "From the sample to the end of its frame: 99th percentile (bar) and worst (dot). Clocks have a bound; events "
-            "wait when many taxels change at once, and with a low threshold those of high node-IDs wait for good.",
+            "From the sample to the end of its frame: 99th percentile (bar) and worst (dot). Clocks have a bound; "
+            "events wait when many taxels change at once, and with a low threshold those of high node-IDs for good.",
             partial(_latencies, measured),
         ),
         Picture(
             "rivals-noise",
-            "Bits that an event-triggered skin sends under a sliding golf ball, by threshold and sensor noise. The grey "
-            "line is what the sums take, whatever the noise; above the dotted one there is no room.",
+            "Bits that an event-triggered skin sends under a sliding golf ball, by threshold and sensor noise. The "
+            "grey line is what the sums take, whatever the noise; above the dotted one there is no room.",
             partial(_noise, measured),
         ),
     ]
@@ -50,7 +50,7 @@ def pictures(measured: list[Row], options: Options) -> list[Picture]:
             Picture(
                 "rivals-images",
                 "What is in use 15 ms after three boxes were slapped on (above), and while a faint box of 2 mN slides "
-                "(below): events of 4 mN are still on their way, and do not see the faint one; 0 to 10 mN.",
+                "(below): events of 4 mN are still on their way above, and see little of the faint one; 0 to 10 mN.",
                 images_figure,
             )
         )
@@ -65,12 +65,14 @@ def _curves(measured: list[Row]) -> Figure:
     panels = np.atleast_1d(figure.subplots(-(-len(shown) // 2), 2, squeeze=False).ravel())
     for panel, (name, touches) in zip(panels, shown.items(), strict=False):
         mine = _of(measured, touches)
-        for contender in dict.fromkeys(row["contender"] for row in mine if "rate_hz" in row and row["rate_hz"]):
+        for contender in dict.fromkeys(row["contender"] for row in mine if row.get("rate_hz")):
             points = sorted(_means(mine, contender))
             style = "o-" if len(points) > 1 else "o"
             panel.plot(*zip(*points, strict=True), style, markersize=4, label=contender)
         for receiver, mark in (("plain", "kx"), ("solved", "k+")):
-            rules = dict.fromkeys(row["contender"] for row in mine if "threshold_n" in row and row["receiver"] == receiver)
+            rules = dict.fromkeys(
+                row["contender"] for row in mine if "threshold_n" in row and row["receiver"] == receiver
+            )
             points = [point for rule in rules for point in _means(mine, rule)]
             if points:
                 panel.plot(*zip(*points, strict=True), mark, label=f"events, {receiver}")
@@ -124,9 +126,7 @@ def _noise(measured: list[Row]) -> Figure:
     panel = figure.subplots()
     for touch in dict.fromkeys(row["touch"] for row in measured if row["touch"].startswith("golf-ball")):
         rules = [row for row in measured if row["touch"] == touch and row.get("receiver") == "plain"]
-        points = sorted(
-            (1e3 * row["threshold_n"], row["kbit_per_s"]) for row in rules if row.get("dead_ms") == 1
-        )
+        points = sorted((1e3 * row["threshold_n"], row["kbit_per_s"]) for row in rules if row.get("dead_ms") == 1)
         noise = touch.partition("noise ")[2] or "1 mN"
         panel.plot(*zip(*points, strict=True), "o-", label=f"events, noise {noise}")
     ours = next(row["kbit_per_s"] for row in measured if row["contender"] == "sums, 16 bits" and row["share"] == 1.0)

@@ -1,4 +1,4 @@
-"""``skin evaluate rivals``: compressed sums against scans, coarse arrays and event-triggered taxels on the same buses."""
+"""``skin evaluate rivals``: compressed sums against scans, coarse arrays and event-triggered taxels."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -13,13 +13,14 @@ from evaluation.schemes.contenders import (
     measure_scan,
     measure_sums,
 )
-from evaluation.schemes.rival_notes import notes
+from evaluation.schemes.rival_notes import chosen_rules, notes
 from evaluation.schemes.rival_pictures import pictures
 from evaluation.schemes.scenes import OWN, SLIDES, recordings_in
 
 Cell = dict[str, Any]
 #: Thresholds in newtons and dead times in milliseconds that event-triggered taxels are tried with.
-RULES: Final = tuple((threshold_n, 1) for threshold_n in (2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 5e-3)) + ((3e-3, 10), (4e-3, 10))
+_THRESHOLDS_N: Final = (2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 5e-3)
+RULES: Final = (*((threshold_n, 1) for threshold_n in _THRESHOLDS_N), (3e-3, 10), (4e-3, 10))
 #: Parts of the default skin's bits at which the curves are measured.
 SHARES: Final = (0.125, 0.25, 0.5)
 #: What is measured at all shares, and shown in the curves.
@@ -57,8 +58,9 @@ def evaluate(options: Options) -> Findings:
     """
     touches = list(_touches(options))
     measured = [*_clocked(touches, options), *_events(touches, options)]
-    rows = [_table_row(each) for each in measured if each["share"] == 1.0]
-    rows.sort(key=lambda row: [touch.words for touch in touches].index(row["touch"]))
+    shown = [each for each in measured if each["share"] == 1.0 and "threshold_n" not in each] + chosen_rules(measured)
+    order = [touch.words for touch in touches]
+    rows = [_table_row(each) for each in sorted(shown, key=lambda each: order.index(each["touch"]))]
     return Findings(
         "Rivals on the same four classic buses, at the bits a second of the default skin",
         rows,

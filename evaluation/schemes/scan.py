@@ -96,7 +96,8 @@ def _sync_times(ticks: int, rate_hz: float, turns: int) -> Nanoseconds:
     """Return when each frame of each scan is asked for, ns, shape (scans, turns); only whole scans."""
     step_ns = 1e9 / (rate_hz * turns)
     scans = int(ticks * TICK_NS / (step_ns * turns) + 1e-9)
-    return np.rint(np.arange(scans * turns) * step_ns).astype(np.int64).reshape(scans, turns)
+    times: Nanoseconds = np.rint(np.arange(scans * turns) * step_ns).astype(np.int64)
+    return times.reshape(scans, turns)
 
 
 def _pack(raw: npt.NDArray[np.int64], bits: int, turns: int) -> npt.NDArray[np.uint8]:

@@ -71,9 +71,10 @@ def _slap(tick: int) -> Iterator[tuple[str, Pose]]:
 
 
 def _shaking(tick: int) -> Iterator[tuple[str, Pose]]:
-    depth = 0.005 * min(1.0, tick / 300) * (1.0 + 0.9 * math.sin(2 * math.pi * 8 * tick * 1e-3))
-    for name, x, y in (("granola-box", 0.0, -0.05), ("cracker-box", -0.01, 0.06)):
-        yield name, Pose(x, y, 0.1, depth)
+    boxes = (("granola-box", 0.0, -0.05, 7.3), ("cracker-box", -0.01, 0.06, 9.1))
+    for name, x, y, rate_hz in boxes:  # of no rate that a scan could keep step with
+        swing = 1.0 + 0.9 * math.sin(2 * math.pi * rate_hz * tick * 1e-3)
+        yield name, Pose(x, y, 0.1, 0.005 * min(1.0, tick / 300) * swing)
 
 
 def _nothing(tick: int) -> Iterator[tuple[str, Pose]]:
@@ -126,7 +127,8 @@ def scene(
 
 def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:
     fingertip = ball(0.016)
-    return press(Grid(), [(fingertip if name == "fingertip" else spheres_of(name, meshes), pose) for name, pose in objects])
+    named = ((fingertip if name == "fingertip" else spheres_of(name, meshes), pose) for name, pose in objects)
+    return press(Grid(), named)
 
 
 def _counts(felt_n: Force) -> npt.NDArray[np.int16]:

@@ -10,7 +10,7 @@ from scipy.ndimage import zoom
 from evaluation.schemes.judge import Images
 from evaluation.schemes.sums import SOLVED_NS
 from reconstructor.engine import Reconstructor
-from reconstructor.presets import LIVE
+from reconstructor.presets import LIVE, Settings
 from skin.measurement import Sbhe, sbhe
 from touch.contact import Force
 
@@ -43,8 +43,8 @@ def smoothed(held: Images, penalty_n: float, *, remembering: bool = True, noise_
     """
     cells = held.force_n.shape[1]
     side, phi = round(cells**0.5), _complete(cells)
-    settings = {**LIVE, "penalty_n": penalty_n, "remembering": remembering}
-    engine = Reconstructor(phi, side, side, **settings, noise_n=noise_n)  # type: ignore[arg-type]  # a typed dict, changed
+    settings: Settings = {**LIVE, "penalty_n": penalty_n, "remembering": remembering}
+    engine = Reconstructor(phi, side, side, **settings, noise_n=noise_n)
     valid = np.ones(cells, np.bool_)
     sums = np.asarray(phi.forward(held.force_n), np.float32)
     images = np.stack([engine.solve(each, valid).ravel() for each in sums])
@@ -52,7 +52,7 @@ def smoothed(held: Images, penalty_n: float, *, remembering: bool = True, noise_
 
 
 def refined(held: Images, order: int) -> Images:
-    """Return images of a coarse array on 64 x 64 taxels, by bilinear (`order` 1) or bicubic splines (3), none below 0."""
+    """Return a coarse array's images on 64 x 64 taxels, by bilinear (`order` 1) or bicubic (3) splines, not below 0."""
     side = round(held.force_n.shape[1] ** 0.5)
     if side == FINE_SIDE:
         return held

@@ -38,7 +38,8 @@ def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> N
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (["--bitrate", "0"], "bit rates above 0"),
+        (["--bitrate", "1"], "bit rate of 10000 to 1000000 bit/s"),
+        (["--data-bitrate", "1000"], "1000000 (the bit rate) to 8000000 bit/s, or 0 for no CAN FD"),
         (["--fault", "lost=1"], "loss_ratio"),
         (["--queue-size", "0"], "queue"),
         (["--restart-s", "nan"], "restart after 0 to 3600 s"),

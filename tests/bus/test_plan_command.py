@@ -107,9 +107,10 @@ def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
 def test_a_wish_that_cannot_be_met_says_what_is_missing(skin: Skin) -> None:
     wish = ("plan", "--taxels", 4096, "--rate", 100, "--buses", 1, "--can", "classic")
     status, out, said = skin(*wish)
-    assert (status, out) == (2, "")
+    assert (status, out) == (1, "")
     assert "bits a second" in said
     assert "node-IDs" in said
+    assert "it fits at up to 46 Hz" in said
     status, out, _ = skin(*wish, "--json")
     document = json.loads(out)
     assert (status, document["fits"], document["layout"]) == (1, False, None)
@@ -127,10 +128,15 @@ def test_pictures(skin: Skin, tmp_path: Path) -> None:
         (["plan", "default", "--taxels", "64"], "not both"),
         (["plan", "--out", "x.toml"], "give --taxels"),
         (["plan", "--taxels", "100"], "power of two"),
-        (["plan", "--jitter-s", "-1"], "0 or more"),
+        (["plan", "--rate", "50", "--can", "fd"], "--rate and --can: only for the search"),
+        (["plan", "--jitter-s", "-1"], "jitter of 0 to 1 s"),
+        (["plan", "--jitter-s", "nan"], "jitter of 0 to 1 s"),
+        (["plan", "--errors-per-s", "inf"], "errors of 0 to 20000 a second"),
+        (["plan", "--sdo-per-s", "1e6"], "SDO transfers of 0 to 20000 a second"),
         (["plan", "--check", "nowhere.log"], "no such log"),
         (["load", "nowhere.log"], "no such log"),
         (["load", "--seconds", "0"], "seconds above 0"),
+        (["load", "--seconds", "inf"], "finite number of seconds above 0"),
     ],
 )
 def test_wrong_input_is_one_line_and_status_2(skin: Skin, arguments: list[str], said: str) -> None:

@@ -13,6 +13,8 @@ import pytest
 from cantools.database import load_file
 from cantools.logreader import Parser
 
+from bandwidth.plan import plan
+from dbc.contract import contract
 from skin.messages import GatewayStatus
 from tests.processes import Processes
 from tests.vcan.chain import RATE_HZ, Chain, complete, ip_link, running_chain
@@ -60,7 +62,7 @@ def test_what_candump_logs_decodes_to_the_sums_the_nodes_computed(chain: Chain) 
         assert np.array_equal([sums[name] for name in names], chain.true_sums(measurement))
 
 
-def test_load_is_what_canbusload_says(chain: Chain) -> None:
+def test_load_is_what_canbusload_and_the_plan_say(chain: Chain) -> None:
     first = len(chain.statuses)
     buses = [f"vcan{number}@{bus.bitrate}" for number, bus in enumerate(chain.layout.bus)]
     chain.processes.start("canbusload", "canbusload", "-e", *buses)
@@ -68,14 +70,16 @@ def test_load_is_what_canbusload_says(chain: Chain) -> None:
     chain.processes.stop("canbusload", signal.SIGINT)
     statuses = chain.statuses[first:]
     elapsed_s = np.diff([status.time_ns for status in statuses]) * 1e-9
+    planned = plan(contract(chain.layout))
     for number, bus in enumerate(chain.layout.bus):
         said = re.findall(rf"vcan{number}@\d+ +(\d+) +(\d+)", chain.processes.log("canbusload").read_text())
         bits = [int(bits) for _, bits in said][1:]
         assert len(bits) >= 9
         theirs = np.mean(bits) / bus.bitrate
         ours = np.average([status.buses[number].load_ratio for status in statuses[1:]], weights=elapsed_s)
-        print(bus.name, theirs, ours, ours / theirs, len(bits))
+        print(bus.name, theirs, ours / theirs, planned[number].load_average / theirs, len(bits))
         assert ours == pytest.approx(theirs, rel=0.02)
+        assert planned[number].load_average == pytest.approx(theirs, rel=0.02)
 
 
 @pytest.mark.parametrize(
