@@ -37,13 +37,10 @@ def _surface(rows: list[Row], kind: str) -> Figure:
             down, across = heights.index(row["rows_of_32"]), widths.index(row["bits"])
             surface[down, across] = row[key]
             bright = row[key] < (min(values) + max(values)) / 2
-            weight = "bold" if row["recommended"] else "normal"
             text = f"{row[key]:.1f} dB\n{row['rate_hz']:g} Hz"
-            panel.text(
-                across, down, text, ha="center", va="center", color="white" if bright else "black", weight=weight
-            )
-            if row["recommended"]:
-                panel.plot(across, down, "s", markersize=58, markerfacecolor="none", color="red")
+            panel.text(across, down, text, ha="center", va="center", color="white" if bright else "black")
+            if kind in row["best_for"]:
+                panel.plot(across, down, "s", markersize=48, markerfacecolor="none", color="red")
         drawn = panel.imshow(surface, vmin=min(values), vmax=max(values), cmap="viridis", aspect="auto")
         panel.set_xticks(range(len(widths)), [str(bits) for bits in widths])
         panel.set_yticks(range(len(heights)), [str(height) for height in heights])

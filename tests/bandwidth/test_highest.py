@@ -1,0 +1,45 @@
+"""The highest rate: a step more breaks the plan, and published rates are met where bits alone decide."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from bandwidth.alternatives import planned
+from bandwidth.highest import STEP_HZ, highest_rate_hz
+from bandwidth.traffic import Disturbance
+from skin.errors import InputError
+from skin.layout import SHIPPED, Layout, load_layout
+
+
+def at(layout: Layout, rate_hz: float) -> Layout:
+    return msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("budget", [0.8, 1.0])
+def test_the_highest_rate_fits_and_a_step_more_does_not(name: str, budget: float) -> None:
+    layout = load_layout(Path(name))
+    rate_hz = highest_rate_hz(layout, budget)
+
+    def fits(tried_hz: float) -> bool:
+        plans = planned(at(layout, tried_hz), Disturbance())
+        return all(each.load_worst <= budget and not each.problems for each in plans)
+
+    assert fits(rate_hz)
+    assert not fits(rate_hz + STEP_HZ)
+
+
+def test_published_rates_at_80_percent() -> None:
+    assert highest_rate_hz(load_layout()) == pytest.approx(92, rel=0.01)
+    assert highest_rate_hz(load_layout(Path("fd"))) == pytest.approx(0.8 * 184, rel=0.01)
+
+
+def test_no_rate_keeps_the_window_of_a_bus_full_of_errors() -> None:
+    assert highest_rate_hz(load_layout(), 0.8, Disturbance(errors_per_s=20_000)) == 0
+
+
+@pytest.mark.parametrize("wrong", [{"jitter_s": -1.0}, {"sdo_per_s": float("nan")}, {"errors_per_s": float("inf")}])
+def test_disturbances_that_no_bus_has(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="expected"):
+        Disturbance(**wrong)

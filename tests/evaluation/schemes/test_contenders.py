@@ -1,0 +1,113 @@
+"""What the contenders send and show, where the answer is known."""
+
+import numpy as np
+import pytest
+
+from dbc.contract import contract
+from evaluation.schemes.events import EventRule, run_events
+from evaluation.schemes.judge import Images, Updates, quality
+from evaluation.schemes.patches import patches
+from evaluation.schemes.scan import run_scan
+from evaluation.schemes.smoothing import refined, smoothed
+from evaluation.schemes.sums import run_sums
+from skin.layout import load_layout
+
+NEWTON_PER_COUNT = 0.02 / 1023
+
+
+def steps(*levels: int, ticks: int = 20) -> np.ndarray:
+    """Return counts of a skin whose taxel 100 takes each level for `ticks` milliseconds; all else is 0."""
+    counts = np.zeros((ticks * len(levels), 4096), np.int16)
+    for place, level in enumerate(levels):
+        counts[ticks * place : ticks * (place + 1), 100] = level
+    return counts
+
+
+@pytest.mark.parametrize("side", [64, 32, 16, 8])
+def test_every_cell_has_one_node_and_all_buses_have_as_many(side: int) -> None:
+    held = patches(side)
+    assert np.array_equal(np.sort(held.ravel()), np.arange(side * side))
+    assert held.shape[0] == 4
+
+
+def test_a_change_is_sent_once_it_reaches_the_threshold_and_no_smaller_one() -> None:
+    run = run_events(steps(0, 99, 100, 199, 0), NEWTON_PER_COUNT, EventRule(100 * NEWTON_PER_COUNT))
+    shown = np.rint(run.updates.force_n / NEWTON_PER_COUNT).astype(int)
+    assert shown.tolist() == [100, 0]
+    assert set(run.updates.taxel.tolist()) == {100}
+    # 2 bytes: 47 + 16 bits and some stuff bits, at once on an idle bus.
+    assert np.all((run.latency_ns >= 60_000) & (run.latency_ns < 80_000))
+    assert run.waiting_ns.size == 0
+
+
+def test_a_dead_taxel_waits() -> None:
+    rule = EventRule(100 * NEWTON_PER_COUNT, dead_ms=15)
+    run = run_events(steps(0, 500, 0, ticks=10), NEWTON_PER_COUNT, rule)
+    assert np.rint(run.updates.force_n / NEWTON_PER_COUNT).astype(int).tolist() == [500, 0]
+    assert np.floor(run.latency_ns / 1e6).tolist() == [0, 5]
+
+
+def test_a_full_bus_leaves_high_node_ids_waiting() -> None:
+    random = np.random.default_rng(0)
+    counts = random.integers(0, 1024, (80, 4096)).astype(np.int16)
+    run = run_events(counts, NEWTON_PER_COUNT, EventRule(50 * NEWTON_PER_COUNT))
+    assert run.sent.traffic()["load"] > 0.99
+    sent = np.bincount(run.node[run.frame_of], minlength=32)
+    assert sent[0] > sent[1] > 0
+    assert not sent[8:].any()
+    assert run.waiting_ns.max() > 70_000_000
+
+
+def test_a_lost_event_stays_wrong_until_the_next() -> None:
+    run = run_events(steps(0, 500, 500, 500), NEWTON_PER_COUNT, EventRule(0.004))
+    true = (steps(0, 500, 500, 500) * NEWTON_PER_COUNT).astype(np.float32)
+    assert quality(true, run.updates)["longest_wrong_ms"] == 1
+    assert quality(true, run.without(np.ones(len(run.sent.asked), np.bool_)))["longest_wrong_ms"] == 60
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_a_scan_brings_every_value_of_a_still_skin(bits: int) -> None:
+    still = np.tile(np.random.default_rng(bits).random(4096, np.float32) * np.float32(0.02), (60, 1))
+    run = run_scan(still, bits, 20.0)
+    shown = run.updates.held(run.scan_ns, 4096).force_n[-1]
+    assert np.abs(shown - still[0]).max() <= 0.51 * 0.02 / ((1 << bits) - 1)
+    packed = run.sent.asked.frames
+    assert packed["length"][: 4 * 32 * (bits // 2)].max() == 8
+
+
+def test_sums_of_a_still_skin_and_a_lost_frame() -> None:
+    made = contract(load_layout())
+    counts = np.tile(np.random.default_rng(1).integers(0, 1024, 4096).astype(np.int16), (30, 1))
+    run = run_sums(made, counts)
+    exact = made.phi.forward(counts[0].astype(np.int32)) * made.layout.taxels.newton_per_count
+    assert run.sums_n.shape == (3, 1024)
+    np.testing.assert_allclose(run.sums_n[0], exact, rtol=1e-6, atol=1e-7)
+    assert run.valid.all()
+    assert run.closed_ns[0] == run.latency_ns[:256].max()
+    lost = run_sums(made, counts, loss_ratio=0.05, seed=3)
+    assert 0 < (~lost.valid).sum() < lost.valid.size / 2
+    assert ((~lost.valid).sum(axis=1) % 8 == 0).all()
+
+
+def test_quality_of_known_errors() -> None:
+    true = np.zeros((4, 16), np.float32)
+    true[:, 3] = 0.01
+    right = Images(np.array([1_500_000]), true[:1])
+    found = quality(true, right)
+    # Zeros are shown for two ticks: 10 log10(0.02² / (0.01² / 16)) dB.
+    assert found["psnr_least_db"] == pytest.approx(10 * np.log10(64), abs=1e-4)
+    assert found["psnr_peak_db"] == 71.0
+    assert found["longest_wrong_ms"] == 2
+    assert found["touched_error_mn"] == pytest.approx(10 * 0.5**0.5, rel=1e-6)
+    late = Updates(np.array([2_000_000]), np.array([3]), np.array([0.01], np.float32))
+    assert quality(true, late) == found
+    assert quality(np.zeros_like(true), late)["touched_error_mn"] is None
+
+
+def test_finer_and_smoother_images_keep_a_flat_touch() -> None:
+    flat = Images(np.array([0, 10_000_000]), np.full((2, 1024), 0.005, np.float32))
+    for order in (1, 3):
+        np.testing.assert_allclose(refined(flat, order).force_n, 0.005, atol=1e-6)
+    solved = smoothed(flat, 0.012)
+    np.testing.assert_allclose(solved.force_n[-1], 0.005, atol=1e-4)
+    assert solved.ready_ns.tolist() == [1_000_000, 11_000_000]
