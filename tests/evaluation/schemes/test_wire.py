@@ -36,7 +36,9 @@ def arbitrated(sent: Sent, number: int) -> dict[tuple[int, int], list[int]]:
 
 def order(sent: Frames, times: np.ndarray) -> dict[tuple[int, int], list[int]]:
     found: dict[tuple[int, int], list[int]] = {}
-    for can_id, first, time_ns in sorted(zip(sent["can_id"].tolist(), sent["data"][:, 0].tolist(), times.tolist())):
+    for can_id, first, time_ns in sorted(
+        zip(sent["can_id"].tolist(), sent["data"][:, 0].tolist(), times.tolist(), strict=True)
+    ):
         found.setdefault((can_id, first), []).append(time_ns)
     return found
 
