@@ -2,6 +2,7 @@
 
 import select
 import socket
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -32,9 +33,12 @@ from bus.protocol import (
 from bus.retry import Backoff
 from dbc.frame import ECHO, FD, Frames, frames
 from skin.errors import BusError
+from skin.service import StopSignal, say
 
 #: How long the process of a bus may take to answer a greeting.
 GREETING_S: Final = 5.0
+#: After this long without the bus, a program says that it waits.
+SILENT_S: Final = 1.0
 #: Packets taken by one `receive`, so that a flood cannot keep a caller in it.
 PACKETS_PER_CALL: Final = 256
 
@@ -52,6 +56,8 @@ class ArbitratedLink:
         What is asked of it.
     wait_s : float
         How long to wait for a bus that is not there yet.
+    stop : StopSignal, optional
+        Ends the process, quietly and with 0, if it is set while this waits.
 
     Raises
     ------
@@ -59,7 +65,7 @@ class ArbitratedLink:
         If the bus is not there, or refuses.
     """
 
-    def __init__(self, channel: str, hello: Hello, *, wait_s: float = 0.0) -> None:
+    def __init__(self, channel: str, hello: Hello, *, wait_s: float = 0.0, stop: StopSignal | None = None) -> None:
         self.channel = channel
         self._hello = hello
         self._path = socket_path(channel)
@@ -72,7 +78,7 @@ class ArbitratedLink:
         self._sent = np.zeros(MAX_PORTS, np.int64)
         self._returned = np.zeros(MAX_PORTS, np.int64)
         self._socket: socket.socket | None
-        self._socket, self.welcome = self._connect_within(wait_s)
+        self._socket, self.welcome = self._connect_within(wait_s, stop or StopSignal())
         self._epoll = select.epoll()  # one descriptor for select, whatever happens to the socket
         self._epoll.register(self._socket, select.EPOLLIN)
 
@@ -223,18 +229,23 @@ class ArbitratedLink:
                     self._sent[:] = self._returned[:] = 0
             return self._socket
 
-    def _connect_within(self, wait_s: float) -> tuple[socket.socket, Welcome]:
-        until_s = time.monotonic() + wait_s
+    def _connect_within(self, wait_s: float, stop: StopSignal) -> tuple[socket.socket, Welcome]:
+        since_s, told = time.monotonic(), False
         while True:
             try:
                 return self._connect()
             except OSError as error:
-                if time.monotonic() >= until_s:
+                waited_s = time.monotonic() - since_s
+                if waited_s >= wait_s:
                     raise BusError(
                         f"no bus '{self.channel}' at {self._path} ({error.strerror or error}): "
                         f"start it with 'skin bus {self.channel}'"
                     ) from error
-            time.sleep(0.02)
+            if waited_s > SILENT_S and not told:
+                say(self._hello.name, f"waits for bus '{self.channel}'")
+                told = True
+            if stop.wait(0.02):
+                sys.exit(0)
 
     def _connect(self) -> tuple[socket.socket, Welcome]:
         """Connect and greet.

@@ -7,6 +7,7 @@ from bus.error_frames import State
 from bus.outbox import DISCARDED
 from bus.protocol import Filter, Hello
 from dbc.frame import Frames
+from skin.service import StopSignal
 
 __all__ = ["DISCARDED", "Filter", "Link", "State", "open_link"]
 
@@ -59,6 +60,7 @@ def open_link(
     filters: Sequence[Filter] | None = None,
     name: str = "link",
     wait_s: float = 0.0,
+    stop: StopSignal | None = None,
 ) -> Link:
     """Open a CAN interface.
 
@@ -78,6 +80,8 @@ def open_link(
         What faults of a virtual bus are aimed at.
     wait_s : float
         How long to wait for a virtual bus that is still starting.
+    stop : StopSignal, optional
+        Ends the process if it is set meanwhile.
 
     Raises
     ------
@@ -89,7 +93,7 @@ def open_link(
         from bus.arbitrated import ArbitratedLink
 
         hello = Hello(name=name, bitrate=bitrate, data_bitrate=data_bitrate, fd=fd, filters=allowed)
-        return ArbitratedLink(channel, hello, wait_s=wait_s)
+        return ArbitratedLink(channel, hello, wait_s=wait_s, stop=stop)
     if interface == "socketcan":
         from bus.socketcan import SocketCanLink
 

@@ -22,6 +22,7 @@ from skin.layout import Layout
 _UNREADABLE: Final = (
     OSError,
     EOFError,
+    OverflowError,
     ValueError,
     TypeError,
     IndexError,

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from bus.link import Link, open_link
 from skin.errors import InputError
 from skin.layout import Bus, Layout
+from skin.service import StopSignal
 
 #: How long a service waits for a bus server that is still starting.
 OPEN_WAIT_S = 10.0
@@ -54,9 +55,16 @@ def channels(layout: Layout, options: BusOptions) -> list[str]:
 
 
 def open_links(
-    layout: Layout, options: BusOptions, wanted: Iterable[int] | None = None, *, name: str = "link"
+    layout: Layout,
+    options: BusOptions,
+    wanted: Iterable[int] | None = None,
+    *,
+    name: str = "link",
+    stop: StopSignal | None = None,
 ) -> dict[int, Link]:
     """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus are aimed at `name`.
+
+    A `stop` that is set while this waits for a bus ends the process.
 
     Raises
     ------
@@ -65,10 +73,10 @@ def open_links(
     """
     names = channels(layout, options)
     numbers = range(len(names)) if wanted is None else sorted(wanted)
-    return {number: _open(options.interface, names[number], layout.bus[number], name) for number in numbers}
+    return {number: _open(options.interface, names[number], layout.bus[number], name, stop) for number in numbers}
 
 
-def _open(interface: str, channel: str, bus: Bus, name: str) -> Link:
+def _open(interface: str, channel: str, bus: Bus, name: str, stop: StopSignal | None) -> Link:
     return open_link(
         interface,
         channel,
@@ -77,4 +85,5 @@ def _open(interface: str, channel: str, bus: Bus, name: str) -> Link:
         data_bitrate=bus.data_bitrate,
         name=name,
         wait_s=OPEN_WAIT_S,
+        stop=stop,
     )

@@ -20,6 +20,8 @@ from skin.service import say
 NMT_START: Final = 1
 #: An SDO answer waits behind a whole burst of sums; five SYNC periods are ample.
 SDO_TIMEOUT_S: Final = 0.3
+#: Below are the aborts of a transfer (CiA 301, table 22: toggle bit, time-out, command), which say nothing of the node.
+FIRST_ABORT_OF_THE_OBJECT: Final = 0x0600_0000
 #: What a segment of an SDO transfer carries (CiA 301, 7.2.4.3.6), and far more than any object asked for.
 SEGMENT_BYTES: Final = 7
 LONGEST_VALUE: Final = 256
@@ -110,6 +112,8 @@ class Boot:
         except canopen.SdoCommunicationError:
             return
         except canopen.SdoAbortedError as error:
+            if error.code < FIRST_ABORT_OF_THE_OBJECT:
+                return  # the transfer was disturbed: the node is asked again
             self.refused.add(node.node_id)
             say("gateway", f"node {node.node_id} on {self._name} is no skin node: {error}")
             return

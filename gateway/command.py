@@ -37,7 +37,7 @@ def gateway(
     """
     stop = StopSignal().install()
     skin = load_layout(layout)
-    links = open_links(skin, bus or BusOptions(), name="gateway")
+    links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     fabric = Fabric(skin.name, "gateway", connect or listen, hub=connect is None, stop=stop)
     say("gateway", f"{len(links)} buses, SYNC {skin.sync.rate_hz:g} Hz")
     try:

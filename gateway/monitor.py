@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
 from bus.link import Link
-from dbc.contract import EMCY_BASE, HEARTBEAT_BASE, HIGHEST_NODE_ID, Contract
+from dbc.contract import EMCY_BASE, HEARTBEAT_BASE, HIGHEST_NODE_ID, SYNC_COB_ID, Contract
 from dbc.frame import ERROR, Frames, frames
 from skin.messages import BusState
 
@@ -42,6 +42,8 @@ class BusMonitor:
         self._start_s = self._since_s
         #: Node-ID and error code of the emergencies since the last look.
         self.emergencies: list[tuple[int, int]] = []
+        #: SYNCs of somebody else since the last look.
+        self.foreign_syncs = 0
         #: Node-IDs whose boot-up message has come since the last look.
         self.booted: set[int] = set()
 
@@ -53,6 +55,7 @@ class BusMonitor:
         plain = arrived["flags"] == 0
         for frame in arrived[beats & plain]:
             self._beat(int(frame["can_id"]) - HEARTBEAT_BASE, int(frame["data"][0]) & 0x7F)
+        self.foreign_syncs += int(np.count_nonzero(plain & (can_id == SYNC_COB_ID)))
         emcy = (can_id > EMCY_BASE) & (can_id <= EMCY_BASE + HIGHEST_NODE_ID) & (arrived["length"] == EMCY_BYTES)
         for frame in arrived[emcy & plain]:
             self._emergency(int(frame["can_id"]) - EMCY_BASE, int.from_bytes(frame["data"][:2].tobytes(), "little"))
@@ -86,7 +89,9 @@ class BusMonitor:
         overdue = time.monotonic() - self._heard_s > self._silent_after_s
         return np.where(overdue, np.uint8(SILENT), self._nmt)
 
-    def state(self, link: Link, missing: npt.NDArray[np.int64], late: npt.NDArray[np.int64]) -> BusState:
+    def state(
+        self, link: Link, missing: npt.NDArray[np.int64], late: npt.NDArray[np.int64], refused: list[int]
+    ) -> BusState:
         """Return the state of the bus; the load is that since the last call.
 
         Parameters
@@ -95,6 +100,8 @@ class BusMonitor:
             The connection itself.
         missing, late : array of int, shape (nodes,)
             What the collector counted of each node's frames.
+        refused : list of int
+            Nodes that boot refused.
         """
         self.account()
         now_s = time.monotonic()
@@ -109,6 +116,7 @@ class BusMonitor:
             missing=missing.tolist(),
             late=late.tolist(),
             emcy=list(self._emcy),
+            refused=refused,
             link=link.state.name.lower(),
             overrun=link.dropped,
         )

@@ -124,7 +124,9 @@ class GatewayService:
         places = [place for place, _ in self._places[number]]
         collector = self.collector
         line = self._lines[number]
-        return line.monitor.state(line.link, collector.missing_of_node[places], collector.late_of_node[places])
+        return line.monitor.state(
+            line.link, collector.missing_of_node[places], collector.late_of_node[places], sorted(line.boot.refused)
+        )
 
     def _line(self, number: int, link: Link) -> _Line:
         network = MasterNetwork(link)
@@ -187,6 +189,9 @@ class GatewayService:
         for node_id, code in line.monitor.emergencies:
             self._complaints.complain(f"EMCY {code:04X}h from node {node_id} on {self._made.layout.bus[number].name}")
         line.monitor.emergencies.clear()
+        if line.monitor.foreign_syncs:
+            self._complaints.complain(f"another SYNC producer on {self._made.layout.bus[number].name}: its cycles mix")
+            line.monitor.foreign_syncs = 0
         if line.monitor.booted:
             for node in self._made.on_bus(number):
                 if node.node_id in line.monitor.booted:

@@ -78,7 +78,7 @@ def nodes(
     source = _recording(skin, input, full_scale, array) if input else _objects(skin, objects, seed)
     noise = 0.0 if source.has_noise else noise_n
     sampler = Sampler(made.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
-    links = open_links(skin, bus or BusOptions(), chosen, name="nodes")
+    links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     joined = Fabric(skin.name, "nodes", connect, stop=stop) if fabric else None
     service = NodesService(made, links, chosen, sampler, joined)
     say("nodes", f"{sum(map(len, chosen.values()))} nodes on {len(links)} buses")

@@ -27,6 +27,7 @@ from nodes.nmt import NmtCommand, NmtState
 from nodes.node import SkinNode
 from nodes.sampler import Sampler
 from nodes.tpdo import Tpdo
+from skin.service import Complaints
 
 #: A node answers this long after the end of the SYNC frame, on the bus's clock, as a microcontroller would.
 REACTION_NS: Final = 100_000
@@ -64,6 +65,8 @@ class Segment:
         self.frames_rejected = 0
         self.syncs_seen = 0
         self._sent = self._dropped = 0
+        self._name = made.layout.bus[bus].name
+        self._complaints = Complaints("nodes")
         wires = made.layout.bus[bus]
         self._frame_ns = int(frame_time_ns(made.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
         self._made = made
@@ -131,6 +134,8 @@ class Segment:
         elif can_id == NMT_COB_ID:
             self._nmt(data, now_s)
         elif can_id > HEARTBEAT_BASE:
+            if can_id - HEARTBEAT_BASE in self._by_id and not frame["flags"] & ECHO:
+                self._complaints.complain(f"node-ID {can_id - HEARTBEAT_BASE} is on {self._name} twice")
             for node in self.nodes:
                 node.heard(can_id - HEARTBEAT_BASE, now_s)
         elif len(data) == SDO_BYTES:

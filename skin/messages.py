@@ -112,6 +112,8 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
         Per node the error code of its newest emergency, 0 for none (CiA 301, 7.2.7.1).
     link : str
         What the gateway's own controller says: active, warning, passive, bus_off, or lost.
+    refused : list of int
+        Node-IDs that are there and not used: they measure something else, or are no skin nodes.
     overrun : int
         Frames the gateway's receive buffer lost since the start.
     """
@@ -123,6 +125,7 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     missing: list[int] = []
     late: list[int] = []
     emcy: list[int] = []
+    refused: list[int] = []
     link: str = "active"
     overrun: int = 0
 

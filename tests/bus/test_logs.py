@@ -52,6 +52,7 @@ def test_formats(tmp_path: Path, suffix: str) -> None:
         ("words.log", b"these are words\n", "cannot be read"),
         ("bytes.blf", bytes(200), "cannot be read"),
         ("what.pdf", b"%PDF", "cannot be read"),
+        ("never.log", b"(1e400) can0 181#01\n", "cannot be read"),
         ("half.log", b"(1.0) can0 181#01G0\n", "cannot be read"),
     ],
 )

@@ -21,6 +21,7 @@ from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Kind, pack, runtime_folder, 
 from bus.server import BusServer, BusSettings
 from dbc.frame import BRS, ECHO, ERROR, EXTENDED, FD
 from skin.errors import BusError, InputError
+from skin.service import StopSignal
 from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame, linked, serving
 
 
@@ -315,3 +316,11 @@ def test_a_link_may_be_closed_twice() -> None:
     with serving("bus0"), linked("a") as (a,):
         a.close()
         assert (a.send(frame(1)), len(a.receive())) == (0, 0)
+
+
+def test_a_stop_is_heeded_while_a_bus_is_awaited() -> None:
+    stop = StopSignal()
+    stop.set()
+    with pytest.raises(SystemExit) as ended:
+        open_link("canskin", "nowhere", 1_000_000, wait_s=PATIENCE_S, stop=stop)
+    assert ended.value.code == 0

@@ -143,3 +143,30 @@ def test_a_transfer_without_end_is_left(made: Contract, capsys: pytest.CaptureFi
     run(boot)
     assert not trusted
     assert "answers strangely: object" in capsys.readouterr().err
+
+
+class Disturbed(Wire):
+    """A far end that aborts the first transfer as a lost toggle bit would, and then answers well."""
+
+    def __init__(self, nodes: Segment | None) -> None:
+        super().__init__(nodes)
+        self._aborts = 1
+
+    def send(self, burst: Frames) -> int:
+        if self._aborts and burst["can_id"][0] > SDO_REQUEST_BASE:
+            self._aborts -= 1
+            code = (0x0503_0000).to_bytes(4, "little")
+            self.heard(SDO_RESPONSE_BASE + 1, bytearray([0x80, 0, 0, 0, *code]), 0.0)
+            return len(burst)
+        return super().send(burst)
+
+
+def test_a_disturbed_transfer_refuses_nobody(made: Contract, wire: Wire) -> None:
+    disturbed, trusted = Disturbed(wire._nodes), []
+    boot, _ = boot_of(disturbed, [made.on_bus(0)[0]], made.phi.fingerprint, trusted)
+    boot.start()
+    assert boot._first_pass.wait(PATIENCE_S)
+    assert (trusted, boot.refused) == ([], set())
+    boot._check(made.on_bus(0)[0])  # what asking again does
+    assert trusted == [1]
+    boot.stop()

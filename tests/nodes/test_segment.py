@@ -216,6 +216,15 @@ def test_event_driven_pdo_keeps_its_timers(segment: Segment, link: ArrayLink) ->
     assert segment.frames_sent == read(segment, link, 1, 0x2020, 2) == len(times)
 
 
+def test_a_second_device_with_a_node_id_is_told(
+    segment: Segment, link: ArrayLink, capsys: pytest.CaptureFixture[str]
+) -> None:
+    give(segment, link, frame(0x702, b"\5", ECHO), frame(0x705, b"\5"))
+    assert capsys.readouterr().err == ""
+    give(segment, link, frame(0x702, b"\5"))
+    assert capsys.readouterr().err == "nodes: node-ID 2 is on bus0 twice\n"
+
+
 def test_lost_heartbeat_of_a_watched_node(segment: Segment, link: ArrayLink) -> None:
     write(segment, link, 0x1016, 1, 0x7F << 16 | 100, 4)
     give(segment, link, frame(0, bytes((START, 1))))
