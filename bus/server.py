@@ -109,6 +109,8 @@ class BusServer:
         self._buffer = bytearray(MAX_PACKET + 1)
         frame_time_ns(frames(1), settings.bitrate)  # compile before the first client comes
         folder = folder or runtime_folder()
+        if len(set(channels)) < len(channels):
+            raise InputError(f"expected each bus once, got {' '.join(channels)}")
         try:
             _own_folder(folder)
             for place, channel in enumerate(channels):
@@ -267,6 +269,8 @@ class BusServer:
                 self._take(line, session, memoryview(self._buffer)[:size])
         except BlockingIOError:
             return
+        except ConnectionError:  # gone with frames it had not read
+            self._lose(line, session, "")
         except (OSError, ProtocolError, InputError) as error:
             self._lose(line, session, f"disconnected: {error}")
 

@@ -1,8 +1,9 @@
 """The layout of one skin: skin ▸ bus ▸ node ▸ block ▸ taxel, read from one TOML file."""
 
+import re
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -18,8 +19,7 @@ BITRATE_MAX: Final = 1_000_000
 DATA_BITRATE_MAX: Final = 8_000_000
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
-PositiveFloat = Annotated[float, msgspec.Meta(gt=0)]
-Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
+Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -31,8 +31,8 @@ class Taxels(_Table, frozen=True, kw_only=True):
 
     rows: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
     columns: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
-    pitch_m: PositiveFloat = 0.004
-    force_max_n: PositiveFloat = 0.02
+    pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
+    force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
 
     @property
@@ -60,7 +60,8 @@ class Measuring(_Table, frozen=True, kw_only=True):
 class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h)."""
 
-    rate_hz: Annotated[float, msgspec.Meta(gt=0, le=2000)] = 100.0
+    # Times of the dictionary are microseconds in 32 bits, and a slower skin would not be one.
+    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=2000)] = 100.0
 
     @property
     def period_s(self) -> float:
@@ -127,6 +128,15 @@ class Layout(_Table, frozen=True, kw_only=True):
         return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
 
 
+#: What the keys of few values may be.
+_CHOICES: Final = {
+    key: get_args(kind)
+    for table in (Measuring, Encoding, Bus)
+    for key, kind in get_type_hints(table).items()
+    if get_origin(kind) is Literal
+}
+
+
 def load_layout(path: Path | None = None) -> Layout:
     """Read a layout: a file or, by its bare name, one of `SHIPPED`; without a path, the default skin.
 
@@ -150,12 +160,19 @@ def parse_layout(content: bytes, origin: str) -> Layout:
     try:
         layout = msgspec.toml.decode(content, type=Layout)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise LayoutError(f"{origin}: {error}") from error
+        raise LayoutError(f"{origin}: {_with_choices(str(error))}") from error
     try:
         _check(layout)
     except LayoutError as error:
         raise LayoutError(f"{origin}: {error}") from error
     return layout
+
+
+def _with_choices(text: str) -> str:
+    """Return msgspec's message; where a value is none of its key's choices, with those."""
+    key = re.match(r"Invalid enum value .* at `\$\.(?:.*\.)?(\w+)`", text)
+    choices = _CHOICES.get(key[1]) if key else None
+    return f"{text}: expected {' or '.join(map(str, choices))}" if choices else text
 
 
 def _check(layout: Layout) -> None:

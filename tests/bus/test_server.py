@@ -318,6 +318,11 @@ def test_a_link_may_be_closed_twice() -> None:
         assert (a.send(frame(1)), len(a.receive())) == (0, 0)
 
 
+def test_a_bus_named_twice_is_refused() -> None:
+    with pytest.raises(InputError, match="expected each bus once, got bus0 bus0"):
+        BusServer(["bus0", "bus0"], BusSettings())
+
+
 def test_a_stop_is_heeded_while_a_bus_is_awaited() -> None:
     stop = StopSignal()
     stop.set()

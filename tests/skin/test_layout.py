@@ -7,7 +7,17 @@ import pytest
 
 import skin.layouts
 from skin.errors import LayoutError
-from skin.layout import SHIPPED, Layout, load_layout, parse_layout
+from skin.layout import (
+    SHIPPED,
+    Bus,
+    Encoding,
+    Layout,
+    Measuring,
+    Sync,
+    Taxels,
+    load_layout,
+    parse_layout,
+)
 
 DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
 
@@ -41,6 +51,10 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("sums = 1024", "sums = 1000", "$.measurement.sums"),
         ("sums = 1024", "sums = 100", "$.measurement.sums"),
         ("rate_hz = 100.0", "rate_hz = -1.0", "$.sync.rate_hz"),
+        ("rate_hz = 100.0", "rate_hz = 1e-9", "$.sync.rate_hz"),
+        ("force_max_n = 0.02", "force_max_n = 1e308", "$.taxels.force_max_n"),
+        ("force_max_n = 0.02", "force_max_n = 1e-300", "$.taxels.force_max_n"),
+        ("pitch_m = 0.004", "pitch_m = inf", "$.taxels.pitch_m"),
         ("sum_bits = 16", "sum_bits = 15", "$.encoding.sum_bits"),
         ("sum_bits = 16", "sum_bits = 16\noffset_binary = 1", "$.encoding.offset_binary"),
         ("block_size = 32", "block_size = 256", "$.measurement.block_size"),
@@ -96,3 +110,16 @@ def test_small_skin() -> None:
     text = '[taxels]\nrows = 16\ncolumns = 16\n[measurement]\nsums = 64\n[[bus]]\nname = "bus0"\nnodes = 8\n'
     layout: Layout = parse_layout(text.encode(), "small.toml")
     assert layout.phi().shape == (64, 256)
+
+
+def test_a_wrong_choice_is_told_the_right_ones() -> None:
+    with pytest.raises(LayoutError, match=r"Invalid enum value 9 - at `.*`: expected 16 or 12 or 8$"):
+        parse_layout(DEFAULT.replace("sum_bits = 16", "sum_bits = 9").encode(), "x.toml")
+
+
+def test_the_page_names_every_key() -> None:
+    page = Path(__file__).parents[2].joinpath("docs/layout.md").read_text()
+    tables = {"taxels": Taxels, "measurement": Measuring, "sync": Sync, "encoding": Encoding, "bus": Bus}
+    for name, table in tables.items():
+        for field in msgspec.structs.fields(table):
+            assert f"`{name}.{field.name}`" in page
