@@ -3,12 +3,13 @@
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Final
-
-import cyclopts
+from typing import TYPE_CHECKING, Final
 
 from skin.errors import RunError, SkinError
 from skin.explain import docstring, examples, summary
+
+if TYPE_CHECKING:
+    import cyclopts
 
 FAILED: Final = 1
 WRONG_INPUT: Final = 2
@@ -38,8 +39,10 @@ VERBS: Final = {
 HELP_FLAGS: Final = ("--help", "-h")
 
 
-def build_app(arguments: Sequence[str] = ()) -> cyclopts.App:
+def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
     """Return the command line with every verb registered, and with the help texts that `arguments` ask for."""
+    import cyclopts
+
     app = cyclopts.App(
         name="skin",
         help="A distributed robot skin on CAN: sums from CANopen nodes, images by FISTA, objects by name.",
@@ -59,19 +62,25 @@ def build_app(arguments: Sequence[str] = ()) -> cyclopts.App:
 
 def main() -> None:
     """Run one verb; 0 is success, 1 a run that failed, 2 a wrong input."""
-    app = build_app(sys.argv[1:])
     try:
-        status = app(exit_on_error=False, print_error=False)
+        sys.exit(_run(sys.argv[1:]))
+    except KeyboardInterrupt:  # also while libraries are being loaded, which takes longer than this module
+        sys.exit(INTERRUPTED)
+
+
+def _run(arguments: Sequence[str]) -> int:
+    import cyclopts
+
+    try:
+        status = build_app(arguments)(exit_on_error=False, print_error=False)
     except RunError as error:
-        sys.exit(_complain(error, FAILED))
+        return _complain(error, FAILED)
     except (SkinError, cyclopts.CycloptsError) as error:
-        sys.exit(_complain(error, WRONG_INPUT))
+        return _complain(error, WRONG_INPUT)
     except BrokenPipeError:
         sys.stderr.close()  # where Python would complain of the same once more
-        sys.exit(FAILED)
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
-    sys.exit(status if isinstance(status, int) else 0)
+        return FAILED
+    return status if isinstance(status, int) else 0
 
 
 def _complain(error: Exception, status: int) -> int:
