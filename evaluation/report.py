@@ -13,12 +13,13 @@ from evaluation.findings import Findings, Options, Picture, Row
 from skin.errors import InputError
 
 _STYLE: Final = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem; color: #1a1a1a; }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 80rem; margin: 2rem auto; padding: 0 1rem; color: #1a1a1a; }
 h2 { margin-top: 3rem; border-top: 1px solid #ddd; padding-top: 1rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
 th, td { padding: .15rem .7rem; text-align: right; border-bottom: 1px solid #eee; }
 th { position: sticky; top: 0; background: #fff; }
 td.text, th.text { text-align: left; }
+details { overflow-x: auto; }
 figure { margin: 1.5rem 0; }
 figure img { max-width: 100%; }
 figcaption, li { max-width: 55rem; }
@@ -77,13 +78,25 @@ def _table(rows: list[Row]) -> str:
     if not rows:
         return ""
     heads = "".join(f"<th{_kind(value)}>{html.escape(key)}</th>" for key, value in rows[0].items())
-    lines = "".join("<tr>" + "".join(_cell(value) for value in row.values()) + "</tr>" for row in rows)
+    digits = {key: max(_decimals(row[key]) for row in rows) for key in rows[0]}
+    lines = "".join("<tr>" + "".join(_cell(value, digits[key]) for key, value in row.items()) + "</tr>" for row in rows)
     return f"<details open><summary>{len(rows)} rows</summary><table><tr>{heads}</tr>{lines}</table></details>"
 
 
-def _cell(value: Any) -> str:
-    shown = "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+def _decimals(value: Any) -> int:
+    """Return how many places after the point a number needs, so that a column's points stand in line."""
+    text = f"{value:g}" if isinstance(value, float) else ""
+    return len(text.partition(".")[2]) if "e" not in text else 0
+
+
+def _cell(value: Any, digits: int) -> str:
+    shown = "" if value is None else _number(value, digits) if isinstance(value, float) else str(value)
     return f"<td{_kind(value)}>{html.escape(shown)}</td>"
+
+
+def _number(value: float, digits: int) -> str:
+    text = f"{value:g}"
+    return text if "e" in text or digits > 4 else f"{value:.{digits}f}"
 
 
 def _kind(value: Any) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from evaluation.cells import measure_cells
 from evaluation.findings import Findings, Options, Picture, Row
-from evaluation.paper.compression import AIMS, DRAWS, cell_name, psnr_columns
+from evaluation.paper.compression import AIMS, DRAWS, QUICK_STRIDE, cell_name, psnr_columns
 from evaluation.paper.notes import CONVENTION, objects_note, quick_note
 from evaluation.paper.pictures import draw_differences
 from evaluation.paper.printed import TABLE_THREE, BasisName, Matrix
@@ -25,7 +25,6 @@ STRIDES: Final[dict[tuple[BasisName, int], int]] = {
     ("contourlet", 10): 2,
     ("contourlet", 5): 1,
 }
-QUICK_STRIDE: Final[dict[BasisName, int]] = {"haar": 20, "contourlet": 60}
 #: Steps that are timed, one after the other in the middle of the slide, and those before them that do not count.
 TIMED_STEPS, UNTIMED_STEPS = 200, 5
 

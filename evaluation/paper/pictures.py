@@ -51,7 +51,7 @@ def draw_differences(rows: Sequence[Row]) -> "Figure":
 def draw_counts(rows: Sequence[Row]) -> "Figure":
     """Return the counts of Table I: bars for ours, marks for the paper's, a panel for each object."""
     objects = list(dict.fromkeys(row["object"] for row in rows))
-    figure = new_figure(11, 3.6)
+    figure = new_figure(11, 3.9)
     for place, name in enumerate(objects):
         axes = figure.add_subplot(1, len(objects), place + 1)
         group = [row for row in rows if row["object"] == name and row["quantity"] == "mean"]
@@ -62,7 +62,7 @@ def draw_counts(rows: Sequence[Row]) -> "Figure":
         axes.tick_params(axis="x", rotation=60)
         if place == 0:
             axes.set_ylabel("coefficients above 0.001 N, mean")
-            axes.legend()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 
@@ -102,6 +102,7 @@ def draw_curves(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], x
     for name, (across, up) in curves.items():
         axes.plot(across, up, marker=".", label=name)
     axes.set(xscale="log", xlabel=xlabel, ylabel=ylabel)
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.grid(alpha=0.3, which="both")
     axes.legend()
     return figure

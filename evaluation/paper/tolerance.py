@@ -23,7 +23,7 @@ def within(rows: Sequence[Row], tolerance: float, *, what: str, unit: str, least
     if not differences:
         return f"{what}: no cell to compare."
     close = sum(each <= tolerance + 1e-9 for each in differences)
-    verdict = "reached" if close >= least_share * len(differences) else "NOT reached"
+    verdict = "reached" if close >= least_share * len(differences) else "not reached"
     return (
         f"{what}: {close} of {len(differences)} cells within {tolerance:g} {unit} of the paper's "
         f"(aim {least_share:.0%}: {verdict}); the largest difference is {max(differences):.2f} {unit}."

@@ -10,7 +10,7 @@ def test_cells_within_and_beyond() -> None:
     assert "Haar: 2 of 3 cells within 0.4 dB" in told
     assert "(aim 60%: reached)" in told
     assert "0.60 dB" in told
-    assert "NOT reached" in within(ROWS, 0.4, what="Haar", unit="dB", least_share=0.7)
+    assert "not reached" in within(ROWS, 0.4, what="Haar", unit="dB", least_share=0.7)
     assert outside(ROWS, 0.3, unit="dB", name=lambda row: row["object"]) == "Beyond 0.3 dB: b -0.40; c +0.60."
     assert outside(ROWS, 0.6, unit="dB", name=lambda row: row["object"]) is None
 
