@@ -105,7 +105,7 @@ def beside(ours: float, paper: float | None, digits: int = 2) -> Row:
     """Return the columns ``ours``, ``paper`` and ``difference``, the last two None where the paper has no number."""
     if paper is None or not math.isfinite(ours):
         return {"ours": _finite(ours, digits), "paper": paper, "difference": None}
-    return {"ours": round(ours, digits), "paper": paper, "difference": round(ours - paper, digits)}
+    return {"ours": round(ours, digits), "paper": paper, "difference": round(ours - paper, digits) + 0.0}  # no -0.0
 
 
 def _finite(number: float, digits: int) -> float | None:

@@ -39,7 +39,7 @@ def evaluate(options: Options) -> Findings:
     for (name, basis), counts in zip(places, measure_cells(count, cells, options, "sparsity"), strict=True):
         for quantity, printed in zip(("mean", "max"), TABLE_ONE[basis][name], strict=True):
             ours = beside(counts[quantity], printed, digits=1)
-            percent = round(100 * (counts[quantity] / printed - 1), 1)
+            percent = round(100 * (counts[quantity] / printed - 1), 1) + 0.0  # no -0.0
             start = "exact" if ACQUISITION_OBJECTS[name].exact else "fitted"
             rows.append({"object": name, "start": start, "basis": basis, "quantity": quantity} | ours)
             rows[-1]["difference_percent"] = percent
