@@ -18,7 +18,7 @@ from touch.contact import Force
 from touch.electronics import sense
 
 #: Touches, and the instants that are shown.
-INSTANTS: Final = (("three boxes slapped on", 315), ("faint box", 700))
+INSTANTS: Final = (("three boxes slapped on", 315), ("three boxes slapped on", 320), ("faint box", 700))
 #: As often as the default skin's bits allow.
 SCAN_HZ, COARSE_HZ = 39.0, 148.0
 SCALE_MN: Final = 10.0
@@ -33,7 +33,7 @@ def images_figure() -> Figure:
         shown = {"truth": what.true_n[tick], **_shown(what, tick)}
         for panel, (title, force_n) in zip(row, shown.items(), strict=True):
             drawn = panel.imshow(1e3 * force_n.reshape(64, 64), vmin=0, vmax=SCALE_MN, cmap="viridis")
-            panel.set_title(f"{name}, {tick} ms: truth" if title == "truth" else title, fontsize="small")
+            panel.set_title(f"{name},\n{tick} ms: truth" if title == "truth" else title, fontsize="small")
             panel.set_axis_off()
     figure.colorbar(drawn, ax=panels, label="mN", shrink=0.7)
     return figure

@@ -1,12 +1,13 @@
 """Plots of the rivals: error against bits, latency, traffic that noise makes, and the images themselves."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from evaluation.findings import Options, Picture, Row
 from evaluation.schemes.rival_images import images_figure
@@ -49,8 +50,9 @@ def pictures(measured: list[Row], options: Options) -> list[Picture]:
         found.append(
             Picture(
                 "rivals-images",
-                "What is in use 15 ms after three boxes were slapped on (above), and while a faint box of 2 mN slides "
-                "(below): events of 4 mN are still on their way above, and see little of the faint one; 0 to 10 mN.",
+                "What is in use 15 and 20 ms after three boxes were slapped on, and while a faint box of 2 mN slides. "
+                "The sums of the next SYNC come 18 ms after the slap, all at once, their first image still rough; "
+                "events fill the image node by node, and see little of the faint box. 0 to 10 mN.",
                 images_figure,
             )
         )
@@ -61,14 +63,14 @@ def _curves(measured: list[Row]) -> Figure:
     shown = {name: touches for name, touches in PANELS.items() if _of(measured, touches)} or {
         row["touch"]: (row["touch"],) for row in measured
     }
+    styles = _styles(dict.fromkeys(row["contender"] for row in measured if row["rate_hz"] is not None))
     figure = Figure(figsize=(11, 4 * -(-len(shown) // 2)), layout="constrained")
     panels = np.atleast_1d(figure.subplots(-(-len(shown) // 2), 2, squeeze=False).ravel())
     for panel, (name, touches) in zip(panels, shown.items(), strict=False):
         mine = _of(measured, touches)
-        for contender in dict.fromkeys(row["contender"] for row in mine if row.get("rate_hz")):
+        for contender, style in styles.items():
             points = sorted(_means(mine, contender))
-            style = "o-" if len(points) > 1 else "o"
-            panel.plot(*zip(*points, strict=True), style, markersize=4, label=contender)
+            panel.plot(*zip(*points, strict=True), style, markersize=5, label=contender)
         for receiver, mark in (("plain", "kx"), ("solved", "k+")):
             rules = dict.fromkeys(
                 row["contender"] for row in mine if "threshold_n" in row and row["receiver"] == receiver
@@ -83,8 +85,23 @@ def _curves(measured: list[Row]) -> Figure:
     return figure
 
 
+def _styles(contenders: Iterable[str]) -> dict[str, str]:
+    """Return a colour for each family, its name's first word, and a mark for each member."""
+    families: dict[str, list[str]] = {}
+    for contender in contenders:
+        families.setdefault(contender.split()[0], []).append(contender)
+    return {
+        member: f"C{colour}{mark}-"
+        for colour, members in enumerate(families.values())
+        for member, mark in zip(members, "os^vDPX*", strict=False)
+    }
+
+
 def _label(panel: Axes, name: str) -> None:
     panel.set(title=name, xlabel="kbit/s", ylabel="touched taxels, RMS error, mN", xscale="log", yscale="log")
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.5)))
     panel.grid(alpha=0.3, which="both")
 
 

@@ -32,6 +32,7 @@ _CLOCKED: Final[dict[str, tuple[Callable[..., Row], Cell]]] = {
     "sums, 12 bits": (measure_sums, {"bits": 12, "receiver": "solved"}),
     "sums, 8 bits": (measure_sums, {"bits": 8, "receiver": "solved"}),
     "sums, 16 bits, noise known": (measure_sums, {"bits": 16, "receiver": "noise known"}),
+    "sums, 8 bits, noise known": (measure_sums, {"bits": 8, "receiver": "noise known"}),
     "scan, 8 bits": (measure_scan, {"side": 64, "bits": 8, "receiver": "plain", "cells": "sensor"}),
     "scan, 10 bits": (measure_scan, {"side": 64, "bits": 10, "receiver": "plain", "cells": "sensor"}),
     "scan, 12 bits": (measure_scan, {"side": 64, "bits": 12, "receiver": "plain", "cells": "sensor"}),

@@ -55,9 +55,7 @@ def rows(table: str) -> list[list[str]]:
 
 
 def near(found: float, text: str) -> None:
-    """Within 1 %, and within half of the last printed digit where that is more."""
-    digit = 0.1 if "." in text else 1.0
-    assert found == pytest.approx(float(text), rel=0.01, abs=0.5001 * digit), text
+    assert found == pytest.approx(float(text), rel=0.01), text
 
 
 @pytest.mark.parametrize("row", rows(CLASSIC))
