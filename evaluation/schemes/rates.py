@@ -129,8 +129,8 @@ def _notes(rows: list[Row], chosen: dict[str, int], options: Options) -> list[st
         "bus and the window (1007h) holds, with as many blocks per node as make that highest, in offset binary."
     )
     judged = (
-        "The last image is held: at every millisecond it is compared with the truth of that millisecond. Slides are the "
-        f"paper's five at its speed; '{FAST}' press and lift up to twenty times as fast as its objects are pressed."
+        "The last image is held: at every millisecond it is compared with the truth of that millisecond. Slides are "
+        f"the paper's five at its speed; '{FAST}' press and lift up to twenty times as fast as its objects are pressed."
     )
     missing = (
         "Points of one classic bus that need more node-IDs or identifiers than CANopen has cannot be laid out and are "
