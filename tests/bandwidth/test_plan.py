@@ -31,7 +31,7 @@ def test_rates_of_the_shipped_layouts(name: str, average_hz: float, worst_hz: fl
         assert each.max_rate_hz_worst_80 < each.max_rate_hz_worst < each.max_rate_hz_touched
 
 
-@pytest.mark.parametrize("name", ["default", "fd"])
+@pytest.mark.parametrize("name", SHIPPED)
 def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
     """Two seconds of one touch after another on the virtual bus, every frame sent as nodes send it."""
     layout = load_layout(Path(name))

@@ -43,6 +43,20 @@ def test_missing_bits_and_node_ids_are_named() -> None:
     assert "window" in text
 
 
+def test_the_rate_that_is_named_fits_and_a_higher_one_does_not() -> None:
+    text, _ = failed(Wish(4096, 100, buses=1, can="classic"))
+    assert "it fits at up to 46 Hz" in text
+    assert search(Wish(4096, 46, buses=1, can="classic"))[0] is not None
+    assert search(Wish(4096, 46.5, buses=1, can="classic"))[0] is None
+
+
+def test_a_skin_of_too_many_nodes_lacks_node_ids_alone() -> None:
+    text, seen = failed(Wish(65536, 1, buses=1, can="classic"))
+    # 2048 blocks, eight to a node, are 256 nodes: 129 more than node-IDs.
+    assert "12 of 12 lack node-IDs, 129 of them or more on a bus" in text
+    assert all(each.load_worst is None for each in seen)
+
+
 def test_a_missing_window_is_named() -> None:
     text, _ = failed(Wish(4096, 172, buses=1, budget=1.0, can="classic"))
     assert "window" in text
