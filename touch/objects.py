@@ -82,7 +82,7 @@ _PAPER: Final = (
     _can("salmon-can", 0.1032),
     _own("banana", (0.144, 0.092), shapes.banana, MeshPose(("banana",), ())),
     _own("cup", (0.106, 0.106), shapes.cup, MeshPose(("cup",), ())),
-    _own("drill", (0.183, 0.157), shapes.drill, _DRILL),
+    _own("drill", (0.182, 0.157), shapes.drill, _DRILL),
     _own("clamp", (0.198, 0.130), shapes.clamp, _CLAMP),
     _own("mustard-lying", (0.160, 0.075), shapes.mustard_lying, _MUSTARD_LYING),
     _own("mustard-upright", (0.024, 0.024), shapes.mustard_upright, _MUSTARD_UPRIGHT),

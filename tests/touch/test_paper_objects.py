@@ -45,7 +45,7 @@ def sensor_psnr_db(true: Force) -> npt.NDArray[np.float64]:
 @pytest.mark.parametrize("name", ACQUISITION_OBJECTS)
 def test_own_shapes_are_as_sparse_and_as_noisy_as_the_papers(name: str) -> None:
     true = trajectory(name)
-    assert haar_counts(true).mean() == pytest.approx(HAAR_MEAN[name], rel=0.05)
+    assert haar_counts(true).mean() == pytest.approx(HAAR_MEAN[name], rel=0.03)
     check_psnr(name, true)
 
 

@@ -1,5 +1,6 @@
 """The verb ``skin dataset``."""
 
+import contextlib
 import json as json_format
 import os
 import sys
@@ -123,9 +124,10 @@ def fill(plan: Plan, out: Path, jobs: int, cluster: str | None = None) -> dict[s
             else:
                 missing.append(task)
         progress.update(bar, description=plan.about["data_set"])
-        for task, arrays in made(missing, jobs, cluster):
-            folder.put(task.files, arrays)
-            progress.advance(bar)
+        with contextlib.closing(made(missing, jobs, cluster)) as work:
+            for task, arrays in work:
+                folder.put(task.files, arrays)
+                progress.advance(bar)
     return _summary(folder, plan, sum(len(task.files) for task in missing), time.monotonic() - began_s)
 
 

@@ -1,7 +1,10 @@
 """Chunks made in parallel: on this machine's cores, or on a Dask cluster."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+import signal
+import threading
+import warnings
+from collections.abc import Generator, Iterator, Sequence
 from typing import Any, Final
 
 from skin.errors import BusError, InputError
@@ -13,7 +16,7 @@ _AHEAD: Final = 4
 _CONNECT_S: Final = 10
 
 
-def made(tasks: Sequence[Task], jobs: int, cluster: str | None = None) -> Iterator[tuple[Task, list[Force]]]:
+def made(tasks: Sequence[Task], jobs: int, cluster: str | None = None) -> Generator[tuple[Task, list[Force]]]:
     """Yield each task with the arrays of its files, in the order they are done.
 
     Parameters
@@ -38,18 +41,44 @@ def made(tasks: Sequence[Task], jobs: int, cluster: str | None = None) -> Iterat
         for task in tasks:
             yield task, task.make()
         return
-    from joblib import Parallel, delayed
-
     with _backend(cluster):
         for first in range(0, len(tasks), _AHEAD * jobs):
             batch = tasks[first : first + _AHEAD * jobs]
-            work = Parallel(n_jobs=jobs, return_as="generator_unordered")
-            for index, arrays in work(delayed(_one)(index, task) for index, task in enumerate(batch)):
-                yield batch[index], arrays
+            with contextlib.closing(_begun(batch, jobs)) as done:
+                for index, arrays in done:
+                    yield batch[index], arrays
+
+
+def _begun(batch: Sequence[Task], jobs: int) -> Generator[tuple[int, list[Force]]]:
+    """Start a batch and yield what is done; what is not when nobody asks any more is given up without a word."""
+    from joblib import Parallel, delayed
+
+    with _children_deaf_to_ctrl_c():
+        done = Parallel(n_jobs=jobs, return_as="generator_unordered")(
+            delayed(_one)(index, task) for index, task in enumerate(batch)
+        )
+    try:
+        yield from done
+    finally:
+        with warnings.catch_warnings(action="ignore"):
+            done.close()
 
 
 def _one(index: int, task: Task) -> tuple[int, list[Force]]:
     return index, task.make()
+
+
+@contextlib.contextmanager
+def _children_deaf_to_ctrl_c() -> Iterator[None]:
+    """Have processes that start inside ignore SIGINT, which a terminal sends to all: this one ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextlib.contextmanager
