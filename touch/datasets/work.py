@@ -44,21 +44,23 @@ def made(tasks: Sequence[Task], jobs: int, cluster: str | None = None) -> Genera
     with _backend(cluster):
         for first in range(0, len(tasks), _AHEAD * jobs):
             batch = tasks[first : first + _AHEAD * jobs]
-            with contextlib.closing(_begun(batch, jobs)) as done:
+            with _begun(batch, jobs) as done:
                 for index, arrays in done:
                     yield batch[index], arrays
 
 
-def _begun(batch: Sequence[Task], jobs: int) -> Generator[tuple[int, list[Force]]]:
-    """Start a batch and yield what is done; what is not when nobody asks any more is given up without a word."""
+@contextlib.contextmanager
+def _begun(batch: Sequence[Task], jobs: int) -> Iterator[Iterator[tuple[int, list[Force]]]]:
+    """Start a batch and give what is done; what is not at the end is given up without a word."""
     from joblib import Parallel, delayed
 
-    with _children_deaf_to_ctrl_c():
+    # A terminal sends Ctrl-C to every process: those that work shall leave it to this one to end them.
+    with _ctrl_c_ignored():
         done = Parallel(n_jobs=jobs, return_as="generator_unordered")(
             delayed(_one)(index, task) for index, task in enumerate(batch)
         )
     try:
-        yield from done
+        yield done
     finally:
         with warnings.catch_warnings(action="ignore"):
             done.close()
@@ -69,8 +71,8 @@ def _one(index: int, task: Task) -> tuple[int, list[Force]]:
 
 
 @contextlib.contextmanager
-def _children_deaf_to_ctrl_c() -> Iterator[None]:
-    """Have processes that start inside ignore SIGINT, which a terminal sends to all: this one ends them."""
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Ignore SIGINT for a moment; processes that start meanwhile ignore it for good."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -84,10 +86,17 @@ def _children_deaf_to_ctrl_c() -> Iterator[None]:
 @contextlib.contextmanager
 def _backend(cluster: str | None) -> Iterator[None]:
     from joblib import parallel_config
+    from joblib.externals.loky import get_reusable_executor
 
     if cluster is None:
-        with parallel_config(backend="loky", inner_max_num_threads=1):
-            yield
+        try:
+            with parallel_config(backend="loky", inner_max_num_threads=1):
+                yield
+        finally:
+            # Left to the end of the program, it would wait for its processes where Ctrl-C is not quiet; interrupted,
+            # it would leave them, and the program would wait for them for ever.
+            with _ctrl_c_ignored():
+                get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
         return
     with _client(cluster), parallel_config(backend="dask"):
         yield
