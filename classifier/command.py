@@ -7,12 +7,10 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train
-from classifier.decide import Classifier
 from classifier.model import Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
 from classifier.samples import NOISE_N
-from classifier.service import ClassifierService
-from classifier.touches import load_touches
+from classifier.touches import SOURCE, load_touches
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
@@ -48,6 +46,9 @@ def classify(
     skin classify
     skin classify --layout palm.toml --model palm.npz
     """
+    from classifier.decide import Classifier  # compiled parts take a moment to load
+    from classifier.service import ClassifierService
+
     stop = StopSignal().install()
     skin = load_layout(layout)
     phi = skin.phi()
@@ -133,7 +134,7 @@ def _train(skin: Layout, names: list[str], count: int, noise_n: float, features:
             force_n,
             labels,
             skin,
-            plan=Plan(features=features, noise_n=noise_n, seed=seed),
+            plan=Plan(features=features, noise_n=noise_n, seed=seed, data=SOURCE),
             progress=show,
         )
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+Float64 = npt.NDArray[np.float64]
+
 
 def pairs(classes: int) -> list[tuple[int, int]]:
     """Return the pairs ``(i, j)``, i < j, of `classes` classes, in the order of the margins."""
@@ -23,9 +25,11 @@ class DecisionGraph:
 
     def __init__(self, classes: int) -> None:
         self.classes = classes
-        self._pair = {pair: index for index, pair in enumerate(pairs(classes))}
+        self._pair = np.zeros((classes, classes), np.intp)
+        for index, pair in enumerate(pairs(classes)):
+            self._pair[pair] = index
 
-    def walk(self, margins: npt.NDArray[np.float64]) -> Iterator[tuple[int, float]]:
+    def walk(self, margins: Float64) -> Iterator[tuple[int, float]]:
         """Yield (class ruled out, how clearly) at each step from the root to a leaf.
 
         Parameters
@@ -43,7 +47,7 @@ class DecisionGraph:
                 yield low, -margin
                 low += 1
 
-    def decide(self, margins: npt.NDArray[np.float64]) -> tuple[int, float]:
+    def decide(self, margins: Float64) -> tuple[int, float]:
         """Return the remaining class and a confidence in 0..1.
 
         The confidence is the product of ``1 / (1 + exp(-margin))`` over the pairs asked.
@@ -53,3 +57,14 @@ class DecisionGraph:
             winner -= loser
             confidence /= 1.0 + math.exp(-margin)
         return winner, confidence
+
+    def winners(self, margins: Float64) -> npt.NDArray[np.intp]:
+        """Return the remaining class of every row of `margins`, shape (count, pairs)."""
+        rows = np.arange(len(margins))
+        low = np.zeros(len(margins), np.intp)
+        high = np.full(len(margins), self.classes - 1, np.intp)
+        for _ in range(self.classes - 1):
+            first = margins[rows, self._pair[low, high]] >= 0
+            high -= first
+            low += ~first
+        return low

@@ -1,6 +1,6 @@
-"""DAGSVM: one linear soft-margin SVM per pair of classes, decided on a graph (section II-C of the paper)."""
+"""DAGSVM: one soft-margin SVM per pair of classes, decided on a graph (section II-C of the paper)."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -9,16 +9,23 @@ from sklearn.svm import SVC
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from classifier.dag import DecisionGraph, pairs
+from classifier.dag import DecisionGraph, Float64
+
+Kernel = Literal["linear", "rbf", "precomputed"]
 
 
 class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyped
-    """Linear one-vs-one SVM with a directed acyclic decision graph; a scikit-learn classifier.
+    """One-vs-one SVM with a directed acyclic decision graph; a scikit-learn classifier.
 
     Parameters
     ----------
     C : float
-        Balance between a wide margin and the hinge loss.
+        Balance between a wide margin and the hinge loss, the same for every pair.
+    kernel : {"linear", "rbf", "precomputed"}
+        The paper's is linear. "precomputed" takes inner products in place of observations, shape (count, trained),
+        which saves time when signals are long and several C are tried on them.
+    gamma : float or {"scale", "auto"}
+        Width of the "rbf" kernel, as in `sklearn.svm.SVC`.
     max_iter : int
         Most iterations of the solver per pair, -1 for no limit.
 
@@ -26,15 +33,32 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
     ----------
     classes_ : array, shape (M,)
     weights_ : array, shape (M (M - 1) / 2, features)
-        Normals of the hyperplanes, in the order of `classifier.dag.pairs`.
+        Normals of the hyperplanes, in the order of `classifier.dag.pairs`; of the linear kernel only.
     biases_ : array, shape (M (M - 1) / 2,)
+        Of the linear kernel only.
+    machine_ : sklearn.svm.SVC
+        The pairs' machines.
     n_iter_ : int
         Most iterations any pair took.
     """
 
-    def __init__(self, C: float = 1.0, max_iter: int = 200_000) -> None:
+    def __init__(
+        self,
+        C: float = 1.0,
+        kernel: Kernel = "linear",
+        gamma: float | Literal["scale", "auto"] = "scale",
+        max_iter: int = 200_000,
+    ) -> None:
         self.C = C
+        self.kernel = kernel
+        self.gamma = gamma
         self.max_iter = max_iter
+
+    def __sklearn_tags__(self) -> Any:
+        """Say what can be trained on, as scikit-learn asks it."""
+        tags = super().__sklearn_tags__()
+        tags.input_tags.pairwise = self.kernel == "precomputed"
+        return tags
 
     def fit(self, X: Any, y: Any) -> "DagSvm":
         """Train every pair on the observations `X`, shape (count, features), labelled `y`.
@@ -49,24 +73,32 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         self.classes_, codes = np.unique(y, return_inverse=True)
         if self.classes_.size < 2:
             raise ValueError(f"at least 2 classes are needed: got {self.classes_.size} class")
-        planes = [self._plane(X, codes, first, second) for first, second in pairs(self.classes_.size)]
-        self.weights_ = np.array([plane.coef_[0] for plane in planes])
-        self.biases_ = np.array([plane.intercept_[0] for plane in planes])
-        self.n_iter_ = max(int(plane.n_iter_.max()) for plane in planes)
+        machine = SVC(
+            C=self.C, kernel=self.kernel, gamma=self.gamma, max_iter=self.max_iter, decision_function_shape="ovo"
+        )
+        self.machine_ = machine.fit(X, codes)
+        if self.kernel == "linear":
+            self.weights_ = self._sign * machine.coef_
+            self.biases_ = self._sign * machine.intercept_
+        self.n_iter_ = int(machine.n_iter_.max())
         return self
 
-    def _plane(self, X: npt.NDArray[np.float64], codes: npt.NDArray[np.intp], first: int, second: int) -> SVC:
-        both = (codes == first) | (codes == second)
-        return SVC(C=self.C, kernel="linear", max_iter=self.max_iter).fit(X[both], codes[both] == first)
+    @property
+    def _sign(self) -> float:
+        """SVC's margins are positive for the first class of a pair, but for the second when there are only two."""
+        return -1.0 if self.classes_.size == 2 else 1.0
 
-    def margins(self, X: Any) -> npt.NDArray[np.float64]:
+    def margins(self, X: Any) -> Float64:
         """Return the signed margin of every pair, positive for its first class, shape (count, pairs)."""
         check_is_fitted(self)
         X = validate_data(self, X, reset=False)
-        signed: npt.NDArray[np.float64] = X @ self.weights_.T + self.biases_
+        if self.kernel == "linear":
+            signed: Float64 = X @ self.weights_.T + self.biases_
+        else:
+            signed = self._sign * self.machine_.decision_function(X).reshape(len(X), -1)
         return signed
 
-    def decision_function(self, X: Any) -> npt.NDArray[np.float64]:
+    def decision_function(self, X: Any) -> Float64:
         """Return scores whose largest is the class decided for.
 
         Returns
@@ -84,15 +116,15 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         scores = np.empty((len(margins), count))
         for row, scored in zip(margins, scores, strict=True):
             scored[:] = np.inf
+            least = np.inf
             for step, (loser, margin) in enumerate(graph.walk(row), start=1):
                 scored[loser] = step - margin / (1.0 + margin)
-            winner = int(np.argmax(scored))
-            scored[winner] = count - 1 + min(margin for _, margin in graph.walk(row))
+                least = min(least, margin)
+            scored[int(np.argmax(scored))] = count - 1 + least
         return scores
 
     def predict(self, X: Any) -> npt.NDArray[Any]:
         """Return the label of every observation of `X`, shape (count,)."""
         margins = self.margins(X)
-        graph = DecisionGraph(self.classes_.size)
-        labels: npt.NDArray[Any] = self.classes_[[graph.decide(row)[0] for row in margins]]
+        labels: npt.NDArray[Any] = self.classes_[DecisionGraph(self.classes_.size).winners(margins)]
         return labels

@@ -1,4 +1,4 @@
-"""The decision on one measurement: contact or not, which object, and how surely. NumPy alone."""
+"""The decision on one measurement: contact or not, which object or an unknown one, and how surely."""
 
 import math
 from typing import Final, NamedTuple
@@ -6,62 +6,45 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from classifier.dag import DecisionGraph
-from classifier.features import Smoothed
+from classifier.descent import descend
+from classifier.gathered import Gathered
+from classifier.missing import Completion, Factors
 from classifier.model import Model
+from classifier.novelty import Regions, novelty
+from classifier.observer import Observer
 from skin.measurement import Sbhe
+from skin.messages import UNKNOWN_OBJECT
 
 #: With fewer blocks than this part of the skin, nothing is said.
 MIN_VALID_RATIO: Final = 0.25
 #: Part of the newest cycle in the settled decision: two clear cycles in a row change the label.
 SETTLING: Final = 0.4
+#: Part of the newest cycle in the settled novelty. Slower: no object looks like itself while it is pressed in.
+NOVELTY_SETTLING: Final = 0.1
+#: One odd cycle counts at most as this multiple of the limit.
+_MOST_NOVELTY: Final = 3.0
+#: How fast doubt grows around the limit: half at 1, 95 % at 1.5.
+_DOUBT_SLOPE: Final = 6.0
 #: After this many missing cycles the past says nothing any more.
 FORGET_CYCLES: Final = 10
-#: A block that is missing keeps its last sums for this many cycles, then it is left out.
-HOLD_CYCLES: Final = 4
-#: Peaks below this part of their no-touch mean count as this part of it.
-_LEAST_PEAK: Final = 0.05
 
 
 class Decision(NamedTuple):
-    """A label, empty without contact, and its confidence in 0..1."""
+    """What is said of one cycle.
+
+    Attributes
+    ----------
+    label : str
+        The object, `skin.messages.UNKNOWN_OBJECT`, or empty without contact.
+    confidence : float
+        0..1.
+    blind : bool
+        Too few blocks came to say anything.
+    """
 
     label: str
     confidence: float
-
-
-class Observer:
-    """Turns measurements into the features a model was trained on; arrays are reused, not allocated.
-
-    Parameters
-    ----------
-    phi : Sbhe
-    rows, columns : int
-    no_touch : array, shape (4, widths)
-        See `classifier.model`.
-    """
-
-    def __init__(self, phi: Sbhe, rows: int, columns: int, no_touch: npt.NDArray[np.float64]) -> None:
-        self.smoothed = Smoothed(phi, rows, columns)
-        self._energy_mean, self._energy_sd, self._peak_mean, self._peak_sd = no_touch.copy()
-        widths = self._peak_mean.size
-        self._standard = np.zeros(widths)
-        #: Features of the newest `look`: asinh of the standardised energies, log of the relative peaks.
-        self.features = np.zeros(2 * widths)
-
-    def look(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.float32], valid_ratio: float) -> float:
-        """Fill `features` and return the largest standardised peak."""
-        smoothed, standard, half = self.smoothed, self._standard, self._standard.size
-        smoothed.measure(sums, valid, valid_ratio)
-        np.subtract(smoothed.energies, self._energy_mean, out=standard)
-        standard /= self._energy_sd
-        np.arcsinh(standard, out=self.features[:half])
-        np.divide(smoothed.peaks, self._peak_mean, out=standard)
-        np.maximum(standard, _LEAST_PEAK, out=standard)
-        np.log(standard, out=self.features[half:])
-        np.subtract(smoothed.peaks, self._peak_mean, out=standard)
-        standard /= self._peak_sd
-        return float(standard.max())
+    blind: bool = False
 
 
 class Classifier:
@@ -73,26 +56,23 @@ class Classifier:
     phi : Sbhe
         The Φ the model was trained for.
     settling : float
-        Part of the newest cycle in the settled decision; 1 takes every cycle for itself.
+        Part of the newest cycle in the settled decision; 1 takes every cycle for itself, but for what is unknown.
     """
 
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
         about = model.metadata
         self._model = model
         self._labels = (*about.classes, "")
-        self._graph = DecisionGraph(len(about.classes))
         self._observer = Observer(phi, about.rows, about.columns, model.no_touch)
-        self._held = np.zeros(about.sums, np.int32)
-        self._age = np.full(phi.blocks, HOLD_CYCLES, np.int32)
-        self._came = np.ones(phi.blocks, np.bool_)
-        self._came_sums = np.ones(about.sums, np.bool_)
-        self._valid = np.ones(phi.blocks, np.float32)
-        self._valid_sums = np.ones(about.sums, np.float32)
-        self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
+        self._gathered = Gathered(phi)
         self._features = np.zeros(model.offset.size)
-        self._margins = np.zeros(model.biases.size)
+        self._completion: Completion | None = None
+        if about.features == "sums":
+            self._completion = Completion(Factors(model.sum_mean, model.sum_loadings, about.sum_noise))
+        self._regions = Regions(model.centres, model.whitening, model.limits)
         self._settling = settling
         self._belief = np.zeros(len(self._labels))
+        self._novelty = 0.0
         self._fresh = True
         self._cycle: int | None = None
 
@@ -104,7 +84,7 @@ class Classifier:
         sums : array of int32, shape (m,)
             ADC counts.
         valid : array of uint8, shape (blocks,)
-            Sums of blocks that are 0 here are ignored; see `HOLD_CYCLES`.
+            Sums of blocks that are 0 here are ignored; see `classifier.gathered`.
         cycle : int, optional
             Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, the past is forgotten.
         """
@@ -114,48 +94,50 @@ class Classifier:
             self._cycle = cycle
         if not 0 < step <= FORGET_CYCLES:
             self._fresh = True
-            self._age.fill(HOLD_CYCLES)
-        valid_ratio = self._gather(sums, valid, step)
+            self._gathered.forget()
+        valid_ratio = self._gathered.take(sums, valid, step)
         if valid_ratio < MIN_VALID_RATIO:
             self._fresh = True
-            return Decision("", 0.0)
-        winner, confidence, contact = self._observe(valid_ratio)
-        self._settle(winner, confidence, contact)
-        best = int(self._belief.argmax())
-        return Decision(self._labels[best], float(self._belief[best]))
+            return Decision("", 0.0, blind=True)
+        self._look(valid_ratio)
+        return self._said()
 
-    def _gather(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.uint8], step: int) -> float:
-        """Take the new sums and the recent ones of missing blocks; return the part of the blocks in use."""
-        np.not_equal(valid, 0, out=self._came)
-        np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
-        np.copyto(self._held, sums, where=self._came_sums)
-        self._age += max(1, min(step, HOLD_CYCLES))
-        np.minimum(self._age, HOLD_CYCLES + 1, out=self._age)
-        np.copyto(self._age, 0, where=self._came)
-        np.less_equal(self._age, HOLD_CYCLES, out=self._valid, casting="unsafe")
-        return float(self._valid.mean())
-
-    def _observe(self, valid_ratio: float) -> tuple[int, float, float]:
-        """Return the winning class, its confidence, and that of contact, of the gathered sums by themselves."""
-        model, about = self._model, self._model.metadata
-        peak = self._observer.look(self._held, self._valid, valid_ratio)
+    def _look(self, valid_ratio: float) -> None:
+        """Move belief and novelty towards what the gathered sums say by themselves."""
+        model, about, gathered = self._model, self._model.metadata, self._gathered
+        peak = self._observer.look(gathered.sums, gathered.valid, valid_ratio)
         contact = _logistic(peak - about.contact_threshold)
-        if about.features == "sums":
-            np.take(self._valid, self._block_of_sum, out=self._valid_sums, mode="clip")
-            np.multiply(self._valid_sums, self._held, out=self._features)
-        else:
+        if self._completion is None:
             np.copyto(self._features, self._observer.features)
+        else:
+            np.copyto(self._features, gathered.sums)
+            if valid_ratio < 1:
+                self._completion.complete(self._features, gathered.valid_sums())
         self._features -= model.offset
         self._features *= model.scale
-        np.dot(model.weights, self._features, out=self._margins)
-        self._margins += model.biases
-        return *self._graph.decide(self._margins), contact
+        winner, confidence = descend(self._features, model.weights, model.biases, len(about.classes))
+        self._settle(winner, confidence, contact)
+        slack = 1.0 + about.unknown_slack * (1.0 - valid_ratio)
+        seen = min(novelty(self._observer.features, self._regions) / slack, _MOST_NOVELTY)
+        touched = contact * (1.0 - self._belief[-1])
+        self._novelty += NOVELTY_SETTLING * (touched * seen - self._novelty)
+
+    def _said(self) -> Decision:
+        best = int(self._belief.argmax())
+        if best == self._belief.size - 1:
+            return Decision("", float(self._belief[best]))
+        doubt = _logistic(_DOUBT_SLOPE * (self._novelty - 1.0))
+        if doubt > 0.5:
+            return Decision(UNKNOWN_OBJECT, doubt * float(1.0 - self._belief[-1]))
+        return Decision(self._labels[best], (1.0 - doubt) * float(self._belief[best]))
 
     def _settle(self, winner: int, confidence: float, contact: float) -> None:
         """Move the belief towards one measurement; it is 1 in sum, the last entry is "no contact"."""
         belief = self._belief
-        others = self._graph.classes - 1
+        others = belief.size - 2
         weight = 1.0 if self._fresh else self._settling
+        if self._fresh:
+            self._novelty = 0.0
         self._fresh = False
         belief *= 1.0 - weight
         belief[:-1] += weight * contact * (1.0 - confidence) / others

@@ -125,19 +125,10 @@ def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
 
 
 def _check_arrays(path: Path, about: Metadata, arrays: Arrays) -> None:
-    classes, widths = len(about.classes), len(widths_for(about.rows, about.columns))
-    features = about.sums if about.features == "sums" else 2 * widths
-    planes = len(pairs(classes))
-    shapes = {
-        "weights": (planes, features),
-        "biases": (planes,),
-        "offset": (features,),
-        "scale": (features,),
-        "no_touch": (4, widths),
-    }
+    classes = len(about.classes)
     if classes < 2 or len(set(about.classes)) < classes or "" in about.classes:
         raise ModelError(f"{path}: damaged model: expected 2 or more different object names")
-    for name, shape in shapes.items():
+    for name, shape in _shapes(about, arrays).items():
         array = arrays[name]
         if array.shape != shape or array.dtype != np.dtype("<f8"):
             raise ModelError(
@@ -145,9 +136,33 @@ def _check_arrays(path: Path, about: Metadata, arrays: Arrays) -> None:
             )
         if not np.isfinite(array).all():
             raise ModelError(f"{path}: damaged model: '{name}' holds values that are not finite")
-    spreads = arrays["no_touch"][1::2]
-    if not (spreads > 0).all() or not (arrays["no_touch"][2] > 0).all():
-        raise ModelError(f"{path}: damaged model: deviations and peaks must be above 0")
+    positive = (*arrays["no_touch"][1::2].flat, *arrays["no_touch"][2], *arrays["limits"])
+    if min(positive) <= 0:
+        raise ModelError(f"{path}: damaged model: deviations, peaks and limits must be above 0")
+    if arrays["sum_loadings"].size and about.sum_noise <= 0:
+        raise ModelError(f"{path}: damaged model: sum_noise must be above 0")
+
+
+def _shapes(about: Metadata, arrays: Arrays) -> dict[str, tuple[int, ...]]:
+    """Return the shape every array must have; how many regions and factors there are, the arrays say themselves."""
+    planes, widths = len(pairs(len(about.classes))), len(widths_for(about.rows, about.columns))
+    raw = about.features == "sums"
+    features = about.sums if raw else 2 * widths
+    sums = about.sums if raw else 0
+    regions = arrays["limits"].shape[0] if arrays["limits"].ndim else 0
+    factors = arrays["sum_loadings"].shape[-1] if arrays["sum_loadings"].ndim and raw else 0
+    return {
+        "weights": (planes, features),
+        "biases": (planes,),
+        "offset": (features,),
+        "scale": (features,),
+        "no_touch": (4, widths),
+        "centres": (regions, 2 * widths),
+        "whitening": (regions, 2 * widths, 2 * widths),
+        "limits": (regions,),
+        "sum_mean": (sums,),
+        "sum_loadings": (sums, factors),
+    }
 
 
 def _digest(metadata: bytes, arrays: Arrays) -> bytes:

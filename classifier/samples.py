@@ -5,9 +5,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from classifier.decide import MIN_VALID_RATIO, Observer
 from classifier.features import Float32, widths_for
-from classifier.model import Features, Float64
+from classifier.model import Float64
+from classifier.observer import Observer
 from skin.layout import Layout
 from skin.measurement import Sbhe
 
@@ -18,7 +18,7 @@ FALSE_ALARM_RATIO: Final = 0.002
 #: Every third touch is seen with blocks missing, every second with less noise, so that neither surprises.
 _LOSS_EVERY: Final = 3
 _QUIET_EVERY: Final = 2
-_MOST_LOST_RATIO: Final = 0.3
+MOST_LOST_RATIO: Final = 0.3
 _CHUNK: Final = 128
 
 
@@ -78,34 +78,46 @@ def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng
     return Untouched(np.stack([mean[0], sd[0], mean[1], sd[1]]), threshold)
 
 
-def observe_touches(
-    force_n: Float32,
-    layout: Layout,
-    phi: Sbhe,
-    *,
-    kind: Features,
-    no_touch: Float64,
-    noise_n: float,
-    rng: np.random.Generator,
-) -> Float64:
-    """Return the features of true images, shape (count, features).
+class Watcher:
+    """Looks at one measurement after the other with the eyes of a model that is being made.
 
-    Raw sums carry the same noise everywhere, as in the paper. Energies are made ready for less noise and
-    for missing blocks.
+    Parameters
+    ----------
+    layout : Layout
+    phi : Sbhe
+    no_touch : array, shape (4, widths)
     """
-    deviations = np.full(len(force_n), noise_n)
-    if kind == "sums":
-        return simulate_sums(force_n, layout, phi, deviations, rng).astype(np.float64)
+
+    def __init__(self, layout: Layout, phi: Sbhe, no_touch: Float64) -> None:
+        self._observer = Observer(phi, layout.taxels.rows, layout.taxels.columns, no_touch)
+        self._valid = np.ones(phi.blocks, np.float32)
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of the skin."""
+        return self._valid.size
+
+    def features(self, sums: npt.NDArray[np.int32], lost: npt.NDArray[np.intp], rng: np.random.Generator) -> Float64:
+        """Return the features of `sums`, shape (count, 2 widths), each with as many blocks missing as `lost` says."""
+        seen = np.empty((len(sums), self._observer.features.size))
+        for one, gone, made in zip(sums, lost, seen, strict=True):
+            self._valid.fill(1)
+            if gone:
+                self._valid[rng.permutation(self._valid.size)[:gone]] = 0
+            self._observer.look(one, self._valid, float(self._valid.mean()))
+            made[:] = self._observer.features
+        return seen
+
+
+def spoilt_noise(count: int, noise_n: float, rng: np.random.Generator) -> Float64:
+    """Return a noise for each of `count` touches, newtons: every second has less than `noise_n`."""
+    deviations = np.full(count, noise_n)
     deviations[::_QUIET_EVERY] *= rng.uniform(0, 1, deviations[::_QUIET_EVERY].size)
-    sums = simulate_sums(force_n, layout, phi, deviations, rng)
-    observer = Observer(phi, layout.taxels.rows, layout.taxels.columns, no_touch)
-    features = np.empty((len(sums), observer.features.size))
-    valid = np.ones(phi.blocks, np.float32)
-    most_lost = int(phi.blocks * min(_MOST_LOST_RATIO, 1 - MIN_VALID_RATIO))
-    for index, one in enumerate(sums):
-        valid.fill(1)
-        if index % _LOSS_EVERY == 0:
-            valid[rng.permutation(phi.blocks)[: rng.integers(0, most_lost + 1)]] = 0
-        observer.look(one, valid, float(valid.mean()))
-        features[index] = observer.features
-    return features
+    return deviations
+
+
+def spoilt_blocks(count: int, blocks: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    """Return for each of `count` touches how many of `blocks` blocks are missing: every third lacks some."""
+    lost = np.zeros(count, np.intp)
+    lost[::_LOSS_EVERY] = rng.integers(0, int(blocks * MOST_LOST_RATIO) + 1, lost[::_LOSS_EVERY].size)
+    return lost

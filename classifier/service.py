@@ -62,6 +62,7 @@ class ClassifierService:
             label=decision.label,
             confidence=decision.confidence,
             valid_sums=int(self._sums_of_block[valid != 0].sum()),
+            blind=decision.blind,
         )
 
     def _fits(self, measurement: Measurement) -> bool:

@@ -12,6 +12,8 @@ from skin.layout import Layout
 from skin.sources import DEFAULT_OBJECTS
 
 GROUP: Final = "canskin.touches"
+#: What a model card says of touches from here.
+SOURCE: Final = "simulated touches at random places, depths and moments"
 
 
 def load_touches(

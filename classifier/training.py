@@ -1,29 +1,36 @@
 """From labelled true images to a model: DAGSVMs with C from a grid, chosen on a validation set."""
 
-import math
-import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
-from sklearn.exceptions import ConvergenceWarning
 
-from classifier.dag import DecisionGraph
-from classifier.dagsvm import DagSvm
+from classifier.confidence import confidence_slope
 from classifier.features import Float32
+from classifier.missing import Factors, fit_factors
 from classifier.model import VERSION, Features, Float64, Metadata, Model, TrainingCard
-from classifier.samples import FALSE_ALARM_RATIO, NOISE_N, Untouched, observe_touches, observe_untouched
+from classifier.regions import Known, know
+from classifier.samples import (
+    FALSE_ALARM_RATIO,
+    NOISE_N,
+    Watcher,
+    observe_untouched,
+    simulate_sums,
+    spoilt_blocks,
+    spoilt_noise,
+)
+from classifier.validation import Chosen, choose_C, global_scale
 from skin.errors import InputError
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.messages import UNKNOWN_OBJECT
 
 C_GRID: Final = (0.1, 1.0, 10.0, 100.0)
 #: Part of the touches kept for validation.
 VALIDATION_RATIO: Final = 0.25
-#: Quantile of the margins at which one error is pretended.
-_PRETENDED_ERROR: Final = 0.05
 _LEAST_TOUCHES: Final = 8
 
 #: Told what is being done and how much of everything is done, 0 to 1.
@@ -41,6 +48,8 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
         Standard deviation of the taxel noise in newtons.
     no_touches : int
         Draws of the untouched skin for the contact threshold.
+    data : str
+        Where the touches come from, for the model card.
     """
 
     features: Features = "energies"
@@ -48,14 +57,29 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     no_touches: int = 5000
     C_grid: tuple[float, ...] = C_GRID
+    data: str = "given images"
 
 
-class _Fit(NamedTuple):
-    machine: DagSvm
-    C: float
-    accuracy: float
-    per_object: dict[str, float]
-    slope: float
+class _Split(NamedTuple):
+    development: npt.NDArray[np.intp]
+    validation: npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class _Lesson:
+    """What every step of a training needs."""
+
+    plan: Plan
+    layout: Layout
+    phi: Sbhe
+    names: npt.NDArray[np.str_]
+    split: _Split
+    watcher: Watcher
+    rng: np.random.Generator
+
+    def sums(self, force_n: Float32, noise_n: float | Float64) -> npt.NDArray[np.int32]:
+        """Return the sums of true images with that noise."""
+        return simulate_sums(force_n, self.layout, self.phi, noise_n, self.rng)
 
 
 def train(
@@ -90,28 +114,21 @@ def train(
     rng = np.random.default_rng(plan.seed)
     say("the untouched skin", 0.0)
     untouched = observe_untouched(layout, phi, plan.noise_n, plan.no_touches, rng)
-    say("the touches", 0.3)
-    features = observe_touches(
-        force_n, layout, phi, kind=plan.features, no_touch=untouched.no_touch, noise_n=plan.noise_n, rng=rng
+    say("the touches", 0.2)
+    watcher = Watcher(layout, phi, untouched.no_touch)
+    lesson = _Lesson(plan, layout, phi, names, _split(names, rng), watcher, rng)
+    plain = lesson.sums(force_n, plan.noise_n)
+    features, factors = _features(lesson, force_n, plain)
+    offset, scale = _standard(features, plan.features, lesson.split)
+    standard = (features - offset) * scale
+    chosen = choose_C(
+        standard, names, *lesson.split, C_grid=plan.C_grid, progress=lambda doing, part: say(doing, 0.5 + 0.4 * part)
     )
-    offset, scale = _standard(features, plan.features)
-    fit = _fit((features - offset) * scale, names, plan, rng, say)
-    planes = fit.machine.weights_ * fit.slope, fit.machine.biases_ * fit.slope
-    about = _metadata(layout, phi, plan, untouched, fit, touches=len(names))
-    return Model(about, *planes, offset, scale, untouched.no_touch)
-
-
-def _metadata(layout: Layout, phi: Sbhe, plan: Plan, untouched: Untouched, fit: _Fit, *, touches: int) -> Metadata:
-    card = TrainingCard(
-        touches=touches,
-        no_touches=plan.no_touches,
-        seed=plan.seed,
-        noise_n=plan.noise_n,
-        C=fit.C,
-        validation_accuracy=fit.accuracy,
-        per_object=fit.per_object,
-    )
-    return Metadata(
+    say("what is known", 0.9)
+    known = know(plain, names, lesson.split, watcher, rng)
+    held = lesson.split.validation
+    slope = confidence_slope(chosen.rehearsal, standard[held], names[held])
+    about = Metadata(
         version=VERSION,
         fingerprint=phi.fingerprint,
         sums=phi.shape[0],
@@ -119,10 +136,51 @@ def _metadata(layout: Layout, phi: Sbhe, plan: Plan, untouched: Untouched, fit: 
         columns=layout.taxels.columns,
         newton_per_count=layout.taxels.newton_per_count,
         features=plan.features,
-        classes=[str(name) for name in fit.machine.classes_],
+        classes=[str(name) for name in chosen.machine.classes_],
         contact_threshold=untouched.contact_threshold,
         false_alarm_ratio=FALSE_ALARM_RATIO,
-        card=card,
+        unknown_slack=known.slack,
+        sum_noise=factors.noise,
+        card=_card(lesson, chosen, standard, known),
+    )
+    planes = chosen.machine.weights_ * slope, chosen.machine.biases_ * slope
+    return Model(about, *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings)
+
+
+def _features(lesson: _Lesson, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:
+    """Return what the machines learn from, and how the sums vary together where missing ones are to be estimated.
+
+    Raw sums carry the same noise everywhere, as in the paper. Energies are made ready for less noise and for missing
+    blocks.
+    """
+    if lesson.plan.features == "sums":
+        raw = plain.astype(np.float64)
+        return raw, fit_factors(raw[lesson.split.development])
+    count, rng = len(force_n), lesson.rng
+    sums = lesson.sums(force_n, spoilt_noise(count, lesson.plan.noise_n, rng))
+    features = lesson.watcher.features(sums, spoilt_blocks(count, lesson.phi.blocks, rng), rng)
+    return features, Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
+
+
+def _card(lesson: _Lesson, chosen: Chosen, standard: Float64, known: Known) -> TrainingCard:
+    plan, held, classes = lesson.plan, lesson.split.validation, chosen.rehearsal.classes_
+    true, said = lesson.names[held], chosen.rehearsal.predict(standard[held])
+    confusion = np.zeros((classes.size, classes.size), np.int64)
+    np.add.at(confusion, (np.searchsorted(classes, true), np.searchsorted(classes, said)), 1)
+    per_object = confusion.diagonal() / confusion.sum(axis=1)
+    return TrainingCard(
+        data=plan.data,
+        touches=len(lesson.names),
+        no_touches=plan.no_touches,
+        development=len(lesson.split.development),
+        validation=len(held),
+        seed=plan.seed,
+        noise_n=plan.noise_n,
+        C=chosen.C,
+        validation_accuracy=chosen.accuracy,
+        per_object={str(name): float(part) for name, part in zip(classes, per_object, strict=True)},
+        confusion=confusion.tolist(),
+        unknown_ratio=known.unknown_ratio,
     )
 
 
@@ -140,66 +198,28 @@ def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, plan: 
         )
     if "" in objects:
         raise InputError("an object's name is empty: every touch needs one")
-    if not 0 < plan.noise_n < layout.taxels.force_max_n or not plan.C_grid or plan.no_touches < 2:
-        raise InputError(f"expected noise between 0 and {layout.taxels.force_max_n} N and a C: got {plan}")
+    if UNKNOWN_OBJECT in objects:
+        raise InputError(f"no object can be called '{UNKNOWN_OBJECT}': the classifier says so of what it never met")
+    if not 0 < plan.noise_n < layout.taxels.force_max_n:
+        raise InputError(f"expected noise above 0 and below {layout.taxels.force_max_n} N, got {plan.noise_n} N")
+    if not plan.C_grid or min(plan.C_grid) <= 0:
+        raise InputError(f"expected one C or more, each above 0, got {plan.C_grid}")
+    if plan.no_touches < 2:
+        raise InputError(f"expected 2 or more draws of the untouched skin, got {plan.no_touches}")
 
 
-def _standard(features: Float64, kind: Features) -> tuple[Float64, Float64]:
+def _standard(features: Float64, kind: Features, split: _Split) -> tuple[Float64, Float64]:
     """Return offset and scale: one global scale for raw sums, each feature its own otherwise."""
     if kind == "sums":
-        rms = math.sqrt(float(np.square(features).mean())) or 1.0
-        return np.zeros(features.shape[1]), np.full(features.shape[1], 1 / rms)
+        scale = global_scale(features[split.development])
+        return np.zeros(features.shape[1]), np.full(features.shape[1], scale)
     return features.mean(axis=0), 1 / np.maximum(features.std(axis=0), 1e-9)
 
 
-def _fit(features: Float64, names: npt.NDArray[np.str_], plan: Plan, rng: np.random.Generator, say: Progress) -> _Fit:
-    """Choose C on a validation set, then train again on everything."""
-    held = _held_out(names, rng)
-    best: _Fit | None = None
-    for step, C in enumerate(plan.C_grid):
-        say(f"C = {C:g}", 0.5 + 0.4 * step / len(plan.C_grid))
-        machine = _fitted(DagSvm(C), features[~held], names[~held])
-        right = machine.predict(features[held]) == names[held]
-        if best is None or right.mean() > best.accuracy:
-            per_object = {str(name): float(right[names[held] == name].mean()) for name in machine.classes_}
-            slope = _slope(machine, features[held], names[held])
-            best = _Fit(machine, C, float(right.mean()), per_object, slope)
-    if best is None:
-        raise InputError("expected at least one C to try")
-    say("the final fit", 0.9)
-    return best._replace(machine=_fitted(DagSvm(best.C), features, names))
-
-
-def _fitted(machine: DagSvm, features: Float64, names: npt.NDArray[np.str_]) -> DagSvm:
-    with warnings.catch_warnings():
-        # A pair cut short by max_iter is still judged on the validation set, like any other.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return machine.fit(features, names)
-
-
-def _held_out(names: npt.NDArray[np.str_], rng: np.random.Generator) -> npt.NDArray[np.bool_]:
+def _split(names: npt.NDArray[np.str_], rng: np.random.Generator) -> _Split:
     """Choose the validation set, the same part of every object."""
     held = np.zeros(len(names), np.bool_)
     for name in np.unique(names):
         where = rng.permutation(np.flatnonzero(names == name))
         held[where[: max(1, round(VALIDATION_RATIO * where.size))]] = True
-    return held
-
-
-def _slope(machine: DagSvm, features: Float64, names: npt.NDArray[np.str_]) -> float:
-    """Fit how fast confidence grows with the margins, by likelihood of right and wrong on a fine grid.
-
-    One pretended error where margins are small keeps the slope finite when no observation errs.
-    """
-    graph = DecisionGraph(machine.classes_.size)
-    margins = machine.margins(features)
-    paths = np.array([[margin for _, margin in graph.walk(row)] for row in margins])
-    right = np.append(machine.predict(features) == names, False)
-    paths = np.vstack([paths, np.quantile(paths, _PRETENDED_ERROR, axis=0)])
-    slopes = np.geomspace(0.01, 1000, 300)
-    costs = []
-    for slope in slopes:
-        log_confidence = -np.logaddexp(0, -slope * paths).sum(axis=1)
-        log_doubt = np.log(np.maximum(-np.expm1(log_confidence), 1e-300))
-        costs.append(-np.where(right, log_confidence, log_doubt).sum())
-    return float(slopes[int(np.argmin(costs))])
+    return _Split(np.flatnonzero(~held), np.flatnonzero(held))

@@ -65,8 +65,24 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     solve_s: float
 
 
+#: The label of a contact that looks like no object the classifier was trained on.
+UNKNOWN_OBJECT: Final = "unknown object"
+
+
 class Label(msgspec.Struct, frozen=True, kw_only=True):
-    """What the classifier says of one cycle; ``label`` is empty when nothing touches the skin."""
+    """What the classifier says of one cycle.
+
+    Attributes
+    ----------
+    label : str
+        The object, `UNKNOWN_OBJECT`, or empty when nothing touches the skin.
+    confidence : float
+        0..1.
+    valid_sums : int
+        How many sums came in this very cycle.
+    blind : bool
+        Too few blocks came lately to say anything: the label is empty, but that is no "no contact".
+    """
 
     cycle: int
     sync_counter: int
@@ -74,6 +90,7 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
     label: str
     confidence: float
     valid_sums: int
+    blind: bool = False
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):

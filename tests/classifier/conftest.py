@@ -66,3 +66,9 @@ def unseen() -> Touches:
 @pytest.fixture(scope="session")
 def model(layout: Layout, touches: Touches) -> Model:
     return train(*touches, layout, plan=Plan(no_touches=3000))
+
+
+@pytest.fixture(scope="session")
+def raw_model(layout: Layout, touches: Touches) -> Model:
+    """The paper's mode: raw sums."""
+    return train(*touches, layout, plan=Plan(features="sums", no_touches=500))

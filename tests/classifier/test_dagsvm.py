@@ -8,10 +8,12 @@ from sklearn.datasets import make_blobs
 from sklearn.model_selection import GridSearchCV
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
+from classifier.dag import DecisionGraph
 from classifier.dagsvm import DagSvm
+from classifier.descent import descend
 
 
-@parametrize_with_checks([DagSvm()])
+@parametrize_with_checks([DagSvm(), DagSvm(kernel="rbf")])
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 def test_scikit_learn_contract(estimator: DagSvm, check: Callable[[DagSvm], None]) -> None:
@@ -30,6 +32,27 @@ def test_separable_blobs_are_told_apart() -> None:
     machine = DagSvm().fit(X[:300], y[:300])
     assert machine.weights_.shape == (15, 8)
     assert np.mean(machine.predict(X[300:]) == y[300:]) > 0.97
+
+
+def test_walk_of_every_row_is_the_graph_walked_step_by_step() -> None:
+    X, y = make_blobs(300, centers=7, n_features=3, cluster_std=5.0, random_state=4)
+    machine = DagSvm().fit(X, y)
+    graph = DecisionGraph(7)
+    walked = [graph.decide(row) for row in machine.margins(X)]
+    np.testing.assert_array_equal(machine.predict(X), [winner for winner, _ in walked])
+    for one, (winner, confidence) in zip(X, walked, strict=True):
+        assert descend(one, machine.weights_, machine.biases_, 7) == (winner, pytest.approx(confidence))
+
+
+@pytest.mark.parametrize("classes", [2, 4])
+def test_curved_borders_need_the_other_kernel(classes: int) -> None:
+    angle = np.random.default_rng(0).uniform(0, 2 * np.pi, 400)
+    y = np.arange(400) % classes
+    X = (1 + y[:, None]) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    curved = DagSvm(C=100, kernel="rbf").fit(X[:200], y[:200])
+    assert curved.score(X[200:], y[200:]) > 0.97
+    assert DagSvm().fit(X[:200], y[:200]).score(X[200:], y[200:]) < 0.8
+    assert (curved.margins(X).shape[1], curved.n_iter_ > 0) == (classes * (classes - 1) // 2, True)
 
 
 def test_decision_function_agrees_with_predict_on_confused_data() -> None:

@@ -1,13 +1,19 @@
 """Decisions cycle by cycle: silence, settling, loss, forgetting."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
-from classifier.decide import FORGET_CYCLES, HOLD_CYCLES, Classifier
+from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.gathered import HOLD_CYCLES
 from classifier.model import Model
 from classifier.samples import simulate_sums
+from classifier.training import Plan, train
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.messages import UNKNOWN_OBJECT
+from tests.classifier.conftest import draw
 
 Sums = np.ndarray
 
@@ -90,8 +96,8 @@ def test_hardly_any_block_says_nothing(model: Model, phi: Sbhe, pressed: dict[st
     classifier = Classifier(model, phi)
     few = valid.copy()
     few[phi.blocks // 5 :] = 0
-    assert classifier.decide(pressed["dome"][0], few) == ("", 0.0)
-    assert classifier.decide(pressed["dome"][0], 0 * valid) == ("", 0.0)
+    assert classifier.decide(pressed["dome"][0], few) == ("", 0.0, True)
+    assert classifier.decide(pressed["dome"][0], 0 * valid) == ("", 0.0, True)
     assert classifier.decide(pressed["dome"][0], valid).label == "dome"
 
 
@@ -136,3 +142,57 @@ def test_extreme_sums_give_a_decision(model: Model, phi: Sbhe, valid: np.ndarray
     for value in (-(2**31), 2**31 - 1, 0):
         decision = classifier.decide(np.full(phi.shape[0], value, np.int32), valid)
         assert 0 <= decision.confidence <= 1
+
+
+def test_object_never_met_is_unknown_while_known_ones_keep_their_name(
+    model: Model, layout: Layout, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
+) -> None:
+    stripes = np.zeros((20, 32, 32), np.float32)
+    stripes[:, 4:28, 6::6] = 0.01
+    unmet = simulate_sums(stripes, layout, phi, 0.001, np.random.default_rng(3))
+    classifier = Classifier(model, phi)
+    for y in pressed["plate"]:
+        assert classifier.decide(y, valid).label == "plate"
+    said = [classifier.decide(y, valid) for y in unmet]
+    assert said[-1].label == UNKNOWN_OBJECT
+    assert said[-1].confidence > 0.5
+    assert [classifier.decide(y, valid).label for y in pressed["dome"]][-1] == "dome"
+
+
+def test_model_of_few_touches_calls_nothing_unknown(layout: Layout, phi: Sbhe, valid: np.ndarray) -> None:
+    model = train(*draw(32, seed=4), layout, plan=Plan(no_touches=200))
+    assert model.limits.size == 0
+    classifier = Classifier(model, phi, settling=1.0)
+    flood = np.full((1, 32, 32), 0.01, np.float32)
+    sums = simulate_sums(flood, layout, phi, 0.001, np.random.default_rng(3))[0]
+    assert classifier.decide(sums, valid).label in {"dome", "plate", ""}
+
+
+def test_missing_raw_sums_are_estimated(raw_model: Model, phi: Sbhe, pressed: dict[str, Sums]) -> None:
+    most = np.ones(phi.blocks, np.uint8)
+    most[::10] = 0
+    for name, series in pressed.items():
+        whole, part = Classifier(raw_model, phi, settling=1.0), Classifier(raw_model, phi, settling=1.0)
+        same = [whole.decide(y, 0 * most + 1).label == part.decide(y, most).label for y in series]
+        assert np.mean(same) > 0.8, name
+
+
+def test_deciding_allocates_nothing_worth_mentioning(
+    model: Model, raw_model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
+) -> None:
+    valid[0] = 0
+    y = pressed["dome"][0]
+    for each in (model, raw_model):
+        classifier = Classifier(each, phi)
+        for _ in range(HOLD_CYCLES + 2):
+            classifier.decide(y, valid)
+        tracemalloc.start()
+        try:
+            classifier.decide(y, valid)
+            tracemalloc.reset_peak()
+            before, _ = tracemalloc.get_traced_memory()
+            classifier.decide(y, valid)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak - before < y.nbytes  # less than any one array of the measurement

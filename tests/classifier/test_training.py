@@ -29,11 +29,21 @@ def test_unseen_touches_at_any_place_and_depth(model: Model, layout: Layout, phi
     assert set(model.metadata.card.per_object) == {"dome", "plate"}
 
 
-def test_paper_mode_learns_from_raw_sums(layout: Layout, phi: Sbhe, touches: Labelled, unseen: Labelled) -> None:
-    model = train(*touches, layout, plan=Plan(features="sums", no_touches=500))
-    assert model.weights.shape == (1, 512)
-    assert np.ptp(model.scale) == 0  # one global scale
-    assert accuracy(model, layout, phi, unseen) > 0.6  # better than chance: a plate weighs more
+def test_paper_mode_learns_from_raw_sums(raw_model: Model, layout: Layout, phi: Sbhe, unseen: Labelled) -> None:
+    assert raw_model.weights.shape == (1, 512)
+    assert np.ptp(raw_model.scale) == 0  # one global scale
+    assert accuracy(raw_model, layout, phi, unseen) > 0.6  # better than chance: a plate weighs more
+
+
+def test_card_tells_data_split_and_confusion(model: Model) -> None:
+    card = model.metadata.card
+    assert (card.touches, card.development, card.validation) == (240, 180, 60)
+    confusion = np.array(card.confusion)
+    assert confusion.sum() == 60
+    assert confusion.trace() == pytest.approx(60 * card.validation_accuracy)
+    assert list(card.per_object.values()) == pytest.approx(list(confusion.diagonal() / confusion.sum(axis=1)))
+    assert card.data == "given images"
+    assert card.unknown_ratio < 0.2
 
 
 def test_same_seed_same_model(layout: Layout, touches: Labelled) -> None:
@@ -69,5 +79,13 @@ def test_images_that_cannot_be_used(layout: Layout, touches: Labelled) -> None:
     broken[3, 1, 1] = np.nan
     with pytest.raises(InputError, match="not finite"):
         train(broken, labels, layout)
-    with pytest.raises(InputError, match="noise"):
-        train(force_n, labels, layout, plan=Plan(noise_n=0.0))
+    with pytest.raises(InputError, match="unknown object"):
+        train(force_n, np.where(labels == "dome", "unknown object", labels), layout)
+    for plan, says in (
+        (Plan(noise_n=0.0), "expected noise above 0 and below 0.02 N, got 0.0 N$"),
+        (Plan(C_grid=()), "expected one C or more"),
+        (Plan(C_grid=(-1.0,)), "each above 0"),
+        (Plan(no_touches=1), "2 or more draws"),
+    ):
+        with pytest.raises(InputError, match=says):
+            train(force_n, labels, layout, plan=plan)

@@ -1,0 +1,39 @@
+"""How surely a margin decides: the slope that turns margins into confidences."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from classifier.dag import DecisionGraph, Float64
+from classifier.dagsvm import DagSvm
+
+#: Quantile of the margins at which one error is pretended.
+_PRETENDED_ERROR: Final = 0.05
+
+
+def confidence_slope(machine: DagSvm, features: Float64, names: npt.NDArray[np.str_]) -> float:
+    """Fit how fast confidence grows with the margins, by likelihood of right and wrong on a fine grid.
+
+    One pretended error where margins are small keeps the slope finite when no observation errs.
+
+    Parameters
+    ----------
+    machine : DagSvm
+    features : array, shape (count, features)
+        Observations the machine was not trained on.
+    names : array, shape (count,)
+        Their labels.
+    """
+    graph = DecisionGraph(machine.classes_.size)
+    margins = machine.margins(features)
+    paths = np.array([[margin for _, margin in graph.walk(row)] for row in margins])
+    right = np.append(machine.predict(features) == names, False)
+    paths = np.vstack([paths, np.quantile(paths, _PRETENDED_ERROR, axis=0)])
+    slopes = np.geomspace(0.01, 1000, 300)
+    costs = []
+    for slope in slopes:
+        log_confidence = -np.logaddexp(0, -slope * paths).sum(axis=1)
+        log_doubt = np.log(np.maximum(-np.expm1(log_confidence), 1e-300))
+        costs.append(-np.where(right, log_confidence, log_doubt).sum())
+    return float(slopes[int(np.argmin(costs))])

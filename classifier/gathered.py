@@ -1,0 +1,51 @@
+"""The newest sums of every block: what a lost frame takes away for a moment only."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.measurement import Sbhe
+
+#: A block that is missing keeps its last sums for this many cycles, then it is left out.
+HOLD_CYCLES: Final = 4
+
+
+class Gathered:
+    """The newest sums of every block, as long as they are not too old.
+
+    Attributes
+    ----------
+    sums : array of int32, shape (m,)
+    valid : array of float32, shape (blocks,)
+        1 where the sums are of the last `HOLD_CYCLES` cycles.
+    """
+
+    def __init__(self, phi: Sbhe) -> None:
+        self.sums = np.zeros(phi.shape[0], np.int32)
+        self.valid = np.ones(phi.blocks, np.float32)
+        self._age = np.full(phi.blocks, HOLD_CYCLES, np.int32)
+        self._came = np.ones(phi.blocks, np.bool_)
+        self._came_sums = np.ones(phi.shape[0], np.bool_)
+        self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
+
+    def forget(self) -> None:
+        """Hold nothing of the past."""
+        self._age.fill(HOLD_CYCLES)
+
+    def take(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.uint8], step: int) -> float:
+        """Take the new sums, `step` cycles after the last; return the part of the blocks that is in use."""
+        np.not_equal(valid, 0, out=self._came)
+        np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
+        np.copyto(self.sums, sums, where=self._came_sums)
+        self._age += max(1, min(step, HOLD_CYCLES))
+        np.minimum(self._age, HOLD_CYCLES + 1, out=self._age)
+        np.copyto(self._age, 0, where=self._came)
+        np.less_equal(self._age, HOLD_CYCLES, out=self.valid, casting="unsafe")
+        return float(self.valid.mean())
+
+    def valid_sums(self) -> npt.NDArray[np.bool_]:
+        """Return which sums are in use, shape (m,); the array is reused."""
+        np.less_equal(self._age, HOLD_CYCLES, out=self._came)
+        np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
+        return self._came_sums

@@ -1,0 +1,53 @@
+"""What is seen in one measurement: the features a model is trained on, and how clearly something touches."""
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from classifier.features import Smoothed
+from skin.measurement import Sbhe
+
+#: Peaks below this part of their no-touch mean count as this part of it.
+_LEAST_PEAK: Final = 0.05
+
+
+class Observer:
+    """Turns measurements into the features a model was trained on; arrays are reused, not allocated.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    rows, columns : int
+    no_touch : array, shape (4, widths)
+        See `classifier.model`.
+    """
+
+    def __init__(self, phi: Sbhe, rows: int, columns: int, no_touch: npt.NDArray[np.float64]) -> None:
+        self.smoothed = Smoothed(phi, rows, columns)
+        self._energy_mean, self._energy_sd, self._peak_mean, self._peak_sd = no_touch.copy()
+        widths = self._peak_mean.size
+        self._standard = np.zeros(widths)
+        #: Features of the newest `look`: asinh of the standardised energies, log of the relative peaks.
+        self.features = np.zeros(2 * widths)
+
+    def look(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.float32], valid_ratio: float) -> float:
+        """Fill `features` and return the largest standardised peak.
+
+        Without some blocks a touch leaves less energy in the image; the features are raised by as much, so that they
+        stay those of the object.
+        """
+        smoothed, standard, half = self.smoothed, self._standard, self._standard.size
+        smoothed.measure(sums, valid, valid_ratio)
+        np.subtract(smoothed.energies, self._energy_mean, out=standard)
+        standard /= self._energy_sd
+        standard /= valid_ratio
+        np.arcsinh(standard, out=self.features[:half])
+        np.divide(smoothed.peaks, self._peak_mean, out=standard)
+        standard /= math.sqrt(valid_ratio)
+        np.maximum(standard, _LEAST_PEAK, out=standard)
+        np.log(standard, out=self.features[half:])
+        np.subtract(smoothed.peaks, self._peak_mean, out=standard)
+        standard /= self._peak_sd
+        return float(standard.max())

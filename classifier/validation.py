@@ -1,0 +1,93 @@
+"""Choosing C on a validation set, then training again on everything (section II-C of the paper)."""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
+
+from classifier.dagsvm import DagSvm
+
+C_GRID: Final = (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
+
+Indices = npt.NDArray[np.intp]
+
+
+class Chosen(NamedTuple):
+    """A machine with the best C of a grid.
+
+    Attributes
+    ----------
+    machine : DagSvm
+        Trained on development and validation set together.
+    rehearsal : DagSvm
+        Trained on the development set alone; what the validation set says, it says of this one.
+    C, accuracy : float
+        The smallest C of the best accuracy on the validation set, and that accuracy.
+    """
+
+    machine: DagSvm
+    rehearsal: DagSvm
+    C: float
+    accuracy: float
+
+
+def choose_C(
+    X: npt.NDArray[Any],
+    labels: npt.NDArray[Any],
+    development: Indices,
+    validation: Indices,
+    *,
+    machine: DagSvm | None = None,
+    C_grid: Sequence[float] = C_GRID,
+    progress: Callable[[str, float], None] | None = None,
+) -> Chosen:
+    """Train with every C of the grid on the development set and keep the one the validation set likes best.
+
+    Parameters
+    ----------
+    X : array, shape (count, features), or (count, count) of inner products
+        Observations, or their inner products when the machine's kernel is "precomputed".
+    labels : array, shape (count,)
+    development, validation : arrays of int
+        Rows of `X`, without a common one.
+    machine : DagSvm, optional
+        Its other settings are kept; default: the paper's, linear.
+    progress : callable, optional
+        Told what is being done, and how much of it is, 0 to 1.
+    """
+    template = machine or DagSvm()
+    tell = progress or (lambda _doing, _ratio: None)
+    best: Chosen | None = None
+    for step, C in enumerate(C_grid):
+        tell(f"C = {C:g}", step / (len(C_grid) + 1))
+        tried = _trained(clone(template).set_params(C=C), X, labels, development)
+        accuracy = float(np.mean(tried.predict(part_of(X, validation, development, tried)) == labels[validation]))
+        if best is None or accuracy > best.accuracy:
+            best = Chosen(tried, tried, C, accuracy)
+    if best is None:
+        raise ValueError("expected at least one C to try")
+    tell("the final fit", len(C_grid) / (len(C_grid) + 1))
+    everything = np.concatenate([development, validation])
+    return best._replace(machine=_trained(clone(best.rehearsal), X, labels, everything))
+
+
+def part_of(X: npt.NDArray[Any], rows: Indices, trained: Indices, machine: DagSvm) -> npt.NDArray[Any]:
+    """Return what a machine trained on the rows `trained` needs to judge the rows `rows`."""
+    return X[np.ix_(rows, trained)] if machine.kernel == "precomputed" else X[rows]
+
+
+def global_scale(X: npt.NDArray[Any]) -> float:
+    """Return 1 / root mean square of all values: one scale for every feature, as raw sums need it."""
+    return 1.0 / (math.sqrt(float(np.mean(np.square(X, dtype=np.float64)))) or 1.0)
+
+
+def _trained(machine: DagSvm, X: npt.NDArray[Any], labels: npt.NDArray[Any], rows: Indices) -> DagSvm:
+    with warnings.catch_warnings():
+        # A pair cut short by max_iter is still judged on the validation set, like any other.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return machine.fit(part_of(X, rows, rows, machine), labels[rows])
