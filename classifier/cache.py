@@ -17,7 +17,7 @@ from skin.measurement import Sbhe
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS
 
-TOUCHES_PER_OBJECT: Final = 400
+TOUCHES_PER_OBJECT: Final = 600
 
 
 def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:

@@ -83,7 +83,7 @@ def train(
     objects
         Comma-separated names of the objects, see ``skin objects``; default: a series of five.
     touches
-        How many touches to draw in all; default: 400 per object.
+        How many touches to draw in all; default: 600 per object.
     noise_n
         Standard deviation of the taxel noise in newtons.
     features

@@ -11,8 +11,8 @@ from sklearn.mixture import GaussianMixture
 from classifier.novelty import Float64, Regions, nearest, novelty
 from classifier.samples import MOST_LOST_RATIO, Watcher
 
-#: Regions per object: pressed in fully, half, hardly.
-REGIONS_PER_OBJECT: Final = 3
+#: Regions per object, from hardly touching to pressed in fully.
+REGIONS_PER_OBJECT: Final = 4
 #: With fewer observations a region's covariance means little: the object gets fewer regions.
 LEAST_PER_REGION: Final = 60
 #: A region's limit is this multiple of the distance that most known touches keep, a quantile that does not hang on a

@@ -109,10 +109,10 @@ class Watcher:
         return seen
 
 
-def spoilt_noise(count: int, noise_n: float, rng: np.random.Generator) -> Float64:
-    """Return a noise for each of `count` touches, newtons: every second has less than `noise_n`."""
+def spoilt_noise(count: int, noise_n: float, least: float, rng: np.random.Generator) -> Float64:
+    """Return a noise for each of `count` touches, newtons: every second has less than `noise_n`, down to that part."""
     deviations = np.full(count, noise_n)
-    deviations[::_QUIET_EVERY] *= rng.uniform(0, 1, deviations[::_QUIET_EVERY].size)
+    deviations[::_QUIET_EVERY] *= rng.uniform(least, 1, deviations[::_QUIET_EVERY].size)
     return deviations
 
 

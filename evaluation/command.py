@@ -12,7 +12,19 @@ from skin.errors import InputError
 if TYPE_CHECKING:
     from evaluation.findings import Findings
 
-Subject = Literal["all", "sparsity", "compression", "iterations", "figures", "solvers", "rivals", "rates"]
+Subject = Literal[
+    "all",
+    "sparsity",
+    "compression",
+    "iterations",
+    "figures",
+    "solvers",
+    "rivals",
+    "rates",
+    "classification",
+    "recognition",
+    "postures",
+]
 #: Where each subject's ``evaluate(options) -> Findings`` lives, in the order of the report.
 SUBJECTS: Final[dict[str, str]] = {
     "sparsity": "evaluation.paper.sparsity",
@@ -22,6 +34,9 @@ SUBJECTS: Final[dict[str, str]] = {
     "solvers": "evaluation.paper.solvers",
     "rivals": "evaluation.schemes.rivals",
     "rates": "evaluation.schemes.rates",
+    "classification": "evaluation.recognition.classification",
+    "recognition": "evaluation.recognition.beyond",
+    "postures": "evaluation.recognition.postures",
 }
 
 

@@ -106,7 +106,7 @@ def test_missing_model_is_trained_once_with_a_word(
     first = find_or_train(layout, phi, NAMES)
     again = find_or_train(layout, phi, NAMES)
     assert first.metadata == again.metadata
-    assert offer.calls == [(["dome", "plate"], 800)]
+    assert offer.calls == [(["dome", "plate"], 1200)]
     assert capsys.readouterr().err.count("training a model of this skin for dome, plate") == 1
 
 

@@ -1,0 +1,76 @@
+"""Choosing which rows to send, so that few sums tell objects apart.
+
+The structure stays that of the SBHE: the blocks and their scrambling are as drawn, only the rows that are kept are
+chosen, one after the other. Under Gaussian classes with the mean covariance of a pair, two objects at Mahalanobis
+distance d are confused with a probability below exp(-d² / 8) (the Bhattacharyya bound); the next row is the one that
+makes the sum of these bounds over all pairs smallest.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from classifier.dag import Float64, pairs
+from skin.errors import InputError
+from skin.measurement import Sbhe
+
+#: A row that others explain down to this part of its variance is noise.
+_LEAST_REST: Final = 1e-3
+
+
+def choose_rows(phi: Sbhe, sums: npt.NDArray[Any], labels: npt.NDArray[Any], count: int) -> Sbhe:
+    """Return `phi` with only the `count` rows kept that tell the labelled observations apart best.
+
+    Parameters
+    ----------
+    phi : Sbhe
+        Its rows are the candidates, for example all of them.
+    sums : array, shape (observations, m)
+        Measured with `phi`; at least 2 of each label.
+    labels : array, shape (observations,)
+    count : int
+        How many rows to keep.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit, or there are too few rows or observations.
+    """
+    if sums.shape != (len(labels), phi.shape[0]):
+        raise InputError(f"expected sums of shape {(len(labels), phi.shape[0])}, got {sums.shape}")
+    if not 0 < count <= phi.shape[0]:
+        raise InputError(f"expected 1 to {phi.shape[0]} rows to keep, got {count}")
+    classes, sizes = np.unique(labels, return_counts=True)
+    if classes.size < 2 or sizes.min() < 2:
+        raise InputError("expected 2 or more labels with 2 or more observations each")
+    chosen = _chosen([np.asarray(sums[labels == name], np.float32) for name in classes], count)
+    kept = np.zeros_like(phi.kept)
+    kept[phi.block_of_sum[chosen], phi.row_of_sum[chosen]] = True
+    return Sbhe(phi.order, kept)
+
+
+def _chosen(observed: list[npt.NDArray[np.float32]], count: int) -> list[int]:
+    """Return the chosen columns; what a chosen one explains is taken out of all, pair by pair (Gram-Schmidt)."""
+    first, second = np.array(pairs(len(observed))).T
+    means = np.stack([one.mean(axis=0, dtype=np.float64) for one in observed])
+    centred = [one - mean.astype(np.float32) for one, mean in zip(observed, means, strict=True)]
+    variances = np.stack([np.square(one).sum(axis=0, dtype=np.float64) / (len(one) - 1) for one in centred])
+    apart = means[first] - means[second]
+    rest = whole = np.maximum((variances[first] + variances[second]) / 2, np.finfo(np.float32).tiny)
+    squared, chosen = np.zeros(first.size), list[int]()
+    explained = list[Float64]()
+    for _ in range(count):
+        usable = np.maximum(rest, _LEAST_REST * whole)
+        bounds = np.exp(-(squared[:, None] + apart**2 / usable) / 8).sum(axis=0)
+        bounds[chosen] = np.inf
+        best = int(np.argmin(bounds))
+        chosen.append(best)
+        squared += apart[:, best] ** 2 / usable[:, best]
+        shared = np.stack([one[:, best] @ one / (len(one) - 1) for one in centred])
+        part = (shared[first] + shared[second]) / 2 - sum(each * each[:, best, None] for each in explained)
+        part /= np.sqrt(usable[:, best, None])
+        apart = apart - part * (apart[:, best] / np.sqrt(usable[:, best]))[:, None]
+        rest = rest - part**2
+        explained.append(part)
+    return chosen

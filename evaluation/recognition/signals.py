@@ -1,0 +1,86 @@
+"""The signals that are classified: what the sensor felt in every observation, and what is measured of it."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.measurement import Sbhe, sbhe
+from skin.noiselet import Noiselet, noiselet
+from skin.operator import Operator
+from touch.arrays import averaged
+from touch.electronics import sense
+from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations
+
+Values = npt.NDArray[np.floating[Any]]
+
+#: "averaged" and "large" are the readings of the paper's coarse arrays, see `touch.arrays`.
+Kind = Literal["sbhe", "noiselet", "averaged", "large"]
+KINDS: Final = get_args(Kind)
+TAXELS: Final = 4096
+OBJECTS: Final = len(CLASSIFICATION_OBJECTS)
+#: Label of every row of a signal: observations are ordered by object, then by perturbation.
+LABELS: Final = np.repeat(np.arange(OBJECTS), PERTURBATIONS)
+
+
+@cache
+def true_force_n(meshes: str | None, kind: str = "averaged", side: int = 64) -> npt.NDArray[np.float32]:
+    """Return the true forces of an array, float32, shape (observations, side, side), newtons; made once."""
+    if kind == "averaged" and side < 64:
+        return averaged(true_force_n(meshes), side)
+    force_n = observations(side, "large" if kind == "large" else "averaged", meshes=Path(meshes) if meshes else None)
+    return force_n.reshape(-1, side, side)
+
+
+@cache
+def sensed(meshes: str | None, seed: int, cycle: int = 0) -> npt.NDArray[np.float32]:
+    """Return what the 4096 taxels felt, float32, shape (observations, 4096), newtons.
+
+    The noise of each `cycle` is its own; all measurements of one cycle share it, as they share the data set in the
+    paper.
+    """
+    rng = np.random.default_rng([seed, cycle])
+    return sense(true_force_n(meshes), rng).reshape(-1, TAXELS)
+
+
+def drawn_sbhe(size: int, draw: int) -> Sbhe:
+    """Return the draw number `draw` of an SBHE with `size` sums; rows are drawn as in the paper."""
+    return sbhe(TAXELS, size, selection="uniform", seed=1000 + draw)
+
+
+def phi_of(kind: str, size: int, draw: int) -> Sbhe | Noiselet:
+    """Return the draw number `draw` of a measurement operator with `size` sums."""
+    if kind == "sbhe":
+        return drawn_sbhe(size, draw)
+    return noiselet(64, 64, size, seed=1000 + draw)
+
+
+def all_rows(draw: int) -> Sbhe:
+    """Return the SBHE of that draw with every row kept."""
+    return sbhe(TAXELS, TAXELS, seed=1000 + draw)
+
+
+def measured(phi: Operator, felt: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return Φ of many observations, shape (observations, m): as a matrix product where that is the faster way."""
+    sums, taxels = phi.shape
+    if 2 * sums >= taxels:
+        return np.asarray(phi.forward(felt), np.float32)
+    matrix = phi.adjoint(np.eye(sums, dtype=np.float32))
+    product: npt.NDArray[np.float32] = felt @ matrix.T
+    return product
+
+
+def signal(kind: str, size: int, draw: int, meshes: str | None, seed: int) -> Values:
+    """Return a signal of every observation, shape (observations, size).
+
+    Compressed signals are sums of the 4096 taxels; the coarse arrays' noise comes after the cells' mean.
+    """
+    if kind in {"sbhe", "noiselet"}:
+        return measured(phi_of(kind, size, draw), sensed(meshes, seed))
+    if size == TAXELS:
+        return sensed(meshes, seed)
+    side = round(size**0.5)
+    rng = np.random.default_rng([seed, size, kind == "large"])
+    return sense(true_force_n(meshes, kind, side), rng).reshape(-1, size)

@@ -1,0 +1,55 @@
+"""Which rows tell objects apart."""
+
+import numpy as np
+import pytest
+
+from classifier.rows import choose_rows
+from skin.errors import InputError
+from skin.measurement import sbhe
+
+PHI = sbhe(64, 64, block_size=8)
+LABELS = np.repeat(["a", "b", "c"], 50)
+
+
+def observed(informative: dict[int, tuple[float, float, float]], seed: int = 0) -> np.ndarray:
+    sums = np.random.default_rng(seed).normal(size=(150, 64))
+    for row, means in informative.items():
+        sums[:, row] += np.repeat(means, 50)
+    return sums
+
+
+def test_rows_that_differ_are_found() -> None:
+    chosen = choose_rows(PHI, observed({5: (0, 9, 0), 40: (0, 0, 9)}), LABELS, 2)
+    assert chosen.shape == (2, 64)
+    np.testing.assert_array_equal(np.flatnonzero(chosen.kept), [5, 40])
+    np.testing.assert_array_equal(chosen.order, PHI.order)
+
+
+def test_a_row_that_repeats_another_is_not_sent() -> None:
+    sums = observed({5: (0, 9, 0), 40: (0, 0, 4)})
+    sums[:, 6] = sums[:, 5] + 1e-6 * sums[:, 7]
+    kept = np.flatnonzero(choose_rows(PHI, sums, LABELS, 2).kept)
+    assert len({5, 6} & set(kept)) == 1
+    assert 40 in kept
+
+
+def test_chosen_sums_are_columns_of_the_candidates() -> None:
+    taxels = np.random.default_rng(1).normal(size=(150, 64)) + np.repeat(np.eye(64)[:3] * 20, 50, axis=0)
+    sums = PHI.forward(taxels)
+    chosen = choose_rows(PHI, sums, LABELS, 5)
+    np.testing.assert_allclose(chosen.forward(taxels), sums[:, chosen.kept.ravel()])
+
+
+@pytest.mark.parametrize(
+    ("sums", "labels", "count", "says"),
+    [
+        (np.zeros((150, 63)), LABELS, 2, "expected sums of shape"),
+        (np.zeros((150, 64)), LABELS, 65, "1 to 64 rows"),
+        (np.zeros((150, 64)), LABELS, 0, "1 to 64 rows"),
+        (np.zeros((150, 64)), np.zeros(150), 2, "2 or more labels"),
+        (np.zeros((3, 64)), np.array([0, 0, 1]), 2, "2 or more labels"),
+    ],
+)
+def test_what_cannot_be_used(sums: np.ndarray, labels: np.ndarray, count: int, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        choose_rows(PHI, sums, labels, count)

@@ -1,0 +1,37 @@
+"""What is measured of every observation."""
+
+import numpy as np
+import pytest
+
+from evaluation.recognition.signals import LABELS, all_rows, phi_of, sensed, signal
+from touch.arrays import averaged
+
+
+def test_sums_are_those_of_what_the_taxels_felt() -> None:
+    felt = sensed(None, 0)
+    assert felt.shape == (5760, 4096)
+    assert (felt.min(), felt.max()) >= (0, 0.009)
+    for kind in ("sbhe", "noiselet"):
+        values = signal(kind, 16, 3, None, 0)
+        np.testing.assert_allclose(values[:5], phi_of(kind, 16, 3).forward(felt[:5]), atol=1e-5)
+    assert LABELS.shape == (5760,)
+
+
+def test_candidate_rows_lie_in_the_same_scrambled_blocks() -> None:
+    every = all_rows(2)
+    np.testing.assert_array_equal(every.order, phi_of("sbhe", 64, 2).order)
+    assert every.kept.all()
+
+
+def test_coarse_taxels_are_means_with_their_own_noise() -> None:
+    coarse = signal("averaged", 64, 0, None, 0)
+    assert coarse.shape == (5760, 64)
+    fine = averaged(sensed(None, 0).reshape(-1, 64, 64)[:50], 8).reshape(50, 64)
+    # The fine noise averages out to the mean of what clipping leaves of it, 0.4 mN; the coarse one stays.
+    assert np.std(coarse[:50] - fine) == pytest.approx(0.6e-3, rel=0.3)
+
+
+def test_other_cycles_have_other_noise() -> None:
+    same = np.corrcoef(sensed(None, 0)[0], sensed(None, 0, 1)[0])[0, 1]
+    assert same < 0.999
+    assert not np.array_equal(sensed(None, 0)[0], sensed(None, 0, 1)[0])

@@ -1,0 +1,68 @@
+"""What must show, on one draw; the whole is averaged over ten."""
+
+import numpy as np
+import pytest
+
+from evaluation.bench import classify
+from evaluation.findings import Options
+from evaluation.recognition import beyond, classification
+from evaluation.recognition.accuracy import measure_accuracy
+from evaluation.recognition.methods import METHODS, measure_method
+
+SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "least", "most"),
+    [("sbhe", 64, 0.97, 1.0), ("sbhe", 16, 0.87, 0.97), ("averaged", 64, 0.91, 0.96), ("averaged", 16, 0.5, 0.7)],
+)
+def test_accuracy_is_near_the_papers(kind: str, size: int, least: float, most: float) -> None:
+    result = measure_accuracy(kind=kind, size=size, draw=0, splits=[0], **SHARES)  # type: ignore[arg-type]
+    assert least <= result["accuracy"][0] <= most
+    confusion = np.array(result["confusion"])
+    np.testing.assert_allclose(confusion.sum(axis=1), 1, atol=2e-3)
+    assert confusion.diagonal().mean() == pytest.approx(result["accuracy"][0], abs=2e-3)
+
+
+def test_inner_products_give_what_the_signal_itself_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = {"kind": "sbhe", "size": 64, "draw": 1, "splits": [2], **SHARES}
+    direct = measure_accuracy(**wanted)  # type: ignore[arg-type]
+    monkeypatch.setattr("evaluation.recognition.accuracy.GRAM_FROM", 64)
+    assert measure_accuracy(**wanted)["accuracy"][0] == pytest.approx(direct["accuracy"][0], abs=5e-3)  # type: ignore[arg-type]
+
+
+def test_chosen_rows_and_estimated_sums_beat_the_plain_ways() -> None:
+    common = {"draw": 0, "splits": [0], "meshes": None, "seed": 0}
+    chosen = measure_method(method="rows chosen", size=16, **common)  # type: ignore[arg-type]
+    assert chosen["accuracy"][0] >= 0.95 > chosen["plain"][0]
+    estimated = measure_method(method="10 % missing: estimated", size=64, **common)  # type: ignore[arg-type]
+    assert estimated["accuracy"][0] >= estimated["plain"][0] - 0.02
+    zero = measure_method(method="10 % missing: as 0", size=64, **common)  # type: ignore[arg-type]
+    assert zero["accuracy"][0] < estimated["accuracy"][0]
+    with pytest.raises(KeyError):
+        measure_method(method="guessing", size=16, **common)  # type: ignore[arg-type]
+    assert len(METHODS) == 14
+
+
+def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The live service is tested with the classifier; here a cell stands in for its twenty seconds.
+    monkeypatch.setattr(beyond, "measure_live", _live)
+    both = [subject.evaluate(Options(quick=True)) for subject in (classification, beyond)]
+    for found in both:
+        assert len({tuple(row) for row in found.rows}) == 1
+        assert found.notes
+        for picture in found.pictures:
+            picture.draw()
+    named = {row["figure"]: row for row in both[0].rows}
+    assert named["volleyball called basketball"]["paper"] == 25
+
+
+def _live(**_cell: object) -> dict[str, float]:
+    return {"right": 1.0, "unknown": 0.0}
+
+
+def test_compiled_decision_is_the_graphs_and_faster_than_scikit_learn() -> None:
+    row = classify._row(64, rounds=1)
+    assert row["same_labels"]
+    assert row["accuracy"] > 0.97
+    assert row["ratio"] > 20
