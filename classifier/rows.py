@@ -15,7 +15,8 @@ from classifier.dag import Float64, pairs
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
-#: A row that others explain down to this part of its variance is noise.
+#: A row that others explain down to this part of its variance is noise, and so is one that varies by this part of the
+#: rows' mean variance.
 _LEAST_REST: Final = 1e-3
 
 
@@ -57,20 +58,24 @@ def _chosen(observed: list[npt.NDArray[np.float32]], count: int) -> list[int]:
     centred = [one - mean.astype(np.float32) for one, mean in zip(observed, means, strict=True)]
     variances = np.stack([np.square(one).sum(axis=0, dtype=np.float64) / (len(one) - 1) for one in centred])
     apart = means[first] - means[second]
-    rest = whole = np.maximum((variances[first] + variances[second]) / 2, np.finfo(np.float32).tiny)
+    rest = (variances[first] + variances[second]) / 2
+    # A row that never varies carries no information; without noise it would seem to carry infinitely much.
+    whole = np.maximum(rest, _LEAST_REST * rest.mean(axis=1, keepdims=True) + np.finfo(np.float32).tiny)
     squared, chosen = np.zeros(first.size), list[int]()
     explained = list[Float64]()
     for _ in range(count):
         usable = np.maximum(rest, _LEAST_REST * whole)
-        bounds = np.exp(-(squared[:, None] + apart**2 / usable) / 8).sum(axis=0)
+        bounds = np.exp(-(squared[:, None] + np.square(apart) / usable) / 8).sum(axis=0)
         bounds[chosen] = np.inf
         best = int(np.argmin(bounds))
         chosen.append(best)
         squared += apart[:, best] ** 2 / usable[:, best]
         shared = np.stack([one[:, best] @ one / (len(one) - 1) for one in centred])
         part = (shared[first] + shared[second]) / 2 - sum(each * each[:, best, None] for each in explained)
-        part /= np.sqrt(usable[:, best, None])
+        # Of few observations the rest comes down to rounding: no more can be explained than is left.
+        left = np.sqrt(rest)
+        part = np.clip(part / np.sqrt(usable[:, best, None]), -left, left)
         apart = apart - part * (apart[:, best] / np.sqrt(usable[:, best]))[:, None]
-        rest = rest - part**2
+        rest = np.maximum(rest - np.square(part), 0)
         explained.append(part)
     return chosen

@@ -60,10 +60,11 @@ class TruthState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LabelState(msgspec.Struct, frozen=True, kw_only=True):
-    """What the classifier said last; an empty ``label`` means no contact."""
+    """What the classifier said last; an empty ``label`` means no contact or, when ``blind``, that too few sums came."""
 
     label: str
     confidence: float
+    blind: bool
     age_s: float
     stale: bool
 

@@ -185,6 +185,7 @@ class ViewState:
         return LabelState(
             label=label.label,
             confidence=label.confidence,
+            blind=label.blind,
             age_s=now_s - at_s,
             stale=self._is_stale("classifier", at_s, now_s, FRESH_S),
         )

@@ -54,7 +54,7 @@ def evaluate(options: Options) -> Findings:
         return Findings(title, [], ["Needs the recordings of a pressure mat: give their folder with --recordings."])
     draws = options.draws or (1 if options.quick else DRAWS)
     people = range(len(people_files(options.recordings)))
-    cells = [
+    cells: list[Row] = [
         {"recordings": str(options.recordings), "variant": name, "size": size, "draw": draw, "person": person}
         for size in (SIZES[-2:] if options.quick else SIZES)
         for name in VARIANTS

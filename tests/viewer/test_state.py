@@ -172,7 +172,14 @@ def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None
     state.take_label(messages.label("", 0.0), 1.0)
     snapshot, _ = state.snapshot(1.1)
     assert snapshot.label is not None
-    assert (snapshot.label.label, snapshot.label.stale) == ("", False)
+    assert (snapshot.label.label, snapshot.label.stale, snapshot.label.blind) == ("", False, False)
+
+
+def test_too_few_sums_are_told_from_no_contact(state: ViewState, messages: Any) -> None:
+    state.take_label(msgspec.structs.replace(messages.label("", 0.0), blind=True), 1.0)
+    snapshot, _ = state.snapshot(1.1)
+    assert snapshot.label is not None
+    assert snapshot.label.blind
 
 
 def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> None:

@@ -21,6 +21,7 @@ function drawObject({ label, truth }) {
   const really = truth && !truth.stale ? (truth.label ? `truth: ${spoken(truth.label)}` : "truth: none or unnamed") : "";
   if (!label) set("object", "–", "no label yet", { stale: true });
   else if (label.stale) set("object", said ? spoken(said) : "no contact", `said ${span(label.age_s)} ago`, { stale: true });
+  else if (label.blind) set("object", "–", "too few sums to tell", { stale: true });
   else {
     const sure = said ? `${percent(label.confidence)} sure` : "";
     set("object", said ? spoken(said) : "no contact", [sure, really].filter(Boolean).join(" · "));
