@@ -22,6 +22,9 @@ _MULTIPLE: Final = 1.4
 _NEARLY_ALL: Final = 0.98
 #: Quantile of the novelty that must stay what it is when blocks are missing.
 _RARE: Final = 0.95
+#: A dead block stays dead, and what it does to one touch does not average out over its cycles as noise does: the limits
+#: widen by this multiple of what single cycles need.
+_LASTING: Final = 2.0
 #: Added to the variances, in parts of the variance of each feature over all touches.
 _FLOOR: Final = 1e-2
 _LEAST_FOR_LIMIT: Final = 10
@@ -76,7 +79,7 @@ def know(
     ratio = watcher.blocks / lost if lost else 0.0
     without, with_loss = (np.array([novelty(one, regions) for one in seen]) for seen in (unseen, spoilt))
     wider = float(np.quantile(with_loss, _RARE) / np.quantile(without, _RARE)) - 1
-    return Known(regions, max(0.0, wider) * ratio, float(np.mean(without > 1)))
+    return Known(regions, _LASTING * max(0.0, wider) * ratio, float(np.mean(without > 1)))
 
 
 def fit_regions(features: Float64, names: npt.NDArray[np.str_], unseen: Float64, seed: int) -> Regions:
