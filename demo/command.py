@@ -2,15 +2,12 @@
 
 import json
 import sys
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from demo.run import Run, Wishes
-from skin.layout import load_layout
-from skin.service import StopSignal
+from skin.service import StopSignal, say
 
 
 def demo(
@@ -51,7 +48,7 @@ def demo(
     view
         ``--no-view`` leaves the live page out.
     port
-        Port of the live page; default 8765, or a free one when that is taken.
+        Port of the live page, 0 for a free one; default 8765, or a free one when that is taken.
     picture
         File for the picture of true, sensor, rebuilt and difference.
     json_
@@ -62,6 +59,13 @@ def demo(
     skin demo --seconds 10 --objects golf-ball
     skin demo --input S1.npz --array posture_01 --array posture_02 --full-scale 4095 --json
     """
+    stop = StopSignal().install()
+    # Only now, for these take seconds in which a signal must be heeded.
+    from demo.folder import run_folder
+    from demo.run import Run
+    from demo.wishes import Wishes
+    from skin.layout import load_layout
+
     wishes = Wishes(
         layout_path=layout,
         seconds=seconds,
@@ -74,13 +78,19 @@ def demo(
         port=port,
         picture=picture,
     )
-    stop = StopSignal().install()
-    with tempfile.TemporaryDirectory(prefix="skin-demo-") as folder:
-        run = Run(load_layout(layout), wishes, Path(folder))
-        report = run.execute(stop)
+    skin = load_layout(layout)
+    wishes.check(skin)
+    try:
+        with run_folder() as folder:
+            run = Run(skin, wishes, folder)
+            report = run.execute(stop)
+    except KeyboardInterrupt:
+        say("demo", "interrupted before the first cycle")
+        raise
+    is_saved = run.save_picture(report)
     if json_:
         print(json.dumps(report))
     else:
         run.print_summary(report)
     sys.stdout.flush()
-    return 0 if report["cycles"] else 1
+    return 0 if report["cycles"] and is_saved else 1

@@ -22,22 +22,46 @@ def check_place(path: Path) -> None:
     Raises
     ------
     InputError
-        If the folder does not exist, or the name has none of `SUFFIXES`.
+        If the folder does not exist, the name has none of `SUFFIXES`, or no file can be written there.
     """
     if not path.resolve().parent.is_dir():
         raise InputError(f"{path}: the folder for the picture does not exist")
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: expected a picture that ends in {', '.join(SUFFIXES)}, got '{path.suffix}'")
+    is_new = not path.exists()
+    try:
+        path.open("ab").close()
+        if is_new:
+            path.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the picture there: {error.strerror or error}") from error
 
 
-def save_picture(snapshot: Snapshot, peak_n: float, path: Path) -> None:
-    """Draw true, sensor and reconstructed force and the reconstruction's error side by side."""
+def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool = True) -> None:
+    """Draw true, sensor and reconstructed force and the reconstruction's error side by side.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+    peak_n : float
+        Largest force a taxel can feel, the peak of the PSNR.
+    path : pathlib.Path
+        Where; one of `SUFFIXES`.
+    noisy : bool
+        Whether the sensor adds noise, so that its PSNR means something.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
     to_mn = 1e3
     top = float(snapshot.true.max()) * to_mn
     error = snapshot.image - snapshot.true
+    of_sensor = f", {psnr_db(snapshot.true, snapshot.sensor, peak_n):.1f} dB" if noisy else ", no noise"
     panels = (
         ("true", snapshot.true, "viridis", 0.0, top),
-        (f"sensor, {psnr_db(snapshot.true, snapshot.sensor, peak_n):.1f} dB", snapshot.sensor, "viridis", 0.0, top),
+        (f"sensor{of_sensor}", snapshot.sensor, "viridis", 0.0, top),
         (f"rebuilt, {psnr_db(snapshot.true, snapshot.image, peak_n):.1f} dB", snapshot.image, "viridis", 0.0, top),
         ("rebuilt minus true", error, "RdBu_r", -top / 4, top / 4),
     )

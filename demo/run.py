@@ -3,7 +3,6 @@
 import socket
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,13 +10,15 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from demo.picture import check_place, save_picture
+from demo.picture import save_picture
 from demo.score import Score
 from demo.supervisor import Supervisor
-from skin.errors import InputError, RunError
+from demo.wishes import Wishes
+from skin.errors import RunError
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
+from skin.pairing import adds_noise
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS
 
@@ -30,35 +31,10 @@ TURN_S: Final = 0.1
 NAMED: Final = 5
 
 
-@dataclass(frozen=True)
-class Wishes:
-    """What the person asked for; see `demo.command.demo`."""
-
-    layout_path: Path | None
-    seconds: float
-    recording: Path | None
-    full_scale: float | None
-    arrays: tuple[str, ...]
-    objects: str
-    seed: int
-    view: bool
-    port: int | None
-    picture: Path
-
-
 class Run:
-    """Starts the services, follows them, and reports.
-
-    Raises
-    ------
-    InputError
-        If a wish cannot be met; before anything is started where that can be told.
-    """
+    """Starts the services, follows them, and reports; of `wishes` that have been checked."""
 
     def __init__(self, layout: Layout, wishes: Wishes, folder: Path) -> None:
-        if not 0 < wishes.seconds < float("inf"):
-            raise InputError(f"expected a positive number of seconds, got {wishes.seconds:g}")
-        check_place(wishes.picture)
         self._layout = layout
         self._wishes = wishes
         self._score = Score(layout)
@@ -68,7 +44,15 @@ class Run:
         self._port = _page_port(wishes.port) if wishes.view else None
 
     def execute(self, stop: StopSignal) -> dict[str, Any]:
-        """Run the chain until its time is over or `stop`, and return the figures."""
+        """Run the chain until its time is over or `stop`, and return the figures.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If `stop` came before the first cycle, so that there are no figures.
+        """
+        if stop.is_set():
+            raise KeyboardInterrupt
         with ExitStack() as last:
             endpoint, fabric = _hub(self._layout.name)
             last.callback(fabric.close)
@@ -79,23 +63,32 @@ class Run:
             if not stop.is_set():
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint))
                 self._follow(stop)
+            if stop.is_set() and not self._has_started():
+                self._supervisor.stop_at_once()
+                raise KeyboardInterrupt
             # In this order, so that every frame sent is either received or lost, and counted.
             self._supervisor.stop("gateway")
             self._supervisor.stop("nodes")
             time.sleep(TURN_S)  # the last counters are on their way
-        report = self._score.report()
-        if self._score.shown is not None:
-            try:
-                save_picture(self._score.shown, self._layout.taxels.force_max_n, self._wishes.picture)
-                report["picture"] = str(self._wishes.picture.resolve())
-            except OSError as error:  # the figures are worth more than the picture
-                say("demo", f"{self._wishes.picture}: cannot write the picture: {error.strerror or error}")
-        return report
+        return self._score.report()
+
+    def save_picture(self, report: dict[str, Any]) -> bool:
+        """Save the picture, if there was a contact to show, and name it in `report`; tell whether nothing failed."""
+        if self._score.shown is None:
+            return True
+        path, taxels = self._wishes.picture, self._layout.taxels
+        try:
+            save_picture(self._score.shown, taxels.force_max_n, path, noisy=bool(report["sensor_adds_noise"]))
+        except OSError as error:  # the figures are worth more than the picture
+            say("demo", f"{path}: cannot write the picture: {error.strerror or error}")
+            return False
+        report["picture"] = str(path.resolve())
+        return True
 
     def print_summary(self, report: dict[str, Any]) -> None:
         """Print the figures as a table for a person."""
         table = Table(show_header=False, box=None)
-        for name, value in _summary(report):
+        for name, value in summary(report):
             table.add_row(name, value)
         Console().print(table)
 
@@ -117,8 +110,6 @@ class Run:
     def _start_services(self, endpoint: str) -> None:
         wishes, start, common = self._wishes, self._supervisor.start, self._common(endpoint)
         bitrates = {(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in self._layout.bus}
-        if len(bitrates) > 1:
-            raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
         bitrate, data_bitrate = bitrates.pop()
         names = [bus.name for bus in self._layout.bus]
         start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
@@ -151,7 +142,7 @@ class Run:
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
         self._console.print(f"processes: {pids}", highlight=False)
         patience_s = time.monotonic() + FIRST_CYCLE_PATIENCE_S
-        while not (self._score.gateway and self._score.gateway.cycles) and not stop.wait(TURN_S / 5):
+        while not self._has_started() and not stop.wait(TURN_S / 5):
             self._supervisor.look()
             if time.monotonic() > patience_s:
                 raise RunError("no cycle came from the gateway")
@@ -166,13 +157,19 @@ class Run:
                     progress.console.print(event, highlight=False)
                 progress.update(task, completed=elapsed_s, description=self._line())
 
+    def _has_started(self) -> bool:
+        """Tell whether SYNC has."""
+        return self._score.gateway is not None and self._score.gateway.cycles > 0
+
     def _line(self) -> str:
         """Say in one line how the run is going."""
         gateway, score = self._score.gateway, self._score
         parts = [f"cycle {gateway.cycles}, {gateway.cycles_complete} complete" if gateway else ""]
         if score.psnr_image_db:
-            parts.append(f"image {score.psnr_image_db[-1]:.1f} dB, sensor {score.psnr_sensor_db[-1]:.1f} dB")
-        parts.append(score.last_label or "no contact")
+            sensor_db = score.psnr_sensor_db[-1]
+            noisy = adds_noise(sensor_db, self._layout.taxels.adc_bits)
+            parts.append(f"image {score.psnr_image_db[-1]:.1f} dB" + f", sensor {sensor_db:.1f} dB" * noisy)
+        parts.append(score.said())
         return " | ".join(parts)
 
 
@@ -184,7 +181,7 @@ def _known_objects(wanted: str) -> list[str]:
     return ["--objects", ",".join(dict.fromkeys((*DEFAULT_OBJECTS, *names)))]
 
 
-def _summary(report: dict[str, Any]) -> list[tuple[str, str]]:
+def summary(report: dict[str, Any]) -> list[tuple[str, str]]:
     """Say the figures of a run as a person would."""
     latency, loads = report["latency_ms"], report["bus_load"]
     rows = [
@@ -200,8 +197,10 @@ def _summary(report: dict[str, Any]) -> list[tuple[str, str]]:
     if latency["p50"] is not None:
         rows.append(("SYNC to image", f"{latency['p50']:.1f} ms, 99 % within {latency['p99']:.1f} ms"))
     if report["psnr_image_db"] is not None:
-        against = f"the sensor's {report['psnr_sensor_db']:.1f} dB, over {report['contact_cycles']} contact cycles"
-        rows.append(("image", f"{report['psnr_image_db']:.1f} dB, against {against}"))
+        noisy = report["sensor_adds_noise"]
+        against = f"the sensor's {report['psnr_sensor_db']:.1f} dB" if noisy else "what was played, which has no noise"
+        over = f"over {report['contact_cycles']} contact cycles"
+        rows.append(("image", f"{report['psnr_image_db']:.1f} dB, against {against}, {over}"))
     if report["label_accuracy"] is not None:
         rows.append(("label", f"right on {report['label_accuracy']:.1%} of the contact cycles"))
     if "picture" in report:
@@ -216,9 +215,9 @@ def _hub(skin: str) -> tuple[str, Fabric]:
 
 
 def _page_port(wanted: int | None) -> int:
-    """Return the port for the page: the one wanted, else the default or a free one."""
+    """Return the port for the page: the one wanted, else the default or a free one; 0 wants a free one."""
     if wanted is not None:
-        return wanted
+        return wanted or _free_port()
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

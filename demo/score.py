@@ -3,18 +3,23 @@
 PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles.
 """
 
+from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.pairing import Pairing, in_contact, psnr_db
+from skin.pairing import Pairing, adds_noise, in_contact, psnr_db
 
 #: Nodes named in a report when frames are missing.
 NODES_NAMED: Final = 16
+#: Cycles whose figures are kept: an hour at 100 Hz.
+KEPT: Final = 360_000
 #: The picture shows the last cycle whose largest force is at least this part of the largest of the run.
 FULL_CONTACT_RATIO: Final = 0.95
 
@@ -28,28 +33,33 @@ class Snapshot:
     image: npt.NDArray[np.float32]
 
 
+def _newest() -> deque[float]:
+    return deque(maxlen=KEPT)
+
+
 @dataclass
 class Score:
     """Collects the messages of a run; handlers may be called from any one thread each.
 
     Attributes
     ----------
-    psnr_image_db, psnr_sensor_db : list of float
-        One entry per contact cycle.
-    latency_ms : list of float
-        SYNC to published image, one entry per image.
+    psnr_image_db, psnr_sensor_db : deque of float
+        One entry per contact cycle, of the last `KEPT`.
+    latency_ms : deque of float
+        SYNC to published image, one entry per image, of the last `KEPT`.
     """
 
     layout: Layout
     gateway: GatewayStatus | None = None
     nodes: dict[str, NodesStatus] = field(default_factory=dict)
-    psnr_image_db: list[float] = field(default_factory=list)
-    psnr_sensor_db: list[float] = field(default_factory=list)
-    latency_ms: list[float] = field(default_factory=list)
+    psnr_image_db: deque[float] = field(default_factory=_newest)
+    psnr_sensor_db: deque[float] = field(default_factory=_newest)
+    latency_ms: deque[float] = field(default_factory=_newest)
+    contact_cycles: int = 0
     labelled: int = 0
     labelled_right: int = 0
     shown: Snapshot | None = None
-    last_label: str = ""
+    last_label: Label | None = None
     _images: Pairing[Image] = field(default_factory=Pairing)
     _labels: Pairing[Label] = field(default_factory=Pairing)
     _peak_n: float = 0.0
@@ -83,10 +93,16 @@ class Score:
 
     def take_label(self, label: Label) -> None:
         """Compare a label with the object that touched in its cycle."""
-        self.last_label = label.label
+        self.last_label = label
         truth = self._labels.take(label)
         if truth is not None:
             self._judge(label, truth)
+
+    def said(self) -> str:
+        """Return what the newest label tells a person."""
+        if self.last_label is None or not is_measured(self.last_label, self.layout.measurement.sums):
+            return "not measured"
+        return self.last_label.label or "no contact"
 
     def _missing(self) -> list[dict[str, Any]]:
         """Name the nodes whose frames missed their cycle, the worst first."""
@@ -110,6 +126,7 @@ class Score:
         sensor, made = self._grid(truth.sensor), self._grid(image.pixels)
         self.psnr_sensor_db.append(psnr_db(true, sensor, self.layout.taxels.force_max_n))
         self.psnr_image_db.append(psnr_db(true, made, self.layout.taxels.force_max_n))
+        self.contact_cycles += 1
         peak_n = float(true.max())
         self._peak_n = max(self._peak_n, peak_n)
         if peak_n >= FULL_CONTACT_RATIO * self._peak_n:
@@ -122,6 +139,7 @@ class Score:
         """Return the figures of the run; None where nothing was measured."""
         gateway = self.gateway
         received = gateway.frames_received if gateway else 0
+        sensor_db = _mean(self.psnr_sensor_db)
         sent = sum(status.frames_sent for status in self.nodes.values())
         return {
             "cycles": gateway.cycles if gateway else 0,
@@ -133,9 +151,10 @@ class Score:
             "frames_missing": gateway.frames_missing if gateway else 0,
             "frames_late": gateway.frames_late if gateway else 0,
             "nodes_missing": self._missing(),
-            "psnr_sensor_db": _mean(self.psnr_sensor_db),
+            "psnr_sensor_db": sensor_db,
             "psnr_image_db": _mean(self.psnr_image_db),
-            "contact_cycles": len(self.psnr_image_db),
+            "sensor_adds_noise": None if sensor_db is None else adds_noise(sensor_db, self.layout.taxels.adc_bits),
+            "contact_cycles": self.contact_cycles,
             "label_accuracy": self.labelled_right / self.labelled if self.labelled else None,
             "latency_ms": {"p50": _percentile(self.latency_ms, 50), "p99": _percentile(self.latency_ms, 99)},
             "sync_rate_hz": round(gateway.sync_rate_hz, 3) if gateway else 0.0,
@@ -143,9 +162,9 @@ class Score:
         }
 
 
-def _mean(values: list[float]) -> float | None:
-    return round(float(np.mean(values)), 2) if values else None
+def _mean(values: Collection[float]) -> float | None:
+    return round(sum(values) / len(values), 2) if values else None
 
 
-def _percentile(values: list[float], percent: float) -> float | None:
-    return round(float(np.percentile(values, percent)), 2) if values else None
+def _percentile(values: Collection[float], percent: float) -> float | None:
+    return round(float(np.percentile(list(values), percent)), 2) if values else None

@@ -13,6 +13,8 @@ from skin.errors import InputError, RunError
 #: A process that has ended is started again after this time, so that its absence can be seen.
 RESTART_AFTER_S: Final = 2.0
 STOP_PATIENCE_S: Final = 5.0
+#: How long all services together may take to end when somebody waits at the terminal.
+HASTE_S: Final = 1.0
 WRONG_INPUT: Final = 2
 
 
@@ -85,6 +87,20 @@ class Supervisor:
                 except subprocess.TimeoutExpired:
                     child.process.kill()
                     child.process.wait()
+
+    def stop_at_once(self) -> None:
+        """End all services together, in no order; kill what does not end soon."""
+        for child in self.children.values():
+            child.restart = False
+            if child.process.poll() is None:
+                child.process.terminate()
+        give_up_s = time.monotonic() + HASTE_S
+        for child in self.children.values():
+            try:
+                child.process.wait(max(0.0, give_up_s - time.monotonic()))
+            except subprocess.TimeoutExpired:  # it is busy starting
+                child.process.kill()
+                child.process.wait()
 
     @staticmethod
     def last_line(child: Child) -> str:

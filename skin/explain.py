@@ -24,7 +24,8 @@ def summary(text: str) -> str:
 
 
 def examples(text: str) -> str:
-    """Return the Examples section of a NumPy docstring as help text, empty when there is none."""
+    """Return the Examples section of a NumPy docstring as Markdown, one line each, empty when there is none."""
     _, heading, section = inspect.cleandoc(text).partition("Examples\n--------\n")
     lines = textwrap.dedent(section).strip().splitlines()
-    return "\n\n".join(["Examples:", *(f"    {line}" for line in lines if line)]) if heading else ""
+    # Not a code block: around one, empty lines are shown.
+    return "\\\n".join(["Examples:", *(f"`{line}`" for line in lines if line)]) if heading else ""

@@ -6,6 +6,7 @@ Nothing that arrives can raise out of decoding: what cannot be decoded is counte
 
 import json
 import re
+import secrets
 import threading
 import time
 from collections import deque
@@ -27,6 +28,8 @@ CONNECT_PATIENCE_S: Final = 30.0
 SILENT_S: Final = 3.0
 #: How soon a service that waits for its hub notices that it shall end.
 TRY_S: Final = 1.0
+#: Random bytes that tell services of one name apart.
+INSTANCE_BYTES: Final = 4
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
@@ -54,6 +57,29 @@ class Mailbox(Generic[Message]):
             return self._messages.popleft()
 
 
+class _Roll:
+    """Who is there now: the instances of each service; a name without any takes no room."""
+
+    def __init__(self) -> None:
+        self._instances: dict[str, set[str]] = {}
+
+    def note(self, service: str, instance: str, is_there: bool) -> bool:
+        """Note that an instance is there or gone; tell whether the service itself came or went by it."""
+        was_there = self.holds(service)
+        instances = self._instances.setdefault(service, set())
+        if is_there:
+            instances.add(instance)
+        else:
+            instances.discard(instance)
+        if not instances:
+            del self._instances[service]
+        return self.holds(service) != was_there
+
+    def holds(self, service: str) -> bool:
+        """Tell whether any instance of a service is there."""
+        return service in self._instances
+
+
 class Fabric:
     """One service's connection to the others.
 
@@ -62,7 +88,7 @@ class Fabric:
     skin : str
         The skin's name; services of different skins do not hear each other.
     service : str
-        Announced to the others for as long as the connection lives; see `watch`.
+        Announced to the others for as long as the connection lives; see `watch`. Several may have the same name.
     endpoint : str
         zenoh endpoint, ``tcp/HOST:PORT``.
     hub : bool
@@ -93,7 +119,9 @@ class Fabric:
         if not re.fullmatch(r"\w+/.+", endpoint):
             raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
         self._session = _listen(endpoint) if hub else _connect(endpoint, service, stop)
-        self._kept.append(self._session.liveliness().declare_token(f"{self._prefix}/alive/{service}"))
+        # The second part tells services of one name apart: of two pages, one may leave.
+        token = f"{self._prefix}/alive/{service}/{secrets.token_hex(INSTANCE_BYTES)}"
+        self._kept.append(self._session.liveliness().declare_token(token))
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         """Send `message` to every subscriber of `topic`; one that falls behind loses it, and nobody waits."""
@@ -126,13 +154,18 @@ class Fabric:
         return mailbox
 
     def watch(self, changed: Callable[[str, bool], None]) -> None:
-        """Call ``changed(service, alive)`` for every service that is there, comes or goes."""
+        """Call ``changed(service, alive)`` for every service that is there, comes or goes.
+
+        Several services of one name count as one: it comes with the first and goes with the last of them.
+        """
+        there = _Roll()
 
         def receive(sample: Any) -> None:
-            name = str(sample.key_expr).rsplit("/", 1)[-1]
-            changed(name, sample.kind == zenoh.SampleKind.PUT)
+            service, instance = str(sample.key_expr).rsplit("/", 2)[-2:]
+            if there.note(service, instance, sample.kind == zenoh.SampleKind.PUT):
+                changed(service, there.holds(service))
 
-        watcher = self._session.liveliness().declare_subscriber(f"{self._prefix}/alive/*", receive, history=True)
+        watcher = self._session.liveliness().declare_subscriber(f"{self._prefix}/alive/*/*", receive, history=True)
         self._kept.append(watcher)
 
     def close(self) -> None:

@@ -1,5 +1,6 @@
 """Which message and which truth belong to one cycle, and how good an image is."""
 
+import math
 from typing import Final, Generic, TypeVar
 
 import numpy as np
@@ -63,6 +64,11 @@ def psnr_db(true: npt.NDArray[np.float32], other: npt.NDArray[np.float32], peak_
     """
     error = float(np.mean((true.astype(np.float64) - other) ** 2))
     return 10 * float(np.log10(peak_n**2 / max(error, peak_n**2 * 1e-20)))
+
+
+def adds_noise(sensor_db: float, adc_bits: int) -> bool:
+    """Tell whether a sensor of this PSNR does more than round to its ADC's steps: half a step everywhere or less."""
+    return sensor_db < 20 * math.log10(2 * ((1 << adc_bits) - 1))
 
 
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:

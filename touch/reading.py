@@ -6,7 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -73,8 +73,30 @@ def read_counts(
     return tuple(named.values()) if arrays is None else tuple(named[name] for name in arrays)
 
 
+def array_names(path: Path) -> tuple[str, ...]:
+    """Return the names of the arrays in an ``.npz``, in file order; of any other file none.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    if path.suffix.lower() != ".npz":
+        return ()
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as loaded:
+            return tuple(loaded.files)
+    except _UNREADABLE as error:
+        raise InputError(f"'{path}' cannot be read as .npz: {error}") from error
+
+
 def _read_numpy(path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:
-    loaded = np.load(path, allow_pickle=False)
+    with path.open("rb") as file:  # NumPy leaves a broken one open
+        return _arrays_of(file, path, arrays)
+
+
+def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:
+    loaded = np.load(file, allow_pickle=False)
     if isinstance(loaded, np.ndarray):
         if arrays is not None:
             raise InputError(f"'{path}' holds one array without a name: leave the names out")

@@ -2,17 +2,22 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from skin.errors import InputError
+from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame
 from touch.contact import PITCH_M, Force, Grid, Pose
 from touch.dataset import felt_objects
 from touch.objects import checked_names
-from touch.reading import read_counts
+from touch.reading import array_names, read_counts
 from touch.recording import Recording
 from touch.touches import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream
+
+#: Arrays of a file that are named beside the one that is played.
+NAMED: Final = 8
 
 
 class ObjectSource:
@@ -137,7 +142,7 @@ def recording(
         Newtons of full scale.
     arrays : sequence of str, optional
         Arrays of an ``.npz`` to lay side by side, left to right; a string may name several, separated by
-        commas. Without it the first in file order.
+        commas. Without it the first in file order, and stderr names the others.
     frame_shape : tuple of int, optional
         Rows and columns of a ``.csv``'s frames, if its comment ``# shape: 64 32`` does not say them and they
         are not the skin's.
@@ -153,14 +158,26 @@ def recording(
     if frame_rate_hz is not None and (rate_hz is None or not 0.0 < frame_rate_hz < float("inf")):
         raise InputError(f"frame_rate_hz needs a number above 0, and rate_hz: got {frame_rate_hz}, {rate_hz}")
     named = tuple(part.strip() for part in arrays.split(",")) if isinstance(arrays, str) else arrays
+    counts = read_counts(Path(path), named, frame_shape, (rows, columns))
+    if named is None:
+        _tell_others(Path(path))
     return Recording(
-        read_counts(Path(path), named, frame_shape, (rows, columns)),
+        counts,
         rows,
         columns,
         full_scale=full_scale,
         force_max_n=force_max_n,
         steps_per_frame=1.0 if frame_rate_hz is None or rate_hz is None else rate_hz / frame_rate_hz,
     )
+
+
+def _tell_others(path: Path) -> None:
+    """Say which of several arrays is played: a file's first may not be the one that was meant."""
+    first, *others = array_names(path) or ("",)
+    if others:
+        more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+        also = f"{', '.join(others[:NAMED])}{more}"
+        say("recording", f"plays the first array of {path.name}, {first}; choose with --array, there is also {also}")
 
 
 def _fixed(force_n: Force) -> Force:

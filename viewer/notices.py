@@ -7,19 +7,29 @@ import msgspec
 
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
-#: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2); 255 is the gateway's word for silence.
-OFF_DUTY: Final = {0: "booting", 4: "stopped", 127: "pre-operational", 255: "silent"}
+#: The gateway's word for a node it does not hear.
+SILENT: Final = 255
+#: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2).
+OFF_DUTY: Final = {0: "booting", 4: "stopped", 127: "pre-operational", SILENT: "silent"}
+REFUSED: Final = "refused by the gateway: not of this skin"
+#: What the gateway's own controller says of a bus, when a person must be told.
+LINKS: Final = {
+    "lost": "dead: the gateway has lost its interface",
+    "bus_off": "dead: the gateway's controller is bus-off",
+    "passive": "troubled: the gateway's controller is error passive",
+}
 #: Node-IDs named in one notice; the tiles show the rest.
 NAMED: Final = 8
 
 
 def notices(state: Snapshot) -> Snapshot:
     """Return `state` with its notices, the gravest first."""
-    own = state.services.get("viewer")
-    if own is not None and not own.alive:  # who else is gone cannot be told from here
+    if state.cut_off:  # who else is gone cannot be told from here
         text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
-        return msgspec.structs.replace(state, notices=[_error(text, own.since_time_s)])
-    found = [*_gateway(state), *_images(state), *_labels(state), *_nodes(state), *_ignored(state)]
+        found = [_error(text, state.services["viewer"].since_time_s)]
+    else:
+        found = [*_gateway(state), *_images(state), *_labels(state), *_nodes(state), *_buses(state)]
+    found += _ignored(state)
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
 
@@ -71,15 +81,26 @@ def _nodes(state: Snapshot) -> Iterator[Notice]:
     for name, token in state.services.items():
         if (name == "nodes" or name.startswith("nodes-")) and not token.alive:
             yield _error(f"no sums from the virtual {name}: the process is gone", token.since_time_s)
-    if state.gateway is not None and not state.gateway.stale:
-        for bus in state.gateway.buses:
+
+
+def _buses(state: Snapshot) -> Iterator[Notice]:
+    if state.gateway is None or state.gateway.stale:
+        return
+    for link, text in LINKS.items():
+        names = [bus.name for bus in state.gateway.buses if bus.link == link]
+        if names:
+            named = f"{'buses' if len(names) > 1 else 'bus'} {', '.join(names)} {text}"
+            yield Notice(level="warning" if link == "passive" else "error", text=named)
+    if state.image is not None and not state.image.stale and state.image.valid_sums == 0:
+        yield Notice(level="error", text="nothing is measured: no block sent its sums")
+    for bus in state.gateway.buses:
+        if not bus.dead:
             yield from _off_duty(bus)
 
 
 def _off_duty(bus: BusView) -> Iterator[Notice]:
     """Name the nodes of a bus that do not measure, one notice for each reason."""
-    for nmt, word in OFF_DUTY.items():
-        nodes = [node for node, state in zip(bus.nodes, bus.nmt, strict=True) if state == nmt]
+    for word, nodes in _nodes_of_word(bus).items():
         if nodes and len(nodes) == len(bus.nodes):
             yield Notice(level="warning", text=f"{bus.name}: all {len(nodes)} nodes {word}")
         elif nodes:
@@ -87,6 +108,17 @@ def _off_duty(bus: BusView) -> Iterator[Notice]:
             more = f" and {len(nodes) - NAMED} more" if len(nodes) > NAMED else ""
             plural = "s" if len(nodes) > 1 else ""
             yield Notice(level="warning", text=f"{bus.name}: node{plural} {named}{more} {word}")
+
+
+def _nodes_of_word(bus: BusView) -> dict[str, list[int]]:
+    """Sort a bus's nodes by why they do not measure."""
+    found: dict[str, list[int]] = {word: [] for word in (*OFF_DUTY.values(), REFUSED)}
+    for node, nmt in zip(bus.nodes, bus.nmt, strict=True):
+        if node in bus.refused and nmt != SILENT:
+            found[REFUSED].append(node)
+        elif nmt in OFF_DUTY:
+            found[OFF_DUTY[nmt]].append(node)
+    return found
 
 
 def _ignored(state: Snapshot) -> Iterator[Notice]:

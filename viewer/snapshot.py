@@ -60,11 +60,17 @@ class TruthState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LabelState(msgspec.Struct, frozen=True, kw_only=True):
-    """What the classifier said last; an empty ``label`` means no contact or, when ``blind``, that too few sums came."""
+    """What the classifier said last; an empty ``label`` means no contact, but only where ``measured``.
+
+    Attributes
+    ----------
+    measured : bool
+        False when too little of the skin was measured to say anything; see `skin.labels.is_measured`.
+    """
 
     label: str
     confidence: float
-    blind: bool
+    measured: bool
     age_s: float
     stale: bool
 
@@ -78,6 +84,8 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
         SYNC to published image.
     psnr_image_db, psnr_sensor_db : float or None
         Mean over the contact cycles of the last second, against the truth.
+    sensor_adds_noise : bool or None
+        False when the sensor only rounds to its ADC's steps, as with a recording.
     valid_blocks, valid_blocks_low : int or None
         Blocks measured in the newest image, and the fewest in the last second.
     """
@@ -87,19 +95,33 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     latency_p99_s: float | None
     psnr_image_db: float | None
     psnr_sensor_db: float | None
+    sensor_adds_noise: bool | None
     valid_blocks: int | None
     valid_blocks_low: int | None
     blocks: int
 
 
 class BusView(msgspec.Struct, frozen=True, kw_only=True):
-    """One bus: `load_ratio` now, `mean_load_ratio` since SYNC started, and the NMT state of each node."""
+    """One bus: `load_ratio` now, `mean_load_ratio` since SYNC started, and the NMT state of each node.
+
+    Attributes
+    ----------
+    refused : list of int
+        Node-IDs the gateway does not use.
+    link : str
+        What the gateway's own controller says; see `skin.messages.BusState`.
+    dead : bool
+        Nothing passes between the gateway and this bus, not even SYNC.
+    """
 
     name: str
     load_ratio: float
     mean_load_ratio: float | None
     nodes: list[int]
     nmt: list[int]
+    refused: list[int]
+    link: str
+    dead: bool
 
 
 class GatewayState(msgspec.Struct, frozen=True, kw_only=True):
@@ -130,7 +152,7 @@ class NodesState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything the page shows, but the pixels."""
+    """Everything the page shows, but the pixels; ``cut_off`` when the viewer itself hears nobody."""
 
     time_s: float
     skin: str
@@ -141,6 +163,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     gateway: GatewayState | None
     nodes: list[NodesState]
     services: dict[str, Service]
+    cut_off: bool
     ignored: int
     notices: list[Notice]
 

@@ -4,13 +4,14 @@ from typing import Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from skin.labels import is_measured
 from skin.layout import Layout
-from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.pairing import Pairing, in_contact, psnr_db
+from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.pairing import Pairing, adds_noise, in_contact, psnr_db
+from viewer.buses import gateway_state, nodes_state
 from viewer.checks import image_fits, label_fits, status_fits, truth_fits
 from viewer.notices import notices
 from viewer.snapshot import (
-    BusView,
     Figures,
     GatewayState,
     ImageState,
@@ -32,6 +33,8 @@ STATUS_FRESH_S: Final = 1.5
 TRUTH_GONE_S: Final = 3.0
 #: Processes of nodes shown at most; a name nobody has used for long makes room.
 PROCESSES: Final = 64
+#: Services known at most; the one that is gone for longest makes room.
+SERVICES: Final = 64
 LATENCY_SPAN_S: Final = 5.0
 SPAN_S: Final = 1.0
 
@@ -117,8 +120,14 @@ class ViewState:
     def take_service(self, name: str, alive: bool, now_s: float) -> None:
         """Note that a service came or went at `now_s`."""
         known = self._services.get(name)
-        if known is None or known.alive != alive:
-            self._services[name] = Service(alive=alive, since_time_s=self._epoch_s + now_s)
+        if known is not None and known.alive == alive:
+            return
+        if known is None and len(self._services) >= SERVICES:
+            gone = [each for each, service in self._services.items() if not service.alive]
+            if not gone:
+                return
+            del self._services[min(gone, key=lambda each: self._services[each].since_time_s)]
+        self._services[name] = Service(alive=alive, since_time_s=self._epoch_s + now_s)
 
     def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
         """Return what the page shows at `now_s`; `undecodable` messages never got here but are told of."""
@@ -131,8 +140,9 @@ class ViewState:
             label=self._label_state(now_s),
             figures=self._figures(now_s),
             gateway=self._gateway_state(now_s),
-            nodes=[_nodes_state(self._nodes[name], now_s) for name in sorted(self._nodes)],
+            nodes=self._nodes_states(now_s),
             services=dict(sorted(self._services.items())),
+            cut_off=self._is_cut_off(now_s),
             ignored=self.ignored + undecodable,
             notices=[],
         )
@@ -185,7 +195,7 @@ class ViewState:
         return LabelState(
             label=label.label,
             confidence=label.confidence,
-            blind=label.blind,
+            measured=is_measured(label, self._layout.measurement.sums),
             age_s=now_s - at_s,
             stale=self._is_stale("classifier", at_s, now_s, FRESH_S),
         )
@@ -193,12 +203,14 @@ class ViewState:
     def _figures(self, now_s: float) -> Figures:
         latency_s = self._latency_s.values(now_s)
         low = self._valid.values(now_s)
+        sensor_db = self._psnr_sensor_db.mean(now_s)
         return Figures(
             images_hz=self._valid.rate_hz(now_s),
             latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
             latency_p99_s=float(np.percentile(latency_s, 99)) if latency_s else None,
             psnr_image_db=self._psnr_image_db.mean(now_s),
-            psnr_sensor_db=self._psnr_sensor_db.mean(now_s),
+            psnr_sensor_db=sensor_db,
+            sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self._layout.taxels.adc_bits),
             valid_blocks=self._valid_blocks(self._image.message) if self._image else None,
             valid_blocks_low=int(min(low)) if low else None,
             blocks=self._layout.blocks,
@@ -208,20 +220,20 @@ class ViewState:
         if self._gateway is None:
             return None
         status, at_s = self._gateway
-        return GatewayState(
-            age_s=now_s - at_s,
-            stale=self._is_stale("gateway", at_s, now_s, STATUS_FRESH_S),
-            sync_rate_hz=status.sync_rate_hz,
-            cycles=status.cycles,
-            cycles_complete=status.cycles_complete,
-            frames_received=status.frames_received,
-            frames_missing=status.frames_missing,
-            frames_late=status.frames_late,
-            frames_duplicate=status.frames_duplicate,
-            frames_malformed=status.frames_malformed,
-            frames_foreign=status.frames_foreign,
-            buses=[_bus_view(bus, place, status.mean_load_ratio) for place, bus in enumerate(status.buses)],
-        )
+        return gateway_state(status, now_s - at_s, stale=self._is_stale("gateway", at_s, now_s, STATUS_FRESH_S))
+
+    def _nodes_states(self, now_s: float) -> list[NodesState]:
+        found = (self._nodes[name] for name in sorted(self._nodes))
+        return [nodes_state(status, now_s - at_s, stale=now_s - at_s > STATUS_FRESH_S) for status, at_s in found]
+
+    def _is_cut_off(self, now_s: float) -> bool:
+        """Tell whether the fabric's hub is out of reach: even the viewer's own token is gone, and nothing comes."""
+        own = self._services.get("viewer")
+        if own is None or own.alive:
+            return False
+        newest = (self._image, self._truth, self._label, self._gateway)
+        gone_s = own.since_time_s - self._epoch_s
+        return not any(last and last.at_s > gone_s and now_s - last.at_s <= FRESH_S for last in newest)
 
     def _is_stale(self, service: str, at_s: float, now_s: float, fresh_s: float) -> bool:
         """Tell whether a message of `service` that came at `at_s` is too old, or its sender has gone since."""
@@ -235,24 +247,3 @@ class ViewState:
     @staticmethod
     def _valid_blocks(image: Image) -> int:
         return int(np.count_nonzero(np.frombuffer(image.valid, np.uint8)))
-
-
-def _bus_view(bus: BusState, place: int, mean_load_ratio: list[float]) -> BusView:
-    return BusView(
-        name=bus.name,
-        load_ratio=bus.load_ratio,
-        mean_load_ratio=mean_load_ratio[place] if place < len(mean_load_ratio) else None,
-        nodes=bus.nodes,
-        nmt=list(bus.nmt),
-    )
-
-
-def _nodes_state(last: Last[NodesStatus], now_s: float) -> NodesState:
-    status, at_s = last
-    return NodesState(
-        process=status.process,
-        age_s=now_s - at_s,
-        stale=now_s - at_s > STATUS_FRESH_S,
-        frames_sent=status.frames_sent,
-        frames_dropped=status.frames_dropped,
-    )

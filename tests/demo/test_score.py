@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from demo.score import Score
+from demo.score import KEPT, Score
 from skin.layout import load_layout
 from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
 
@@ -141,3 +141,30 @@ def test_messages_of_another_size_are_left_alone(score: Score) -> None:
     score.take_truth(msgspec.structs.replace(truth(1), true=b"1234"))
     score.take_image(msgspec.structs.replace(image(1), pixels=b""))
     assert score.report()["contact_cycles"] == 0
+
+
+def test_what_the_newest_label_tells(score: Score) -> None:
+    assert score.said() == "not measured"
+    for name, said in (("cup", "cup"), ("", "no contact")):
+        score.take_label(label(1, name))
+        assert score.said() == said
+        score.take_label(msgspec.structs.replace(label(1, name), valid_sums=255))
+        assert score.said() == "not measured"
+
+
+def test_a_run_of_days_keeps_the_last_hour(score: Score, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert {score.latency_ms.maxlen, score.psnr_image_db.maxlen, score.psnr_sensor_db.maxlen} == {KEPT}
+    monkeypatch.setattr("demo.score.KEPT", 3)
+    score = Score(LAYOUT)
+    for cycle in range(1, 11):
+        score.take_truth(truth(cycle))
+        score.take_image(image(cycle, latency_ms=cycle))
+    assert list(score.latency_ms) == [8.0, 9.0, 10.0]
+    assert score.report()["contact_cycles"] == 10
+
+
+def test_sensor_that_only_rounds_is_said_to_add_no_noise(score: Score) -> None:
+    assert score.report()["sensor_adds_noise"] is None
+    score.take_truth(msgspec.structs.replace(truth(1), sensor=pixels(0.01)))
+    score.take_image(image(1))
+    assert score.report()["sensor_adds_noise"] is False

@@ -52,3 +52,11 @@ def test_restart_and_end(supervisor: Supervisor) -> None:
     until(lambda: child.log.read_text().count("ready") == 2)
     supervisor.stop()
     assert child.process.returncode == 0
+
+
+def test_all_end_at_once(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("demo.supervisor.HASTE_S", 0.0)
+    children = [supervisor.start(f"bus{number}", "bus", f"at_once_{number}", restart=True) for number in range(2)]
+    supervisor.stop_at_once()
+    assert all(child.process.returncode is not None for child in children)
+    assert not any(child.restart for child in children)

@@ -20,9 +20,10 @@ def test_verb_loads_and_says_what_it_does(where: str) -> None:
 
 @pytest.mark.parametrize(("verb", "where"), VERBS.items())
 def test_help_ends_with_two_examples(verb: str, where: str) -> None:
-    shown = [line.strip() for line in examples(docstring(where)).splitlines() if line.startswith("    ")]
+    heading, *shown = examples(docstring(where)).split("\\\n")
+    assert heading == "Examples:"
     assert len(shown) >= 2
-    assert all(line.startswith(f"skin {verb}") for line in shown)
+    assert all(line.startswith(f"`skin {verb}") and line.endswith("`") for line in shown)
 
 
 def test_list_of_verbs_and_help_of_one() -> None:
@@ -31,4 +32,5 @@ def test_list_of_verbs_and_help_of_one() -> None:
     assert places == sorted(places)
     command = [sys.executable, "-m", "skin", "demo", "--help"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert "skin demo --seconds 10 --objects golf-ball" in shown.split("Examples:")[1]
+    lines = [line.rstrip() for line in shown.split("Examples:")[1].splitlines()]
+    assert lines[:2] == ["", "skin demo --seconds 10 --objects golf-ball"]

@@ -5,10 +5,12 @@ from collections.abc import Iterator
 
 import pytest
 import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from skin import fabric as fabric_module
 from skin.errors import BusError
-from skin.fabric import Fabric, Mailbox
+from skin.fabric import Fabric, Mailbox, _Roll
 from skin.messages import LABEL, Label
 from skin.service import StopSignal
 
@@ -96,6 +98,46 @@ def test_services_are_seen_coming_and_going(hub: Fabric, endpoint: str) -> None:
     other.close()
     with changed:
         assert changed.wait_for(lambda: "reconstructor" not in alive, 10)
+
+
+def test_one_of_two_services_of_a_name_may_leave(hub: Fabric, endpoint: str) -> None:
+    changed = threading.Condition()
+    events: list[tuple[str, bool]] = []
+
+    def handler(name: str, is_alive: bool) -> None:
+        with changed:
+            events.append((name, is_alive))
+            changed.notify()
+
+    def await_event(name: str, is_alive: bool) -> None:
+        with changed:
+            assert changed.wait_for(lambda: (name, is_alive) in events, 10)
+
+    first, second = Fabric("test", "viewer", endpoint), Fabric("test", "viewer", endpoint)
+    hub.watch(handler)
+    first_sees: list[bool] = []
+    first.watch(lambda name, is_alive: first_sees.append(is_alive) if name == "viewer" else None)
+    await_event("viewer", True)
+    second.close()
+    later = Fabric("test", "later", endpoint)
+    await_event("later", True)
+    assert ("viewer", False) not in events
+    assert False not in first_sees
+    first.close()
+    await_event("viewer", False)
+    later.close()
+    assert [event for event in events if event[0] == "viewer"] == [("viewer", True), ("viewer", False)]
+
+
+@given(st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from("123"), st.booleans())))
+def test_a_service_is_there_while_any_of_its_name_is(notes: list[tuple[str, str, bool]]) -> None:
+    roll, there, told = _Roll(), set[tuple[str, str]](), {"a": False, "b": False}
+    for service, instance, is_there in notes:
+        (there.add if is_there else there.discard)((service, instance))
+        if roll.note(service, instance, is_there):
+            told[service] = not told[service]
+        assert told == {name: any(each == name for each, _ in there) for name in "ab"}
+    assert set(roll._instances) == {service for service, _ in there}
 
 
 def test_endpoint_in_use_is_one_clear_line(hub: Fabric, endpoint: str) -> None:

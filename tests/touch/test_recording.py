@@ -264,3 +264,20 @@ def test_a_real_pressure_mat_fills_the_skin() -> None:
     assert source.frames == min(len(left), len(right))
     for step in range(source.frames):
         np.testing.assert_array_equal(placed(source, step), np.concatenate([left[step], right[step]], axis=1))
+
+
+def test_the_array_played_is_named_beside_the_others(
+    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording(pair, 9, 8)
+    said = "recording: plays the first array of pair.npz, left; choose with --array, there is also right\n"
+    assert capsys.readouterr().err == said
+    many = tmp_path / "many.npz"
+    np.savez(many, **{f"a{number}": COUNTS for number in range(12)})
+    recording(many, 9, 8)
+    assert capsys.readouterr().err.endswith("there is also a1, a2, a3, a4, a5, a6, a7, a8 and 3 more\n")
+    single = tmp_path / "single.npz"
+    np.savez(single, only=COUNTS)
+    for path, arrays in ((pair, "right"), (pair, ["left", "right"]), (single, None)):
+        recording(path, 9, 8, arrays=arrays)
+    assert capsys.readouterr().err == ""

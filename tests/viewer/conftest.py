@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -77,15 +78,25 @@ class Messages:
             label="golf-ball",
         )
 
-    def label(self, label: str = "golf-ball", confidence: float = 0.93) -> Label:
-        return Label(cycle=1, sync_counter=1, sync_mono_ns=0, label=label, confidence=confidence, valid_sums=64)
+    def label(self, label: str = "golf-ball", confidence: float = 0.93, valid_sums: int = 64) -> Label:
+        return Label(cycle=1, sync_counter=1, sync_mono_ns=0, label=label, confidence=confidence, valid_sums=valid_sums)
 
-    def gateway(self, *, cycles: int = 10, missing: int = 0, nmt: tuple[tuple[int, ...], ...] = ()) -> GatewayStatus:
+    def gateway(
+        self,
+        *,
+        cycles: int = 10,
+        missing: int = 0,
+        nmt: tuple[tuple[int, ...], ...] = (),
+        links: tuple[str, str] = ("active", "active"),
+        refused: tuple[int, ...] = (),
+    ) -> GatewayStatus:
+        """``refused`` are nodes of the left bus."""
         states = nmt or ((5, 5, 5, 5), (5, 5, 5, 5))
         buses = [
-            BusState(name=bus.name, load_ratio=0.8, nodes=list(range(1, bus.nodes + 1)), nmt=bytes(state))
-            for bus, state in zip(self.layout.bus, states, strict=True)
+            BusState(name=bus.name, load_ratio=0.8, nodes=list(range(1, bus.nodes + 1)), nmt=bytes(state), link=link)
+            for bus, state, link in zip(self.layout.bus, states, links, strict=True)
         ]
+        buses[0] = msgspec.structs.replace(buses[0], refused=list(refused))
         return GatewayStatus(
             time_ns=0,
             cycles=cycles,

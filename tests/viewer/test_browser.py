@@ -118,7 +118,8 @@ class Chain:
     def __init__(self, messages: Any, hub: Fabric, endpoint: str) -> None:
         self.images, self.truths = True, True
         self.invalid: tuple[int, ...] = ()
-        self.nmt: tuple[tuple[int, ...], ...] = ()
+        self.gateway: dict[str, Any] = {}
+        self.label: dict[str, Any] = {}
         self._messages, self._hub = messages, hub
         self.reconstructor = Fabric(messages.layout.name, "reconstructor", endpoint)
         self._stop = threading.Event()
@@ -133,8 +134,8 @@ class Chain:
             if self.images:
                 image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid)
                 self._hub.publish(IMAGE, image)
-            self._hub.publish(LABEL, self._messages.label())
-            self._hub.publish(GATEWAY, self._messages.gateway(cycles=cycle, nmt=self.nmt))
+            self._hub.publish(LABEL, self._messages.label(**self.label))
+            self._hub.publish(GATEWAY, self._messages.gateway(cycles=cycle, **self.gateway))
             if self._stop.wait(0.02):
                 return
 
@@ -266,15 +267,39 @@ def test_without_truth_only_the_image_is_there(page: Browser, chain: Chain) -> N
 
 
 def test_nodes_off_duty_are_seen(page: Browser, chain: Chain) -> None:
-    chain.nmt = ((5, 255, 127, 4), (5, 5, 5, 5))
+    chain.gateway = {"nmt": ((5, 255, 127, 4), (5, 5, 5, 5)), "refused": (3,)}
     page.until(lambda: "left: node 2 silent" in page.text("#notices"), "no notice")
+    assert "left: node 3 refused by the gateway" in page.text("#notices")
     assert page.ask("[...document.querySelectorAll('#buses .tile')].map((tile) => tile.dataset.state).slice(0, 5)") == [
         "operational",
         "silent",
-        "pre-operational",
+        "refused",
         "stopped",
         "operational",
     ]
+
+
+def test_dead_skin_is_no_skin_without_contact(page: Browser, chain: Chain) -> None:
+    chain.label = {"label": "", "valid_sums": 0}
+    page.until(lambda: "not measured" in page.text("#object"), "the label of nothing was shown")
+    assert "no contact" not in page.text("#object")
+    assert page.ask("document.querySelector('#object').classList.contains('stale')")
+    chain.label = {"label": ""}
+    page.until(lambda: "no contact" in page.text("#object"), "a skin without contact was not shown")
+
+
+def test_dead_buses_are_named_and_get_no_sync(page: Browser, chain: Chain) -> None:
+    silent = (255, 255, 255, 255)
+    chain.gateway = {"links": ("lost", "active"), "nmt": (silent, (5, 5, 5, 5))}
+    page.until(lambda: "bus left dead" in page.text("#notices"), "no notice")
+    assert "SYNC 100.0 Hz on 1 of 2 buses" in page.text("#rate")
+    chain.gateway = {"links": ("lost", "lost"), "nmt": (silent, silent)}
+    page.until(lambda: "SYNC reaches no bus" in page.text("#rate"), "SYNC went on")
+    assert page.text("#buses .detail") == "0 of 4 nodes operational, link lost"
+    # Nothing of it may be cut off, however narrow the card is.
+    assert page.ask(
+        "[...document.querySelectorAll('.bus .detail')].every((line) => line.scrollWidth <= line.clientWidth)"
+    )
 
 
 def test_lost_connection_is_told_and_mended(page: Browser, server: Server) -> None:

@@ -139,3 +139,12 @@ def test_rate_of_one_value_is_not_known() -> None:
     assert window.rate_hz(0.0) == 0.0
     window.add(0.0, 1.0)
     assert window.rate_hz(0.0) > 0.0
+
+
+def test_sensor_that_only_rounds_adds_no_noise(state: ViewState, messages: Any) -> None:
+    true = messages.grid(0.01)
+    step_n = messages.layout.taxels.force_max_n / 1023  # of 10 bits
+    for now_s, error_n, adds in ((1.0, 0.0, False), (3.0, 0.49 * step_n, False), (5.0, 2 * step_n, True)):
+        state.take_truth(messages.truth(3, sync_s=now_s, true=true, sensor=true + np.float32(error_n)), now_s)
+        state.take_image(messages.image(3, sync_s=now_s), now_s)
+        assert state.snapshot(now_s + 0.1)[0].figures.sensor_adds_noise is adds

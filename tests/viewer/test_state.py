@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from viewer.state import PROCESSES, ViewState
+from viewer.state import PROCESSES, SERVICES, ViewState
 
 EPOCH_S = 1000.0
 
@@ -172,14 +172,7 @@ def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None
     state.take_label(messages.label("", 0.0), 1.0)
     snapshot, _ = state.snapshot(1.1)
     assert snapshot.label is not None
-    assert (snapshot.label.label, snapshot.label.stale, snapshot.label.blind) == ("", False, False)
-
-
-def test_too_few_sums_are_told_from_no_contact(state: ViewState, messages: Any) -> None:
-    state.take_label(msgspec.structs.replace(messages.label("", 0.0), blind=True), 1.0)
-    snapshot, _ = state.snapshot(1.1)
-    assert snapshot.label is not None
-    assert snapshot.label.blind
+    assert (snapshot.label.label, snapshot.label.stale, snapshot.label.measured) == ("", False, True)
 
 
 def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> None:
@@ -202,3 +195,86 @@ def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, message
     ]
     assert snapshot.image is not None
     assert snapshot.image.stale
+
+
+def test_hub_is_not_lost_while_messages_come(state: ViewState, messages: Any) -> None:
+    for alive in (True, False):
+        state.take_service("viewer", alive, 1.0)
+    state.take_gateway(messages.gateway(nmt=((5, 255, 5, 5), (5, 5, 5, 5))), 2.0)
+    snapshot, _ = state.snapshot(2.1)
+    assert not snapshot.cut_off
+    assert texts(state, 2.1) == []
+    assert texts(state, 2.1, "warning") == ["left: node 2 silent"]
+    assert state.snapshot(3.0)[0].cut_off
+
+
+def test_lost_hub_does_not_hide_messages_that_were_ignored(state: ViewState, messages: Any) -> None:
+    state.take_image(msgspec.structs.replace(messages.image(), valid=b""), 1.0)
+    state.take_service("viewer", True, 0.0)
+    state.take_service("viewer", False, 2.0)
+    assert [notice.level for notice in state.snapshot(3.0)[0].notices] == ["error", "warning"]
+
+
+@pytest.mark.parametrize("label", ["", "golf-ball"])
+@pytest.mark.parametrize(("valid_sums", "measured"), [(0, False), (15, False), (16, True), (64, True)])
+def test_label_of_too_few_sums_does_not_count(
+    state: ViewState, messages: Any, label: str, valid_sums: int, measured: bool
+) -> None:
+    state.take_label(messages.label(label, valid_sums=valid_sums), 1.0)
+    shown = state.snapshot(1.1)[0].label
+    assert shown is not None
+    assert shown.measured is measured
+
+
+def test_label_of_a_blind_classifier_does_not_count(state: ViewState, messages: Any) -> None:
+    state.take_label(msgspec.structs.replace(messages.label(""), blind=True), 1.0)
+    shown = state.snapshot(1.1)[0].label
+    assert shown is not None
+    assert not shown.measured
+
+
+def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messages: Any) -> None:
+    silent = (255, 255, 255, 255)
+    state.take_gateway(messages.gateway(nmt=(silent, silent), links=("lost", "lost")), 1.0)
+    assert texts(state, 1.1) == ["buses left, right dead: the gateway has lost its interface"]
+    assert texts(state, 1.1, "warning") == []
+    state.take_gateway(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off")), 1.2)
+    assert texts(state, 1.3) == ["bus right dead: the gateway's controller is bus-off"]
+    assert texts(state, 1.3, "warning") == [
+        "bus left troubled: the gateway's controller is error passive",
+        "left: all 4 nodes silent",
+    ]
+    gateway = state.snapshot(1.3)[0].gateway
+    assert gateway is not None
+    assert [bus.dead for bus in gateway.buses] == [False, True]
+
+
+def test_skin_of_which_nothing_is_measured_is_told(state: ViewState, messages: Any) -> None:
+    state.take_gateway(messages.gateway(), 1.0)
+    state.take_image(messages.image(invalid=tuple(range(8))), 1.0)
+    assert texts(state, 1.1) == ["nothing is measured: no block sent its sums"]
+    state.take_image(messages.image(2, invalid=tuple(range(7))), 1.1)
+    assert texts(state, 1.2) == []
+
+
+def test_refused_node_is_named_unless_it_left(state: ViewState, messages: Any) -> None:
+    state.take_gateway(messages.gateway(nmt=((127, 127, 255, 5), (5, 5, 5, 5)), refused=(2, 3)), 1.0)
+    assert texts(state, 1.1, "warning") == [
+        "left: node 1 pre-operational",
+        "left: node 3 silent",
+        "left: node 2 refused by the gateway: not of this skin",
+    ]
+
+
+def test_services_do_not_pile_up(state: ViewState) -> None:
+    state.take_service("gateway", True, 0.0)
+    for number in range(3 * SERVICES):
+        state.take_service(f"service-{number}", True, number)
+        state.take_service(f"service-{number}", False, number)
+    services = state.snapshot(1000.0)[0].services
+    assert len(services) == SERVICES
+    assert services["gateway"].alive
+    assert f"service-{3 * SERVICES - 1}" in services
+    for number in range(3 * SERVICES):
+        state.take_service(f"lasting-{number}", True, 2000.0)
+    assert len(state.snapshot(3000.0)[0].services) == SERVICES

@@ -3,7 +3,15 @@
 import { count, make, percent, span, write } from "./words.js";
 
 const NMT = { 0: "booting", 4: "stopped", 5: "operational", 127: "pre-operational", 255: "silent" };
-const COUNTERS = ["received", "missing", "late", "duplicate", "malformed", "foreign"];
+// Counter, its name on the page, and whether any of them is bad. Other frames are heartbeats above all.
+const COUNTERS = [
+  ["received", "received", false],
+  ["missing", "missing", true],
+  ["late", "late", true],
+  ["duplicate", "duplicate", true],
+  ["malformed", "malformed", true],
+  ["foreign", "heartbeats and others", false],
+];
 
 const bitrate = (bits) => (bits < 1e6 ? `${bits / 1e3} kbit/s` : `${bits / 1e6} Mbit/s`);
 
@@ -53,6 +61,7 @@ export class Buses {
     for (const each of this.cards.values()) {
       const seen = gateway?.buses.find(({ name }) => name === each.bus.name);
       each.card.classList.toggle("stale", !seen || gateway.stale);
+      each.card.classList.toggle("dead", Boolean(seen?.dead));
       if (seen) this.drawBus(each, seen, gateway);
       else write(each.detail, gateway ? "the gateway does not serve this bus" : "no status yet");
     }
@@ -69,7 +78,8 @@ export class Buses {
     let operational = 0;
     seen.nodes.forEach((node, place) => {
       const tile = node >= 1 && node <= bus.nodes ? this.tiles[bus.first_block + (node - 1) * bus.blocks_per_node] : null;
-      const state = nmtName(seen.nmt[place]);
+      const heard = nmtName(seen.nmt[place]);
+      const state = seen.refused.includes(node) && heard !== "silent" ? "refused" : heard;
       operational += state === "operational";
       if (!tile || tile.dataset.state === state) return;
       tile.dataset.state = state;
@@ -77,14 +87,15 @@ export class Buses {
       tile.title = `${bus.name}, node ${node}: ${state}`;
     });
     const nodes = `${operational} of ${seen.nodes.length} nodes operational`;
-    write(detail, gateway.stale ? `${nodes} ${span(gateway.age_s)} ago` : nodes);
+    const link = seen.link === "active" ? "" : `, link ${seen.link.replace("_", "-")}`;
+    write(detail, `${nodes}${link}${gateway.stale ? ` ${span(gateway.age_s)} ago` : ""}`);
   }
 
   drawCounters(gateway) {
     const rows = [["cycles complete", gateway.cycles ? percent(gateway.cycles_complete / gateway.cycles, 2) : "–", false]];
-    for (const name of COUNTERS) {
-      const value = gateway[`frames_${name}`];
-      rows.push([name, count(value), value > 0 && name !== "received" && name !== "foreign"]);
+    for (const [key, name, isBad] of COUNTERS) {
+      const value = gateway[`frames_${key}`];
+      rows.push([name, count(value), isBad && value > 0]);
     }
     if (this.counters.childElementCount !== rows.length) this.counters.replaceChildren(...rows.map(([name]) => counter(name)));
     rows.forEach(([, value, isBad], place) => {

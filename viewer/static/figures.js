@@ -17,17 +17,37 @@ function set(id, value, detail, { stale = false, alert = false } = {}) {
 
 function drawObject({ label, truth }) {
   const meter = document.querySelector("#object .meter > div");
-  const said = label && label.label;
+  const said = label && label.measured && label.label;
   const really = truth && !truth.stale ? (truth.label ? `truth: ${spoken(truth.label)}` : "truth: none or unnamed") : "";
-  if (!label) set("object", "–", "no label yet", { stale: true });
-  else if (label.stale) set("object", said ? spoken(said) : "no contact", `said ${span(label.age_s)} ago`, { stale: true });
-  else if (label.blind) set("object", "–", "too few sums to tell", { stale: true });
+  const value = !label ? "–" : !label.measured ? "not measured" : said ? spoken(said) : "no contact";
+  if (!label) set("object", value, "no label yet", { stale: true });
+  else if (label.stale) set("object", value, `said ${span(label.age_s)} ago`, { stale: true });
+  else if (!label.measured) set("object", value, ["too few sums came", really].filter(Boolean).join(" · "), { stale: true });
   else {
     const sure = said ? `${percent(label.confidence)} sure` : "";
-    set("object", said ? spoken(said) : "no contact", [sure, really].filter(Boolean).join(" · "));
+    set("object", value, [sure, really].filter(Boolean).join(" · "));
   }
   meter.style.width = said ? `${100 * label.confidence}%` : "0";
   document.getElementById("object").classList.toggle("empty", !said);
+}
+
+/** What the image's PSNR is compared with: the sensor's, where the sensor adds noise. */
+function comparison({ figures, truth }, stale) {
+  const { psnr_image_db: image, psnr_sensor_db: sensor, sensor_adds_noise: isNoisy } = figures;
+  if (!truth) return "no truth published";
+  if (image === null) return stale ? "no image in the last second" : "no contact in the last second";
+  if (!isNoisy) return "against a truth without noise";
+  return `sensor ${fixed(sensor, 1)} dB · ${image < sensor ? "−" : "+"}${Math.abs(image - sensor).toFixed(1)} dB`;
+}
+
+/** The rate of SYNC, as far as it reaches the buses. */
+function sync(gateway) {
+  if (!gateway) return "no gateway";
+  if (gateway.stale) return "SYNC unknown";
+  const reached = gateway.buses.filter(({ dead }) => !dead).length;
+  if (reached === 0) return "SYNC reaches no bus";
+  const where = reached < gateway.buses.length ? ` on ${reached} of ${gateway.buses.length} buses` : "";
+  return `SYNC ${fixed(gateway.sync_rate_hz, 1)} Hz${where}`;
 }
 
 /** Write all figures of a snapshot. */
@@ -36,15 +56,9 @@ export function drawFigures(snapshot) {
   const stale = !image || image.stale;
   drawObject(snapshot);
 
-  const gain = figures.psnr_image_db !== null ? figures.psnr_image_db - figures.psnr_sensor_db : null;
-  const nothing = stale ? "no image in the last second" : "no contact in the last second";
-  const against = gain === null
-    ? (snapshot.truth ? nothing : "no truth published")
-    : `sensor ${fixed(figures.psnr_sensor_db, 1)} dB · ${gain < 0 ? "−" : "+"}${Math.abs(gain).toFixed(1)} dB`;
-  set("psnr", gain === null ? "–" : `${fixed(figures.psnr_image_db, 1)} dB`, against, { stale });
-
-  const sync = gateway ? `SYNC ${fixed(gateway.sync_rate_hz, 1)} Hz` : "no gateway";
-  set("rate", image ? `${fixed(figures.images_hz, 1)} /s` : "–", sync, { stale });
+  const psnr = figures.psnr_image_db === null ? "–" : `${fixed(figures.psnr_image_db, 1)} dB`;
+  set("psnr", psnr, comparison(snapshot, stale), { stale });
+  set("rate", image ? `${fixed(figures.images_hz, 1)} /s` : "–", sync(gateway), { stale });
 
   const ms = (seconds) => (seconds === null ? "–" : `${(1000 * seconds).toFixed(1)} ms`);
   const solve = image ? ` · solver ${ms(image.solve_s)}` : "";

@@ -49,7 +49,7 @@ function draw() {
   const { snapshot } = frame;
   if (!isLost) {
     drawNotices(snapshot.notices, snapshot.time_s);
-    drawServices(snapshot.services);
+    drawServices(snapshot);
     drawFigures(snapshot);
     buses.draw(snapshot.gateway);
   }

@@ -21,9 +21,8 @@ export function drawNotices(notices, time_s) {
 }
 
 /** One chip per service: there, gone, out of reach with the whole fabric, or not seen yet. */
-export function drawServices(services) {
+export function drawServices({ services, cut_off: isCutOff }) {
   const names = [...EXPECTED, ...Object.keys(services).filter((name) => name.startsWith("nodes"))];
-  const isCutOff = services.viewer?.alive === false;
   const state = (name) => (services[name] ? (services[name].alive ? "there" : isCutOff ? "unreached" : "gone") : "unseen");
   const chips = names.map((name) => ({ name, state: state(name) }));
   const wanted = JSON.stringify(chips);

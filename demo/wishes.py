@@ -1,0 +1,80 @@
+"""What a person asks of a run, checked before any process is started."""
+
+import errno
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from demo.picture import check_place
+from skin.errors import InputError
+from skin.layout import Layout
+from skin.sources import load_source
+from touch.objects import checked_names
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the person asked for; see `demo.command.demo`."""
+
+    layout_path: Path | None
+    seconds: float
+    recording: Path | None
+    full_scale: float | None
+    arrays: tuple[str, ...]
+    objects: str
+    seed: int
+    view: bool
+    port: int | None
+    picture: Path
+
+    def check(self, layout: Layout) -> None:
+        """Find out whether the wishes can be met on a skin.
+
+        Raises
+        ------
+        InputError
+            If one cannot.
+        """
+        if not 0 < self.seconds < float("inf"):
+            raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
+        if self.seed < 0:
+            raise InputError(f"--seed: expected 0 or more, got {self.seed}")
+        if len({(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in layout.bus}) > 1:
+            raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
+        if self.view and self.port is not None:
+            _check_port(self.port)
+        check_place(self.picture)
+        self._check_touch(layout)
+
+    def _check_touch(self, layout: Layout) -> None:
+        """Check what touches the skin; of a recording the nodes read it again."""
+        if self.recording is None:
+            for flag, value in (("--array", self.arrays), ("--full-scale", self.full_scale)):
+                if value not in ((), None):
+                    raise InputError(f"{flag} is for a recording: give one with --input")
+            if self.objects:
+                checked_names(self.objects)
+            return
+        taxels = layout.taxels
+        load_source(
+            "recording",
+            path=self.recording,
+            rows=taxels.rows,
+            columns=taxels.columns,
+            full_scale=self.full_scale,
+            force_max_n=taxels.force_max_n,
+            arrays=self.arrays or None,
+        )
+
+
+def _check_port(port: int) -> None:
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port: expected 0 to 65535, got {port}")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise InputError(f"--port {port}: cannot listen there: {error.strerror or error}") from error
+            raise InputError(f"port {port} is in use: give another with --port, or --port 0 for a free one") from error
