@@ -79,16 +79,16 @@ export class Buses {
     seen.nodes.forEach((node, place) => {
       const tile = node >= 1 && node <= bus.nodes ? this.tiles[bus.first_block + (node - 1) * bus.blocks_per_node] : null;
       const heard = nmtName(seen.nmt[place]);
-      const state = seen.refused.includes(node) && heard !== "silent" ? "refused" : heard;
+      const isRefused = seen.refused.includes(node) && heard !== "silent";
+      const state = seen.dead ? "unknown" : isRefused ? "refused" : heard;
       operational += state === "operational";
       if (!tile || tile.dataset.state === state) return;
       tile.dataset.state = state;
       tile.className = `tile ${state}`;
       tile.title = `${bus.name}, node ${node}: ${state}`;
     });
-    const nodes = `${operational} of ${seen.nodes.length} nodes operational`;
-    const link = seen.link === "active" ? "" : `, link ${seen.link.replace("_", "-")}`;
-    write(detail, `${nodes}${link}${gateway.stale ? ` ${span(gateway.age_s)} ago` : ""}`);
+    const nodes = seen.dead ? "dead: no node can be heard" : `${operational} of ${seen.nodes.length} nodes operational`;
+    write(detail, gateway.stale ? `${nodes} ${span(gateway.age_s)} ago` : nodes);
   }
 
   drawCounters(gateway) {
