@@ -7,6 +7,8 @@ from viewer.snapshot import BusView, GatewayState, NodesState
 
 #: What a gateway's controller says when it can neither send nor receive.
 DEAD_LINKS: Final = ("lost", "bus_off")
+#: The gateway's word for the NMT state of a node it does not hear.
+SILENT: Final = 255
 
 
 def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:
@@ -48,4 +50,5 @@ def _bus_view(bus: BusState, place: int, mean_load_ratio: list[float]) -> BusVie
         refused=bus.refused,
         link=bus.link,
         dead=bus.link in DEAD_LINKS,
+        synced=bus.link not in DEAD_LINKS and not (bus.link == "passive" and set(bus.nmt) == {SILENT}),
     )

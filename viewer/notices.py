@@ -5,10 +5,9 @@ from typing import Final
 
 import msgspec
 
+from viewer.buses import SILENT
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
-#: The gateway's word for a node it does not hear.
-SILENT: Final = 255
 #: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2).
 OFF_DUTY: Final = {0: "booting", 4: "stopped", 127: "pre-operational", SILENT: "silent"}
 REFUSED: Final = "refused by the gateway: not of this skin"

@@ -111,7 +111,9 @@ class BusView(msgspec.Struct, frozen=True, kw_only=True):
     link : str
         What the gateway's own controller says; see `skin.messages.BusState`.
     dead : bool
-        Nothing passes between the gateway and this bus, not even SYNC.
+        Nothing passes between the gateway and this bus.
+    synced : bool
+        SYNC reaches a node: without any, no frame of the gateway is acknowledged.
     """
 
     name: str
@@ -122,6 +124,7 @@ class BusView(msgspec.Struct, frozen=True, kw_only=True):
     refused: list[int]
     link: str
     dead: bool
+    synced: bool
 
 
 class GatewayState(msgspec.Struct, frozen=True, kw_only=True):

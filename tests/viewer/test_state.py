@@ -246,7 +246,11 @@ def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messa
     ]
     gateway = state.snapshot(1.3)[0].gateway
     assert gateway is not None
-    assert [bus.dead for bus in gateway.buses] == [False, True]
+    assert [(bus.dead, bus.synced) for bus in gateway.buses] == [(False, False), (True, False)]
+    state.take_gateway(messages.gateway(nmt=((5, 255, 255, 255), silent), links=("passive", "active")), 1.4)
+    gateway = state.snapshot(1.5)[0].gateway
+    assert gateway is not None
+    assert [bus.synced for bus in gateway.buses] == [True, True]
 
 
 def test_skin_of_which_nothing_is_measured_is_told(state: ViewState, messages: Any) -> None:

@@ -10,7 +10,7 @@ const COUNTERS = [
   ["late", "late", true],
   ["duplicate", "duplicate", true],
   ["malformed", "malformed", true],
-  ["foreign", "heartbeats and others", false],
+  ["foreign", "other frames", false],
 ];
 
 const bitrate = (bits) => (bits < 1e6 ? `${bits / 1e3} kbit/s` : `${bits / 1e6} Mbit/s`);

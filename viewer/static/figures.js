@@ -44,7 +44,7 @@ function comparison({ figures, truth }, stale) {
 function sync(gateway) {
   if (!gateway) return "no gateway";
   if (gateway.stale) return "SYNC unknown";
-  const reached = gateway.buses.filter(({ dead }) => !dead).length;
+  const reached = gateway.buses.filter(({ synced }) => synced).length;
   if (reached === 0) return "SYNC reaches no bus";
   const where = reached < gateway.buses.length ? ` on ${reached} of ${gateway.buses.length} buses` : "";
   return `SYNC ${fixed(gateway.sync_rate_hz, 1)} Hz${where}`;
