@@ -20,7 +20,9 @@ from skin.errors import InputError
 from touch.reading import read_counts
 
 SIZES: Final = (4096, 256, 64, 16)
-DRAWS: Final = 5
+DRAWS: Final = 3
+#: Most rows that are chosen: the time to choose them grows with the square.
+_MOST_CHOSEN: Final = 64
 #: Every so many frames: neighbours hardly differ.
 STRIDE: Final = 4
 #: The first and last frames of a posture may show the person moving.
@@ -58,7 +60,7 @@ def evaluate(options: Options) -> Findings:
         {"recordings": str(options.recordings), "variant": name, "size": size, "draw": draw, "person": person}
         for size in (SIZES[-2:] if options.quick else SIZES)
         for name in VARIANTS
-        if size < TAXELS or not VARIANTS[name][2]
+        if size <= _MOST_CHOSEN or not VARIANTS[name][2]
         for draw in range(1 if size == TAXELS else draws)
         for person in people
     ]
