@@ -1,40 +1,15 @@
 """The picture of a run: what was there, what the sensor felt, what was rebuilt, and the difference."""
 
 from pathlib import Path
-from typing import Final
 
 import matplotlib as mpl
 
 from demo.score import Snapshot
-from skin.errors import InputError
 from skin.pairing import psnr_db
 
 mpl.use("Agg")
 
 from matplotlib import pyplot as plt
-
-SUFFIXES: Final = (".png", ".svg", ".pdf")
-
-
-def check_place(path: Path) -> None:
-    """Find out before a run whether its picture can be saved at `path`.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, the name has none of `SUFFIXES`, or no file can be written there.
-    """
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: the folder for the picture does not exist")
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: expected a picture that ends in {', '.join(SUFFIXES)}, got '{path.suffix}'")
-    is_new = not path.exists()
-    try:
-        path.open("ab").close()
-        if is_new:
-            path.unlink()
-    except OSError as error:
-        raise InputError(f"{path}: cannot write the picture there: {error.strerror or error}") from error
 
 
 def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool = True) -> None:
@@ -46,7 +21,7 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
     peak_n : float
         Largest force a taxel can feel, the peak of the PSNR.
     path : pathlib.Path
-        Where; one of `SUFFIXES`.
+        Where; one of `skin.picture_place.SUFFIXES`.
     noisy : bool
         Whether the sensor adds noise, so that its PSNR means something.
 

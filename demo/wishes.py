@@ -5,9 +5,9 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
-from demo.picture import check_place
 from skin.errors import InputError
 from skin.layout import Layout
+from skin.picture_place import check_place
 from skin.sources import load_source
 from touch.objects import checked_names
 

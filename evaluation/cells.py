@@ -4,19 +4,23 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable, Sequence
-from functools import cache
+from contextlib import closing
+from functools import cache, partial
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from evaluation.findings import Options, Row
-from skin.errors import InputError
+from skin.errors import InputError, RunError
+from skin.parallel import in_parallel
 
 #: Rooms whose code decides a result: a kept cell counts only while they are as they were.
-_ROOMS: Final = ("skin", "dbc", "bandwidth", "reconstructor", "classifier", "touch", "evaluation")
+_ROOMS: Final = ("skin", "dbc", "bandwidth", "bus", "nodes", "reconstructor", "classifier", "touch", "evaluation")
+_LIBRARIES: Final = ("numpy", "scipy", "numba", "scikit-learn", "PyWavelets")
 
 
 def measure_cells(
@@ -37,6 +41,13 @@ def measure_cells(
         Shown beside the progress bar, on a terminal.
     jobs : int, optional
         In place of the options', for cells whose times are measured.
+
+    Raises
+    ------
+    InputError
+        If the folder for results cannot be read or made.
+    RunError
+        If a result cannot be written there.
     """
     kept = _Kept(options.out, what)
     keys = [_key(measure, cell) for cell in cells]
@@ -45,27 +56,19 @@ def measure_cells(
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=len(cells), completed=len(cells) - len(missing))
-        for index, result in _measured(measure, cells, missing, jobs or options.jobs):
-            kept.add(keys[index], cells[index], result)
-            progress.advance(task)
+        calls = [partial(_one, measure, cells[index]) for index in missing]
+        with closing(in_parallel(calls, jobs or options.jobs)) as work:
+            for place, result in work:
+                kept.add(keys[missing[place]], cells[missing[place]], result)
+                progress.advance(task)
     return [kept.results[key] for key in keys]
 
 
-def _measured(measure: Callable[..., Row], cells: Sequence[Row], wanted: Sequence[int], jobs: int) -> Any:
-    from joblib import Parallel, delayed, parallel_config
-
-    if jobs == 1 or len(wanted) < 2:
-        return (_one(measure, index, cells[index]) for index in wanted)
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        work = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        return work(delayed(_one)(measure, index, cells[index]) for index in wanted)
-
-
-def _one(measure: Callable[..., Row], index: int, cell: Row) -> tuple[int, Row]:
+def _one(measure: Callable[..., Row], cell: Row) -> Row:
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):
-        return index, measure(**cell)
+        return measure(**cell)
 
 
 class _Kept:
@@ -95,9 +98,13 @@ class _Kept:
         """Keep one result."""
         self.results[key] = result
         if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
-                # A line that was cut short must not swallow this one.
-                file.write("\n" * (file.tell() > 0) + json.dumps({"key": key, "cell": cell, "result": result}))
+            line = json.dumps({"key": key, "cell": cell, "result": result})
+            try:
+                with self._path.open("a", encoding="utf-8") as file:
+                    # Before and not behind each line, so that one that was cut short does not swallow the next.
+                    file.write(line if file.tell() == 0 else f"\n{line}")
+            except OSError as error:
+                raise RunError(f"'{self._path}' cannot be written: {error.strerror or error}") from error
 
 
 def _key(measure: Callable[..., Row], cell: Row) -> str:
@@ -107,8 +114,8 @@ def _key(measure: Callable[..., Row], cell: Row) -> str:
 
 @cache
 def _code() -> str:
-    """Return a digest of our own source: a result of other code is not this code's."""
-    digest = hashlib.sha256()
+    """Return a digest of our own source and of the libraries' versions: a result of other code is not this code's."""
+    digest = hashlib.sha256(" ".join(map(version, _LIBRARIES)).encode())
     for room in _ROOMS:
         spec = find_spec(room)
         for folder in (spec.submodule_search_locations or []) if spec else []:

@@ -34,7 +34,8 @@ def objects(
     skin objects --figure objects.png
     skin objects --json | jq 'max_by(.contact_taxels).name'
     """
-    from touch.drawing import as_text, check_place, save_images
+    from skin.picture_place import check_place
+    from touch.drawing import as_text, save_images
     from touch.objects import CATALOGUE, checked_names
 
     if figure is not None:

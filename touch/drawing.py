@@ -8,10 +8,9 @@ import numpy as np
 
 from skin.errors import InputError
 from touch.contact import Force
-from touch.trajectory import PAPER_DEPTH_M
 
-SUFFIXES: Final = (".png", ".svg", ".pdf")
-#: From no force to the largest of the paper's data.
+#: The darkest shade: about the largest force of the paper's data.
+_FULL_N: Final = 0.01
 _SHADES: Final = " .:-=+*#%@"
 _MOST_COLUMNS: Final = 6
 _TO_MN: Final = 1e3
@@ -31,22 +30,8 @@ def as_text(force_n: Force) -> str:
     even = np.pad(force_n, ((0, force_n.shape[0] % 2), (0, 0)))
     pairs = even.reshape(-1, 2, even.shape[1]).max(axis=1)
     cut = pairs[rows.min() // 2 : rows.max() // 2 + 1, columns.min() : columns.max() + 1]
-    levels = np.minimum(np.ceil(cut / PAPER_DEPTH_M * (len(_SHADES) - 1)), len(_SHADES) - 1).astype(int)
+    levels = np.minimum(np.ceil(cut / _FULL_N * (len(_SHADES) - 1)), len(_SHADES) - 1).astype(int)
     return "\n".join("".join(_SHADES[level] for level in line).rstrip() for line in levels)
-
-
-def check_place(path: Path) -> None:
-    """Find out before the work whether a picture can be saved at `path`.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or the name has none of `SUFFIXES`.
-    """
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: the folder for the picture does not exist")
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: expected a picture that ends in {', '.join(SUFFIXES)}, got '{path.suffix}'")
 
 
 def save_images(images: Mapping[str, Force], path: Path) -> None:
@@ -64,7 +49,7 @@ def save_images(images: Mapping[str, Force], path: Path) -> None:
     figure = Figure(figsize=(2.1 * columns + 1.0, 2.3 * rows), layout="constrained")
     panels = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes, (name, force_n) in zip(panels, images.items(), strict=False):
-        shown = axes.imshow(force_n * _TO_MN, cmap="viridis", vmin=0.0, vmax=10.0, interpolation="nearest")
+        shown = axes.imshow(force_n * _TO_MN, cmap="viridis", vmin=0.0, vmax=_FULL_N * _TO_MN, interpolation="nearest")
         axes.set_title(name, fontsize=10)
         axes.set(xticks=[], yticks=[])
     for axes in panels[len(images) :]:

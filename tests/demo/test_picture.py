@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from demo.picture import SUFFIXES, check_place, save_picture
+from demo.picture import save_picture
 from demo.score import Snapshot
-from skin.errors import InputError
+from skin.picture_place import SUFFIXES, check_place
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -18,9 +18,3 @@ def test_picture_is_saved_where_it_may_be(suffix: str, tmp_path: Path) -> None:
     save_picture(Snapshot(force_n, force_n, 0.9 * force_n), 0.02, path)
     starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
     assert path.read_bytes().startswith(starts[suffix])
-
-
-@pytest.mark.parametrize(("name", "says"), [("none/x.png", "folder"), ("x", r"\.png, "), ("x.docx", "got '.docx'")])
-def test_place_that_cannot_be_used_is_told_before_the_run(name: str, says: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=says):
-        check_place(tmp_path / name)

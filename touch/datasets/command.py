@@ -9,11 +9,15 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from skin.errors import InputError
+from skin.parallel import in_parallel
 from touch.arrays import ARRAYS
 from touch.datasets.folder import DatasetFolder, alone
 from touch.datasets.options import Slides, Taxels, Touches
 from touch.datasets.plan import Plan, plan_acquisition, plan_classification
-from touch.datasets.work import made
+from touch.objects import checked_names
+
+#: Chunks per process between two gatherings: what is made must not pile up while it is written.
+_AHEAD: Final = 4
 
 Subject = Literal["acquisition", "classification"]
 _SLIDES: Final = Slides()
@@ -68,7 +72,7 @@ def dataset(
     skin dataset acquisition --out slides --objects drill,cup --meshes ycb-meshes
     skin dataset acquisition --out worn --gain-spread 0.05 --dead 0.01 --json
     """
-    names = None if objects is None else objects.split(",")
+    names = None if objects is None else checked_names(objects)
     electronics = taxels.electronics(seed)
     if subject == "acquisition":
         if touches != _TOUCHES:
@@ -124,9 +128,10 @@ def fill(plan: Plan, out: Path, jobs: int, cluster: str | None = None) -> dict[s
             else:
                 missing.append(task)
         progress.update(bar, description=plan.about["data_set"])
-        with contextlib.closing(made(missing, jobs, cluster)) as work:
-            for task, arrays in work:
-                folder.put(task.files, arrays)
+        calls = [task.make for task in missing]
+        with contextlib.closing(in_parallel(calls, jobs, cluster=cluster, ahead=_AHEAD)) as work:
+            for place, arrays in work:
+                folder.put(missing[place].files, arrays)
                 progress.advance(bar)
     return _summary(folder, plan, sum(len(task.files) for task in missing), time.monotonic() - began_s)
 

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from skin.errors import BusError, InputError
+from skin.errors import InputError
 from touch.datasets.command import dataset
 from touch.datasets.options import Slides, Taxels, Touches
 
@@ -92,7 +92,7 @@ def test_a_cluster_makes_the_same_files(tmp_path: Path) -> None:
         address = cluster.scheduler_address
         dataset("classification", out=tmp_path / "cluster", objects="cup,tuna-can", touches=FEW, cluster=address)
     assert contents(tmp_path / "cluster") == contents(plain)
-    with pytest.raises(BusError, match="no Dask scheduler answers at 'nowhere'"):
+    with pytest.raises(InputError, match="no Dask scheduler answers at 'nowhere'"):
         dataset("classification", out=tmp_path / "none", objects="cup", touches=FEW, cluster="nowhere")
 
 

@@ -1,63 +1,64 @@
-"""Chunks made in parallel: on this machine's cores, or on a Dask cluster."""
+"""Independent work in parallel: on this machine's cores, or on a Dask cluster."""
 
 import contextlib
 import signal
 import threading
 import warnings
-from collections.abc import Generator, Iterator, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import Any, Final, TypeVar
 
-from skin.errors import BusError, InputError
-from touch.contact import Force
-from touch.datasets.plan import Task
+from skin.errors import InputError
 
-#: Chunks per process between two gatherings: what is made must not pile up while it is written.
-_AHEAD: Final = 4
 _CONNECT_S: Final = 10
 
+Result = TypeVar("Result")
+Call = Callable[[], Result]
 
-def made(tasks: Sequence[Task], jobs: int, cluster: str | None = None) -> Generator[tuple[Task, list[Force]]]:
-    """Yield each task with the arrays of its files, in the order they are done.
+
+def in_parallel(
+    calls: Sequence[Call[Result]], jobs: int, *, cluster: str | None = None, ahead: int | None = None
+) -> Generator[tuple[int, Result]]:
+    """Yield the place and the result of each call, in the order they are done.
 
     Parameters
     ----------
-    tasks : sequence of Task
-        What to make.
+    calls : sequence of callable
+        Without arguments; they and their results must be fit to be sent to another process.
     jobs : int
-        Processes at the same time; 1 makes them in this one. On a cluster, chunks under way per gathering.
+        Processes at the same time, each on one thread; 1 works in this one. On a cluster it only scales `ahead`.
     cluster : str, optional
         Address of a Dask scheduler whose workers have this project installed.
+    ahead : int, optional
+        Calls per job between two gatherings, where results are so large that they must not pile up; default all.
 
     Raises
     ------
     InputError
-        If `jobs` is below 1, or Dask is not installed.
-    BusError
-        If no scheduler answers.
+        If `jobs` is below 1, Dask is not installed, or no scheduler answers.
     """
     if jobs < 1:
         raise InputError(f"expected 1 job or more, got {jobs}")
-    if cluster is None and (jobs == 1 or len(tasks) < 2):
-        for task in tasks:
-            yield task, task.make()
+    if cluster is None and (jobs == 1 or len(calls) < 2):
+        for place, call in enumerate(calls):
+            yield place, call()
         return
+    size = len(calls) if ahead is None else ahead * jobs
     with _backend(cluster):
-        for first in range(0, len(tasks), _AHEAD * jobs):
-            batch = tasks[first : first + _AHEAD * jobs]
-            with _begun(batch, jobs) as done:
-                for index, arrays in done:
-                    yield batch[index], arrays
+        for first in range(0, len(calls), max(1, size)):
+            with _begun(calls[first : first + size], jobs) as done:
+                for place, result in done:
+                    yield first + place, result
 
 
 @contextlib.contextmanager
-def _begun(batch: Sequence[Task], jobs: int) -> Iterator[Iterator[tuple[int, list[Force]]]]:
+def _begun(calls: Sequence[Call[Result]], jobs: int) -> Iterator[Iterator[tuple[int, Result]]]:
     """Start a batch and give what is done; what is not at the end is given up without a word."""
     from joblib import Parallel, delayed
 
     # A terminal sends Ctrl-C to every process: those that work shall leave it to this one to end them.
     with _ctrl_c_ignored():
         done = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-            delayed(_one)(index, task) for index, task in enumerate(batch)
+            delayed(_one)(place, call) for place, call in enumerate(calls)
         )
     try:
         yield done
@@ -66,8 +67,8 @@ def _begun(batch: Sequence[Task], jobs: int) -> Iterator[Iterator[tuple[int, lis
             done.close()
 
 
-def _one(index: int, task: Task) -> tuple[int, list[Force]]:
-    return index, task.make()
+def _one(place: int, call: Call[Result]) -> tuple[int, Result]:
+    return place, call()
 
 
 @contextlib.contextmanager
@@ -110,4 +111,4 @@ def _client(cluster: str) -> Any:
     try:
         return Client(cluster, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
-        raise BusError(f"no Dask scheduler answers at '{cluster}': {error or type(error).__name__}") from error
+        raise InputError(f"no Dask scheduler answers at '{cluster}': {error or type(error).__name__}") from error
