@@ -2,7 +2,6 @@
 
 import select
 import socket
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -33,7 +32,7 @@ from bus.protocol import (
 from bus.retry import Backoff
 from dbc.frame import ECHO, FD, Frames, frames
 from skin.errors import BusError
-from skin.service import StopSignal, say
+from skin.service import Stopped, StopSignal, say
 
 #: How long the process of a bus may take to answer a greeting.
 GREETING_S: Final = 5.0
@@ -57,7 +56,7 @@ class ArbitratedLink:
     wait_s : float
         How long to wait for a bus that is not there yet.
     stop : StopSignal, optional
-        Ends the process, quietly and with 0, if it is set while this waits.
+        Raises `skin.service.Stopped` if it is set while this waits.
 
     Raises
     ------
@@ -245,7 +244,7 @@ class ArbitratedLink:
                 say(self._hello.name, f"waits for bus '{self.channel}'")
                 told = True
             if stop.wait(0.02):
-                sys.exit(0)
+                raise Stopped
 
     def _connect(self) -> tuple[socket.socket, Welcome]:
         """Connect and greet.

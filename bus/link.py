@@ -81,7 +81,7 @@ def open_link(
     wait_s : float
         How long to wait for a virtual bus that is still starting.
     stop : StopSignal, optional
-        Ends the process if it is set meanwhile.
+        Raises `skin.service.Stopped` if it is set meanwhile.
 
     Raises
     ------

@@ -64,7 +64,7 @@ def open_links(
 ) -> dict[int, Link]:
     """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus are aimed at `name`.
 
-    A `stop` that is set while this waits for a bus ends the process.
+    A `stop` that is set while this waits for a bus raises `skin.service.Stopped`.
 
     Raises
     ------

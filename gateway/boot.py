@@ -29,7 +29,7 @@ LONGEST_VALUE: Final = 256
 _FIRST_PASS_ENDS: Final = 0
 
 # The library logs each transfer without answer; a node that is not there is no news.
-logging.getLogger("canopen").setLevel(logging.CRITICAL)
+logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
 
 
 class Boot:

@@ -18,7 +18,7 @@ ABORT_TOO_LONG: Final = 0x0607_0012
 LONGEST_VALUE: Final = 256
 
 # The library logs every request it refuses; the abort on the bus says it already.
-logging.getLogger("canopen").setLevel(logging.CRITICAL)
+logging.getLogger("canopen.sdo.server").setLevel(logging.CRITICAL)
 
 
 def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from skin.errors import RunError, SkinError
 from skin.explain import docstring, examples, summary
+from skin.service import Stopped
 
 if TYPE_CHECKING:
     import cyclopts
@@ -77,6 +78,8 @@ def _run(arguments: Sequence[str]) -> int:
         return _complain(error, FAILED)
     except (SkinError, cyclopts.CycloptsError) as error:
         return _complain(error, WRONG_INPUT)
+    except Stopped:
+        return 0
     except BrokenPipeError:
         sys.stderr.close()  # where Python would complain of the same once more
         return FAILED

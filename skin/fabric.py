@@ -18,7 +18,7 @@ import zenoh
 
 from skin.errors import BusError
 from skin.messages import Topic
-from skin.service import StopSignal, say
+from skin.service import Stopped, StopSignal, say
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
@@ -94,7 +94,7 @@ class Fabric:
     hub : bool
         Listen on the endpoint instead of connecting to it.
     stop : StopSignal, optional
-        Ends the process, quietly and with 0, if it is set while this waits for its hub.
+        Raises `skin.service.Stopped` if it is set while this waits for its hub.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def _connect(endpoint: str, service: str, stop: StopSignal | None) -> Any:
         except zenoh.ZError as error:
             waited_s = time.monotonic() - started_s
             if stop is not None and stop.is_set():
-                raise SystemExit(0) from None
+                raise Stopped from None
             if waited_s >= CONNECT_PATIENCE_S:
                 raise BusError(f"cannot connect to {endpoint}: {_first_sentence(error)}") from error
         if waited_s >= SILENT_S and not said:

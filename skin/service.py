@@ -17,6 +17,10 @@ REAL_TIME_PRIORITY: Final = 1
 PR_SET_PDEATHSIG: Final = 1
 
 
+class Stopped(Exception):  # noqa: N818 - no error
+    """A service was told to end before it had begun; the command line ends with 0."""
+
+
 class StopSignal:
     """Set by SIGINT or SIGTERM; services look at it between two turns of their loop."""
 

@@ -112,9 +112,18 @@ def test_small_skin() -> None:
     assert layout.phi().shape == (64, 256)
 
 
-def test_a_wrong_choice_is_told_the_right_ones() -> None:
-    with pytest.raises(LayoutError, match=r"Invalid enum value 9 - at `.*`: expected 16 or 12 or 8$"):
-        parse_layout(DEFAULT.replace("sum_bits = 16", "sum_bits = 9").encode(), "x.toml")
+@pytest.mark.parametrize(
+    ("old", "new", "choices"),
+    [
+        ("sum_bits = 16", "sum_bits = 9", "16 or 12 or 8"),
+        ('ensemble = "sbhe"', 'ensemble = "dct"', "sbhe"),
+        ('selection = "balanced"', 'selection = "any"', "balanced or uniform"),
+        ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "1 or 2 or 4 or 8"),
+    ],
+)
+def test_a_wrong_choice_is_told_the_right_ones(old: str, new: str, choices: str) -> None:
+    with pytest.raises(LayoutError, match=rf"Invalid enum value .* - at `.*`: expected {choices}$"):
+        parse_layout(DEFAULT.replace(old, new, 1).encode(), "x.toml")
 
 
 def test_the_page_names_every_key() -> None:
