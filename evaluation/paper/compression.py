@@ -111,8 +111,8 @@ def _notes(rows: list[Row], options: Options, draws: int) -> list[str]:
     sensor = [row for row in rows if not row["basis"]]
     notes.append(within(sensor, SENSOR_AIM_DB, what="sensor signal", unit="dB", least_share=1))
     notes.append(
-        f"Means over {draws} draws of Φ and of the noise; spread is their standard deviation, least and most are means "
-        "of each draw's extremes. The paper's numbers are those of one draw, printed to 0.1 dB."
+        f"Means over draws of Φ and of the noise: {draws}. Spread is their standard deviation, least and most are "
+        "means of each draw's extremes. The paper's numbers are those of one draw, printed to 0.1 dB."
     )
     if not options.quick:
         notes.append(

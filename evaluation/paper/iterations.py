@@ -135,7 +135,7 @@ def _notes(rows: list[Row], options: Options, times: dict[tuple[BasisName, int],
     )
     if not options.quick:
         notes.append(
-            f"Means over {_draws('sbhe', options)} draws of SBHE and {_draws('noiselet', options)} of the noiselet. "
+            f"Draws that are averaged: SBHE {_draws('sbhe', options)}, noiselet {_draws('noiselet', options)}. "
             "Contourlets with 20 and 10 iterations are rebuilt at every 4th and every 2nd step."
         )
     return notes + quick_note(options)
