@@ -1,6 +1,7 @@
 """Every subject, looked at quickly through the command."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -10,12 +11,18 @@ from evaluation.paper import figures, iterations, solvers
 from evaluation.paper.printed import SENSOR
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One folder of results: Table III takes up what it shares with Table II."""
+    return tmp_path_factory.mktemp("evaluated")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("subject", "count"), [("sparsity", 40), ("compression", 65), ("iterations", 60)])
 def test_every_cell_of_a_table_stands_beside_the_papers(
-    subject: str, count: int, capsys: pytest.CaptureFixture[str]
+    subject: str, count: int, capsys: pytest.CaptureFixture[str], folder: Path
 ) -> None:
-    evaluate(subject, quick=True, jobs=2, json=True)  # type: ignore[arg-type]
+    evaluate(subject, quick=True, jobs=2, out=folder, json=True)  # type: ignore[arg-type]
     told = json.loads(capsys.readouterr().out)
     assert len(told["rows"]) == count
     for row in told["rows"]:
