@@ -18,7 +18,7 @@ h2 { margin-top: 3rem; border-top: 1px solid #ddd; padding-top: 1rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
 th, td { padding: .15rem .7rem; text-align: right; border-bottom: 1px solid #eee; }
 th { position: sticky; top: 0; background: #fff; }
-td.text, th.text { text-align: left; }
+td.text, th.text { text-align: left; min-width: 6rem; }
 details { overflow-x: auto; }
 figure { margin: 1.5rem 0; }
 figure img { max-width: 100%; }

@@ -103,6 +103,7 @@ def draw_curves(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], x
         axes.plot(across, up, marker=".", label=name)
     axes.set(xscale="log", xlabel=xlabel, ylabel=ylabel)
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
     axes.grid(alpha=0.3, which="both")
     axes.legend()
     return figure
