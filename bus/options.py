@@ -13,7 +13,7 @@ from skin.layout import Bus, Layout
 from skin.service import StopSignal
 
 #: How long a service waits for a bus server that is still starting.
-OPEN_WAIT_S = 10.0
+OPEN_WAIT_S = 30.0
 
 
 @Parameter(name="*")
