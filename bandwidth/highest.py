@@ -9,10 +9,8 @@ from bandwidth.plan import counted_wire
 from bandwidth.traffic import Disturbance, traffic
 from dbc.contract import Contract, contract
 from dbc.dictionary import WINDOW_RATIO
-from skin.layout import Layout, parse_layout
+from skin.layout import RATE_MAX_HZ, Layout, parse_layout
 
-#: The standard's own limit on the layout's rate.
-RATE_MAX_HZ: Final = 2000
 #: How finely the rate is searched for.
 STEP_HZ: Final = 0.5
 

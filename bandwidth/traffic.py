@@ -8,14 +8,19 @@ import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
 from bandwidth.response import blocking_ns, response_times_ns
-from dbc.contract import CLASSIC_BYTES, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Contract
+from dbc.contract import (
+    CLASSIC_BYTES,
+    HEARTBEAT_BASE,
+    OPERATIONAL,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    Contract,
+)
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from skin.errors import InputError
 from skin.layout import Bus
 
-#: NMT state OPERATIONAL, which every heartbeat of a running skin tells.
-_OPERATIONAL: Final = 5
 #: More of either than frames fit a classic bus in a second.
 PER_SECOND_MAX: Final = 20_000.0
 #: A node that answers later than this does not answer a SYNC.
@@ -120,7 +125,7 @@ def traffic(made: Contract, bus: int, phase: int = 0, allowed: Disturbance | Non
     owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
     beats = frames(len(nodes))
     beats["can_id"] = [HEARTBEAT_BASE + node.node_id for node in nodes]
-    beats["length"], beats["data"][:, 0] = 1, _OPERATIONAL
+    beats["length"], beats["data"][:, 0] = 1, OPERATIONAL
     last = nodes[-1].node_id
     transfers = frames(2 if wish.sdo_per_s else 0)
     transfers["can_id"] = [SDO_RESPONSE_BASE + last, SDO_REQUEST_BASE + last][: len(transfers)]

@@ -3,6 +3,7 @@
 import json as json_format
 import os
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
@@ -39,6 +40,9 @@ SUBJECTS: Final[dict[str, str]] = {
     "postures": "evaluation.recognition.postures",
 }
 
+#: Subjects of the shipped skins, with their own Φ; of ``all``, draws are for the others.
+_WITHOUT_DRAWS: Final = ("rivals", "rates")
+
 
 def evaluate(
     subject: Subject,
@@ -70,7 +74,7 @@ def evaluate(
     jobs
         Processes at the same time. Default: one per core.
     draws
-        Draws of Φ to average over. Default: each subject's own.
+        Draws of Φ to average over. Default: each subject's own. ``rivals`` and ``rates`` draw none.
     seed
         Of all random numbers.
     json
@@ -91,7 +95,8 @@ def evaluate(
     options = Options(quick, meshes, recordings, out, processes, draws, seed)
     findings = {}
     for name in SUBJECTS if subject == "all" else [subject]:
-        findings[name] = import_module(SUBJECTS[name]).evaluate(options)
+        asked = replace(options, draws=None) if subject == "all" and name in _WITHOUT_DRAWS else options
+        findings[name] = import_module(SUBJECTS[name]).evaluate(asked)
         if not json:
             _print(findings[name])
     if out is not None:

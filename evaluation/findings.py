@@ -110,3 +110,9 @@ def beside(ours: float, paper: float | None, digits: int = 2) -> Row:
 
 def _finite(number: float, digits: int) -> float | None:
     return round(number, digits) if math.isfinite(number) else None
+
+
+def refuse_draws(options: Options, subject: str) -> None:
+    """Raise InputError where draws are asked of a subject that has one Φ alone."""
+    if options.draws is not None:
+        raise InputError(f"'{subject}' draws no Φ, got {options.draws} draws: leave out --draws")

@@ -8,13 +8,12 @@ import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
 from bus.link import Link
-from dbc.contract import EMCY_BASE, HEARTBEAT_BASE, HIGHEST_NODE_ID, SYNC_COB_ID, Contract
+from dbc.contract import EMCY_BASE, HEARTBEAT_BASE, HIGHEST_NODE_ID, OPERATIONAL, SYNC_COB_ID, Contract
 from dbc.frame import ERROR, Frames, frames
 from skin.messages import BusState
 
 #: Reported instead of an NMT state while a node is silent.
 SILENT: Final = 255
-OPERATIONAL: Final = 5
 #: Error code, error register and five bytes of the manufacturer (CiA 301, 7.2.7.2).
 EMCY_BYTES: Final = 8
 #: A node is silent when its heartbeat is missing for this many periods.

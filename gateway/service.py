@@ -10,12 +10,20 @@ from typing import Final
 import numpy as np
 
 from bus.link import Link
-from dbc.contract import NMT_COB_ID, SDO_RESPONSE_BASE, SYNC_COB_ID, Contract, NodeContract, next_counter
+from dbc.contract import (
+    NMT_COB_ID,
+    OPERATIONAL,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    Contract,
+    NodeContract,
+    next_counter,
+)
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames
 from gateway.boot import Boot
 from gateway.collector import Collector, Gathered
-from gateway.monitor import OPERATIONAL, SILENT, BusMonitor
+from gateway.monitor import SILENT, BusMonitor
 from gateway.network import MasterNetwork
 from skin.fabric import Fabric
 from skin.messages import GATEWAY, MEASUREMENT, BusState, GatewayStatus, Measurement

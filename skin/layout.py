@@ -15,6 +15,8 @@ SHIPPED: Final = ("default", "fd", "one-bus-12bit")
 #: Bit rates of classic CAN and of the nominal phase: the ends of the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
+#: Highest SYNC rate of a layout: beyond any skin, a bound against slips of the pen.
+RATE_MAX_HZ: Final = 2000.0
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
@@ -61,7 +63,7 @@ class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h)."""
 
     # Times of the dictionary are microseconds in 32 bits, and a slower skin would not be one.
-    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=2000)] = 100.0
+    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=RATE_MAX_HZ)] = 100.0
 
     @property
     def period_s(self) -> float:

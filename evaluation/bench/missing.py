@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
+from evaluation.figure import new_figure
 from reconstructor.engine import Reconstructor
 from reconstructor.presets import preset
 from skin.layout import load_layout
@@ -53,9 +54,7 @@ def _present(phi: Sbhe, kind: str, amount: float, frames: int, seed: int) -> Val
 
 def draw(result: dict[str, Any], path: Path) -> None:
     """Write both curves as a figure, the format by the ending of `path`."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    figure = new_figure(9, 3.6)
     for place, (kind, label) in enumerate((("dead_nodes", "dead nodes of 128"), ("loss_ratio", "frames lost, %"))):
         axes = figure.add_subplot(1, 2, place + 1)
         for method in METHODS:

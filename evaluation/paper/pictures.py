@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from evaluation.figure import new_figure
 from evaluation.findings import Row
 
 if TYPE_CHECKING:
@@ -16,13 +17,6 @@ if TYPE_CHECKING:
 SCALE_N: Final = 0.01
 _MARKS: Final = {"haar": "o", "contourlet": "^", "d4": "s", "dct": "D"}
 _COLOURS: Final = {"sbhe": "tab:blue", "noiselet": "tab:orange"}
-
-
-def new_figure(width: float, height: float) -> "Figure":
-    """Return a figure of that size in inches."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
 
 
 def draw_differences(rows: Sequence[Row]) -> "Figure":

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from evaluation.figure import new_figure
 from evaluation.findings import Row
 
 if TYPE_CHECKING:
@@ -39,9 +40,7 @@ def draw_training(rows: Sequence[Row]) -> "Figure":
 
 def draw_confusions(matrices: Mapping[str, Any], names: Sequence[str]) -> "Figure":
     """Return confusion matrices side by side, percent."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2 * len(matrices), 6.6), layout="constrained")
+    figure = new_figure(7.2 * len(matrices), 6.6)
     for axes, (title, matrix) in zip(np.atleast_1d(figure.subplots(1, len(matrices))), matrices.items(), strict=True):
         image = axes.imshow(matrix, cmap="Blues", vmin=0, vmax=100)
         axes.set_xticks(range(len(names)), names, rotation=60, ha="right")
@@ -56,9 +55,7 @@ def draw_confusions(matrices: Mapping[str, Any], names: Sequence[str]) -> "Figur
 
 
 def _axes(across: str, up: str) -> "tuple[Figure, Axes]":
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 4.8), layout="constrained")
+    figure = new_figure(8, 4.8)
     axes = figure.subplots()
     axes.set(xlabel=across, ylabel=up, ylim=(0, 102))
     axes.axhline(_GUESSING_PERCENT, linestyle=":", color="grey")
@@ -80,11 +77,9 @@ def _curves(axes: "Axes", rows: Sequence[Row], key: str, name_of: Any) -> None:
 
 def draw_gains(rows: Sequence[Row]) -> "Figure":
     """Return every method's accuracy as bars, one panel for each number of sums."""
-    from matplotlib.figure import Figure
-
     sizes = list(dict.fromkeys(row["sums"] for row in rows))
     tallest = max(sum(row["sums"] == size for row in rows) for size in sizes)
-    figure = Figure(figsize=(5.2 * len(sizes) + 2, 0.32 * tallest + 1.4), layout="constrained")
+    figure = new_figure(5.2 * len(sizes) + 2, 0.32 * tallest + 1.4)
     for axes, size in zip(np.atleast_1d(figure.subplots(1, len(sizes))), sizes, strict=True):
         own = [row for row in rows if row["sums"] == size][::-1]
         ours = np.array([row["ours"] for row in own])

@@ -7,6 +7,9 @@ import numpy.typing as npt
 from numba import njit
 
 from bandwidth.kernels import count_classic
+from dbc.contract import HEARTBEAT_BASE, OPERATIONAL, TPDO_BASES
+from dbc.dictionary import HEARTBEAT_MS
+from evaluation.schemes.wire import TICK_NS
 
 #: Events a frame of 8 bytes holds: 5 bits of place in the node and 11 of value each.
 EVENTS: Final = 4
@@ -15,16 +18,13 @@ TAXELS: Final = 32
 VALUE_BITS: Final = 11
 #: Bits of a classic frame that are there without any data, unstuffed, intermission included.
 EMPTY_BITS: Final = 47
-TICK_NS: Final = 1_000_000
 #: Columns of `Record.log`: node, asked, begun and ended (ns, with intermission), events; a heartbeat has none.
 NODE, ASKED, BEGUN, ENDED, COUNT = range(5)
 #: Rows of `Nodes.taxels`: value last sent, tick since when it waits to be sent (-1: it does not), tick of last sending.
 SENT, SINCE, LAST = range(3)
 _NEVER: Final = -(1 << 30)
 _CAN_ID, _LENGTH, _DATA = 0, 4, 8
-_TPDO_BASE: Final = 0x180
-_HEARTBEAT_BASE: Final = 0x700
-_OPERATIONAL: Final = 5
+_TPDO_BASE: Final = TPDO_BASES[0]
 
 Integers = npt.NDArray[np.int64]
 
@@ -118,9 +118,9 @@ def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
         log[NODE], log[BEGUN] = node, now
         if is_beat:
             log[ASKED], log[COUNT] = nodes.beat_ns[node], 0
-            nodes.beat_ns[node] += 1000 * TICK_NS
-            row[_DATA] = _OPERATIONAL
-            _address(row, _HEARTBEAT_BASE + node + 1, 1)
+            nodes.beat_ns[node] += HEARTBEAT_MS * TICK_NS
+            row[_DATA] = OPERATIONAL
+            _address(row, HEARTBEAT_BASE + node + 1, 1)
         else:
             log[ASKED] = nodes.asked_ns[node]
             log[COUNT] = _fill(counts[tick - 1, node], tick - 1, wish, nodes.taxels[:, node], (row, record.since[sent]))

@@ -8,9 +8,10 @@ import numpy.typing as npt
 
 from evaluation.findings import Row
 from evaluation.schemes.judge_kernel import judge_images, judge_updates
-from touch.contact import Force
+from evaluation.schemes.wire import TICK_NS
+from skin.pairing import decibels
+from touch.contact import FORCE_MAX_N, Force
 
-FORCE_MAX_N: Final = 0.02
 #: No image of a 10-bit converter is better: PSNR is not counted above it, or an idle skin's would be infinite.
 PSNR_MOST_DB: Final = 71.0
 #: A taxel that is off by more shows something that is not there: four times the sensor noise.
@@ -33,7 +34,7 @@ class Images:
 
     def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
         """Compare with the truth, shape (ticks, n); see `judge_images`."""
-        ticks = np.arange(len(true_n), dtype=np.int64) * 1_000_000
+        ticks = np.arange(len(true_n), dtype=np.int64) * TICK_NS
         used = np.searchsorted(self.ready_ns, ticks, side="right") - 1
         found: npt.NDArray[np.float64] = judge_images(true_n, self.force_n, used, WRONG_N)
         return found
@@ -57,7 +58,7 @@ class Updates:
     def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
         """Compare with the truth, shape (ticks, n); see `judge_images`."""
         order = np.argsort(self.ready_ns, kind="stable")
-        ticks = -(-self.ready_ns[order] // 1_000_000)
+        ticks = -(-self.ready_ns[order] // TICK_NS)
         found: npt.NDArray[np.float64] = judge_updates(true_n, ticks, self.taxel[order], self.force_n[order], WRONG_N)
         return found
 
@@ -90,8 +91,7 @@ def quality(true_n: Force, shown: Images | Updates) -> Row:
         ``longest_wrong_ms``, for how long any one taxel was off by more than `WRONG_N`.
     """
     total, touched, count, wrong = shown.judged(true_n).T
-    psnr_db = 10 * np.log10(FORCE_MAX_N**2 / np.maximum(total / true_n.shape[1], 1e-12))
-    psnr_db = np.minimum(psnr_db, PSNR_MOST_DB)
+    psnr_db = np.minimum(decibels(total / true_n.shape[1], FORCE_MAX_N), PSNR_MOST_DB)
     return {
         "psnr_mean_db": float(psnr_db.mean()),
         "psnr_least_db": float(psnr_db.min()),

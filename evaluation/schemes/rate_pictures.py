@@ -1,34 +1,37 @@
 """Surfaces of rate against quality."""
 
+from collections.abc import Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from evaluation.figure import new_figure
 from evaluation.findings import Picture, Row
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def pictures(rows: list[Row]) -> list[Picture]:
-    """Return a picture for every kind of touch that was measured."""
-    names = {"slides": "the paper's slides", "shaking": "two boxes that shake", "recordings": "recorded touches"}
+
+def pictures(rows: list[Row], touches: Mapping[str, str]) -> list[Picture]:
+    """Return a picture for every kind of touches that was measured; `touches` are the words for each kind."""
     return [
         Picture(
             f"rates-{kind}",
-            f"Mean PSNR on {words}, every square the same bus time; below the decibels the rate, the best framed. To "
+            f"Mean PSNR ({words}), every square the same bus time; below the decibels the rate, the best framed. To "
             "the right fewer bits and to the top fewer sums, both for more rate.",
             partial(_surface, rows, kind),
         )
-        for kind, words in names.items()
-        if any(row[f"psnr_{kind}_db"] is not None for row in rows)
+        for kind, words in touches.items()
     ]
 
 
-def _surface(rows: list[Row], kind: str) -> Figure:
+def _surface(rows: list[Row], kind: str) -> "Figure":
     key = f"psnr_{kind}_db"
     wires = list(dict.fromkeys(row["wires"] for row in rows))
     heights = sorted({row["rows_of_32"] for row in rows})
     widths = sorted({row["bits"] for row in rows}, reverse=True)
-    figure = Figure(figsize=(4 * len(wires), 4), layout="constrained")
+    figure = new_figure(4 * len(wires), 4)
     panels = figure.subplots(1, len(wires), squeeze=False)[0]
     values = [row[key] for row in rows]
     for panel, name in zip(panels, wires, strict=True):

@@ -1,6 +1,6 @@
 """``skin evaluate rates``: how many sums, of how many bits, how often: what the same bus time is best used for."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -11,18 +11,22 @@ from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from dbc.contract import contract
 from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Row
-from evaluation.schemes.contenders import Touch, measured_row
+from evaluation.findings import Findings, Options, Row, refuse_draws
+from evaluation.schemes.rate_notes import notes
 from evaluation.schemes.rate_pictures import pictures
-from evaluation.schemes.rate_points import BUDGET, WIRES, Point, points
-from evaluation.schemes.scenes import SLIDES, recordings_in
+from evaluation.schemes.rate_points import WIRES, Point, points
+from evaluation.schemes.scenes import SHAKING, SLIDES, recordings_in
+from evaluation.schemes.shown import Shown
 from evaluation.schemes.sums import run_sums
+from evaluation.schemes.touches import Touch
 from skin.errors import InputError
 from skin.layout import parse_layout
 
-#: Presses and lifts up to twenty times as fast as the paper's objects are pressed.
-FAST: Final = "two boxes shaking"
+#: Milliseconds of a slide and of a recording; boxes shake for half as long.
 TICKS: Final = 2000
+QUICK_TICKS: Final = 500
+#: Points of a quick look.
+QUICK_ROWS, QUICK_BITS = (4, 8), (8, 16)
 #: PSNR columns, and the touches they are the mean of; recordings come on top.
 _KINDS: Final = ("slides", "shaking", "recordings")
 
@@ -34,9 +38,36 @@ def evaluate(options: Options) -> Findings:
     ----------
     options : Options
         `recordings` adds the recorded touches, `out` gets the chosen layouts, `quick` looks at few points of one touch.
+
+    Raises
+    ------
+    InputError
+        If `draws` are given, the recordings cannot be read, or the layouts cannot be written.
     """
-    looked_at = [point for point in points() if not options.quick or (point.rows in {4, 8} and point.bits != 12)]
+    refuse_draws(options, "rates")
+    looked_at = [
+        point for point in points() if not options.quick or (point.rows in QUICK_ROWS and point.bits in QUICK_BITS)
+    ]
     touches = _touches(options)
+    rows = _measured(looked_at, touches, options)
+    for kind in touches:
+        for wires in WIRES:
+            rows[_best(rows, wires, kind)]["best_for"].append(kind)
+    chosen = {wires: _best(rows, wires, "slides") for wires in WIRES}
+    if options.out is not None:
+        for wires, index in chosen.items():
+            _write(options.out / f"{wires.replace(' ', '-')}.toml", looked_at[index].text)
+    words = {kind: ", ".join(touch.words for touch in mine) for kind, mine in touches.items()}
+    return Findings(
+        "Rate against quality: what the same bus time is best used for",
+        [row | {"best_for": " ".join(row["best_for"])} for row in rows],
+        notes(rows, [rows[index] for index in chosen.values()], touches, options),
+        pictures(rows, words),
+    )
+
+
+def _measured(looked_at: list[Point], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
+    """Return a row for every point; its ``best_for`` is a list that is empty yet."""
     cells = [
         {"text": point.text, "touch": asdict(touch)}
         for point in looked_at
@@ -44,43 +75,27 @@ def evaluate(options: Options) -> Findings:
         for touch in mine
     ]
     results = iter(measure_cells(measure_point, cells, options, "rates"))
-    rows = []
-    for point in looked_at:
-        found = {kind: [next(results) for _ in mine] for kind, mine in touches.items()}
-        rows.append(_row(point, found))
-    chosen = {}
-    for wires in WIRES:
-        for kind in reversed([kind for kind, mine in touches.items() if mine]):
-            index = chosen[wires] = _best(rows, wires, kind)
-            rows[index]["best_for"] = " ".join([kind, *str(rows[index]["best_for"]).split()])
-    for wires, index in chosen.items():
-        if options.out is not None:
-            _write(options.out / f"{wires.replace(' ', '-')}.toml", looked_at[index].text)
-    return Findings(
-        "Rate against quality: what the same bus time is best used for",
-        rows,
-        _notes(rows, chosen, options),
-        pictures(rows),
-    )
+    return [_row(point, {kind: [next(results) for _ in mine] for kind, mine in touches.items()}) for point in looked_at]
 
 
 def measure_point(text: str, touch: dict[str, Any]) -> Row:
     """Return the figures of a layout, TOML, on one touch."""
-    shown = Touch(**touch)
-    what, made = shown.load(), contract(parse_layout(text.encode(), "point"))
+    what, made = Touch(**touch).load(), contract(parse_layout(text.encode(), "point"))
     run = run_sums(made, what.counts)
-    return measured_row(what, run.sent, run.latency_ns, run.images(made))
+    return Shown(run.sent, run.latency_ns, run.images(made), made.layout.sync.rate_hz).figures(what)
 
 
 def _touches(options: Options) -> dict[str, list[Touch]]:
+    """Return the touches of each kind that is looked at."""
     if options.quick:
-        return {"slides": [Touch("golf-ball", ticks=500, seed=options.seed)]}
+        return {"slides": [Touch("golf-ball", ticks=QUICK_TICKS, seed=options.seed)]}
     meshes = str(options.meshes) if options.meshes else None
-    return {
+    found = {
         "slides": [Touch(name, ticks=TICKS, meshes=meshes, seed=options.seed) for name in SLIDES],
-        "shaking": [Touch(FAST, ticks=TICKS // 2, meshes=meshes, seed=options.seed)],
+        "shaking": [Touch(SHAKING, ticks=TICKS // 2, meshes=meshes, seed=options.seed)],
         "recordings": [Touch(path, ticks=TICKS, seed=options.seed) for path in recordings_in(options.recordings)],
     }
+    return {kind: mine for kind, mine in found.items() if mine}
 
 
 def _row(point: Point, found: dict[str, list[Row]]) -> Row:
@@ -102,7 +117,7 @@ def _row(point: Point, found: dict[str, list[Row]]) -> Row:
     row["touched_error_mn"] = _mean(found["slides"], "touched_error_mn", 3)
     row["touched_shaking_mn"] = _mean(found.get("shaking", ()), "touched_error_mn", 3)
     row["latency_worst_ms"] = round(max(each["latency_worst_ms"] for each in found["slides"]), 2)
-    return row | {"best_for": ""}
+    return row | {"best_for": []}
 
 
 def _mean(found: Sequence[Row], key: str, digits: int) -> float | None:
@@ -121,37 +136,3 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
-
-
-def _notes(rows: list[Row], chosen: dict[str, int], options: Options) -> list[str]:
-    given = (
-        f"Every point is the highest rate at which frames with the most stuff bits use at most {BUDGET:.0%} of each "
-        "bus and the window (1007h) holds, with as many blocks per node as make that highest, in offset binary."
-    )
-    judged = (
-        "The last image is held: at every millisecond it is compared with the truth of that millisecond. Slides are "
-        f"the paper's five at its speed; '{FAST}' press and lift up to twenty times as fast as its objects are pressed."
-    )
-    missing = (
-        "Points of one classic bus that need more node-IDs or identifiers than CANopen has cannot be laid out and are "
-        "left out. Recommended are those that are best on the slides."
-    )
-    recordings = (
-        "Recorded touches are left out: give --recordings FOLDER."
-        if options.recordings is None
-        else "A recording's own values count as the truth, its noise included, and it moves little: there, more sums "
-        "win whatever they cost in rate, and what averages noise away loses."
-    )
-    written = (
-        "Give --out FOLDER to have the recommended layouts written, for `skin plan`."
-        if options.out is None
-        else "The recommended layouts are in the folder of this report, a TOML file for each: `skin plan FILE`."
-    )
-    return [given, judged, missing, recordings, *(_words(rows[index]) for index in chosen.values()), written]
-
-
-def _words(row: Row) -> str:
-    return (
-        f"{row['wires']}: {row['rate_hz']:g} Hz, {row['sums']} sums of {row['bits']} bits, {row['psnr_slides_db']:.1f} "
-        f"dB on the slides, buses {row['load']:.0%} full, {row['load_worst']:.0%} at worst."
-    )

@@ -8,10 +8,10 @@ import numpy.typing as npt
 
 from dbc.contract import TPDO_BASES
 from dbc.frame import Frames, frames
-from evaluation.schemes.judge import FORCE_MAX_N, Updates
+from evaluation.schemes.judge import Updates
 from evaluation.schemes.patches import lines_of, patches
 from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
-from touch.contact import Force
+from touch.contact import FORCE_MAX_N, Force
 
 FRAME_BITS: Final = 64
 

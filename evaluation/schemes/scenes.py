@@ -11,23 +11,34 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.layout import Taxels
 from touch.acquisition import ACQUISITION_OBJECTS, trajectory
 from touch.contact import Force, Grid, Pose, press
-from touch.electronics import NOISE_N, sense
+from touch.electronics import NOISE_N, PERIOD_S, sense
 from touch.objects import spheres_of
 from touch.primitives import ball
 from touch.reading import read_counts
 from touch.recording import Recording
-from touch.trajectory import PAPER_DEPTH_M, PAPER_PRESS_STEPS, paper_pose
+from touch.trajectory import PAPER_DEPTH_M, PAPER_PRESS_M_PER_STEP, PAPER_PRESS_STEPS, paper_pose
 
-TAXELS: Final = 4096
-NEWTON_PER_COUNT: Final = 0.02 / 1023
+_ARRAY: Final = Taxels()
+#: The default skin's array: taxels of a side, and of all; newtons of one count of its converters.
+SIDE: Final = _ARRAY.rows
+TAXELS: Final = _ARRAY.count
+NEWTON_PER_COUNT: Final = _ARRAY.newton_per_count
 #: The press and as much of the slide as shows it.
 SLIDE_TICKS: Final = 2400
 TICKS: Final = 1500
 #: A recorded frame is shown for so long: the mats were read once a second, this is ten times as fast.
 RECORDED_MS: Final = 100
 RECORDED_FRAMES: Final = 24
+#: When the slap begins.
+SLAP_MS: Final = 300
+SHAKING: Final = "two boxes shaking"
+#: How the two boxes shake: rates that no scan keeps step with, mean depth, and the part of it by which they swing.
+SHAKING_HZ: Final = (7.3, 9.1)
+SHAKING_DEPTH_M: Final = 0.005
+SHAKING_SWING: Final = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +51,8 @@ class Scene:
         What presses and what the sensor makes of it, newtons. Of a recording both are what was recorded.
     counts : array of int16, shape (ticks, TAXELS)
         What 10-bit converters make of `felt_n`.
+    is_recorded : bool
+        Whether a recording was played, whose own values, noise included, count as the truth.
     """
 
     true_n: Force
@@ -65,16 +78,22 @@ def _faint(tick: int) -> Iterator[tuple[str, Pose]]:
 
 
 def _slap(tick: int) -> Iterator[tuple[str, Pose]]:
-    depth = PAPER_DEPTH_M * min(1.0, max(0.0, (tick - 300) / 5))
+    depth = PAPER_DEPTH_M * min(1.0, max(0.0, (tick - SLAP_MS) / 5))
     for name, x, y in (("granola-box", 0.0, -0.07), ("cracker-box", -0.01, 0.02), ("cereal-box", 0.0, 0.09)):
         yield name, Pose(x, y, 0.0, depth)
 
 
 def _shaking(tick: int) -> Iterator[tuple[str, Pose]]:
-    boxes = (("granola-box", 0.0, -0.05, 7.3), ("cracker-box", -0.01, 0.06, 9.1))
-    for name, x, y, rate_hz in boxes:  # of no rate that a scan could keep step with
-        swing = 1.0 + 0.9 * math.sin(2 * math.pi * rate_hz * tick * 1e-3)
-        yield name, Pose(x, y, 0.1, 0.005 * min(1.0, tick / 300) * swing)
+    boxes = (("granola-box", 0.0, -0.05), ("cracker-box", -0.01, 0.06))
+    for (name, x, y), rate_hz in zip(boxes, SHAKING_HZ, strict=True):
+        swing = 1.0 + SHAKING_SWING * math.sin(2 * math.pi * rate_hz * tick * 1e-3)
+        yield name, Pose(x, y, 0.1, SHAKING_DEPTH_M * min(1.0, tick / 300) * swing)
+
+
+def shaking_speed_ratio() -> float:
+    """Return how many times as fast the boxes are pressed at their fastest as the paper's objects are."""
+    fastest_m_per_s = 2 * math.pi * max(SHAKING_HZ) * SHAKING_SWING * SHAKING_DEPTH_M
+    return fastest_m_per_s * PERIOD_S / PAPER_PRESS_M_PER_STEP
 
 
 def _nothing(tick: int) -> Iterator[tuple[str, Pose]]:
@@ -89,7 +108,7 @@ OWN: Final[dict[str, Callable[[int], Iterator[tuple[str, Pose]]]]] = {
     "five fingertips": _fingertips,
     "faint box": _faint,
     "three boxes slapped on": _slap,
-    "two boxes shaking": _shaking,
+    SHAKING: _shaking,
 }
 SLIDES: Final = tuple(ACQUISITION_OBJECTS)
 
@@ -140,9 +159,9 @@ def _recorded(path: Path, ticks: int | None) -> Force:
     """Return a recording, each frame for `RECORDED_MS`, in the middle of the skin."""
     with np.load(path, allow_pickle=False) as file:
         names = list(file.files)
-    wide = read_counts(path, names[:1], None, (64, 64))[0].shape[2]
-    beside = names[: max(1, 64 // wide)]
-    played = Recording(read_counts(path, beside, None, (64, 64)), 64, 64, steps_per_frame=RECORDED_MS)
+    wide = read_counts(path, names[:1], None, (SIDE, SIDE))[0].shape[2]
+    beside = names[: max(1, SIDE // wide)]
+    played = Recording(read_counts(path, beside, None, (SIDE, SIDE)), SIDE, SIDE, steps_per_frame=RECORDED_MS)
     length = min(played.frames, RECORDED_FRAMES) * RECORDED_MS
     frames = [played.frame(tick).force_n.ravel() for tick in range(0, min(ticks or length, length), RECORDED_MS)]
     return np.repeat(np.stack(frames), RECORDED_MS, axis=0)

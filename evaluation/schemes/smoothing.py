@@ -8,13 +8,13 @@ import numpy.typing as npt
 from scipy.ndimage import zoom
 
 from evaluation.schemes.judge import Images
+from evaluation.schemes.scenes import SIDE
 from evaluation.schemes.sums import SOLVED_NS
 from reconstructor.engine import Reconstructor
 from reconstructor.presets import LIVE, Settings
 from skin.measurement import Sbhe, sbhe
 from touch.contact import Force
 
-FINE_SIDE: Final = 64
 #: λ for complete arrays in newtons, with the best mean PSNR over the slides: of 6 to 36 mN, of 3 to 24 and of 12 to 48.
 SCAN_PENALTY_N: Final = 0.018
 CELLS_PENALTY_N: Final = 0.012
@@ -52,9 +52,9 @@ def smoothed(held: Images, penalty_n: float, *, remembering: bool = True, noise_
 
 
 def refined(held: Images, order: int) -> Images:
-    """Return a coarse array's images on 64 x 64 taxels, by bilinear (`order` 1) or bicubic (3) splines, not below 0."""
+    """Return a coarse array's images as fine as the skin, not below 0: splines, bilinear (`order` 1) or bicubic (3)."""
     side = round(held.force_n.shape[1] ** 0.5)
-    if side == FINE_SIDE:
+    if side == SIDE:
         return held
     spread = _spread(side, order)
     fine: Force = np.maximum(spread @ held.force_n.reshape(-1, side, side) @ spread.T, 0)
@@ -63,6 +63,6 @@ def refined(held: Images, order: int) -> Images:
 
 @cache
 def _spread(side: int, order: int) -> npt.NDArray[np.float32]:
-    """Return the matrix that interpolates `side` cells at 64 places, cell by cell from the edge."""
-    columns = [zoom(each, FINE_SIDE / side, order=order, mode="nearest", grid_mode=True) for each in np.eye(side)]
+    """Return the matrix that interpolates `side` cells at `SIDE` places, cell by cell from the edge."""
+    columns = [zoom(each, SIDE / side, order=order, mode="nearest", grid_mode=True) for each in np.eye(side)]
     return np.stack(columns, axis=1).astype(np.float32)

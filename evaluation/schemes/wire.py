@@ -11,17 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns, wire_bits
-from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, SYNC_OVERFLOW
+from dbc.contract import HEARTBEAT_BASE, OPERATIONAL, SYNC_COB_ID, SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from evaluation.findings import Row
 from evaluation.schemes.wire_kernel import arbitrate
 from skin.layout import Bus
 
+#: Touches are known every millisecond.
 TICK_NS: Final = 1_000_000
 #: Load is also looked at in windows of this length, where a burst shows.
 WINDOW_NS: Final = 100 * TICK_NS
-_OPERATIONAL: Final = 5
 
 Places = npt.NDArray[np.intp]
 Nanoseconds = npt.NDArray[np.int64]
@@ -75,7 +75,7 @@ class Sent:
         return arrived
 
     def traffic(self) -> Row:
-        """Return bits a second over all buses, frames a second, the fullest bus's load and that of its worst window."""
+        """Return bits a second over all buses, the fullest bus's load and that of its worst window."""
         sent, bus = self.asked.frames, self.asked.bus
         bits = sum(int(part.sum()) for part in wire_bits(sent))
         windows = max(1, self.ticks * TICK_NS // WINDOW_NS)
@@ -87,7 +87,6 @@ class Sent:
         seconds = self.ticks * TICK_NS * 1e-9
         return {
             "kbit_per_s": bits / seconds / 1e3,
-            "frames_per_s": len(sent) / seconds,
             "load": float(busy_ns.sum(axis=1).max()) / (self.ticks * TICK_NS),
             "load_peak": float(busy_ns.max()) * windows / (self.ticks * TICK_NS),
         }
@@ -124,7 +123,7 @@ def heartbeats(lines: Sequence[Bus], ticks: int) -> Asked:
         times = (first_beats_ns(line.nodes) + turns).ravel()
         beats = frames(len(times))
         beats["can_id"] = HEARTBEAT_BASE + 1 + np.tile(np.arange(line.nodes), rounds)
-        beats["length"], beats["data"][:, 0] = 1, _OPERATIONAL
+        beats["length"], beats["data"][:, 0] = 1, OPERATIONAL
         due = times < ticks * TICK_NS
         parts.append(Asked(beats[due], np.full(int(due.sum()), number), times[due]))
     return Asked(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("frames", "bus", "time_ns")))

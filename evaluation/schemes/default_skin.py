@@ -1,0 +1,30 @@
+"""The default skin: what it takes of its buses, and others like it."""
+
+from functools import cache
+
+import msgspec
+
+from bandwidth.alternatives import with_buses
+from dbc.contract import Contract, contract
+from evaluation.schemes.sums import run_sums
+from evaluation.schemes.touches import Touch
+from skin.layout import load_layout
+
+
+@cache
+def default_kbit_per_s() -> float:
+    """Return the kbit/s of the default skin at its own rate, all buses together, under the paper's golf ball."""
+    layout = load_layout()
+    made = skin_of(layout.encoding.sum_bits, layout.sync.rate_hz)
+    return float(run_sums(made, Touch("golf-ball").load().counts).sent.traffic()["kbit_per_s"])
+
+
+@cache
+def skin_of(bits: int, rate_hz: float) -> Contract:
+    """Return the default skin, for 12 bits with two blocks per node, whose sums fill their frames."""
+    layout = load_layout()
+    if bits != layout.encoding.sum_bits:
+        like = msgspec.structs.replace(layout.bus[0], blocks_per_node=2 if bits == 12 else 1)
+        encoding = msgspec.structs.replace(layout.encoding, sum_bits=bits, offset_binary=True)
+        layout = msgspec.structs.replace(with_buses(layout, len(layout.bus), like), encoding=encoding)
+    return contract(msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz)))
