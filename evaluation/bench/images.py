@@ -1,27 +1,27 @@
 """``skin bench images``: what each solver's images are worth, at the paper's speed of motion and ten times faster."""
 
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from evaluation.bench.problem import NOISE_N
 from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
 from reconstructor.engine import Reconstructor
 from reconstructor.presets import LIVE, PRESETS
 from skin.layout import load_layout
+from touch.electronics import NOISE_N
 
 SPEEDS: Final = (1, 10)
 
 
-def run(rounds: int) -> dict[str, Any]:
-    """Return rows of method, object, speed and PSNR, and their means over objects; one pass, `rounds` has no effect."""
-    del rounds
+def run(meshes: Path | None = None) -> dict[str, Any]:
+    """Return rows of method, object, speed and PSNR, dB, and their means over objects; `meshes` as in `make_scenes`."""
     phi = load_layout().phi()
     solvers: dict[str, dict[str, Any]] = {name: dict(settings) for name, settings in PRESETS.items()}
     solvers["live, clip bias corrected"] = {**LIVE, "noise_n": NOISE_N}
     rows: list[dict[str, Any]] = []
     for speed in SPEEDS:
-        for scene in make_scenes(phi, speed):
+        for scene in make_scenes(phi, speed, meshes):
             place: dict[str, Any] = {"object": scene.name, "speed": speed}
             rows.append({"method": "sensor", **place, "psnr_db": mean_psnr_db(scene.felt, scene)})
             for name, settings in solvers.items():

@@ -12,14 +12,14 @@ from reconstructor.bases import Basis
 from reconstructor.fista import fista, objective
 from skin.layout import load_layout
 from skin.measurement import Sbhe
-from touch.contact import Grid, press
+from skin.pairing import psnr_db
+from touch.contact import FORCE_MAX_N, Grid, press_along
+from touch.electronics import sense
 from touch.objects import spheres_of
 from touch.trajectory import paper_pose
 
 Values = npt.NDArray[np.floating[Any]]
 
-FORCE_MAX_N: Final = 0.02
-NOISE_N: Final = 0.001
 #: The step of the paper's trajectory that is solved, and the object that slides there.
 STEP: Final = 2000
 OBJECT: Final = "golf-ball"
@@ -62,17 +62,16 @@ class Problem:
         return float(value / self.best - 1)
 
     def psnr_db(self, s: Values) -> float:
-        """Return the PSNR of the image, negative taxels as 0, peak 0.02 N."""
+        """Return the PSNR of the image, dB, negative taxels as 0."""
         image = np.maximum(self.psi.adjoint(s.astype(np.float64).reshape(self.psi.shape)), 0)
-        return float(10 * np.log10(FORCE_MAX_N**2 / np.mean((image - self.true) ** 2)))
+        return psnr_db(self.true, image, FORCE_MAX_N)
 
 
 def make_problem(psi: Basis, penalty_n: float, lipschitz: float, iterations: int = 20, seed: int = 1) -> Problem:
     """Return the problem of one noisy frame of the default skin, warm-started from the frame before."""
     phi = load_layout().phi()
-    random = np.random.default_rng(seed)
-    frames = [press(Grid(), [(spheres_of(OBJECT), paper_pose(step))]) for step in (STEP - 1, STEP)]
-    felt = [np.clip(frame + NOISE_N * random.standard_normal(frame.shape), 0, FORCE_MAX_N) for frame in frames]
+    frames = press_along(Grid(), spheres_of(OBJECT), [paper_pose(step) for step in (STEP - 1, STEP)])
+    felt = sense(frames, np.random.default_rng(seed))
     before, sums = (np.asarray(phi.forward(each.reshape(-1)), np.float64) for each in felt)
     count = int(np.prod(psi.shape))
     atoms = (psi.adjoint(atom.reshape(psi.shape)).reshape(-1) for atom in np.eye(count))

@@ -13,21 +13,23 @@ from reconstructor.bases import haar_pyramid
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
+from reconstructor.presets import PAPER, PAPER_CONTOURLET
 from skin.layout import load_layout
 
 OURS: Final = "canskin"
-#: λ, newtons, of the paper's tables in our convention.
-PENALTY_N: Final = 0.0125
-CONTOURLET_PENALTY_N: Final = 0.008
 
 
 def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […], "contourlet": […], "limit": {…}}``; rows as in the verb's docstring."""
     with threadpool_limits(1):
-        haar = _rows(make_problem(haar_pyramid(64, 64), PENALTY_N, lipschitz=32.0), _haar, rounds, everyone=True)
+        haar = _rows(
+            make_problem(haar_pyramid(64, 64), PAPER["penalty_n"], lipschitz=32.0), _haar, rounds, everyone=True
+        )
         psi = CompiledContourlet(64, 64)
         eigenvalue = largest_eigenvalue(load_layout().phi(), psi)
-        contourlet = _rows(make_problem(psi, CONTOURLET_PENALTY_N, eigenvalue), _contourlet, rounds, everyone=False)
+        contourlet = _rows(
+            make_problem(psi, PAPER_CONTOURLET["penalty_n"], eigenvalue), _contourlet, rounds, everyone=False
+        )
         limit = measure_limit(iterations=20)
     least = next(row["ms_least"] for row in haar if row["method"] == OURS)
     return {"rows": haar, "contourlet": contourlet, "limit": {**limit, "ours_to_limit": least / limit["limit_ms"]}}

@@ -7,10 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from evaluation.bench.problem import NOISE_N, TURN_S
+from evaluation.bench.problem import TURN_S
 from reconstructor.engine import Reconstructor
 from reconstructor.skins import Cycle, SkinPool
 from skin.measurement import sbhe
+from touch.electronics import NOISE_N
 
 #: Skins of the default skin's size at once.
 SKINS: Final = (1, 2, 4, 8)

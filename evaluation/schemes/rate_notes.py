@@ -60,15 +60,14 @@ def _looked_at(rows: list[Row]) -> Iterator[str]:
     laid_out = {(row["wires"], row["rows_of_32"], row["bits"]) for row in rows}
     for wires in WIRES:
         missing = [
-            f"{rows_of_32} x {bits}"
+            f"{rows_of_32} rows of {bits} bits"
             for rows_of_32 in heights
             for bits in widths
             if (wires, rows_of_32, bits) not in laid_out
         ]
         if missing:
             yield (
-                f"{wires}: {', '.join(missing)} bits need more node-IDs or identifiers than CANopen has, and are left "
-                "out."
+                f"{wires}: {', '.join(missing)} need more node-IDs or identifiers than CANopen has, and are left out."
             )
 
 

@@ -4,15 +4,20 @@ import numpy as np
 import pytest
 
 from dbc.contract import contract
+from evaluation.schemes.contenders import Events, Scan, Sums, cell_of, measure_contender
 from evaluation.schemes.events import EventRule, run_events
 from evaluation.schemes.judge import Images, Updates, quality
 from evaluation.schemes.patches import patches
 from evaluation.schemes.scan import run_scan
+from evaluation.schemes.shown import Contender, Receiver
 from evaluation.schemes.smoothing import refined, smoothed
-from evaluation.schemes.sums import run_sums
+from evaluation.schemes.sums import SOLVED_NS, run_sums
+from evaluation.schemes.touches import Touch
+from skin.errors import InputError
 from skin.layout import load_layout
 
 NEWTON_PER_COUNT = 0.02 / 1023
+SHORT = Touch("golf-ball", ticks=120)
 
 
 def steps(*levels: int, ticks: int = 20) -> np.ndarray:
@@ -110,4 +115,41 @@ def test_finer_and_smoother_images_keep_a_flat_touch() -> None:
         np.testing.assert_allclose(refined(flat, order).force_n, 0.005, atol=1e-6)
     solved = smoothed(flat, 0.012)
     np.testing.assert_allclose(solved.force_n[-1], 0.005, atol=1e-4)
-    assert solved.ready_ns.tolist() == [1_000_000, 11_000_000]
+    assert solved.ready_ns.tolist() == [SOLVED_NS, 10_000_000 + SOLVED_NS]
+
+
+def test_contenders_are_named_by_what_they_are() -> None:
+    named: tuple[Contender, ...] = (
+        Sums(16),
+        Sums(8, "noise known"),
+        Scan(64, 10),
+        Scan(32, 10, "solved", cells="mean"),
+        Events(0.0025, 10, "solved"),
+    )
+    assert [(each.name, each.family) for each in named] == [
+        ("sums, 16 bits", "sums"),
+        ("sums, 8 bits, noise known", "sums"),
+        ("scan, 10 bits", "scan"),
+        ("32 x 32 means of 4 taxels, solved", "coarse"),
+        ("events, 2.5 mN, 10 ms, solved", "events"),
+    ]
+
+
+def test_receivers_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InputError, match="expected a receiver of solved or noise known, got 'plain'"):
+        Sums(16, "plain")
+    with pytest.raises(InputError, match="expected a receiver of plain or solved, got 'noise known'"):
+        Events(0.004, 1, "noise known")
+
+
+@pytest.mark.parametrize("contender", [Sums(16), Scan(64, 10), Events(0.004, 1)])
+def test_a_cell_measures_what_the_contender_shows(contender: Contender) -> None:
+    cell = cell_of(contender, SHORT, 1.0)
+    assert measure_contender(**cell) == contender.show(SHORT, 1.0).figures(SHORT.load())
+
+
+@pytest.mark.parametrize("receiver", ["plain", "solved"])
+def test_a_scan_takes_half_the_bits_at_half_the_share(receiver: Receiver) -> None:
+    whole, half = (Scan(32, 10, receiver).show(Touch("nothing", ticks=1000), share) for share in (1.0, 0.5))
+    assert whole.rate_hz == pytest.approx(2 * (half.rate_hz or 0))
+    assert whole.sent.traffic()["kbit_per_s"] == pytest.approx(2 * half.sent.traffic()["kbit_per_s"], rel=0.03)

@@ -1,5 +1,6 @@
 """The two subjects, quick: what they compare, what they recommend, and what they leave out."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,14 @@ import pytest
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from evaluation.findings import Findings, Options
-from evaluation.schemes.contenders import DEFAULT_KBIT_PER_S
+from evaluation.schemes import rate_notes
+from evaluation.schemes.default_skin import default_kbit_per_s
 from evaluation.schemes.rates import evaluate as evaluate_rates
+from evaluation.schemes.rival_images import caption, first_after_slap_ms
 from evaluation.schemes.rivals import evaluate as evaluate_rivals
 from evaluation.schemes.scenes import recordings_in, scene
+from evaluation.schemes.sums import SOLVED_NS
+from evaluation.schemes.touches import Touch
 from skin.errors import InputError
 from skin.layout import parse_layout
 
@@ -26,11 +31,13 @@ def test_whoever_goes_by_the_clock_has_the_same_bits(rivals: Findings) -> None:
     assert {row["contender"] for row in clocked} >= {"sums, 16 bits", "scan, 10 bits", "32 x 32, solved"}
     for row in clocked:
         # The touches are short here, and only whole scans are sent.
-        assert row["kbit_per_s"] == pytest.approx(DEFAULT_KBIT_PER_S, rel=0.05)
+        assert row["kbit_per_s"] == pytest.approx(default_kbit_per_s(), rel=0.05)
 
 
 def test_events_take_what_touch_and_noise_make_of_them(rivals: Findings) -> None:
-    events = {row["touch"]: row for row in rivals.rows if row["contender"].endswith("ms (for all)")}
+    events = {
+        row["touch"]: row for row in rivals.rows if row["rule"] == "one for all" and "solved" not in row["contender"]
+    }
     sums = {row["touch"]: row for row in rivals.rows if row["contender"] == "sums, 16 bits"}
     quiet, noisy, slap = "golf-ball", "golf-ball, noise 2 mN", "three boxes slapped on"
     assert events[quiet]["kbit_per_s"] < 0.1 * sums[quiet]["kbit_per_s"]
@@ -75,3 +82,47 @@ def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
     assert played.true_n[199].max() == pytest.approx(0.02)
     with pytest.raises(InputError, match="no recording"):
         recordings_in(tmp_path.parent / "nothing")
+
+
+def test_notes_are_of_what_ran(rivals: Findings) -> None:
+    text = "\n".join(rivals.notes)
+    assert f"{default_kbit_per_s():.0f} kbit/s" in text
+    assert "Noise known" not in text  # no such receiver in a quick look
+    for touch in ("golf-ball", "three boxes slapped on", "golf-ball, noise 2 mN"):
+        mine = [
+            row for row in rivals.rows if row["touch"] == touch and row["kbit_per_s"] <= 1.01 * default_kbit_per_s()
+        ]
+        most_db = max(row["psnr_mean_db"] for row in mine)
+        (said,) = [note for note in rivals.notes if note.startswith(f"{touch}: best")]
+        assert f"{most_db:.1f} dB" in said
+
+
+def test_rate_notes_name_touches_points_and_what_cannot_be_laid_out() -> None:
+    row = {"sums": 4096, "rows_of_32": 32, "bits": 8, "rate_hz": 51.0, "load": 0.7, "load_worst": 0.9}
+    best = {"psnr_slides_db": 33.0, "psnr_shaking_db": 31.25}
+    rows = [
+        row | best | {"wires": "four classic buses", "best_for": ["slides"]},
+        row | best | {"wires": "four classic buses", "bits": 16, "best_for": ["shaking"]},
+        row | best | {"wires": "one classic bus", "best_for": []},
+    ]
+    touches = {"slides": [Touch("cup", ticks=300)], "shaking": [Touch("two boxes shaking")]}
+    said = rate_notes.notes(rows, rows[:1], touches, Options(quick=True))
+    assert any("300 ms at the paper's speed: cup." in note for note in said)
+    assert any("up to 26 times as fast" in note for note in said)
+    assert any(note.startswith("one classic bus: 32 rows of 16 bits need") for note in said)
+    assert any(
+        "Best on the shaking boxes: four classic buses, 4096 sums of 16 bits at 51 Hz, 31.2 dB" in note for note in said
+    )
+    assert not any("recordings:" in note for note in said)
+
+
+@pytest.mark.parametrize("evaluated", [evaluate_rivals, evaluate_rates])
+def test_draws_are_refused(evaluated: Callable[[Options], Findings]) -> None:
+    with pytest.raises(InputError, match="leave out --draws"):
+        evaluated(Options(quick=True, draws=2))
+
+
+def test_the_first_image_of_a_slap_is_that_of_the_next_sync() -> None:
+    # The slap begins at 300 ms, SYNC comes at 310, frames take 7 to 9 ms, and SOLVED_NS passes until its image is used.
+    assert 10 + 7 + SOLVED_NS * 1e-6 < first_after_slap_ms() < 10 + 9 + SOLVED_NS * 1e-6
+    assert f"{first_after_slap_ms():.1f} ms" in caption()
