@@ -40,8 +40,8 @@ SUBJECTS: Final[dict[str, str]] = {
     "postures": "evaluation.recognition.postures",
 }
 
-#: Subjects of the shipped skins, with their own Φ; of ``all``, draws are for the others.
-_WITHOUT_DRAWS: Final = ("rivals", "rates")
+#: Subjects that average over no draws of Φ: of ``all``, draws are for the others.
+_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates")
 
 
 def evaluate(
@@ -74,7 +74,8 @@ def evaluate(
     jobs
         Processes at the same time. Default: one per core.
     draws
-        Draws of Φ to average over. Default: each subject's own. ``rivals`` and ``rates`` draw none.
+        Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals`` and
+        ``rates`` average over none; ``all`` hands them to the others.
     seed
         Of all random numbers.
     json

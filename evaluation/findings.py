@@ -115,4 +115,4 @@ def _finite(number: float, digits: int) -> float | None:
 def refuse_draws(options: Options, subject: str) -> None:
     """Raise InputError where draws are asked of a subject that has one Φ alone."""
     if options.draws is not None:
-        raise InputError(f"'{subject}' draws no Φ, got {options.draws} draws: leave out --draws")
+        raise InputError(f"'{subject}' averages over no draws of Φ, got {options.draws} draws: leave out --draws")

@@ -7,15 +7,26 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Picture, Row, beside
-from evaluation.paper.compression import QUICK_STRIDE, STRIDE
+from evaluation.findings import Findings, Options, Picture, Row, beside, refuse_draws
+from evaluation.paper.columns import QUICK_STRIDE, STRIDE
 from evaluation.paper.notes import objects_note, quick_note
 from evaluation.paper.pictures import draw_curves, draw_images, draw_series
 from evaluation.paper.printed import SAMPLE_RECONSTRUCTED_DB, SAMPLE_SENSOR_DB, TABLE_TWO
-from evaluation.paper.runs import PENALTY_N, SIDE, Method, cell, felt_force, measure, phi_seed, psnr_db, true_force
+from evaluation.paper.runs import (
+    PENALTY_N,
+    RECONSTRUCTIONS,
+    SIDE,
+    Method,
+    cell,
+    felt_force,
+    measure,
+    phi_seed,
+    true_force,
+)
 from reconstructor.fista import fista, largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet
-from touch.contact import Force
+from skin.pairing import psnr_db
+from touch.contact import FORCE_MAX_N, Force
 
 SUMS: Final = (1365, 1024, 819)
 #: The step of the images: in the middle of the slide. The paper does not say which it shows.
@@ -30,11 +41,18 @@ TOUCHED_MS, SLIDES_MS = 100, 1100
 
 
 def evaluate(options: Options) -> Findings:
-    """Return the numbers behind the figures, and the figures."""
+    """Return the numbers behind the figures, and the figures.
+
+    Raises
+    ------
+    InputError
+        If draws are asked for: a figure is of one.
+    """
+    refuse_draws(options, "figures")
     stride = (QUICK_STRIDE if options.quick else STRIDE)["contourlet"]
     methods = [Method("sbhe", sums, "contourlet", 20) for sums in SUMS]
     cells = [cell("clamp", method, options, stride=stride, series=True) for method in methods]
-    found = measure_cells(measure, cells, options, "reconstructions")
+    found = measure_cells(measure, cells, options, RECONSTRUCTIONS)
     series = {f"{sums} sums": np.array(each["psnr_db"]) for sums, each in zip(SUMS, found, strict=True)}
     sample, sample_db = _sample(options)
     converged = _convergence(options)
@@ -54,12 +72,12 @@ def evaluate(options: Options) -> Findings:
 
 
 _OVER_TIME: Final = (
-    "PSNR of the clamp's images over time, contourlet, 20 iterations, SBHE. It falls while the clamp is pressed in and "
-    "then stays; more sums are better, but not before the first touch, where there is only noise to rebuild."
+    "PSNR of the clamp's images over time, contourlet, 20 iterations, SBHE. Before the first touch there is only "
+    "noise to rebuild; the numbers of both parts are in the rows."
 )
 _SAMPLE: Final = "The drill: true forces, the sensor signal, and the image from 1024 sums (contourlet, warm start)."
 _CONVERGENCE: Final = "PSNR of one image of the clamp against the number of iterations, contourlet, started from zero."
-_CONVERGENCE_IMAGES: Final = "The same image: its shape is there after 20 iterations, its forces after some 100."
+_CONVERGENCE_IMAGES: Final = "The same image after some of its iterations, each with its PSNR."
 
 
 def _series_rows(series: dict[str, npt.NDArray[np.float64]], stride: int) -> list[Row]:
@@ -88,13 +106,13 @@ def _sample(options: Options) -> tuple[dict[str, Force], tuple[float, float]]:
     for each in felt:
         solver.solve(estimate, phi.forward(each.reshape(-1)).astype(np.float32), weights)
     rebuilt = solver.deliver(estimate)
-    levels = psnr_db(rebuilt, true[-1]), psnr_db(felt[-1], true[-1])
+    rebuilt_db, sensor_db = (psnr_db(true[-1], image, FORCE_MAX_N) for image in (rebuilt, felt[-1]))
     images = {
         "true": true[-1],
-        f"sensor, {levels[1]:.1f} dB": felt[-1],
-        f"from 1024 sums, {levels[0]:.1f} dB": rebuilt,
+        f"sensor, {sensor_db:.1f} dB": felt[-1],
+        f"from 1024 sums, {rebuilt_db:.1f} dB": rebuilt,
     }
-    return images, levels
+    return images, (rebuilt_db, sensor_db)
 
 
 def _sample_rows(levels: tuple[float, float]) -> list[Row]:
@@ -114,8 +132,8 @@ def _convergence(options: Options) -> dict[int, tuple[float, Force]]:
     found: dict[int, tuple[float, Force]] = {}
 
     def observe(iteration: int, coefficients: npt.NDArray[np.floating[Any]]) -> None:
-        image = np.maximum(psi.adjoint(coefficients), 0)
-        found[iteration] = psnr_db(image, true), image.astype(np.float32)
+        image = np.maximum(psi.adjoint(coefficients), 0).astype(np.float32)
+        found[iteration] = psnr_db(true, image, FORCE_MAX_N), image
 
     fista(
         phi,

@@ -7,11 +7,21 @@ import numpy as np
 
 from evaluation.cells import measure_cells
 from evaluation.findings import Findings, Options, Picture, Row
-from evaluation.paper.compression import AIMS, DRAWS, QUICK_STRIDE, cell_name, psnr_columns
+from evaluation.paper.columns import AIMS, DRAWS, QUICK_STRIDE, cell_name, psnr_columns
 from evaluation.paper.notes import CONVENTION, objects_note, quick_note
 from evaluation.paper.pictures import draw_differences
 from evaluation.paper.printed import TABLE_THREE, BasisName, Matrix
-from evaluation.paper.runs import OBJECTS, Method, cell, felt_force, measure, phi_seed, sums_of, true_force
+from evaluation.paper.runs import (
+    OBJECTS,
+    RECONSTRUCTIONS,
+    Method,
+    cell,
+    felt_force,
+    measure,
+    phi_seed,
+    sums_of,
+    true_force,
+)
 from evaluation.paper.tolerance import outside, within
 
 SUMS: Final = 1024
@@ -25,7 +35,7 @@ STRIDES: Final[dict[tuple[BasisName, int], int]] = {
     ("contourlet", 10): 2,
     ("contourlet", 5): 1,
 }
-#: The noiselet only shows which Φ the paper's table is of.
+#: Fewer, without --draws: the noiselet only shows which Φ the paper's table is of.
 NOISELET_DRAWS: Final = 2
 #: Steps that are timed, one after the other in the middle of the slide, and those before them that do not count.
 TIMED_STEPS, UNTIMED_STEPS = 200, 5
@@ -51,7 +61,7 @@ def evaluate(options: Options) -> Findings:
         for name, matrix, basis, iterations in places
         for draw in range(_draws(matrix, options))
     ]
-    results = iter(measure_cells(measure, cells, options, "reconstructions"))
+    results = iter(measure_cells(measure, cells, options, RECONSTRUCTIONS))
     times = _times(options)
     rows = []
     for name, matrix, basis, iterations in places:
@@ -75,8 +85,11 @@ _CAPTION: Final = (
 
 
 def _draws(matrix: Matrix, options: Options) -> int:
-    draws = options.draws or (1 if options.quick else DRAWS)
-    return draws if matrix == "sbhe" else min(draws, NOISELET_DRAWS)
+    if options.draws is not None:
+        return options.draws
+    if options.quick:
+        return 1
+    return DRAWS if matrix == "sbhe" else NOISELET_DRAWS
 
 
 def _times(options: Options) -> dict[tuple[BasisName, int], float]:
@@ -136,6 +149,7 @@ def _notes(rows: list[Row], options: Options, times: dict[tuple[BasisName, int],
     if not options.quick:
         notes.append(
             f"Draws that are averaged: SBHE {_draws('sbhe', options)}, noiselet {_draws('noiselet', options)}. "
-            "Contourlets with 20 and 10 iterations are rebuilt at every 4th and every 2nd step."
+            f"Contourlets with 20 and 10 iterations are rebuilt at every {STRIDES['contourlet', 20]}th and every "
+            f"{STRIDES['contourlet', 10]}nd step."
         )
     return notes + quick_note(options)

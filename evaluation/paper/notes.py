@@ -8,8 +8,8 @@ from touch.acquisition import ACQUISITION_OBJECTS
 CONVENTION: Final = (
     "½‖ΦΨs - y‖² + λ‖s‖₁ with Φ of ±1, forces in newtons, L twice the largest eigenvalue of (ΦΨ)ᵀΦΨ, the momentum "
     "begun anew and the coefficients kept from step to step, negative taxels set to 0 at the end. For noiselets λ = 1 "
-    "as printed. For SBHE the printed λ = 0.1 fits no table; λ = 0.01 is used, fitted to the SBHE cells of Table II "
-    "(of 0.003 to 0.03), where it serves Haar and contourlets alike: perhaps a misprint."
+    "as printed. For SBHE the printed λ = 0.1, measured once, fits no table; λ = 0.01 is used, fitted once to the SBHE "
+    "cells of Table II (of 0.003 to 0.03), where it served Haar and contourlets alike: perhaps a misprint."
 )
 
 
@@ -34,7 +34,7 @@ def quick_note(options: Options) -> list[str]:
         return []
     return [
         (
-            "A quick look: one draw and few steps, far apart, so that each start is a poor one. Contourlets come out "
-            "0.5 dB too low by that with 20 iterations, and several with 5: the counts above do not judge the tables."
+            "A quick look: few steps, far apart, so that each start is a poorer one than the paper's, and few "
+            "iterations do not make up for it: what is counted above does not judge the tables."
         )
     ]

@@ -19,6 +19,7 @@ from reconstructor.presets import PAPER, PAPER_CONTOURLET
 from skin.measurement import sbhe
 from skin.noiselet import noiselet
 from skin.operator import Operator
+from skin.pairing import psnr_db
 from touch.acquisition import ACQUISITION_OBJECTS, trajectory
 from touch.contact import FORCE_MAX_N, Force
 from touch.electronics import sense
@@ -34,10 +35,11 @@ PENALTY_N: Final[dict[tuple[Matrix, BasisName], float]] = {
 }
 #: L over the largest eigenvalue of (ΦΨ)ᵀΦΨ.
 RATIO: Final = PAPER["lipschitz_ratio"]
+#: Under this name `measure`'s results are kept, so that a table takes up what it shares with another.
+RECONSTRUCTIONS: Final = "reconstructions"
 #: Steps whose sums are formed at a time: Φ works in the cache.
 CHUNK: Final = 100
 Decibels = npt.NDArray[np.float64]
-Values = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -104,12 +106,6 @@ def phi_seed(seed: int, draw: int) -> int:
     return 1000 * seed + draw + 1
 
 
-def psnr_db(image: Values, true: Values) -> float:
-    """Return the PSNR, dB, with the paper's peak of 0.02 N; an image without any error has 160 dB."""
-    error = float(np.mean(np.square(image.astype(np.float64) - true)))
-    return float(10 * np.log10(FORCE_MAX_N**2 / max(error, 1e-16 * FORCE_MAX_N**2)))
-
-
 def sums_of(phi: Operator, felt: Force) -> npt.NDArray[np.float32]:
     """Return the sums of every step, newtons, shape (steps, m)."""
     flat = felt.reshape(len(felt), -1)
@@ -123,7 +119,7 @@ def rebuild(phi: Operator, solver: ImageSolver, felt: Force, true: Force) -> Dec
     found = np.empty(len(true))
     for step, sums_n in enumerate(sums_of(phi, felt)):
         solver.solve(estimate, sums_n, weights)
-        found[step] = psnr_db(solver.deliver(estimate), true[step])
+        found[step] = psnr_db(true[step], solver.deliver(estimate), FORCE_MAX_N)
     return found
 
 

@@ -1,46 +1,42 @@
 """ADMM and smoothed L0 against FISTA at equal time: why the paper chose FISTA (section V)."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Picture, Row, beside
+from evaluation.findings import Findings, Options, Picture, Row, beside, refuse_draws
+from evaluation.paper.contenders import PAPERS, PENALTY, STARTS, SUMS, Contender, Values, make_contenders
 from evaluation.paper.notes import objects_note
 from evaluation.paper.pictures import draw_curves
-from evaluation.paper.runs import OBJECTS, PENALTY_N, SIDE, felt_force, phi_seed, psnr_db, true_force
-from reconstructor.bases import Basis, haar_tensor
+from evaluation.paper.runs import OBJECTS, SIDE, felt_force, phi_seed, true_force
+from reconstructor.bases import haar_tensor
 from reconstructor.fista import fista, objective
-from reconstructor.rivals import admm, smoothed_l0
 from skin.measurement import sbhe
-from skin.operator import Operator
+from skin.pairing import psnr_db
+from touch.contact import FORCE_MAX_N
 
-SUMS: Final = 1024
-PENALTY: Final = PENALTY_N["sbhe", "haar"]
 #: Budgets: the time of so many iterations of the paper's FISTA.
 BUDGETS: Final = (5, 10, 20, 50, 100)
 #: Steps that are solved: at the end of the press, and on the slide.
 STEPS: Final = (800, 2500)
 QUICK_STEPS: Final = (2500,)
-#: What each rival may choose from, once for each budget: ρ over the norm of Φ's rows, and the last σ, newtons.
-COUPLINGS: Final = (0.03, 0.1, 0.3, 1.0)
-SMALLEST_N: Final = (0.0001, 0.0002, 0.0005, 0.001)
-#: Norm of the residual that smoothed L0 keeps, newtons: that of the noise, √m times 3.3 mN.
-TOLERANCE_N: Final = 0.0033 * SUMS**0.5
-STARTS: Final = ("cold", "warm")
 #: Iterations behind the best objective and behind a warm start; those of a timed run, and how often it is repeated.
 EXACT, WARM, TIMED, REPEATS = 500, 100, 20, 3
-Values = npt.NDArray[np.floating[Any]]
-#: Takes the number of iterations, the start, and what sees every iteration.
-Run = Callable[[int, Values | None, Callable[[int, Values], None]], Any]
 
 
 def evaluate(options: Options) -> Findings:
-    """Return PSNR and gap of the objective for each method, start and budget, means over frames."""
+    """Return PSNR and gap of the objective for each method, start and budget, means over frames.
+
+    Raises
+    ------
+    InputError
+        If draws are asked for: all frames have one Φ.
+    """
+    refuse_draws(options, "solvers")
     meshes = str(options.meshes) if options.meshes else None
     places = [(name, step) for name in OBJECTS for step in (QUICK_STEPS if options.quick else STEPS)]
     cells = [{"name": name, "meshes": meshes, "step": step, "seed": options.seed} for name, step in places]
@@ -61,29 +57,28 @@ _CAPTION: Final = (
 
 def _best(found: list[Row]) -> list[Row]:
     """Return the rows: of each method, start and budget, the setting of the best mean PSNR over frames."""
-    rows: dict[tuple[str, ...], Row] = {}
-    for key in found[0]:
-        method, setting, start, budget = key.split("|")
-        group = [each[key] for each in found]
+    rows: dict[tuple[str, str, int], Row] = {}
+    for group in zip(*(each["runs"] for each in found), strict=True):
+        first = group[0]
         gaps = [each["gap"] for each in group if each["gap"] is not None]
         row = {
-            "method": method,
-            "start": start,
-            "in_time_of": int(budget),
+            "method": first["method"],
+            "start": first["start"],
+            "in_time_of": first["in_time_of"],
             "ms": round(float(np.mean([each["ms"] for each in group])), 2),
             "iterations": int(np.median([each["iterations"] for each in group])),
-            "setting": setting,
+            "setting": first["setting"],
             "gap": float(f"{np.mean(gaps):.2g}") if gaps else None,
             **beside(float(np.mean([each["psnr_db"] for each in group])), None),
         }
-        best = rows.setdefault((method, start, budget), row)
+        best = rows.setdefault((row["method"], row["start"], row["in_time_of"]), row)
         if row["ours"] > best["ours"]:
-            rows[method, start, budget] = row
+            rows[row["method"], row["start"], row["in_time_of"]] = row
     return sorted(rows.values(), key=lambda row: (row["start"], row["in_time_of"]))
 
 
 def measure(*, name: str, meshes: str | None, step: int, seed: int) -> Row:
-    """Return time, iterations, PSNR and gap of one frame by ``method|setting|start|budget``.
+    """Return ``runs`` of one frame: a row with time, iterations, PSNR and gap for each contender, start and budget.
 
     All are the plain NumPy forms with the same operators in float64, timed in turn in this process.
     """
@@ -97,108 +92,43 @@ def measure(*, name: str, meshes: str | None, step: int, seed: int) -> Row:
     best = objective(phi, psi, sums_n, solve(sums_n, iterations=EXACT, start=warm), PENALTY)
 
     def judged(s: Values) -> tuple[float, float]:
-        level = psnr_db(np.maximum(psi.adjoint(s), 0), true[1])
-        return level, objective(phi, psi, sums_n, s, PENALTY) / best - 1
+        image = np.maximum(psi.adjoint(s), 0).astype(np.float32)
+        return psnr_db(true[1], image, FORCE_MAX_N), objective(phi, psi, sums_n, s, PENALTY) / best - 1
 
-    runs = _runs(phi, psi, sums_n)
-    cost_s = _costs_s(runs)
-    told: Row = {}
-    for (method, setting), run in runs.items():
-        counts = {budget: max(1, round(budget * cost_s["FISTA"] / cost_s[method])) for budget in BUDGETS}
-        for start, given in zip(STARTS, (None, warm), strict=True):
-            seen: dict[int, tuple[float, float]] = {}
-            if method != "smoothed L0":
-                run(max(counts.values()), given, _noting(seen, set(counts.values()), judged))
-            elif given is not None:
-                continue  # it begins from the least-squares solution
+    contenders = make_contenders(phi, psi, sums_n)
+    cost_s = _costs_s(contenders)
+    runs: list[Row] = []
+    for each in contenders:
+        counts = {budget: max(1, round(budget * cost_s[PAPERS] / cost_s[each.method])) for budget in BUDGETS}
+        for start in each.starts:
+            estimates = each.run(set(counts.values()), warm if start == "warm" else None)
             for budget, count in counts.items():
-                if method == "smoothed L0":  # how fast σ falls depends on how many steps there are
-                    seen[count] = judged(run(count, None, _ignore))
-                level, gap = seen[count]
-                told[f"{method}|{setting}|{start}|{budget}"] = {
-                    "ms": 1e3 * count * cost_s[method],
-                    "iterations": count,
-                    "psnr_db": level,
-                    "gap": None if method == "smoothed L0" else gap,
-                }
-    return told
+                level_db, gap = judged(estimates[count])
+                runs.append(
+                    {
+                        "method": each.method,
+                        "setting": each.setting,
+                        "start": start,
+                        "in_time_of": budget,
+                        "ms": 1e3 * count * cost_s[each.method],
+                        "iterations": count,
+                        "psnr_db": level_db,
+                        "gap": gap if each.same_objective else None,
+                    }
+                )
+    return {"runs": runs}
 
 
-def _runs(phi: Operator, psi: Basis, sums_n: Values) -> dict[tuple[str, str], Run]:
-    """Return what runs each method with each of its settings."""
-    norm = phi.norm_squared
-
-    def stepped(ratio: float) -> Run:
-        return lambda count, start, observe: fista(
-            phi,
-            psi,
-            sums_n,
-            penalty_n=PENALTY,
-            lipschitz=ratio * norm,
-            iterations=count,
-            start=start,
-            observe=observe,
-        )
-
-    def coupled(ratio: float) -> Run:
-        return lambda count, start, observe: admm(
-            phi,
-            psi,
-            sums_n,
-            penalty_n=PENALTY,
-            iterations=count,
-            coupling=ratio * norm,
-            start=start,
-            observe=observe,
-        )
-
-    def smoothed(smallest_n: float) -> Run:
-        return lambda count, _start, _observe: _smoothed(phi, psi, sums_n, smallest_n, count)
-
-    return {
-        ("FISTA", "L = 2B (paper)"): stepped(2.0),
-        ("FISTA, exact step", "L = B"): stepped(1.0),
-        **{("ADMM", f"ρ = {ratio:g} B"): coupled(ratio) for ratio in COUPLINGS},
-        **{("smoothed L0", f"σ to {1e3 * smallest:g} mN"): smoothed(smallest) for smallest in SMALLEST_N},
-    }
-
-
-def _smoothed(phi: Operator, psi: Basis, sums_n: Values, smallest_n: float, count: int) -> Values:
-    """Return smoothed L0's result with σ falling so fast that some `count` steps bring it to its last."""
-    inner = 3 if count >= 9 else 1
-    turns = max(1, round(count / inner))
-    widest = 2 * float(np.abs(psi.forward(phi.adjoint(sums_n).reshape(SIDE, SIDE))).max()) / phi.norm_squared
-    # The loop runs while σ is above its last: a hair less than `turns` shrinkages would leave one more.
-    shrink = min(0.99, (smallest_n / widest) ** (1 / turns) * (1 - 1e-9))
-    return smoothed_l0(phi, psi, sums_n, tolerance_n=TOLERANCE_N, smallest_n=smallest_n, shrink=shrink, inner=inner)
-
-
-def _costs_s(runs: dict[tuple[str, str], Run]) -> dict[str, float]:
+def _costs_s(contenders: Sequence[Contender]) -> dict[str, float]:
     """Return the least time of one iteration of each method, all taking turns."""
     least: dict[str, float] = {}
     for _ in range(REPEATS):
-        for (method, _setting), run in runs.items():
+        for each in contenders:
             started_s = time.perf_counter()
-            run(TIMED, None, _ignore)
+            each.run({TIMED}, None)
             spent_s = (time.perf_counter() - started_s) / TIMED
-            least[method] = min(spent_s, least.get(method, spent_s))
+            least[each.method] = min(spent_s, least.get(each.method, spent_s))
     return least
-
-
-def _noting(
-    seen: dict[int, tuple[float, float]], wanted: set[int], judged: Callable[[Values], tuple[float, float]]
-) -> Callable[[int, Values], None]:
-    """Return an observer that judges the estimates of the iterations that are wanted."""
-
-    def observe(iteration: int, estimate: Values) -> None:
-        if iteration in wanted:
-            seen[iteration] = judged(estimate)
-
-    return observe
-
-
-def _ignore(iteration: int, estimate: Values) -> None:
-    """Observe nothing."""
 
 
 def _notes(rows: list[Row], frames: int, options: Options) -> list[str]:

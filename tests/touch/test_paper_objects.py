@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from evaluation.paper.printed import SENSOR, TABLE_ONE
 from tests.touch.table_one import haar_counts
 from touch.acquisition import ACQUISITION_OBJECTS, trajectory
 from touch.contact import Force, Grid, Pose, press
@@ -17,15 +18,6 @@ from touch.electronics import sense
 from touch.objects import CATALOGUE, spheres_of
 from touch.trajectory import PAPER_DEPTH_M
 
-#: Table I, mean number of Haar coefficients, and the sensor column of Table II, mean and range of PSNR in dB.
-HAAR_MEAN = {"golf-ball": 95.9, "granola-box": 95.3, "drill": 176.4, "cup": 353.2, "clamp": 310.0}
-PSNR_DB = {
-    "golf-ball": (29.0, 28.5, 29.6),
-    "granola-box": (28.2, 27.7, 29.4),
-    "drill": (28.7, 28.1, 29.5),
-    "cup": (28.8, 28.2, 29.5),
-    "clamp": (28.6, 28.0, 29.5),
-}
 WITH_MESH = [name for name, item in CATALOGUE.items() if item.mesh is not None]
 FORCE_MAX_N = 0.02
 
@@ -45,7 +37,7 @@ def sensor_psnr_db(true: Force) -> npt.NDArray[np.float64]:
 @pytest.mark.parametrize("name", ACQUISITION_OBJECTS)
 def test_own_shapes_are_as_sparse_and_as_noisy_as_the_papers(name: str) -> None:
     true = trajectory(name)
-    assert haar_counts(true).mean() == pytest.approx(HAAR_MEAN[name], rel=0.03)
+    assert haar_counts(true).mean() == pytest.approx(TABLE_ONE["haar"][name][0], rel=0.03)
     check_psnr(name, true)
 
 
@@ -53,12 +45,12 @@ def test_own_shapes_are_as_sparse_and_as_noisy_as_the_papers(name: str) -> None:
 @pytest.mark.parametrize("name", ACQUISITION_OBJECTS)
 def test_meshes_give_the_papers_numbers(name: str) -> None:
     true = trajectory(name, meshes=meshes())
-    assert haar_counts(true).mean() == pytest.approx(HAAR_MEAN[name], rel=0.03)
+    assert haar_counts(true).mean() == pytest.approx(TABLE_ONE["haar"][name][0], rel=0.03)
     check_psnr(name, true)
 
 
 def check_psnr(name: str, true: Force) -> None:
-    mean, low, high = PSNR_DB[name]
+    mean, low, high = SENSOR[name]
     psnr = sensor_psnr_db(true)
     assert psnr.mean() == pytest.approx(mean, abs=0.15)
     assert psnr.min() == pytest.approx(low, abs=0.15)

@@ -1,14 +1,33 @@
 """Every subject, looked at quickly through the command."""
 
 import json
+from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
+from typing import get_args
 
 import pytest
 
+from evaluation import command
 from evaluation.command import evaluate
-from evaluation.findings import Options
-from evaluation.paper import figures, iterations, solvers
-from evaluation.paper.printed import SENSOR
+from evaluation.findings import Findings, Options, Row
+from evaluation.paper import figures, iterations, solvers, sparsity
+from evaluation.paper.columns import DRAWS
+from evaluation.paper.contenders import Contender
+from evaluation.paper.printed import SENSOR, BasisName
+from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method
+from skin.errors import InputError
+
+BASES = get_args(BasisName)
+
+
+class FakeClock:
+    """A clock that goes on only where a test says so."""
+
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
 
 
 @pytest.fixture(scope="module")
@@ -49,22 +68,121 @@ def test_figures_show_what_the_paper_says_of_them() -> None:
         assert picture.draw().get_axes()
 
 
+@pytest.mark.parametrize("subject", ["sparsity", "figures", "solvers"])
+def test_draws_are_refused_where_nothing_is_averaged(subject: str) -> None:
+    with pytest.raises(InputError, match=f"'{subject}' averages over no draws of Φ, got 3 draws"):
+        evaluate(subject, draws=3)  # type: ignore[arg-type]
+
+
+def test_all_hands_draws_only_to_those_that_average(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: dict[str, int | None] = {}
+
+    def subject_of(module: str) -> SimpleNamespace:
+        def subject(options: Options) -> Findings:
+            asked[module.rpartition(".")[2]] = options.draws
+            return Findings(module, [])
+
+        return SimpleNamespace(evaluate=subject)
+
+    monkeypatch.setattr(command, "import_module", subject_of)
+    evaluate("all", draws=3, out=tmp_path, json=True)
+    assert json.loads(capsys.readouterr().out) == {"rows": [], "notes": []}
+    averaging = {"compression", "iterations", "classification", "beyond", "postures"}
+    assert {name for name, draws in asked.items() if draws == 3} == averaging
+    assert {name for name, draws in asked.items() if draws is None} == {
+        "sparsity",
+        "figures",
+        "solvers",
+        "rivals",
+        "rates",
+    }
+
+
+def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    counted: Counter[str] = Counter()
+
+    def made(_measure: object, cells: list[Row], _options: Options, what: str, **_: int) -> list[Row]:
+        if what != RECONSTRUCTIONS:
+            return [dict.fromkeys((f"{basis} {count}" for basis in BASES for count in iterations.ITERATIONS), 1.0)]
+        counted.update(each["method"][0] for each in cells)
+        return [{"mean": 30.0, "least": 29.0, "most": 31.0}] * len(cells)
+
+    monkeypatch.setattr(iterations, "measure_cells", made)
+    for draws, sbhe, noiselet in ((3, 3, 3), (None, DRAWS, iterations.NOISELET_DRAWS)):
+        counted.clear()
+        iterations.evaluate(Options(draws=draws))
+        cells = len(OBJECTS) * len(BASES) * len(iterations.ITERATIONS)
+        assert counted == {"sbhe": sbhe * cells, "noiselet": noiselet * cells}
+
+
+def test_table_ones_caption_names_the_fewest_that_were_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def made(_measure: object, cells: list[Row], *_: object) -> list[Row]:
+        fewest = {"drill": "dct", "cup": "d4"}
+        return [{"mean": 2.0 if fewest.get(each["name"], "haar") == each["basis"] else 3.0, "max": 4} for each in cells]
+
+    monkeypatch.setattr(sparsity, "measure_cells", made)
+    (picture,) = sparsity.evaluate(Options()).pictures
+    assert "haar for golf-ball, granola-box, clamp; dct for drill; d4 for cup." in picture.caption
+
+
 @pytest.mark.slow
-def test_solvers_get_the_same_time_and_the_same_minimum() -> None:
-    found = solvers.measure(name="golf-ball", meshes=None, step=2500, seed=0)
-    paper, exact = "FISTA|L = 2B (paper)|cold", "FISTA, exact step|L = B|cold"
-    assert found[f"{paper}|100"]["iterations"] == 100
-    for key, each in found.items():
-        budget = key.rpartition("|")[2]
-        assert each["ms"] == pytest.approx(found[f"{paper}|{budget}"]["ms"], rel=0.15)
-    gaps = [each["gap"] for each in found.values() if each["gap"] is not None]
-    assert min(gaps) > -1e-9
-    assert found[f"{exact}|100"]["gap"] < found[f"{paper}|100"]["gap"] < found[f"{paper}|20"]["gap"]
-    assert found["ADMM|ρ = 0.1 B|cold|100"]["gap"] < 1e-3
-    assert not any(key.startswith("smoothed L0") and "warm" in key for key in found)
+def test_solvers_get_the_same_time_and_the_same_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    cost_s = {"FISTA": 0.002, "FISTA, exact step": 0.002, "ADMM": 0.004, "smoothed L0": 0.001}
+    monkeypatch.setattr(solvers, "_costs_s", lambda _: cost_s)
+    runs = solvers.measure(name="golf-ball", meshes=None, step=2500, seed=0)["runs"]
+    for each in runs:
+        count = {"ADMM": (2, 5, 10, 25, 50), "smoothed L0": (10, 20, 40, 100, 200)}.get(each["method"], solvers.BUDGETS)
+        assert each["iterations"] == count[solvers.BUDGETS.index(each["in_time_of"])]
+        assert each["ms"] == pytest.approx(1e3 * each["iterations"] * cost_s[each["method"]])
+    assert min(each["gap"] for each in runs if each["gap"] is not None) > -1e-9
+    gaps = {
+        (each["method"], each["in_time_of"]): each["gap"]
+        for each in runs
+        if each["start"] == "cold" and each["setting"] in {"L = 2B (paper)", "L = B", "ρ = 0.1 B"}
+    }
+    assert gaps["FISTA, exact step", 100] < gaps["FISTA", 100] < gaps["FISTA", 20]
+    assert gaps["ADMM", 100] < 1e-3
+    smoothed = [each for each in runs if each["method"] == "smoothed L0"]
+    assert {(each["start"], each["gap"]) for each in smoothed} == {("cold", None)}
 
 
-def test_times_are_told_for_every_basis_and_iterations() -> None:
+def test_the_cost_of_an_iteration_is_the_least_of_all_that_were_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, waits_s = FakeClock(), {"a": iter([0.5, 0.3, 0.4]), "b": iter([0.2, 0.7, 0.6]), "c": iter([0.9, 0.1, 0.8])}
+    monkeypatch.setattr("evaluation.paper.solvers.time.perf_counter", clock)
+
+    def contender(method: str, name: str) -> Contender:
+        def run(counts: set[int], start: object) -> dict[int, object]:
+            assert (counts, start) == ({solvers.TIMED}, None)
+            clock.now_s += next(waits_s[name]) * solvers.TIMED
+            return {}
+
+        return Contender(method, name, run)  # type: ignore[arg-type]
+
+    found = solvers._costs_s([contender("one", "a"), contender("two", "b"), contender("two", "c")])
+    assert found == pytest.approx({"one": 0.3, "two": 0.1})
+
+
+def test_times_are_medians_of_the_steps_that_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver of n ms with n iterations, ten times slower on the steps that warm up, and 1 s on one that counts."""
+    clock, make = FakeClock(), Method.make
+
+    class Solver:
+        def __init__(self, milliseconds: int) -> None:
+            slow = [1000 if step == iterations.UNTIMED_STEPS else milliseconds for step in range(20)]
+            slow[: iterations.UNTIMED_STEPS] = [10 * milliseconds] * iterations.UNTIMED_STEPS
+            self.waits_ms = iter(slow)
+
+        def new_estimate(self) -> None: ...
+
+        def solve(self, *_: object) -> None:
+            clock.now_s += 1e-3 * next(self.waits_ms)
+
+        def deliver(self, _: object) -> None:
+            clock.now_s += 0.5e-3
+
+    monkeypatch.setattr("evaluation.paper.iterations.time.perf_counter", clock)
+    monkeypatch.setattr(Method, "make", lambda self, seed: (make(self, seed)[0], Solver(self.iterations)))
     found = iterations.measure_times(meshes=None, seed=0, steps=3)
-    assert set(found) == {f"{basis} {count}" for basis in ("haar", "contourlet") for count in (20, 10, 5)}
-    assert all(each > 0 for each in found.values())
+    assert found == {f"{basis} {count}": count + 0.5 for basis in BASES for count in (20, 10, 5)}
