@@ -12,11 +12,10 @@ from classifier.missing import Completion, Factors
 from classifier.model import Model
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
+from skin.labels import MIN_VALID_RATIO
 from skin.measurement import Sbhe
 from skin.messages import UNKNOWN_OBJECT
 
-#: With fewer blocks than this part of the skin, nothing is said.
-MIN_VALID_RATIO: Final = 0.25
 #: Part of the newest cycle in the settled decision: two clear cycles in a row change the label.
 SETTLING: Final = 0.4
 #: Part of the newest cycle in the settled novelty. Slower: no object looks like itself while it is pressed in.

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from classifier.dagsvm import DagSvm
 from classifier.validation import C_GRID, Chosen, choose_C, global_scale, part_of
 from evaluation.findings import Row
-from evaluation.recognition.signals import LABELS, OBJECTS, Values, signal
-from evaluation.recognition.splits import Split, draw_split
+from evaluation.observations.signals import LABELS, OBJECTS, Values, signal
+from evaluation.observations.splits import Split, draw_split
 
 #: Longer signals are trained on their inner products, made once for all splits.
 GRAM_FROM: Final = 1024
@@ -37,7 +37,7 @@ def measure_accuracy(
     Parameters
     ----------
     kind, size, draw, meshes, seed
-        See `evaluation.recognition.signals.signal`.
+        See `evaluation.observations.signals.signal`.
     splits : sequence of int
         Numbers of the splits.
     development, validation : float

@@ -6,6 +6,7 @@ import numpy as np
 
 from evaluation.cells import measure_cells
 from evaluation.findings import Findings, Options, Picture, Row
+from evaluation.recognition.beyond_notes import caption, notes
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
 from evaluation.recognition.pictures import draw_gains
@@ -26,9 +27,10 @@ _QUICK: Final = (PLAIN, "rows chosen", "10 % missing: as 0, rehearsed", "10 % mi
 def evaluate(options: Options) -> Findings:
     """Measure every method against the plain DAGSVM, then the live service."""
     methods = _method_rows(options)
-    rows = [*methods, *_live_rows(options)]
-    pictures = [Picture("methods", _CAPTION, lambda: draw_gains(methods))]
-    return Findings("Recognition beyond the paper, and as a service", rows, list(_NOTES), pictures)
+    live, unmet = _live_rows(options)
+    pictures = [Picture("methods", caption(methods), lambda: draw_gains(methods))]
+    told = notes(methods, unmet, options)
+    return Findings("Recognition beyond the paper, and as a service", [*methods, *live], told, pictures)
 
 
 def _method_rows(options: Options) -> list[Row]:
@@ -69,74 +71,43 @@ def _row(what: str, size: int, percents: Any) -> Row:
     }
 
 
-def _live_rows(options: Options) -> list[Row]:
+def _live_rows(options: Options) -> tuple[list[Row], list[tuple[str, float]]]:
+    """Return the rows of the live service, and each object never met with the percent of it called unknown."""
     conditions = CONDITIONS[:1] if options.quick else CONDITIONS
+    touches = 1 if options.quick else 3
     known: list[Row] = [
         {"names": list(DEFAULT_OBJECTS), "touches": 5, "lost_ratio": lost, "noise_ratio": noise, "seed": options.seed}
         for lost, noise in conditions
     ]
     unmet: list[Row] = [
-        {
-            "names": [name],
-            "touches": 1 if options.quick else 3,
-            "lost_ratio": 0.0,
-            "noise_ratio": 1.0,
-            "seed": options.seed,
-        }
+        {"names": [name], "touches": touches, "lost_ratio": 0.0, "noise_ratio": 1.0, "seed": options.seed}
         for name in (UNMET[:1] if options.quick else UNMET)
     ]
     results = measure_cells(measure_live, known + unmet, options, "live")
     rows = []
     for cell, result in zip(known, results, strict=False):
-        named = (
-            f"live, known objects, {cell['lost_ratio']:.0%} of the blocks dead, {cell['noise_ratio']:g} of the noise"
-        )
+        lost, noise = cell["lost_ratio"], cell["noise_ratio"]
+        named = f"live, known objects, {lost:.0%} of the blocks dead, {noise:g} of the noise"
         rows += [
-            _live_row(f"{named}: right", result["right"]),
-            _live_row(f"{named}: called unknown", result["unknown"]),
+            _live_row(f"{named}: right", cell, result, "right"),
+            _live_row(f"{named}: called unknown", cell, result, "unknown"),
         ]
+    called = []
     for cell, result in zip(unmet, results[len(known) :], strict=True):
-        rows.append(_live_row(f"live, {cell['names'][0]}, never met: called unknown", result["unknown"]))
-    return rows
+        name = cell["names"][0]
+        rows.append(_live_row(f"live, {name}, never met: called unknown", cell, result, "unknown"))
+        called.append((name, rows[-1]["ours"]))
+    return rows, called
 
 
-def _live_row(what: str, share: float) -> Row:
+def _live_row(what: str, cell: Row, result: Row, share: str) -> Row:
     return {
         "what": what,
-        "sums": 1024,
-        "runs": 1,
-        "ours": round(100 * share, 2),
+        "sums": result["sums"],
+        "runs": cell["touches"],
+        "ours": round(100 * result[share], 2),
         "plain": None,
         "gain": None,
         "least": None,
         "most": None,
     }
-
-
-_NOTES: Final = (
-    (
-        "Percent. Every method is given the sums and the training perturbations of the plain DAGSVM it stands "
-        "beside, one split for each draw of Φ; test perturbations take part in no choice."
-    ),
-    (
-        "Rows chosen: of all 4096 rows of the same scrambled blocks, the 16 or 4 that tell the training "
-        "observations apart best; choosing them needs one recording of the training touches with every row."
-    ),
-    (
-        f"Mean of {CYCLES} cycles: trained on single cycles; only what is asked about is a mean over cycles of one "
-        "touch."
-    ),
-    (
-        "10 % of the blocks missing: other blocks in every observation. Rehearsed: trained on the whole sums and on "
-        "the same with such losses. The service estimates missing raw sums, which loses least."
-    ),
-    (
-        "Live: the default skin and the model the service trains by itself, every cycle in which an object touches "
-        "with 2 mN or more. A volleyball is not told from the basketball the model knows: their contacts hardly "
-        "differ."
-    ),
-)
-_CAPTION: Final = (
-    "Accuracy of each method beside the plain DAGSVM on the same sums and training data; whiskers span the draws of "
-    "Φ. Choosing which rows to send gains most: 16 chosen sums beat 64 drawn ones."
-)

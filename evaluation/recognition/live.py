@@ -13,11 +13,15 @@ from classifier.samples import NOISE_N, simulate_sums
 from classifier.touches import load_touches
 from classifier.training import train
 from evaluation.findings import Row
+from skin.errors import InputError
 from skin.layout import load_layout
 from skin.messages import UNKNOWN_OBJECT
 from skin.sources import DEFAULT_OBJECTS
 from touch.sources import objects
 from touch.touches import SLOT_S
+
+#: Dead blocks and quieter taxels, as (part of the blocks, part of the noise).
+CONDITIONS: Final = ((0.0, 1.0), (0.1, 1.0), (0.25, 1.0), (0.0, 0.5))
 
 
 @cache
@@ -41,6 +45,18 @@ def measure_live(*, names: Sequence[str], touches: int, lost_ratio: float, noise
         Part of the blocks that is dead all the time.
     noise_ratio : float
         Noise of the taxels as a part of that the model was trained with.
+    seed : int
+        Of the model, the touches, the noise and the dead blocks.
+
+    Returns
+    -------
+    dict
+        ``right`` and ``unknown``, parts of those cycles; ``sums``, how many the skin sends.
+
+    Raises
+    ------
+    InputError
+        If no object touches in any cycle.
     """
     layout, model = load_layout(), trained_model(seed)
     phi, rate_hz = layout.phi(), layout.sync.rate_hz
@@ -58,8 +74,6 @@ def measure_live(*, names: Sequence[str], touches: int, lost_ratio: float, noise
             cycles += 1
             right += said == label
             unknown += said == UNKNOWN_OBJECT
-    return {"right": right / cycles, "unknown": unknown / cycles}
-
-
-#: Dead blocks and quieter taxels, as (part of the blocks, part of the noise).
-CONDITIONS: Final = ((0.0, 1.0), (0.1, 1.0), (0.25, 1.0), (0.0, 0.5))
+    if not cycles:
+        raise InputError(f"no object touches in any cycle: expected 1 touch or more, got {touches}")
+    return {"right": right / cycles, "unknown": unknown / cycles, "sums": phi.shape[0]}

@@ -12,9 +12,9 @@ from classifier.missing import Completion, fit_factors
 from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale
 from evaluation.findings import Row
+from evaluation.observations.signals import LABELS, Values, all_rows, drawn_sbhe, measured, sensed
+from evaluation.observations.splits import Split, draw_split
 from evaluation.recognition.accuracy import score, trained
-from evaluation.recognition.signals import LABELS, Values, all_rows, drawn_sbhe, measured, sensed
-from evaluation.recognition.splits import Split, draw_split
 from skin.measurement import Sbhe
 
 #: Development and validation set as in the paper's figure over signal size.
@@ -34,7 +34,7 @@ def measure_method(*, method: str, size: int, draw: int, splits: Sequence[int], 
     method : str
         One of `METHODS`.
     size, draw, meshes, seed
-        See `evaluation.recognition.signals.signal`; the signal is that of SBHE.
+        See `evaluation.observations.signals.signal`; the signal is that of SBHE.
     splits : sequence of int
         Numbers of the splits.
     """
@@ -133,10 +133,10 @@ def _cycles(task: _Task) -> float:
     return score(chosen.machine.predict, task.mean_of_cycles() * scale, task.split)
 
 
-def _lost(task: _Task, rows: Any, stream: int) -> Any:
-    """Return which sums of the given rows are there when a part of the blocks is missing, drawn for each."""
+def _lost(task: _Task, count: int, stream: int) -> Any:
+    """Return which sums of `count` observations are there when a part of the blocks is missing, drawn for each."""
     rng = np.random.default_rng([task.seed, task.draw, stream])
-    order = np.argsort(rng.random((len(rows), task.phi.blocks)), axis=1)
+    order = np.argsort(rng.random((count, task.phi.blocks)), axis=1)
     return (order >= round(LOST_RATIO * task.phi.blocks))[:, task.phi.block_of_sum]
 
 
@@ -147,10 +147,10 @@ def _with_loss(task: _Task, fill: Callable[[Values, Any, Values], Values], *, re
     chosen, _ = trained(task.values, split)
     machine = chosen.machine
     if rehearsed:
-        spoilt = fill(training, _lost(task, training, 0), training)
+        spoilt = fill(training, _lost(task, len(training), 0), training)
         labels = LABELS[split.training]
         machine = DagSvm(chosen.C).fit(np.concatenate([training, spoilt]), np.concatenate([labels, labels]))
-    test = fill(X[split.test], _lost(task, split.test, 1), training)
+    test = fill(X[split.test], _lost(task, len(split.test), 1), training)
     return float(np.mean(machine.predict(test) == LABELS[split.test]))
 
 

@@ -7,12 +7,13 @@ import numpy as np
 
 from evaluation.figure import new_figure
 from evaluation.findings import Row
+from evaluation.observations.signals import OBJECTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_GUESSING_PERCENT: Final = 100 / 16
+_GUESSING_PERCENT: Final = 100 / OBJECTS
 #: Confusions below this are not written out.
 _LEAST_PERCENT: Final = 1.5
 

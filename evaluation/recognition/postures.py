@@ -13,9 +13,9 @@ from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale, part_of
 from evaluation.cells import measure_cells
 from evaluation.findings import Findings, Options, Picture, Row
+from evaluation.observations.signals import TAXELS, all_rows, drawn_sbhe, measured
 from evaluation.recognition.accuracy import MOST_ITERATIONS
 from evaluation.recognition.pictures import draw_gains
-from evaluation.recognition.signals import TAXELS, all_rows, drawn_sbhe, measured
 from skin.errors import InputError
 from touch.reading import read_counts
 
@@ -70,7 +70,9 @@ def evaluate(options: Options) -> Findings:
         groups.setdefault((cell["variant"], cell["size"]), []).append((cell["person"], 100 * result["accuracy"]))
     plain = {size: _mean(found) for (name, size), found in groups.items() if name == next(iter(VARIANTS))}
     rows = [_row(name, size, found, plain[size]) for (name, size), found in groups.items()]
-    return Findings(title, rows, list(_NOTES), [Picture("postures", _CAPTION, lambda: draw_gains(rows))])
+    return Findings(
+        title, rows, _notes(options.recordings, options), [Picture("postures", _CAPTION, lambda: draw_gains(rows))]
+    )
 
 
 def measure_postures(*, recordings: str, variant: str, size: int, draw: int, person: int) -> Row:
@@ -164,21 +166,29 @@ def _row(name: str, size: int, found: list[tuple[int, float]], plain: float) -> 
     }
 
 
-_NOTES: Final = (
-    (
-        "Percent of the frames of a person whom neither training nor the choice of C met, mean over people; guessing "
-        "gives 5.9. 17 lying postures, four people, every fourth frame of a mat of 64 x 32 taxels in the middle of "
-        "64 x 64."
-    ),
-    (
-        "Least and most: the worst and the best person. People differ more than draws of Φ, and three people are few "
-        "to learn from: the accuracy of 4096 taxels is what the data allow, not what compression costs."
-    ),
-    (
-        "Roots: each taxel gives the root of its pressure, which heavy and light people have more alike; the sums "
-        "are formed of the roots. Unit length: the sums of a frame are divided by their length."
-    ),
-)
+def _notes(recordings: Path, options: Options) -> list[str]:
+    taken = read_postures(str(recordings))
+    people = int(taken.people.max()) + 1
+    told = [
+        (
+            "Percent of the frames of a person whom neither training nor the choice of C met, mean over people; "
+            f"guessing gives {100 / len(POSTURES):.1f}. {len(POSTURES)} lying postures, {people} people, "
+            f"{len(taken.frames)} frames: one of {STRIDE}, each in the middle of {_SIDE} x {_SIDE} taxels."
+        ),
+        (
+            "Least and most: the worst and the best person. The machines learn from "
+            f"{people - 1} people: the accuracy of {TAXELS} taxels is what the data allow, not what compression costs."
+        ),
+        (
+            "Roots: each taxel gives the root of its pressure, which heavy and light people have more alike; the sums "
+            "are formed of the roots. Unit length: the sums of a frame are divided by their length."
+        ),
+    ]
+    if options.quick:
+        told.append(f"A quick look: one draw, {SIZES[-1]} sums alone; it judges no figure.")
+    return told
+
+
 _CAPTION: Final = (
     "Postures of a person never met, from sums of a real pressure mat. Whiskers span the people; the dotted line is "
     "the paper's way with raw sums."

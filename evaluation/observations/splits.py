@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.recognition.signals import OBJECTS
+from evaluation.observations.signals import OBJECTS
 from touch.perturbations import PERTURBATIONS
 
 Indices = npt.NDArray[np.intp]

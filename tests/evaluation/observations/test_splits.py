@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluation.recognition.signals import LABELS, OBJECTS
-from evaluation.recognition.splits import draw_split
+from evaluation.observations.signals import LABELS, OBJECTS
+from evaluation.observations.splits import draw_split
 from touch.perturbations import PERTURBATIONS
 
 

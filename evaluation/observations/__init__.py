@@ -1,0 +1,1 @@
+"""What the recognition of objects is measured on: signals of every observation, and splits of them."""

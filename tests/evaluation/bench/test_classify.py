@@ -1,0 +1,9 @@
+"""The decision that is timed is the one that is right."""
+
+from evaluation.bench import classify
+
+
+def test_compiled_decision_is_the_graphs() -> None:
+    row = classify._row(64, rounds=1)
+    assert row["same_labels"]
+    assert row["accuracy"] > 0.97
