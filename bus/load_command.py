@@ -51,7 +51,9 @@ def load(
     made = contract(load_layout(layout))
     options = can or BusOptions()
     if log is not None:
-        seen = of_buses(made.layout, channels(made.layout, options), read_log(log), log)
+        seen = of_buses(
+            made.layout, channels(made.layout, options), read_log(log), log, named_by_user=bool(options.channel)
+        )
     else:
         stop = StopSignal().install()
         links = open_links(made.layout, options, name="load")

@@ -78,7 +78,9 @@ def listen(links: dict[int, Link], seconds: float, stopped: Callable[[], bool]) 
     return {number: np.concatenate(seen) for number, seen in arrived.items()}
 
 
-def of_buses(layout: Layout, names: list[str], logged: dict[str, Frames], path: Path) -> dict[int, Frames]:
+def of_buses(
+    layout: Layout, names: list[str], logged: dict[str, Frames], path: Path, *, named_by_user: bool = False
+) -> dict[int, Frames]:
     """Assign the channels of a log to the buses of a layout.
 
     Those that bear one of `names` (one per bus) go by their name; if none does, all go in their natural order.
@@ -86,11 +88,13 @@ def of_buses(layout: Layout, names: list[str], logged: dict[str, Frames], path: 
     Raises
     ------
     InputError
-        If there are more channels than buses.
+        If there are more channels than buses, or none of those that the user named.
     """
     named = {number: logged[name] for number, name in enumerate(names) if name in logged}
     if named:
         return named
+    if named_by_user:
+        raise InputError(f"{path}: expected a channel of {', '.join(names)}, the log holds {', '.join(logged)}")
     if len(logged) > len(layout.bus):
         raise InputError(
             f"{path}: expected up to {len(layout.bus)} channels, one per bus of the layout, got {', '.join(logged)}; "

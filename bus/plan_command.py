@@ -164,7 +164,7 @@ def _check(made: Contract, plans: list[BusPlan], log: Path, names: list[str], *,
 
     wanted = channels(made.layout, BusOptions(channel=names))
     lines = []
-    for number, seen in of_buses(made.layout, wanted, read_log(log), log).items():
+    for number, seen in of_buses(made.layout, wanted, read_log(log), log, named_by_user=bool(names)).items():
         load = measure(made, number, seen, plans[number])
         say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full, {load.plan_average:.1%} planned")
         lines += departures(made, number, seen, plans[number], load)

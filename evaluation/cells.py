@@ -81,8 +81,8 @@ class _Kept:
             return
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []
-        except (OSError, UnicodeDecodeError) as error:
+            lines = self._path.read_text(encoding="utf-8", errors="replace").splitlines() if self._path.exists() else []
+        except OSError as error:
             raise InputError(f"'{self._path}' cannot be read or made: {error}; give another --out") from error
         for line in lines:
             self._read(line)

@@ -90,6 +90,8 @@ def evaluate(
 
     if subject not in get_args(Subject):
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(get_args(Subject))}")
+    if subject == "postures" and recordings is None:
+        raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
     if out is None and subject == "all":
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1

@@ -1,8 +1,10 @@
 """The ``skin`` command: one table of verbs, each loaded only when it is called."""
 
+import signal
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+from types import FrameType
 from typing import TYPE_CHECKING, Final
 
 from skin.errors import RunError, SkinError
@@ -14,8 +16,9 @@ if TYPE_CHECKING:
 
 FAILED: Final = 1
 WRONG_INPUT: Final = 2
-#: 128 and SIGINT, as shells have it.
+#: 128 and SIGINT or SIGTERM, as shells have it.
 INTERRUPTED: Final = 130
+TERMINATED: Final = 143
 
 #: Verb: where its function lives. Strings, so that this room imports none of the others.
 VERBS: Final = {
@@ -63,10 +66,16 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
 
 def main() -> None:
     """Run one verb; 0 is success, 1 a run that failed, 2 a wrong input."""
+    # What a verb has begun, processes included, is then ended as after Ctrl-C; services take both signals themselves.
+    signal.signal(signal.SIGTERM, _terminated)
     try:
         sys.exit(_run(sys.argv[1:]))
     except KeyboardInterrupt:  # also while libraries are being loaded, which takes longer than this module
         sys.exit(INTERRUPTED)
+
+
+def _terminated(_number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(TERMINATED)
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -74,6 +83,7 @@ def _run(arguments: Sequence[str]) -> int:
 
     try:
         status = build_app(arguments)(exit_on_error=False, print_error=False)
+        sys.stdout.flush()
     except RunError as error:
         return _complain(error, FAILED)
     except (SkinError, cyclopts.CycloptsError) as error:
@@ -83,6 +93,9 @@ def _run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # where Python would complain of the same once more
         return FAILED
+    except OSError as error:  # a full disk behind standard output, for one
+        sys.stdout = None  # what it still holds cannot be written at the end either
+        return _complain(error, FAILED)
     return status if isinstance(status, int) else 0
 
 

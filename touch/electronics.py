@@ -48,10 +48,7 @@ def sense(
     InputError
         If the noise is below 0 or the range is empty.
     """
-    if not (math.isfinite(noise_n) and noise_n >= 0):
-        raise InputError(f"noise_n needs a number of 0 or more: got {noise_n}")
-    if not (math.isfinite(force_max_n) and force_max_n > 0):
-        raise InputError(f"force_max_n needs a number above 0: got {force_max_n}")
+    _check(noise_n, force_max_n)
     signal = rng.standard_normal(np.shape(force_n), dtype=np.float32)
     signal *= np.float32(noise_n)
     signal += force_n
@@ -71,6 +68,11 @@ class Electronics:
         As for `sense`.
     damper, cross_talk, gain_spread, drift, stuck, dead
         None where the effect is off.
+
+    Raises
+    ------
+    InputError
+        If the noise is below 0 or the range is empty.
     """
 
     noise_n: float = NOISE_N
@@ -81,6 +83,9 @@ class Electronics:
     drift: Drift | None = None
     stuck: Stuck | None = None
     dead: Dead | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.noise_n, self.force_max_n)
 
     def signal(
         self, force_n: Force, rng: np.random.Generator, *, period_s: float = PERIOD_S, start_s: float = 0.0
@@ -130,3 +135,10 @@ class Electronics:
         if self.dead is not None:
             flat[:, self.dead.taxels(taxels)] = 0.0
         return signal
+
+
+def _check(noise_n: float, force_max_n: float) -> None:
+    if not (math.isfinite(noise_n) and noise_n >= 0):
+        raise InputError(f"noise_n needs a number of 0 or more: got {noise_n}")
+    if not (math.isfinite(force_max_n) and force_max_n > 0):
+        raise InputError(f"force_max_n needs a number above 0: got {force_max_n}")

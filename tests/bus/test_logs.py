@@ -73,6 +73,8 @@ def test_channels_are_assigned_by_name_or_in_their_natural_order() -> None:
     assert list(of_buses(layout, names, {"bus2": frames(0), "other": frames(0)}, Path("x.log"))) == [2]
     with pytest.raises(InputError, match=r"expected up to 4 channels.*can0, can1, can2, can3, can4"):
         of_buses(layout, names, {f"can{each}": frames(0) for each in range(5)}, Path("x.log"))
+    with pytest.raises(InputError, match=r"expected a channel of .*, the log holds can7"):
+        of_buses(layout, names, {"can7": frames(0)}, Path("x.log"), named_by_user=True)
 
 
 def test_a_live_bus_is_listened_to() -> None:

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -34,3 +35,13 @@ def test_list_of_verbs_and_help_of_one() -> None:
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     lines = [line.rstrip() for line in shown.split("Examples:")[1].splitlines()]
     assert lines[:2] == ["", "skin demo --seconds 10 --objects golf-ball"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_the_output_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "skin", "dbc", "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == "skin: [Errno 28] No space left on device\n"

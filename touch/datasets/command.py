@@ -93,8 +93,11 @@ def dataset(
         )
     else:
         raise InputError(f"unknown data set '{subject}': expected one of {', '.join(get_args(Subject))}")
+    processes = (os.cpu_count() or 1) if jobs is None else jobs
+    if processes < 1:
+        raise InputError(f"expected 1 job or more, got {processes}")
     with alone(out):
-        done = fill(plan, out, (os.cpu_count() or 1) if jobs is None else jobs, cluster)
+        done = fill(plan, out, processes, cluster)
     _show(done, as_json=json)
 
 
