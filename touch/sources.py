@@ -10,8 +10,8 @@ from skin.errors import InputError
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame
 from touch.contact import PITCH_M, Force, Grid, Pose
-from touch.dataset import felt_objects
 from touch.objects import checked_names
+from touch.random_touches import felt_objects
 from touch.reading import array_names, read_counts
 from touch.recording import Recording
 from touch.touches import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from skin.errors import InputError
 from skin.sources import DEFAULT_OBJECTS, load_source
-from touch.dataset import random_touches
 from touch.objects import CATALOGUE
+from touch.random_touches import random_touches
 from touch.sources import ObjectSource, objects
 from touch.touches import DEPTH_M, LABEL_FORCE_N, SLOT_S
 
