@@ -69,16 +69,23 @@ class Chain:
         return (blocks >= first) & (blocks < first + self.layout.bus[bus].nodes)
 
     def true_sums(self, measurement: Measurement) -> npt.NDArray[np.int16]:
-        """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement."""
-        same = [
+        """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement.
+
+        Another process publishes it, so that it may come after the measurement.
+        """
+        self.processes.until(lambda: bool(self._truths_of(measurement)), f"the truth of cycle {measurement.cycle}")
+        same = self._truths_of(measurement)
+        assert len(same) == 1, f"{len(same)} truths of cycle {measurement.cycle}"
+        felt_n = np.frombuffer(same[0].sensor, "<f4")
+        return self.phi.block_sums(np.rint(felt_n / self.layout.taxels.newton_per_count).astype(np.int32))
+
+    def _truths_of(self, measurement: Measurement) -> list[Truth]:
+        return [
             truth
             for truth in self.truths
             if truth.sync_counter == measurement.sync_counter
             and abs(truth.sync_mono_ns - measurement.sync_mono_ns) < SAME_SYNC_NS
         ]
-        assert len(same) == 1, f"{len(same)} truths of cycle {measurement.cycle}"
-        felt_n = np.frombuffer(same[0].sensor, "<f4")
-        return self.phi.block_sums(np.rint(felt_n / self.layout.taxels.newton_per_count).astype(np.int32))
 
 
 def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:
