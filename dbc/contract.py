@@ -28,6 +28,8 @@ SDO_RESPONSE_BASE: Final = 0x580
 HEARTBEAT_BASE: Final = 0x700
 #: NMT state of a running node, which its heartbeat tells (CiA 301, 7.2.8.3.2).
 OPERATIONAL: Final = 5
+#: Bytes of one object that an SDO transfer may carry; far more than any object of a node holds.
+LONGEST_VALUE: Final = 256
 #: COB-IDs of TPDO 1 to 4 of the predefined connection set, then those of the RPDOs, which a skin node does not use.
 TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import canopen
 
-from dbc.contract import NMT_COB_ID, NodeContract, encoding_text
+from dbc.contract import LONGEST_VALUE, NMT_COB_ID, NodeContract, encoding_text
 from dbc.indices import OD_BLOCK, OD_ENCODING, OD_PHI_FINGERPRINT
 from gateway.network import MasterNetwork
 from skin.service import say
@@ -22,9 +22,8 @@ NMT_START: Final = 1
 SDO_TIMEOUT_S: Final = 0.3
 #: Below are the aborts of a transfer (CiA 301, table 22: toggle bit, time-out, command), which say nothing of the node.
 FIRST_ABORT_OF_THE_OBJECT: Final = 0x0600_0000
-#: What a segment of an SDO transfer carries (CiA 301, 7.2.4.3.6), and far more than any object asked for.
+#: What a segment of an SDO transfer carries (CiA 301, 7.2.4.3.6).
 SEGMENT_BYTES: Final = 7
-LONGEST_VALUE: Final = 256
 #: Stands in the queue behind the nodes of the first pass; no node has this ID.
 _FIRST_PASS_ENDS: Final = 0
 

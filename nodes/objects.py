@@ -8,14 +8,13 @@ import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
 from canopen.sdo.server import SdoServer
 
+from dbc.contract import LONGEST_VALUE
 from dbc.dictionary import Object
 from dbc.indices import BITS, OD_SUMS, split_block
 
 #: Abort codes (CiA 301, table 22): command specifier not valid; value too long.
 ABORT_COMMAND: Final = 0x0504_0001
 ABORT_TOO_LONG: Final = 0x0607_0012
-#: Bytes, far more than any object of a node holds.
-LONGEST_VALUE: Final = 256
 
 # The library logs every request it refuses; the abort on the bus says it already.
 logging.getLogger("canopen.sdo.server").setLevel(logging.CRITICAL)
