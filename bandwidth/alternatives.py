@@ -9,7 +9,7 @@ import msgspec
 from bandwidth.layout_text import layout_text
 from bandwidth.plan import BusPlan, plan_bus
 from bandwidth.traffic import Disturbance
-from dbc.contract import contract
+from dbc.contract import Contract
 from dbc.packing import rounding_error_n
 from skin.errors import SkinError
 from skin.layout import Bus, Layout, parse_layout
@@ -89,8 +89,8 @@ def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:
     LayoutError
         If it is none; the message says what is missing.
     """
-    made = contract(parse_layout(layout_text(layout).encode(), layout.name))
-    return [plan_bus(made, bus, None, allowed) for bus in range(len(layout.bus))]
+    contract = Contract.from_layout(parse_layout(layout_text(layout).encode(), layout.name))
+    return [plan_bus(contract, bus, None, allowed) for bus in range(len(layout.bus))]
 
 
 def _judge(change: str, layout: Layout, allowed: Disturbance) -> Alternative:

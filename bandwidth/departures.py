@@ -20,7 +20,7 @@ NAMED_AT_MOST = 4
 PATIENCE = 1.5
 
 
-def departures(made: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
+def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
     """Return one line for every way in which bus number `bus` left its plan, none when it kept it.
 
     Parameters
@@ -31,12 +31,16 @@ def departures(made: Contract, bus: int, seen: Frames, planned: BusPlan, load: B
         What `plan` and `measure` say of this bus.
     """
     taken, seconds = whole_cycles(seen)
-    lines = [*_load(planned, load), *_foreign(made, bus, load), *_errors(seen)]
+    lines = [*_load(planned, load), *_foreign(contract, bus, load), *_errors(seen)]
     if (taken["can_id"] == SYNC_COB_ID).any():
-        lines += [*_sync(made, taken, seconds), *_cycles(made, bus, taken), *_late(made, bus, taken, planned)]
+        lines += [
+            *_sync(contract, taken, seconds),
+            *_cycles(contract, bus, taken),
+            *_late(contract, bus, taken, planned),
+        ]
     else:
         lines.append("no SYNC: cycles cannot be told apart")
-    lines += [*_heartbeats(made, bus, taken, seconds)]
+    lines += [*_heartbeats(contract, bus, taken, seconds)]
     return [f"{planned.name}: {line}" for line in lines]
 
 
@@ -45,13 +49,13 @@ def _load(planned: BusPlan, load: BusLoad) -> Iterator[str]:
         yield f"load {load.load_exact:.1%}, at most {planned.load_worst:.1%} were planned"
 
 
-def _foreign(made: Contract, bus: int, load: BusLoad) -> Iterator[str]:
+def _foreign(contract: Contract, bus: int, load: BusLoad) -> Iterator[str]:
     for each in load.identifiers:
         name = f"{each.cob_id:0{8 if each.is_extended else 3}X}h"
         if each.kind == FOREIGN:
             yield f"{name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
         elif each.kind == "EMCY":
-            yield f"node {kind_of(made, bus, each.cob_id)[1]} sent {each.frames} emergencies"
+            yield f"node {kind_of(contract, bus, each.cob_id)[1]} sent {each.frames} emergencies"
 
 
 def _errors(seen: Frames) -> Iterator[str]:
@@ -60,20 +64,20 @@ def _errors(seen: Frames) -> Iterator[str]:
         yield f"{errors} errors reported"
 
 
-def _sync(made: Contract, taken: Frames, seconds: float) -> Iterator[str]:
+def _sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
     syncs = taken[_is_sync(taken)]
     period_s = seconds / len(syncs)
-    if abs(period_s / made.layout.sync.period_s - 1) > PERIOD_TOLERANCE:
-        yield f"SYNC every {period_s * 1e3:.3f} ms, {made.layout.sync.period_s * 1e3:.3f} ms were planned"
+    if abs(period_s / contract.layout.sync.period_s - 1) > PERIOD_TOLERANCE:
+        yield f"SYNC every {period_s * 1e3:.3f} ms, {contract.layout.sync.period_s * 1e3:.3f} ms were planned"
     counters = syncs["data"][:, 0].tolist()
     skips = sum(after != next_counter(before) for before, after in pairwise(counters))
     if skips:
         yield f"{skips} SYNC counters do not follow each other"
 
 
-def _cycles(made: Contract, bus: int, taken: Frames) -> Iterator[str]:
+def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     """Compare the TPDOs of each cycle with those of its phase."""
-    table = made.table
+    table = contract.table
     plain = taken["flags"] & (EXTENDED | REMOTE) == 0
     row = np.where(plain & (taken["can_id"] <= 0x7FF), table.row_of[bus, taken["can_id"] & 0x7FF], -1)
     counters = taken["data"][_is_sync(taken), 0]
@@ -87,7 +91,7 @@ def _cycles(made: Contract, bus: int, taken: Frames) -> Iterator[str]:
     shape = (taken["length"][is_tpdo] != table.length[rows]) | (
         taken["flags"][is_tpdo] & (FD | BRS) != table.flags[rows] & (FD | BRS)
     )
-    of_node = [node.node_id for node in made.nodes]
+    of_node = [node.node_id for node in contract.nodes]
     for what, per_row in (
         ("TPDOs missing", (due & (came == 0)).sum(axis=0)),
         ("TPDOs came again in the same cycle", np.maximum(came - 1, 0).sum(axis=0)),
@@ -98,13 +102,13 @@ def _cycles(made: Contract, bus: int, taken: Frames) -> Iterator[str]:
             yield f"node {of_node[node]}: {int(per_row[table.node == node].sum())} {what}"
 
 
-def _late(made: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
+def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
     """Compare the time from SYNC to the end of each node's TPDOs with its bound."""
     syncs = taken["time_ns"][_is_sync(taken)]
     after_ms = (taken["time_ns"] - syncs[cycles_of(taken)]) * 1e-6
     plain = taken["flags"] & (EXTENDED | REMOTE) == 0
     late: dict[int, str] = {}
-    for node, plan in zip(made.on_bus(bus), planned.node_plans, strict=True):
+    for node, plan in zip(contract.on_bus(bus), planned.node_plans, strict=True):
         mine = plain & np.isin(taken["can_id"], [tpdo.cob_id for tpdo in node.tpdos])
         bound_ms = planned.window_ms if plan.response_ms is None else plan.response_ms
         count = int((after_ms[mine] > bound_ms).sum())
@@ -131,12 +135,12 @@ def _ranges(numbers: list[int]) -> str:
     return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
 
 
-def _heartbeats(made: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
+def _heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
     patience_s = PATIENCE * HEARTBEAT_MS * 1e-3
     if seconds <= patience_s:
         return
     ends = taken["time_ns"][0], taken["time_ns"][0] + round(seconds * 1e9)
-    for node in made.on_bus(bus):
+    for node in contract.on_bus(bus):
         beats = taken["time_ns"][taken["can_id"] == HEARTBEAT_BASE + node.node_id]
         longest_s = float(np.diff(np.concatenate([ends[:1], beats, ends[1:]])).max()) * 1e-9
         if longest_s > patience_s:

@@ -7,7 +7,7 @@ import msgspec
 from bandwidth.layout_text import layout_text
 from bandwidth.plan import counted_wire
 from bandwidth.traffic import Disturbance, traffic
-from dbc.contract import Contract, contract
+from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO
 from skin.layout import RATE_MAX_HZ, Layout, parse_layout
 
@@ -38,25 +38,27 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
         If it is no layout.
     """
     wish = allowed or Disturbance()
-    made = contract(parse_layout(layout_text(layout).encode(), layout.name))
+    contract = Contract.from_layout(parse_layout(layout_text(layout).encode(), layout.name))
     buses = range(len(layout.bus))
-    most_hz = min(counted_wire(traffic(made, bus, allowed=wish), "worst").rate_hz(budget) for bus in buses)
+    most_hz = min(counted_wire(traffic(contract, bus, allowed=wish), "worst").rate_hz(budget) for bus in buses)
     low, high = 0, int(min(most_hz, RATE_MAX_HZ) / STEP_HZ)
     while low < high:
         middle = (low + high + 1) // 2
-        if all(_keeps_window(_at_rate(made, middle * STEP_HZ), bus, wish) for bus in buses):
+        if all(_keeps_window(_at_rate(contract, middle * STEP_HZ), bus, wish) for bus in buses):
             low = middle
         else:
             high = middle - 1
     return low * STEP_HZ
 
 
-def _keeps_window(made: Contract, bus: int, allowed: Disturbance) -> bool:
-    streams = traffic(made, bus, allowed=allowed)
+def _keeps_window(contract: Contract, bus: int, allowed: Disturbance) -> bool:
+    streams = traffic(contract, bus, allowed=allowed)
     needed_ns = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
-    return needed_ns <= WINDOW_RATIO * made.layout.sync.period_s * 1e9
+    return needed_ns <= WINDOW_RATIO * contract.layout.sync.period_s * 1e9
 
 
-def _at_rate(made: Contract, rate_hz: float) -> Contract:
-    layout = msgspec.structs.replace(made.layout, sync=msgspec.structs.replace(made.layout.sync, rate_hz=rate_hz))
-    return Contract(layout, made.phi, made.packing, made.nodes)
+def _at_rate(contract: Contract, rate_hz: float) -> Contract:
+    layout = msgspec.structs.replace(
+        contract.layout, sync=msgspec.structs.replace(contract.layout.sync, rate_hz=rate_hz)
+    )
+    return Contract(layout, contract.phi, contract.packing, contract.nodes)

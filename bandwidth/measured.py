@@ -94,7 +94,7 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     return real[first:last], seconds
 
 
-def measure(made: Contract, bus: int, seen: Frames, planned: BusPlan) -> BusLoad:
+def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan) -> BusLoad:
     """Measure the load of bus number `bus`.
 
     Parameters
@@ -109,17 +109,17 @@ def measure(made: Contract, bus: int, seen: Frames, planned: BusPlan) -> BusLoad
         If there is nothing to measure.
     """
     taken, seconds = whole_cycles(seen)
-    line = made.layout.bus[bus]
+    line = contract.layout.bus[bus]
     exact, worst = (
         frame_time_ns(taken, line.bitrate, line.data_bitrate, how) * (1e-9 / seconds) for how in ("exact", "worst")
     )
-    rates = planned_rates(made, bus)
+    rates = planned_rates(contract, bus)
     keys = taken["can_id"] | (taken["flags"] & EXTENDED != 0).astype(np.uint32) << 31
     identifiers = []
     for key in np.unique(keys).tolist():
         mine = keys == key
         cob_id, is_extended = key & 0x1FFF_FFFF, bool(key >> 31)
-        kind, node_id = (FOREIGN, None) if is_extended else kind_of(made, bus, cob_id)
+        kind, node_id = (FOREIGN, None) if is_extended else kind_of(contract, bus, cob_id)
         identifiers.append(
             IdentifierLoad(
                 cob_id=cob_id,
@@ -147,27 +147,27 @@ def measure(made: Contract, bus: int, seen: Frames, planned: BusPlan) -> BusLoad
     )
 
 
-def planned_rates(made: Contract, bus: int) -> dict[int, float]:
+def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
     """Return how often each identifier that comes by the clock comes in a second."""
-    rate_hz = made.layout.sync.rate_hz
+    rate_hz = contract.layout.sync.rate_hz
     rates = {SYNC_COB_ID: rate_hz}
-    for node in made.on_bus(bus):
+    for node in contract.on_bus(bus):
         rates[HEARTBEAT_BASE + node.node_id] = 1000 / HEARTBEAT_MS
         phases = len({tpdo.phase for tpdo in node.tpdos})
         rates |= {tpdo.cob_id: rate_hz / phases for tpdo in node.tpdos}
     return rates
 
 
-def kind_of(made: Contract, bus: int, cob_id: int) -> tuple[str, int | None]:
+def kind_of(contract: Contract, bus: int, cob_id: int) -> tuple[str, int | None]:
     """Say what an 11-bit identifier is on a bus and which node sends it; 0 is the gateway."""
-    row = int(made.table.row_of[bus, cob_id]) if cob_id <= 0x7FF else -1
+    row = int(contract.table.row_of[bus, cob_id]) if cob_id <= 0x7FF else -1
     if row >= 0:
-        return "TPDO", made.nodes[int(made.table.node[row])].node_id
+        return "TPDO", contract.nodes[int(contract.table.node[row])].node_id
     if cob_id in {NMT_COB_ID, SYNC_COB_ID}:
         return ("NMT" if cob_id == NMT_COB_ID else "SYNC"), 0
     for base, kind in _SERVICES:
         if base < cob_id <= base + HIGHEST_NODE_ID:
-            is_node = cob_id - base <= made.layout.bus[bus].nodes
+            is_node = cob_id - base <= contract.layout.bus[bus].nodes
             sender = 0 if base == SDO_REQUEST_BASE else cob_id - base
             return (kind, sender) if is_node else (FOREIGN, None)
     return FOREIGN, None

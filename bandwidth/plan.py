@@ -87,24 +87,24 @@ class Wire:
         return max(0.0, (part - self.beats_s) / self.cycle_s)
 
 
-def plan(made: Contract, *, allowed: Disturbance | None = None) -> list[BusPlan]:
+def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusPlan]:
     """Plan every bus of a skin.
 
     Parameters
     ----------
-    made : Contract
+    contract : Contract
     allowed : Disturbance, optional
         What response times make room for.
     """
     wish = allowed or Disturbance()
-    touched = touched_bits(made)
-    return [plan_bus(made, bus, touched[bus].mean(axis=0), wish) for bus in range(len(made.layout.bus))]
+    touched = touched_bits(contract)
+    return [plan_bus(contract, bus, touched[bus].mean(axis=0), wish) for bus in range(len(contract.layout.bus))]
 
 
-def plan_bus(made: Contract, bus: int, touched: npt.NDArray[np.float64] | None, allowed: Disturbance) -> BusPlan:
+def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | None, allowed: Disturbance) -> BusPlan:
     """Plan one bus; `touched` are the mean nominal and data bits of a cycle's TPDOs, random ones if None."""
-    layout, line = made.layout, made.layout.bus[bus]
-    phases = [traffic(made, bus, phase, allowed) for phase in range(PHASES)]
+    layout, line = contract.layout, contract.layout.bus[bus]
+    phases = [traffic(contract, bus, phase, allowed) for phase in range(PHASES)]
     random = [mean_wire(each) for each in phases]
     worst = counted_wire(phases[0], "worst")
     average = random if touched is None else [_touched_wire(phases[0], touched)]

@@ -16,7 +16,7 @@ from skin.layout import Layout
 _WIRES: Final = {None: "classic CAN", 2_000_000: "FD 2 Mbit/s", 5_000_000: "FD 5 Mbit/s", 8_000_000: "FD 8 Mbit/s"}
 
 
-def write_plots(made: Contract, folder: Path) -> list[Path]:
+def write_plots(contract: Contract, folder: Path) -> list[Path]:
     """Write ``rates.png`` and ``cycle.png`` and return their paths.
 
     Raises
@@ -27,7 +27,7 @@ def write_plots(made: Contract, folder: Path) -> list[Path]:
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, figure in (("rates.png", rates_figure(made.layout)), ("cycle.png", cycle_figure(made))):
+        for name, figure in (("rates.png", rates_figure(contract.layout)), ("cycle.png", cycle_figure(contract))):
             figure.savefig(folder / name, dpi=120, bbox_inches="tight")
             written.append(folder / name)
     except OSError as error:
@@ -57,14 +57,14 @@ def rates_figure(layout: Layout) -> Figure:
     return figure
 
 
-def cycle_figure(made: Contract) -> Figure:
+def cycle_figure(contract: Contract) -> Figure:
     """Draw one cycle of every bus, frames with the most stuff bits one after another, coloured by node."""
-    buses = made.layout.bus
-    period_ms = made.layout.sync.period_s * 1e3
+    buses = contract.layout.bus
+    period_ms = contract.layout.sync.period_s * 1e3
     figure = Figure(figsize=(11, 1 + 0.7 * len(buses)))
     panel = figure.subplots()
     for number in range(len(buses)):
-        streams = traffic(made, number)
+        streams = traffic(contract, number)
         took_ms = streams.worst_ns[streams.is_cyclic] * 1e-6
         starts = np.concatenate([[0.0], np.cumsum(took_ms)[:-1]])
         shade = streams.node[streams.is_cyclic] / max(1, buses[number].nodes)

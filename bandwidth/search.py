@@ -13,7 +13,7 @@ from bandwidth.layout_text import layout_text
 from bandwidth.plan import counted_wire
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance, traffic
-from dbc.contract import HIGHEST_NODE_ID, contract
+from dbc.contract import HIGHEST_NODE_ID, Contract
 from dbc.dictionary import WINDOW_RATIO
 from skin.errors import InputError, LayoutError
 from skin.layout import Bus, Layout, Measuring, Sync, Taxels, parse_layout
@@ -159,11 +159,11 @@ def _judge(layout: Layout, wish: Wish, allowed: Disturbance) -> Candidate:
         problems.append(f"{missing_ids} node-IDs ({first.nodes} nodes on a bus of {HIGHEST_NODE_ID})")
     else:
         try:
-            made = contract(parse_layout(layout_text(layout).encode(), "wish"))
+            contract = Contract.from_layout(parse_layout(layout_text(layout).encode(), "wish"))
         except LayoutError as error:
             problems.append(str(error))
         else:
-            streams = traffic(made, 0, allowed=allowed)
+            streams = traffic(contract, 0, allowed=allowed)
             load = counted_wire(streams, "worst").load(wish.rate_hz)
             response = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
             needed_ms = response * 1e-6 if response < UNBOUNDED else None

@@ -25,18 +25,18 @@ SAMPLES: Final = 400
 STRIDE_S: Final = 0.137
 
 
-def touched_bits(made: Contract, *, samples: int = SAMPLES, seed: int = 0) -> npt.NDArray[np.float64]:
+def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -> npt.NDArray[np.float64]:
     """Return the mean bits of all TPDOs of one cycle, shape (buses, PHASES, 2): nominal and data.
 
     Parameters
     ----------
-    made : Contract
+    contract : Contract
     samples : int
         How many instants of the simulated touches to average.
     seed : int
         Of touches and noise.
     """
-    layout, table = made.layout, made.table
+    layout, table = contract.layout, contract.table
     taxels = layout.taxels
     source = load_source(
         SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=layout.sync.rate_hz, seed=seed
@@ -48,7 +48,7 @@ def touched_bits(made: Contract, *, samples: int = SAMPLES, seed: int = 0) -> np
     stride = max(1, round(STRIDE_S * layout.sync.rate_hz))
     for sample in range(samples):
         counts = _counts(layout, source, sample * stride, random)
-        payloads = encode(made.phi.block_sums(counts), table.gather, made.packing)
+        payloads = encode(contract.phi.block_sums(counts), table.gather, contract.packing)
         burst["data"][:, : payloads.shape[1]] = payloads
         np.add.at(total, (table.bus, table.phase), np.stack(wire_bits(burst), axis=1))
     mean: npt.NDArray[np.float64] = total / samples

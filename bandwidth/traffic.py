@@ -117,11 +117,11 @@ class Traffic:
         )
 
 
-def traffic(made: Contract, bus: int, phase: int = 0, allowed: Disturbance | None = None) -> Traffic:
+def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance | None = None) -> Traffic:
     """Return the streams of bus number `bus` in cycles of `phase`; SDO goes to the node with the highest node-ID."""
     wish = allowed or Disturbance()
-    nodes = made.on_bus(bus)
-    cycle = made.cycle(bus, phase)
+    nodes = contract.on_bus(bus)
+    cycle = contract.cycle(bus, phase)
     owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
     beats = frames(len(nodes))
     beats["can_id"] = [HEARTBEAT_BASE + node.node_id for node in nodes]
@@ -132,14 +132,14 @@ def traffic(made: Contract, bus: int, phase: int = 0, allowed: Disturbance | Non
     transfers["length"] = CLASSIC_BYTES
     streams = np.concatenate([cycle, transfers, beats])
     sizes = len(cycle), len(transfers), len(beats)
-    periods = made.layout.sync.period_s, 1 / wish.sdo_per_s if wish.sdo_per_s else 1.0, HEARTBEAT_MS * 1e-3
+    periods = contract.layout.sync.period_s, 1 / wish.sdo_per_s if wish.sdo_per_s else 1.0, HEARTBEAT_MS * 1e-3
     cyclic = np.repeat([True, False, False], sizes)
     senders = [owner.get(int(can_id), 0) for can_id in cycle["can_id"]]
     node = np.array([*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes)], np.intp)
     is_tpdo = cyclic & (node > 0)
     order = np.argsort(streams["can_id"], kind="stable")
     return Traffic(
-        bus=made.layout.bus[bus],
+        bus=contract.layout.bus[bus],
         frames=streams[order],
         period_s=np.repeat(periods, sizes)[order],
         jitter_s=np.where(is_tpdo, wish.jitter_s, 0.0)[order],

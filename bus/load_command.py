@@ -10,7 +10,7 @@ from bandwidth.measured import BusLoad, measure
 from bandwidth.plan import plan
 from bus.logs import listen, of_buses, read_log
 from bus.options import BusOptions, channels, open_links
-from dbc.contract import contract
+from dbc.contract import Contract
 from skin.errors import InputError, RunError
 from skin.layout import load_layout
 from skin.service import StopSignal, say
@@ -48,15 +48,15 @@ def load(
     """
     if not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
-    made = contract(load_layout(layout))
+    contract = Contract.from_layout(load_layout(layout))
     options = can or BusOptions()
     if log is not None:
         seen = of_buses(
-            made.layout, channels(made.layout, options), read_log(log), log, named_by_user=bool(options.channel)
+            contract.layout, channels(contract.layout, options), read_log(log), log, named_by_user=bool(options.channel)
         )
     else:
         stop = StopSignal().install()
-        links = open_links(made.layout, options, name="load")
+        links = open_links(contract.layout, options, name="load")
         try:
             say("load", f"listening for {seconds:g} s")
             seen = listen(links, seconds, stop.is_set)
@@ -66,8 +66,8 @@ def load(
                 link.close()
         if dropped:
             raise RunError(f"{dropped} frames were lost on the way to this program: the load would be too low")
-    plans = plan(made)
-    loads = [measure(made, number, frames, plans[number]) for number, frames in seen.items()]
+    plans = plan(contract)
+    loads = [measure(contract, number, frames, plans[number]) for number, frames in seen.items()]
     _show(loads, as_json=json_)
 
 

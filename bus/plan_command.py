@@ -18,7 +18,7 @@ from bandwidth.schemes import schemes
 from bandwidth.search import Kind, Wish, search, what_is_missing
 from bandwidth.traffic import Disturbance
 from bus.options import BusOptions, channels
-from dbc.contract import Contract, contract
+from dbc.contract import Contract
 from dbc.packing import rounding_error_n
 from skin.errors import InputError, RunError
 from skin.layout import load_layout
@@ -98,26 +98,26 @@ def plan(
     idle = [name for name, value in wished.items() if value is not None]
     if idle:
         raise InputError(f"{' and '.join(idle)}: only for the search of a layout: give --taxels as well")
-    made = contract(load_layout(layout))
-    plans = plan_buses(made, allowed=allowed)
+    contract = Contract.from_layout(load_layout(layout))
+    plans = plan_buses(contract, allowed=allowed)
     if check is not None:
-        return _check(made, plans, check, channel or [], as_json=json_)
+        return _check(contract, plans, check, channel or [], as_json=json_)
     if plot is not None:
         from bandwidth.plots import write_plots
 
-        for path in write_plots(made, plot):
+        for path in write_plots(contract, plot):
             say("plan", f"wrote {path}")
     if json_:
-        print(msgspec.json.encode(_document(made, plans, allowed)).decode())
+        print(msgspec.json.encode(_document(contract, plans, allowed)).decode())
     else:
         from bandwidth.tables import plan_tables, shown
 
-        print(shown(plan_tables(plans, alternatives(made.layout, allowed))))
+        print(shown(plan_tables(plans, alternatives(contract.layout, allowed))))
     return int(any(each.problems for each in plans))
 
 
-def _document(made: Contract, plans: list[BusPlan], allowed: Disturbance) -> dict[str, object]:
-    layout = made.layout
+def _document(contract: Contract, plans: list[BusPlan], allowed: Disturbance) -> dict[str, object]:
+    layout = contract.layout
     return {
         "name": layout.name,
         "sync_rate_hz": layout.sync.rate_hz,
@@ -157,17 +157,17 @@ def _search(wish: Wish, allowed: Disturbance, out: Path | None, *, as_json: bool
     return 0
 
 
-def _check(made: Contract, plans: list[BusPlan], log: Path, names: list[str], *, as_json: bool) -> int:
+def _check(contract: Contract, plans: list[BusPlan], log: Path, names: list[str], *, as_json: bool) -> int:
     from bandwidth.departures import departures
     from bandwidth.measured import measure
     from bus.logs import of_buses, read_log
 
-    wanted = channels(made.layout, BusOptions(channel=names))
+    wanted = channels(contract.layout, BusOptions(channel=names))
     lines = []
-    for number, seen in of_buses(made.layout, wanted, read_log(log), log, named_by_user=bool(names)).items():
-        load = measure(made, number, seen, plans[number])
+    for number, seen in of_buses(contract.layout, wanted, read_log(log), log, named_by_user=bool(names)).items():
+        load = measure(contract, number, seen, plans[number])
         say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full, {load.plan_average:.1%} planned")
-        lines += departures(made, number, seen, plans[number], load)
+        lines += departures(contract, number, seen, plans[number], load)
     if as_json:
         print(msgspec.json.encode(lines).decode())
     elif lines:

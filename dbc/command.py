@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from dbc.contract import contract
+from dbc.contract import Contract
 from dbc.generate import DEFAULT_FOLDER, drifted, write_files
 from skin.errors import InputError
 from skin.layout import load_layout
@@ -42,9 +42,9 @@ def dbc(
     """
     if out is None and (layout is not None or not check):
         raise InputError("expected --out FOLDER: where the contract files are or shall be")
-    made = contract(load_layout(layout))
+    contract = Contract.from_layout(load_layout(layout))
     folder = out or DEFAULT_FOLDER
-    lines = drifted(made, folder) if check else [str(path) for path in write_files(made, folder)]
+    lines = drifted(contract, folder) if check else [str(path) for path in write_files(contract, folder)]
     if json_:
         print(json.dumps(lines))
     else:

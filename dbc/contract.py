@@ -8,7 +8,7 @@ payload bit. A frame that arrives one SYNC late has the wrong COB-ID and cannot 
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -88,12 +88,34 @@ class NodeContract:
 
 @dataclass(frozen=True)
 class Contract:
-    """Everything the two ends of the buses agree on; made by `contract`."""
+    """Everything the two ends of the buses agree on."""
 
     layout: Layout
     phi: Sbhe
     packing: Packing
     nodes: tuple[NodeContract, ...]
+
+    @classmethod
+    def from_layout(cls, layout: Layout) -> Self:
+        """Lay out all nodes and frames of a skin.
+
+        Raises
+        ------
+        LayoutError
+            If a node has more sums than its bus has identifiers for.
+        """
+        phi, pack = layout.phi(), packing(layout)
+        nodes: list[NodeContract] = []
+        for number, bus in enumerate(layout.bus):
+            flags = FD | (BRS if bus.data_bitrate else 0) if bus.fd else 0
+            for node_id in range(1, bus.nodes + 1):
+                block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
+                first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
+                tpdos = _tpdos(bus, number, node_id, range(first, last), pack.bits)
+                nodes.append(
+                    NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos)
+                )
+        return cls(layout, phi, pack, tuple(nodes))
 
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
@@ -156,26 +178,6 @@ def next_counter(sync_counter: int) -> int:
     return sync_counter % SYNC_OVERFLOW + 1
 
 
-def contract(layout: Layout) -> Contract:
-    """Lay out all nodes and frames of a skin.
-
-    Raises
-    ------
-    LayoutError
-        If a node has more sums than its bus has identifiers for.
-    """
-    phi, pack = layout.phi(), packing(layout)
-    nodes: list[NodeContract] = []
-    for number, bus in enumerate(layout.bus):
-        flags = FD | (BRS if bus.data_bitrate else 0) if bus.fd else 0
-        for node_id in range(1, bus.nodes + 1):
-            block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
-            first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
-            tpdos = _tpdos(bus, number, node_id, range(first, last), pack.bits)
-            nodes.append(NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos))
-    return Contract(layout, phi, pack, tuple(nodes))
-
-
 def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int) -> tuple[Tpdo, ...]:
     """Spread a node's sums over frames, once per phase."""
     parts = _spread(sums, bits, fd=bus.fd)
@@ -225,11 +227,11 @@ def _cob_id(bus: Bus, number: int, node_id: int, index: int) -> int:
     return TPDO_BASES[base] + low
 
 
-def _table(made: Contract) -> FrameTable:
-    rows = [(node, tpdo) for node in made.nodes for tpdo in node.tpdos]
-    node_of_row = [place for place, node in enumerate(made.nodes) for _ in node.tpdos]
+def _table(contract: Contract) -> FrameTable:
+    rows = [(node, tpdo) for node in contract.nodes for tpdo in node.tpdos]
+    node_of_row = [place for place, node in enumerate(contract.nodes) for _ in node.tpdos]
     gather = np.full((len(rows), max(tpdo.sums for _, tpdo in rows)), -1, np.intp)
-    row_of = np.full((len(made.layout.bus), 0x800), -1, np.intp)
+    row_of = np.full((len(contract.layout.bus), 0x800), -1, np.intp)
     for row, (node, tpdo) in enumerate(rows):
         gather[row, : tpdo.sums] = range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
         row_of[node.bus, tpdo.cob_id] = row

@@ -93,18 +93,18 @@ class Object:
     array: bool = False
 
 
-def dictionary(made: Contract, node: NodeContract) -> list[Object]:
+def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
     """Return all objects of `node` with the values it starts with, by index and sub-index."""
     return [
-        *_communication(made, node),
+        *_communication(contract, node),
         *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo)),
-        *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(made, node, tpdo)),
-        *_manufacturer(made, node),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(contract, node, tpdo)),
+        *_manufacturer(contract, node),
     ]
 
 
-def _communication(made: Contract, node: NodeContract) -> list[Object]:
-    period_us = round(made.layout.sync.period_s * 1e6)
+def _communication(contract: Contract, node: NodeContract) -> list[Object]:
+    period_us = round(contract.layout.sync.period_s * 1e6)
     errors = [f"Standard error field {place}" for place in _places(ERRORS_KEPT)]
     watched = [f"Consumer heartbeat time {place}" for place in _places(HEARTBEATS_WATCHED)]
     return [
@@ -155,14 +155,14 @@ def _tpdo_communication(tpdo: Tpdo) -> list[Object]:
     return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
 
 
-def _tpdo_mapping(made: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
+def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
     """Return the mapping record (1A00h on): index, sub-index and length in bits of each mapped object."""
     index, group = OD_TPDO_MAPPING + tpdo.number - 1, f"TPDO {tpdo.number} mapping parameter"
     mapped = []
     for each in range(tpdo.first_sum, tpdo.first_sum + tpdo.sums):
-        block = int(made.phi.block_of_sum[each])
-        subindex = each - int(made.phi.starts[block]) + 1
-        mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | made.packing.bits)
+        block = int(contract.phi.block_of_sum[each])
+        subindex = each - int(contract.phi.starts[block]) + 1
+        mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
     mapped += [0] * (node.pdo_bytes - tpdo.sums)  # objects of one byte each fill a frame
     return [
         Object(index, 0, "Number of mapped objects", UNSIGNED8, "rw", tpdo.sums, group=group),
@@ -173,9 +173,9 @@ def _tpdo_mapping(made: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object
     ]
 
 
-def _manufacturer(made: Contract, node: NodeContract) -> list[Object]:
+def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
     """Return what the node measures and how it is, by index; of each further block `BLOCK_STRIDE` higher."""
-    seed, fingerprint = made.layout.measurement.seed, made.phi.fingerprint
+    seed, fingerprint = contract.layout.measurement.seed, contract.phi.fingerprint
     health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", "Saturated taxels"]
     whole = [
         Object(OD_BLOCK, None, "Block index", UNSIGNED16, "ro", node.block),
@@ -184,14 +184,14 @@ def _manufacturer(made: Contract, node: NodeContract) -> list[Object]:
         Object(OD_ENCODING, None, "Encoding of the sums", UNSIGNED32, "ro", node.encoding),
         *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
     ]
-    blocks = [each for place in range(node.blocks) for each in _block(made, node.block + place, place)]
+    blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]
     return sorted(whole + blocks, key=lambda each: each.index)
 
 
-def _block(made: Contract, block: int, place: int) -> list[Object]:
+def _block(contract: Contract, block: int, place: int) -> list[Object]:
     """Return the objects of one block: taxels in the order of its daisy chain, calibration, test pattern, sums."""
-    size, rows = made.phi.block_size, made.phi.rows_of(block)
-    taxels = [int(taxel) for taxel in made.phi.order[block * size : (block + 1) * size]]
+    size, rows = contract.phi.block_size, contract.phi.rows_of(block)
+    taxels = [int(taxel) for taxel in contract.phi.order[block * size : (block + 1) * size]]
     of = f" of block {place + 1}" if place else ""
     row_names = [f"Row of sum {sum_}" for sum_ in _places(len(rows))]
     sums = [f"Sum {sum_}" for sum_ in _places(len(rows))]
@@ -207,7 +207,9 @@ def _block(made: Contract, block: int, place: int) -> list[Object]:
         *_array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
         *_array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
         Object(at(OD_TEST_PATTERN), None, f"Test pattern{of}", UNSIGNED8, "rw", 0),
-        *_array(at(OD_SUMS), f"Sums{of}", sums, SUM_TYPES[made.packing.bits, made.packing.is_signed], "ro", pdo=True),
+        *_array(
+            at(OD_SUMS), f"Sums{of}", sums, SUM_TYPES[contract.packing.bits, contract.packing.is_signed], "ro", pdo=True
+        ),
     ]
 
 

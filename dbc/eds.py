@@ -40,19 +40,19 @@ class NodeType:
     nodes: tuple[NodeContract, ...]
 
 
-def node_types(made: Contract) -> list[NodeType]:
+def node_types(contract: Contract) -> list[NodeType]:
     """Return the types of a skin's nodes in the order of their first nodes."""
     found: dict[object, list[NodeContract]] = {}
-    for node in made.nodes:
-        found.setdefault(_shape(made, node), []).append(node)
-    name = made.layout.name
+    for node in contract.nodes:
+        found.setdefault(_shape(contract, node), []).append(node)
+    name = contract.layout.name
     files = [f"{name}.eds"] if len(found) == 1 else [f"{name}-type{number}.eds" for number in range(1, len(found) + 1)]
     return [NodeType(file, tuple(nodes)) for file, nodes in zip(files, found.values(), strict=True)]
 
 
-def eds(made: Contract, kind: NodeType) -> str:
+def eds(contract: Contract, kind: NodeType) -> str:
     """Return the EDS of a type of node."""
-    dictionaries = [dictionary(made, node) for node in kind.nodes]
+    dictionaries = [dictionary(contract, node) for node in kind.nodes]
     objects = dictionaries[0]
     defaults = [
         _default(each, [other[place].value for other in dictionaries], kind.nodes) for place, each in enumerate(objects)
@@ -60,9 +60,9 @@ def eds(made: Contract, kind: NodeType) -> str:
     indices = sorted({each.index for each in objects})
     sections = [
         _section("FileInfo", _file_info(kind.file)),
-        _section("DeviceInfo", _device_info(made, kind, indices)),
+        _section("DeviceInfo", _device_info(contract, kind, indices)),
         _section("DummyUsage", {f"Dummy{number:04}": "0" for number in range(1, 8)}),
-        _section("Comments", _comments(made, kind)),
+        _section("Comments", _comments(contract, kind)),
         _object_list("MandatoryObjects", [index for index in indices if index in _MANDATORY]),
         _object_list(
             "OptionalObjects", [index for index in indices if index < OD_MANUFACTURER and index not in _MANDATORY]
@@ -74,7 +74,7 @@ def eds(made: Contract, kind: NodeType) -> str:
     return "\n".join(sections)
 
 
-def _shape(made: Contract, node: NodeContract) -> object:
+def _shape(contract: Contract, node: NodeContract) -> object:
     """Return all of a dictionary but the values, and of identifiers their distance from the node-ID."""
     return tuple(
         (
@@ -88,7 +88,7 @@ def _shape(made: Contract, node: NodeContract) -> object:
             each.array,
             _offset(each.value, node) if _is_cob_id(each) else None,
         )
-        for each in dictionary(made, node)
+        for each in dictionary(contract, node)
     )
 
 
@@ -164,8 +164,8 @@ def _file_info(file: str) -> dict[str, str]:
     }
 
 
-def _device_info(made: Contract, kind: NodeType, indices: list[int]) -> dict[str, str]:
-    rates = {made.layout.bus[node.bus].bitrate for node in kind.nodes}
+def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict[str, str]:
+    rates = {contract.layout.bus[node.bus].bitrate for node in kind.nodes}
     return {
         "VendorName": "canskin",
         "VendorNumber": f"0x{VENDOR_ID:X}",
@@ -177,7 +177,7 @@ def _device_info(made: Contract, kind: NodeType, indices: list[int]) -> dict[str
         "SimpleBootUpMaster": "0",
         "SimpleBootUpSlave": "1",
         # Sums of 12 bits begin in the middle of a byte.
-        "Granularity": "4" if made.packing.bits % 8 else "8",
+        "Granularity": "4" if contract.packing.bits % 8 else "8",
         "DynamicChannelsSupported": "0",
         "GroupMessaging": "0",
         "NrOfRXPDO": "0",
@@ -186,11 +186,11 @@ def _device_info(made: Contract, kind: NodeType, indices: list[int]) -> dict[str
     }
 
 
-def _comments(made: Contract, kind: NodeType) -> dict[str, str]:
-    lines = [f"Phi {made.phi.fingerprint}, gains (2010h) are 1.0 after a reset to defaults"]
+def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
+    lines = [f"Phi {contract.phi.fingerprint}, gains (2010h) are 1.0 after a reset to defaults"]
     for bus, nodes in groupby(kind.nodes, key=lambda node: node.bus):
         ids = sorted(node.node_id for node in nodes)
-        lines.append(f"{made.layout.bus[bus].name}: nodes {_ranges(ids)}")
+        lines.append(f"{contract.layout.bus[bus].name}: nodes {_ranges(ids)}")
     return {"Lines": str(len(lines)), **{f"Line{number}": line for number, line in enumerate(lines, 1)}}
 
 

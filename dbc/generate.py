@@ -13,13 +13,13 @@ DEFAULT_FOLDER: Final = Path(__file__).parent / "files" / "default"
 SUFFIXES: Final = (".dbc", ".eds")
 
 
-def contract_files(made: Contract) -> dict[str, str]:
+def contract_files(contract: Contract) -> dict[str, str]:
     """Return the text of every contract file by its name: a DBC per bus, an EDS per type of node."""
-    buses = {f"{bus.name}.dbc": database(made, number) for number, bus in enumerate(made.layout.bus)}
-    return buses | {kind.file: eds(made, kind) for kind in node_types(made)}
+    buses = {f"{bus.name}.dbc": database(contract, number) for number, bus in enumerate(contract.layout.bus)}
+    return buses | {kind.file: eds(contract, kind) for kind in node_types(contract)}
 
 
-def write_files(made: Contract, folder: Path) -> list[Path]:
+def write_files(contract: Contract, folder: Path) -> list[Path]:
     """Write the contract files and return their paths.
 
     Raises
@@ -30,7 +30,7 @@ def write_files(made: Contract, folder: Path) -> list[Path]:
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in contract_files(made).items():
+        for name, text in contract_files(contract).items():
             path = folder / name
             path.write_text(text, encoding="ascii", newline="\n")
             written.append(path)
@@ -39,7 +39,7 @@ def write_files(made: Contract, folder: Path) -> list[Path]:
     return written
 
 
-def drifted(made: Contract, folder: Path) -> list[str]:
+def drifted(contract: Contract, folder: Path) -> list[str]:
     """Return one line for every file of `folder` that is not what the contract makes of it.
 
     Raises
@@ -47,7 +47,7 @@ def drifted(made: Contract, folder: Path) -> list[str]:
     InputError
         If the folder cannot be read.
     """
-    wanted = {name: text.encode("ascii") for name, text in contract_files(made).items()}
+    wanted = {name: text.encode("ascii") for name, text in contract_files(contract).items()}
     try:
         there = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in SUFFIXES}
     except OSError as error:

@@ -55,34 +55,34 @@ class Collector:
     was on the wire before that SYNC still counts for the old cycle, whatever came after it never does.
     """
 
-    def __init__(self, made: Contract) -> None:
+    def __init__(self, contract: Contract) -> None:
         self.counts = Counts()
         #: Of the counts above, each node's part, by place in the contract.
-        self.late_of_node = np.zeros(len(made.nodes), np.int64)
-        self.missing_of_node = np.zeros(len(made.nodes), np.int64)
+        self.late_of_node = np.zeros(len(contract.nodes), np.int64)
+        self.missing_of_node = np.zeros(len(contract.nodes), np.int64)
         #: Nodes that sent anything that looks like sums since somebody cleared this.
-        self.heard = np.zeros(len(made.nodes), np.bool_)
-        self._table = made.table
-        self._phi = made.phi
-        rows = len(made.table.cob_id)
-        self._packing = made.packing
-        self._payload = np.zeros((rows, int(made.table.length.max())), np.uint8)
+        self.heard = np.zeros(len(contract.nodes), np.bool_)
+        self._table = contract.table
+        self._phi = contract.phi
+        rows = len(contract.table.cob_id)
+        self._packing = contract.packing
+        self._payload = np.zeros((rows, int(contract.table.length.max())), np.uint8)
         self._seen = np.zeros(rows, np.bool_)
         self._spoilt = np.zeros(rows, np.bool_)
-        self._of_phase = [np.flatnonzero(made.table.phase == phase) for phase in range(PHASES)]
+        self._of_phase = [np.flatnonzero(contract.table.phase == phase) for phase in range(PHASES)]
         #: Of the frames with sums on each bus: classic or CAN FD.
-        self._kind = [FD if bus.fd else 0 for bus in made.layout.bus]
+        self._kind = [FD if bus.fd else 0 for bus in contract.layout.bus]
         #: Blocks whose node has shown the right Φ; the sums of others are never used.
-        self.trusted = np.zeros(made.phi.blocks, np.bool_)
+        self.trusted = np.zeros(contract.phi.blocks, np.bool_)
         #: Nodes a cycle waits for, by place in the contract; the frames of others are welcome, but not awaited.
-        self.expected = np.ones(len(made.nodes), np.bool_)
+        self.expected = np.ones(len(contract.nodes), np.bool_)
         #: Counter of the SYNC that a phase is gathering for, 0 when none.
         self._gathering = np.zeros(PHASES, np.intp)
         self._awaited = np.zeros(rows, np.bool_)
         #: Frames that the cycle of a phase still waits for, by bus.
-        self._waiting = np.zeros((PHASES, len(made.layout.bus)), np.intp)
+        self._waiting = np.zeros((PHASES, len(contract.layout.bus)), np.intp)
         #: Counter of the newest SYNC on each bus, 0 before the first.
-        self._on_wire = [0] * len(made.layout.bus)
+        self._on_wire = [0] * len(contract.layout.bus)
 
     def open(self, counter: int) -> None:
         """Begin the cycle of SYNC `counter`, before that SYNC is sent."""

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from bus.options import BusOptions, open_links
-from dbc.contract import contract
+from dbc.contract import Contract
 from gateway.service import GatewayService
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import load_layout
@@ -41,7 +41,7 @@ def gateway(
     fabric = Fabric(skin.name, "gateway", connect or listen, hub=connect is None, stop=stop)
     say("gateway", f"{len(links)} buses, SYNC {skin.sync.rate_hz:g} Hz")
     try:
-        GatewayService(contract(skin), links, fabric).run(stop)
+        GatewayService(Contract.from_layout(skin), links, fabric).run(stop)
     finally:
         for link in links.values():
             link.close()

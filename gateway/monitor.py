@@ -26,10 +26,10 @@ class BusMonitor:
     The load is the time its frames took, with exact stuffing, over the time that passed.
     """
 
-    def __init__(self, made: Contract, bus: int, heartbeat_s: float) -> None:
-        self._layout = made.layout.bus[bus]
+    def __init__(self, contract: Contract, bus: int, heartbeat_s: float) -> None:
+        self._layout = contract.layout.bus[bus]
         frame_time_ns(frames(1), self._layout.bitrate, self._layout.data_bitrate)  # compiled before the first cycle
-        self.node_ids = [node.node_id for node in made.on_bus(bus)]
+        self.node_ids = [node.node_id for node in contract.on_bus(bus)]
         self._silent_after_s = PATIENCE * heartbeat_s
         self._nmt = np.full(len(self.node_ids), SILENT, np.uint8)
         self._heard_s = np.full(len(self.node_ids), -np.inf)

@@ -63,22 +63,23 @@ class GatewayService:
 
     Parameters
     ----------
-    made : Contract
+    contract : Contract
     links : mapping of int to Link
         By number of the bus.
     fabric : Fabric
     """
 
-    def __init__(self, made: Contract, links: Mapping[int, Link], fabric: Fabric) -> None:
-        self.collector = Collector(made)
-        self._made = made
+    def __init__(self, contract: Contract, links: Mapping[int, Link], fabric: Fabric) -> None:
+        self.collector = Collector(contract)
+        self._contract = contract
         self._fabric = fabric
-        self._period_s = made.layout.sync.period_s
+        self._period_s = contract.layout.sync.period_s
         self._lines = {number: self._line(number, link) for number, link in links.items()}
         self._complaints = Complaints("gateway")
         self._numbers = sorted(self._lines)
         self._places = {
-            number: [(place, node) for place, node in enumerate(made.nodes) if node.bus == number] for number in links
+            number: [(place, node) for place, node in enumerate(contract.nodes) if node.bus == number]
+            for number in links
         }
         self._flying: deque[_Cycle] = deque()
         self._counter = 0
@@ -138,17 +139,17 @@ class GatewayService:
 
     def _line(self, number: int, link: Link) -> _Line:
         network = MasterNetwork(link)
-        nodes = self._made.on_bus(number)
-        name = self._made.layout.bus[number].name
-        boot = Boot(name, nodes, self._made.phi.fingerprint, network, self._trust)
-        return _Line(link, network, BusMonitor(self._made, number, HEARTBEAT_MS / 1000), boot)
+        nodes = self._contract.on_bus(number)
+        name = self._contract.layout.bus[number].name
+        boot = Boot(name, nodes, self._contract.phi.fingerprint, network, self._trust)
+        return _Line(link, network, BusMonitor(self._contract, number, HEARTBEAT_MS / 1000), boot)
 
     def _trust(self, node: NodeContract, trusted: bool) -> None:
         """Use a node's sums from now on, or no longer."""
         self.collector.trusted[node.block : node.block + node.blocks] = trusted
         if trusted:
             self._lines[node.bus].monitor.started(node.node_id)
-            self.collector.expected[self._made.nodes.index(node)] = True
+            self.collector.expected[self._contract.nodes.index(node)] = True
 
     def _look_after_nodes(self) -> None:
         """Wait for operational nodes only; ask a node that came back without saying so what it measures."""
@@ -195,13 +196,17 @@ class GatewayService:
         line.monitor.take(arrived)
         self._answers(line, arrived)
         for node_id, code in line.monitor.emergencies:
-            self._complaints.complain(f"EMCY {code:04X}h from node {node_id} on {self._made.layout.bus[number].name}")
+            self._complaints.complain(
+                f"EMCY {code:04X}h from node {node_id} on {self._contract.layout.bus[number].name}"
+            )
         line.monitor.emergencies.clear()
         if line.monitor.foreign_syncs:
-            self._complaints.complain(f"another SYNC producer on {self._made.layout.bus[number].name}: its cycles mix")
+            self._complaints.complain(
+                f"another SYNC producer on {self._contract.layout.bus[number].name}: its cycles mix"
+            )
             line.monitor.foreign_syncs = 0
         if line.monitor.booted:
-            for node in self._made.on_bus(number):
+            for node in self._contract.on_bus(number):
                 if node.node_id in line.monitor.booted:
                     self._trust(node, False)
             line.boot.ask(line.monitor.booted)
@@ -236,7 +241,7 @@ class GatewayService:
         time_ns = time.time_ns() - time.monotonic_ns() + sync_ns
         for number, line in self._lines.items():
             if not line.network.send_frames(sync):
-                name = self._made.layout.bus[number].name
+                name = self._contract.layout.bus[number].name
                 self._complaints.complain(f"{name} took no SYNC: its transmit queue is full, or the bus is gone")
         # Absolute deadlines: lateness of one SYNC does not move the next; whole missed periods are skipped.
         self._next_sync_s += self._period_s * max(1, int((now_s - self._next_sync_s) / self._period_s) + 1)
@@ -254,7 +259,7 @@ class GatewayService:
             time_ns=cycle.time_ns,
             sums=gathered.sums.astype("<i4").tobytes(),
             valid=gathered.valid.astype(np.uint8).tobytes(),
-            fingerprint=self._made.phi.fingerprint,
+            fingerprint=self._contract.phi.fingerprint,
         )
         self._fabric.publish(MEASUREMENT, message)
         # One bus per cycle, now that the burst is over and the loop has time.

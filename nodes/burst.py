@@ -15,13 +15,13 @@ class Burst:
 
     Parameters
     ----------
-    made : Contract
+    contract : Contract
     tpdos : list of (int, NodeContract, Tpdo)
         Place of the node in the segment, the node, and the PDO.
     """
 
-    def __init__(self, made: Contract, tpdos: list[tuple[int, NodeContract, Tpdo]]) -> None:
-        self._packing = made.packing
+    def __init__(self, contract: Contract, tpdos: list[tuple[int, NodeContract, Tpdo]]) -> None:
+        self._packing = contract.packing
         self._node = np.array([place for place, _, _ in tpdos], np.intp)
         self._every = np.array([tpdo.every for *_, tpdo in tpdos], np.intp)
         self._start = np.array([tpdo.start for *_, tpdo in tpdos], np.intp)
@@ -29,7 +29,7 @@ class Burst:
         for row, (_, node, tpdo) in enumerate(tpdos):
             for column, (index, subindex, _) in enumerate(tpdo.mapped):
                 block = node.block + split_block(index)[0]
-                self._gather[row, column] = made.phi.starts[block] + subindex - 1
+                self._gather[row, column] = contract.phi.starts[block] + subindex - 1
         self._template = frames(len(tpdos))
         self._template["can_id"] = [tpdo.cob_id for *_, tpdo in tpdos]
         self._template["length"] = [tpdo.length for *_, tpdo in tpdos]

@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
-from dbc.contract import Contract, contract
+from dbc.contract import Contract
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.service import NodesService
@@ -73,14 +73,14 @@ def nodes(
         raise InputError(f"expected 0 or more: got --noise-n {noise_n:g} --seed {seed}")
     stop = StopSignal().install()
     skin = load_layout(layout)
-    made = contract(skin)
-    chosen = choose_nodes(made, only or [], without or [])
+    contract = Contract.from_layout(skin)
+    chosen = choose_nodes(contract, only or [], without or [])
     source = _recording(skin, input, full_scale, array) if input else _objects(skin, objects, seed)
     noise = 0.0 if source.has_noise else noise_n
-    sampler = Sampler(made.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
+    sampler = Sampler(contract.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     joined = Fabric(skin.name, "nodes", connect, stop=stop) if fabric else None
-    service = NodesService(made, links, chosen, sampler, joined)
+    service = NodesService(contract, links, chosen, sampler, joined)
     say("nodes", f"{sum(map(len, chosen.values()))} nodes on {len(links)} buses")
     try:
         service.run(stop)
@@ -91,7 +91,7 @@ def nodes(
             joined.close()
 
 
-def choose_nodes(made: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
+def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
     """Return the node-IDs to run, by number of the bus; buses without any are left out.
 
     Raises
@@ -99,16 +99,16 @@ def choose_nodes(made: Contract, only: list[str], without: list[str]) -> dict[in
     InputError
         If a choice names a bus or node that the layout does not have, or nothing is left.
     """
-    chosen = _parse(made, only) if only else {(node.bus, node.node_id) for node in made.nodes}
-    chosen -= _parse(made, without)
+    chosen = _parse(contract, only) if only else {(node.bus, node.node_id) for node in contract.nodes}
+    chosen -= _parse(contract, without)
     if not chosen:
         raise InputError("no node is left to run: check --only and --without")
     return {bus: {node for each, node in chosen if each == bus} for bus in {bus for bus, _ in chosen}}
 
 
-def _parse(made: Contract, texts: list[str]) -> set[tuple[int, int]]:
-    numbers = {bus.name: number for number, bus in enumerate(made.layout.bus)}
-    known = {(node.bus, node.node_id) for node in made.nodes}
+def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
+    numbers = {bus.name: number for number, bus in enumerate(contract.layout.bus)}
+    known = {(node.bus, node.node_id) for node in contract.nodes}
     chosen: set[tuple[int, int]] = set()
     for text in texts:
         match = re.fullmatch(r"(\w+):(\d+)(?:-(\d+))?", text)

@@ -57,8 +57,10 @@ class SkinNode:
         The PDOs that exist now; read anew by `refresh` after a write.
     """
 
-    def __init__(self, made: NodeContract, objects: list[Object], network: SegmentNetwork, sampler: Sampler) -> None:
-        self.contract = made
+    def __init__(
+        self, contract: NodeContract, objects: list[Object], network: SegmentNetwork, sampler: Sampler
+    ) -> None:
+        self.contract = contract
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[Tpdo] = []
@@ -73,16 +75,19 @@ class SkinNode:
             OD_ERROR_REGISTER: lambda _: self.emcy.register,
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,
-            **{of_block(OD_SUMS, place): partial(self._read_sum, made.block + place) for place in range(made.blocks)},
+            **{
+                of_block(OD_SUMS, place): partial(self._read_sum, contract.block + place)
+                for place in range(contract.blocks)
+            },
             **{index: lambda subindex: ON_COMMAND if subindex else None for index in _COMMANDS},
         }
-        self.local = LocalNode(made.node_id, object_dictionary(objects), made.packing.bits, made.pdo_bytes)
+        self.local = LocalNode(contract.node_id, object_dictionary(objects), contract.packing.bits, contract.pdo_bytes)
         self.local.on_write(self._written)
         self.local.on_read(self._read)
         self.emcy = EmcyProducer(self._send_emcy)
         self.heartbeat = HeartbeatProducer(self._send_state)
         self.watched = HeartbeatConsumer()
-        network[made.node_id] = self.local
+        network[contract.node_id] = self.local
 
     @property
     def answers_sdo(self) -> bool:
@@ -189,8 +194,8 @@ class SkinNode:
         return history[subindex - 1] if subindex <= len(history) else 0
 
     def _read_health(self, subindex: int) -> int | None:
-        made = self.contract
-        self.health[3] = sum(self._sampler.saturated(made.block + place) for place in range(made.blocks))
+        contract = self.contract
+        self.health[3] = sum(self._sampler.saturated(contract.block + place) for place in range(contract.blocks))
         return int(self.health[subindex - 1]) if subindex else None
 
     def _read_sum(self, block: int, subindex: int) -> int | None:

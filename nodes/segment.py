@@ -46,7 +46,7 @@ class Segment:
 
     Parameters
     ----------
-    made : Contract
+    contract : Contract
     bus : int
         Number of the bus in the layout.
     node_ids : collection of int
@@ -60,23 +60,23 @@ class Segment:
         Received frames that made the CANopen library raise; they are dropped.
     """
 
-    def __init__(self, made: Contract, bus: int, node_ids: Collection[int], link: Link, sampler: Sampler) -> None:
+    def __init__(self, contract: Contract, bus: int, node_ids: Collection[int], link: Link, sampler: Sampler) -> None:
         self.link = link
         self.frames_rejected = 0
         self.syncs_seen = 0
         self._sent = self._dropped = 0
-        self._name = made.layout.bus[bus].name
+        self._name = contract.layout.bus[bus].name
         self._complaints = Complaints("nodes")
-        wires = made.layout.bus[bus]
-        self._frame_ns = int(frame_time_ns(made.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
-        self._made = made
-        self._period_s = made.layout.sync.period_s
+        wires = contract.layout.bus[bus]
+        self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
+        self._contract = contract
+        self._period_s = contract.layout.sync.period_s
         self._sync_at_s = self._tick_at_s = float("-inf")
         self._sampler = sampler
         self._network = SegmentNetwork(link)
         self.nodes = [
-            SkinNode(node, dictionary(made, node), self._network, sampler)
-            for node in made.on_bus(bus)
+            SkinNode(node, dictionary(contract, node), self._network, sampler)
+            for node in contract.on_bus(bus)
             if node.node_id in node_ids
         ]
         self._by_id = {node.contract.node_id: node for node in self.nodes}
@@ -220,4 +220,4 @@ class Segment:
             self._window_ns[node_id] = max(1, window_us * 1000 - self._frame_ns) if window_us else NO_WINDOW_NS
             plain += [(place, node.contract, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
             self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
-        self._burst = Burst(self._made, plain)
+        self._burst = Burst(self._contract, plain)

@@ -24,7 +24,7 @@ class NodesService:
 
     Parameters
     ----------
-    made : Contract
+    contract : Contract
     links : mapping of int to Link
         By number of the bus.
     node_ids : mapping of int to collection of int
@@ -36,13 +36,13 @@ class NodesService:
 
     def __init__(
         self,
-        made: Contract,
+        contract: Contract,
         links: Mapping[int, Link],
         node_ids: Mapping[int, Collection[int]],
         sampler: Sampler,
         fabric: Fabric | None = None,
     ) -> None:
-        self.segments = [Segment(made, bus, node_ids[bus], link, sampler) for bus, link in links.items()]
+        self.segments = [Segment(contract, bus, node_ids[bus], link, sampler) for bus, link in links.items()]
         self._sampler = sampler
         self._fabric = fabric
         self._status_at_s = 0.0

@@ -5,7 +5,7 @@ from functools import cache
 import msgspec
 
 from bandwidth.alternatives import with_buses
-from dbc.contract import Contract, contract
+from dbc.contract import Contract
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.touches import Touch
 from skin.layout import load_layout
@@ -15,8 +15,8 @@ from skin.layout import load_layout
 def default_kbit_per_s() -> float:
     """Return the kbit/s of the default skin at its own rate, all buses together, under the paper's golf ball."""
     layout = load_layout()
-    made = skin_of(layout.encoding.sum_bits, layout.sync.rate_hz)
-    return float(run_sums(made, Touch("golf-ball").load().counts).sent.traffic()["kbit_per_s"])
+    contract = skin_of(layout.encoding.sum_bits, layout.sync.rate_hz)
+    return float(run_sums(contract, Touch("golf-ball").load().counts).sent.traffic()["kbit_per_s"])
 
 
 @cache
@@ -27,4 +27,6 @@ def skin_of(bits: int, rate_hz: float) -> Contract:
         like = msgspec.structs.replace(layout.bus[0], blocks_per_node=2 if bits == 12 else 1)
         encoding = msgspec.structs.replace(layout.encoding, sum_bits=bits, offset_binary=True)
         layout = msgspec.structs.replace(with_buses(layout, len(layout.bus), like), encoding=encoding)
-    return contract(msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz)))
+    return Contract.from_layout(
+        msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
+    )

@@ -9,7 +9,7 @@ import numpy as np
 
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
-from dbc.contract import contract
+from dbc.contract import Contract
 from evaluation.cells import measure_cells
 from evaluation.findings import Findings, Options, Row, refuse_draws
 from evaluation.schemes.rate_notes import notes
@@ -80,9 +80,9 @@ def _measured(looked_at: list[Point], touches: Mapping[str, list[Touch]], option
 
 def measure_point(text: str, touch: dict[str, Any]) -> Row:
     """Return the figures of a layout, TOML, on one touch."""
-    what, made = Touch(**touch).load(), contract(parse_layout(text.encode(), "point"))
-    run = run_sums(made, what.counts)
-    return Shown(run.sent, run.latency_ns, run.images(made), made.layout.sync.rate_hz).figures(what)
+    what, contract = Touch(**touch).load(), Contract.from_layout(parse_layout(text.encode(), "point"))
+    run = run_sums(contract, what.counts)
+    return Shown(run.sent, run.latency_ns, run.images(contract), contract.layout.sync.rate_hz).figures(what)
 
 
 def _touches(options: Options) -> dict[str, list[Touch]]:

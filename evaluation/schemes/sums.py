@@ -44,22 +44,22 @@ class SumsRun:
     closed_ns: Nanoseconds
     latency_ns: Nanoseconds
 
-    def images(self, made: Contract, noise_n: float | None = None, **settings: Any) -> Images:
+    def images(self, contract: Contract, noise_n: float | None = None, **settings: Any) -> Images:
         """Return the live reconstruction of every cycle, or that with other settings."""
-        taxels = made.layout.taxels
-        engine = Reconstructor(made.phi, taxels.rows, taxels.columns, **{**LIVE, **settings}, noise_n=noise_n)
+        taxels = contract.layout.taxels
+        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, **{**LIVE, **settings}, noise_n=noise_n)
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
         for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
             images[cycle] = engine.solve(sums_n, valid).ravel()
         return Images(self.closed_ns + SOLVED_NS, images)
 
 
-def run_sums(made: Contract, counts: npt.NDArray[np.int16], loss_ratio: float = 0.0, seed: int = 0) -> SumsRun:
+def run_sums(contract: Contract, counts: npt.NDArray[np.int16], loss_ratio: float = 0.0, seed: int = 0) -> SumsRun:
     """Measure a recording with the nodes of a contract.
 
     Parameters
     ----------
-    made : Contract
+    contract : Contract
     counts : array of int16, shape (ticks, n)
         What every taxel reads, each millisecond.
     loss_ratio : float
@@ -67,48 +67,48 @@ def run_sums(made: Contract, counts: npt.NDArray[np.int16], loss_ratio: float = 
     seed : int
         Of the losses.
     """
-    period_ns = 1e9 / made.layout.sync.rate_hz
+    period_ns = 1e9 / contract.layout.sync.rate_hz
     cycles = int(len(counts) * TICK_NS / period_ns + 1e-9)
     sync_ns = np.rint(np.arange(cycles) * period_ns).astype(np.int64)
     sampled = np.minimum(np.rint(sync_ns / TICK_NS).astype(np.int64), len(counts) - 1)
-    sums = np.asarray(made.phi.block_sums(counts[sampled].astype(np.int32)))
-    table = made.table
+    sums = np.asarray(contract.phi.block_sums(counts[sampled].astype(np.int32)))
+    table = contract.table
     rows = [np.flatnonzero(table.phase == phase) for phase in range(PHASES)]
-    bursts = [_burst(made, each, rows[cycle % PHASES]) for cycle, each in enumerate(sums)]
+    bursts = [_burst(contract, each, rows[cycle % PHASES]) for cycle, each in enumerate(sums)]
     due = np.stack([rows[cycle % PHASES] for cycle in range(cycles)])
     times = np.repeat(sync_ns, due.shape[1])
     asked = Asked(np.concatenate(bursts), table.bus[due].ravel(), times)
-    sent = carry([asked, syncs(sync_ns, made.layout.bus)], made.layout.bus, len(counts))
+    sent = carry([asked, syncs(sync_ns, contract.layout.bus)], contract.layout.bus, len(counts))
     arrived = sent.arrived_ns[: due.size].reshape(due.shape)
     lost = np.random.default_rng(seed).random(due.shape) < loss_ratio
     closed = np.where(lost.any(axis=1), sync_ns + round(WINDOW_RATIO * period_ns), arrived.max(axis=1))
-    valid = np.stack([_valid(made, row[gone]) for row, gone in zip(due, lost, strict=True)])
-    received = _decoded(made, sent.asked.frames[: due.size].reshape(due.shape), due)
-    sums_n = (received * made.layout.taxels.newton_per_count).astype(np.float32)
+    valid = np.stack([_valid(contract, row[gone]) for row, gone in zip(due, lost, strict=True)])
+    received = _decoded(contract, sent.asked.frames[: due.size].reshape(due.shape), due)
+    sums_n = (received * contract.layout.taxels.newton_per_count).astype(np.float32)
     return SumsRun(sent, sums_n, valid, closed, (arrived - sync_ns[:, None]).ravel())
 
 
-def _burst(made: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp]) -> Frames:
-    table = made.table
+def _burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp]) -> Frames:
+    table = contract.table
     burst = frames(len(rows))
     burst["can_id"], burst["length"], burst["flags"] = table.cob_id[rows], table.length[rows], table.flags[rows]
-    payloads = encode(sums, table.gather[rows], made.packing)
+    payloads = encode(sums, table.gather[rows], contract.packing)
     burst["data"][:, : payloads.shape[1]] = payloads
     return burst
 
 
-def _decoded(made: Contract, sent: Frames, due: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
+def _decoded(contract: Contract, sent: Frames, due: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
     """Return the sums that the frames of every cycle carry, counts, shape (cycles, m)."""
-    sums = np.zeros((len(due), made.phi.shape[0]), np.int32)
+    sums = np.zeros((len(due), contract.phi.shape[0]), np.int32)
     for cycle, rows in enumerate(due):
-        decode(sent[cycle]["data"], made.table.gather[rows], made.packing, sums[cycle])
+        decode(sent[cycle]["data"], contract.table.gather[rows], contract.packing, sums[cycle])
     return sums
 
 
-def _valid(made: Contract, lost: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+def _valid(contract: Contract, lost: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
     """Return which sums count when the frames of the table's rows `lost` do not come."""
-    blocks = np.ones(made.phi.blocks, np.bool_)
-    for place in np.unique(made.table.node[lost]).tolist():
-        node = made.nodes[place]
+    blocks = np.ones(contract.phi.blocks, np.bool_)
+    for place in np.unique(contract.table.node[lost]).tolist():
+        node = contract.nodes[place]
         blocks[node.block : node.block + node.blocks] = False
-    return made.phi.sums_of_blocks(blocks)
+    return contract.phi.sums_of_blocks(blocks)

@@ -9,7 +9,7 @@ from bandwidth.departures import departures
 from bandwidth.measured import kind_of, measure, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.core import Bus
-from dbc.contract import Contract, contract
+from dbc.contract import Contract
 from dbc.frame import ERROR, EXTENDED, Frames, frames
 from skin.errors import InputError
 from skin.layout import load_layout
@@ -19,37 +19,37 @@ PERIOD_NS = 10_000_000
 
 
 @pytest.fixture(scope="module")
-def made() -> Contract:
-    return contract(load_layout())
+def contract() -> Contract:
+    return Contract.from_layout(load_layout())
 
 
 @pytest.fixture(scope="module")
-def planned(made: Contract) -> BusPlan:
-    return plan(made)[1]
+def planned(contract: Contract) -> BusPlan:
+    return plan(contract)[1]
 
 
 @pytest.fixture(scope="module")
-def healthy(made: Contract) -> Frames:
+def healthy(contract: Contract) -> Frames:
     """Two seconds of bus 1 with random sums, as its gateway saw them."""
     wire = Bus(1_000_000)
     nodes, gateway = wire.attach("nodes", queue_size=1000), wire.attach("gateway")
     random = np.random.default_rng(1)
     seen = []
     for cycle in range(CYCLES + 1):
-        burst = made.cycle(1, cycle % 2)
+        burst = contract.cycle(1, cycle % 2)
         burst["time_ns"] = 1 + cycle * PERIOD_NS
         burst["data"][1:, :8] = random.integers(0, 256, (len(burst) - 1, 8))
         burst["data"][0, 0] = cycle % 240 + 1
         burst["port"] = np.arange(len(burst))
         wire.submit(gateway, burst[:1])
-        wire.submit(nodes, np.concatenate([burst[1:], beats(made, cycle)]))
+        wire.submit(nodes, np.concatenate([burst[1:], beats(contract, cycle)]))
         seen.append(wire.run_until((cycle + 1) * PERIOD_NS).frames)
     return np.concatenate(seen)
 
 
-def beats(made: Contract, cycle: int) -> Frames:
+def beats(contract: Contract, cycle: int) -> Frames:
     """Return the heartbeats of the nodes whose turn it is, one each second."""
-    ids = [node.node_id for node in made.on_bus(1) if node.node_id == cycle % 100]
+    ids = [node.node_id for node in contract.on_bus(1) if node.node_id == cycle % 100]
     due = frames(len(ids))
     due["can_id"] = [0x700 + node_id for node_id in ids]
     due["length"], due["data"][:, 0], due["port"] = 1, 5, 500
@@ -57,12 +57,12 @@ def beats(made: Contract, cycle: int) -> Frames:
     return due
 
 
-def left(made: Contract, planned: BusPlan, seen: Frames) -> list[str]:
-    return departures(made, 1, seen, planned, measure(made, 1, seen, planned))
+def left(contract: Contract, planned: BusPlan, seen: Frames) -> list[str]:
+    return departures(contract, 1, seen, planned, measure(contract, 1, seen, planned))
 
 
-def test_load_is_that_of_the_wire_and_adds_up(made: Contract, planned: BusPlan, healthy: Frames) -> None:
-    load = measure(made, 1, healthy, planned)
+def test_load_is_that_of_the_wire_and_adds_up(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
+    load = measure(contract, 1, healthy, planned)
     assert load.seconds == pytest.approx(CYCLES * PERIOD_NS * 1e-9, abs=1e-5)
     assert load.load_exact == pytest.approx(planned.load_random, rel=0.005)
     assert load.load_worst == pytest.approx(planned.load_worst, rel=0.001)
@@ -74,8 +74,8 @@ def test_load_is_that_of_the_wire_and_adds_up(made: Contract, planned: BusPlan, 
     assert {each.kind for each in load.identifiers} == {"SYNC", "TPDO", "heartbeat"}
 
 
-def test_a_healthy_bus_keeps_its_plan(made: Contract, planned: BusPlan, healthy: Frames) -> None:
-    assert left(made, planned, healthy) == []
+def test_a_healthy_bus_keeps_its_plan(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
+    assert left(contract, planned, healthy) == []
 
 
 def drop(cob_id: int) -> Callable[[Frames], Frames]:
@@ -135,36 +135,36 @@ def slow(seen: Frames) -> Frames:
     ],
 )
 def test_what_left_the_plan_is_named(
-    made: Contract, planned: BusPlan, healthy: Frames, change: Callable[[Frames], Frames], said: list[str]
+    contract: Contract, planned: BusPlan, healthy: Frames, change: Callable[[Frames], Frames], said: list[str]
 ) -> None:
-    found = left(made, planned, change(healthy))
+    found = left(contract, planned, change(healthy))
     assert all(any(line.startswith(wanted) for line in found) for wanted in said), found
     if change is not slow:
         assert len(found) == len(said), found
 
 
-def test_a_missing_sync_is_named(made: Contract, planned: BusPlan, healthy: Frames) -> None:
+def test_a_missing_sync_is_named(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
     places = np.flatnonzero(healthy["can_id"] == 0x80)
-    found = left(made, planned, np.delete(healthy, places[20]))
+    found = left(contract, planned, np.delete(healthy, places[20]))
     assert "bus1: 1 SYNC counters do not follow each other" in found
-    assert left(made, planned, drop(0x80)(healthy)) == ["bus1: no SYNC: cycles cannot be told apart"]
+    assert left(contract, planned, drop(0x80)(healthy)) == ["bus1: no SYNC: cycles cannot be told apart"]
 
 
-def test_overload_is_named(made: Contract, planned: BusPlan, healthy: Frames) -> None:
+def test_overload_is_named(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
     flood = np.repeat(healthy[healthy["can_id"] == 0x285], 40, axis=0)
-    found = left(made, planned, np.insert(healthy, 700, flood))
+    found = left(contract, planned, np.insert(healthy, 700, flood))
     assert any("at most 87.3% were planned" in line for line in found)
 
 
-def test_services_have_their_names(made: Contract) -> None:
-    assert kind_of(made, 1, 0x000) == ("NMT", 0)
-    assert kind_of(made, 1, 0x605) == ("SDO request", 0)
-    assert kind_of(made, 1, 0x585) == ("SDO response", 5)
-    assert kind_of(made, 1, 0x585 + 32) == ("foreign", None)
-    assert kind_of(made, 1, 0x7FF) == ("foreign", None)
+def test_services_have_their_names(contract: Contract) -> None:
+    assert kind_of(contract, 1, 0x000) == ("NMT", 0)
+    assert kind_of(contract, 1, 0x605) == ("SDO request", 0)
+    assert kind_of(contract, 1, 0x585) == ("SDO response", 5)
+    assert kind_of(contract, 1, 0x585 + 32) == ("foreign", None)
+    assert kind_of(contract, 1, 0x7FF) == ("foreign", None)
 
 
 @pytest.mark.parametrize("seen", [frames(0), frames(1), frames(5)])
-def test_nothing_to_measure_is_said(made: Contract, planned: BusPlan, seen: Frames) -> None:
+def test_nothing_to_measure_is_said(contract: Contract, planned: BusPlan, seen: Frames) -> None:
     with pytest.raises(InputError, match="expected"):
         whole_cycles(seen)

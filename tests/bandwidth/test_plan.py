@@ -12,7 +12,7 @@ from bandwidth.plan import plan
 from bandwidth.traffic import Disturbance
 from bus.core import Bus
 from dbc.codec import encode
-from dbc.contract import SYNC_OVERFLOW, contract
+from dbc.contract import SYNC_OVERFLOW, Contract
 from dbc.frame import frames
 from nodes.electronics import Electronics
 from skin.layout import SHIPPED, Layout, load_layout, parse_layout
@@ -23,7 +23,7 @@ from skin.sources import load_source
     ("name", "average_hz", "worst_hz"), [("default", 135.6, 114.6), ("fd", 216, 184), ("one-bus-12bit", 39.6, 33.6)]
 )
 def test_rates_of_the_shipped_layouts(name: str, average_hz: float, worst_hz: float) -> None:
-    for each in plan(contract(load_layout(Path(name)))):
+    for each in plan(Contract.from_layout(load_layout(Path(name)))):
         assert each.max_rate_hz_average == pytest.approx(average_hz, rel=0.01)
         assert each.max_rate_hz_worst == pytest.approx(worst_hz, rel=0.01)
         assert each.problems == []
@@ -35,22 +35,22 @@ def test_rates_of_the_shipped_layouts(name: str, average_hz: float, worst_hz: fl
 def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
     """Two seconds of one touch after another on the virtual bus, every frame sent as nodes send it."""
     layout = load_layout(Path(name))
-    made = contract(layout)
+    contract = Contract.from_layout(layout)
     taxels = layout.taxels
     source = load_source("objects", rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, seed=5)
     electronics = Electronics(taxels, seed=5)
     wires = [Bus(each.bitrate, each.data_bitrate) for each in layout.bus]
     stations = [(wire.attach("nodes", queue_size=1000), wire.attach("gateway")) for wire in wires]
-    table = made.table
+    table = contract.table
     period_ns = round(layout.sync.period_s * 1e9)
     cycles = 200
     for cycle in range(cycles):
         counter = cycle % SYNC_OVERFLOW + 1
-        sums = made.phi.block_sums(electronics.read(source.frame(5 * cycle).force_n))
+        sums = contract.phi.block_sums(electronics.read(source.frame(5 * cycle).force_n))
         due = table.phase == cycle % 2
         burst = frames(int(due.sum()))
         burst["can_id"], burst["length"], burst["flags"] = table.cob_id[due], table.length[due], table.flags[due]
-        payloads = encode(sums, table.gather[due], made.packing)
+        payloads = encode(sums, table.gather[due], contract.packing)
         burst["data"][:, : payloads.shape[1]] = payloads
         burst["port"] = table.node[due]
         burst["time_ns"] = cycle * period_ns
@@ -61,10 +61,10 @@ def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
             wire.submit(gateway, sync)
             mine = burst[table.bus[due] == number]
             if cycle % round(1 / layout.sync.period_s) == 0:
-                mine = np.concatenate([mine, heartbeats(made.on_bus(number), cycle * period_ns)])
+                mine = np.concatenate([mine, heartbeats(contract.on_bus(number), cycle * period_ns)])
             assert wire.submit(nodes, mine) == len(mine)
             wire.run_until((cycle + 1) * period_ns)
-    for wire, planned in zip(wires, plan(made), strict=True):
+    for wire, planned in zip(wires, plan(contract), strict=True):
         assert wire.counts.busy_ns / (cycles * period_ns) == pytest.approx(planned.load_average, rel=0.01)
 
 
@@ -81,20 +81,23 @@ def faster(layout: Layout, rate_hz: float) -> Layout:
 
 
 def test_a_bus_that_is_asked_for_too_much_says_what_is_missing() -> None:
-    planned = plan(contract(faster(load_layout(), 130)))[0]
+    planned = plan(Contract.from_layout(faster(load_layout(), 130)))[0]
     assert planned.window_needed_ms is None
     assert planned.node_plans[-1].response_ms is None
     assert planned.node_plans[0].response_ms is not None
     missing = round((planned.load_worst - 1) * 1e6)
     assert f"{missing} bits a second are missing" in planned.problems[0]
-    tight = plan(contract(faster(load_layout(), 112)))[0]
+    tight = plan(Contract.from_layout(faster(load_layout(), 112)))[0]
     assert tight.load_worst < 1
     assert "the window (1007h) is 8.75 ms" in tight.problems[0]
 
 
 def test_errors_and_sdo_lengthen_responses() -> None:
-    made = contract(load_layout())
-    calm, rough = plan(made, allowed=Disturbance(0.0, 0.0, 0.0))[0], plan(made, allowed=Disturbance(1e-4, 20, 100))[0]
+    contract = Contract.from_layout(load_layout())
+    calm, rough = (
+        plan(contract, allowed=Disturbance(0.0, 0.0, 0.0))[0],
+        plan(contract, allowed=Disturbance(1e-4, 20, 100))[0],
+    )
     assert calm.sdo_response_ms is None
     assert calm.window_needed_ms is not None
     assert rough.window_needed_ms == pytest.approx(calm.window_needed_ms + 0.1 + 0.166, abs=1e-6)

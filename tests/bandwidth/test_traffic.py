@@ -7,7 +7,7 @@ import pytest
 
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from bus.core import Bus
-from dbc.contract import PHASES, contract
+from dbc.contract import PHASES, Contract
 from dbc.frame import frames
 from skin.layout import load_layout, parse_layout
 
@@ -32,8 +32,8 @@ def skin(nodes: list[int], rate_hz: float, bits: int) -> bytes:
 def test_published_table(
     nodes: list[int], bits: int, period_ms: float, worst: float, plain_ms: float, error_ms: float, sdo_ms: float
 ) -> None:
-    made = contract(parse_layout(skin(nodes, 1000 / period_ms, bits), "table"))
-    streams = traffic(made, 0)
+    contract = Contract.from_layout(parse_layout(skin(nodes, 1000 / period_ms, bits), "table"))
+    streams = traffic(contract, 0)
     assert (streams.worst_ns / streams.period_s).sum() * 1e-9 == pytest.approx(worst, rel=0.01)
     plain, disturbed = streams.responses_ns() * 1e-6, streams.responses_ns(100.0) * 1e-6
     assert plain[streams.is_tpdo].max() == pytest.approx(plain_ms, rel=0.01)
@@ -42,22 +42,22 @@ def test_published_table(
 
 
 def test_streams_are_all_that_the_bus_carries() -> None:
-    made = contract(load_layout())
-    streams = traffic(made, 3, 1)
+    contract = Contract.from_layout(load_layout())
+    streams = traffic(contract, 3, 1)
     assert list(streams.frames["can_id"]) == sorted(streams.frames["can_id"])
     assert len(streams.frames) == 1 + 64 + 2 + 32
     assert streams.is_heartbeat.sum() == 32
     assert set(streams.node[streams.is_tpdo]) == set(range(1, 33))
     assert (streams.node[streams.is_sdo_response] == 32).all()
-    assert not traffic(made, 3, 1, Disturbance(sdo_per_s=0)).is_sdo_response.any()
+    assert not traffic(contract, 3, 1, Disturbance(sdo_per_s=0)).is_sdo_response.any()
 
 
 @pytest.mark.parametrize("name", ["default", "fd", "one-bus-12bit"])
 def test_a_simulated_bus_stays_below_every_bound(name: str) -> None:
     """Five cycles with every SDO and heartbeat at the first SYNC, random data, and the slowest nodes last."""
     layout = load_layout(Path(name))
-    made = contract(layout)
-    phases = [traffic(made, 0, phase) for phase in range(PHASES)]
+    contract = Contract.from_layout(layout)
+    phases = [traffic(contract, 0, phase) for phase in range(PHASES)]
     bound = {int(f["can_id"]): int(r) for each in phases for f, r in zip(each.frames, each.responses_ns(), strict=True)}
     random = np.random.default_rng(3)
     bus = Bus(layout.bus[0].bitrate, layout.bus[0].data_bitrate)

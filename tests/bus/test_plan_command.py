@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bandwidth.schemes import schemes
-from dbc.contract import contract
+from dbc.contract import Contract
 from skin.command import main
 from skin.layout import load_layout, parse_layout
 
@@ -37,13 +37,13 @@ def skin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One second of all four buses; TPDOs follow each other with the most stuff bits."""
-    made = contract(load_layout())
+    contract = Contract.from_layout(load_layout())
     path = tmp_path_factory.mktemp("logs") / "skin.log"
     random = np.random.default_rng(2)
     with can.Logger(path) as logger:
         for cycle in range(101):
             for bus in range(4):
-                for place, frame in enumerate(made.cycle(bus, cycle % 2)):
+                for place, frame in enumerate(contract.cycle(bus, cycle % 2)):
                     data = bytes([cycle % 240 + 1]) if place == 0 else random.bytes(int(frame["length"]))
                     logger(
                         can.Message(

@@ -16,7 +16,6 @@ from dbc.contract import (
     Contract,
     _length,
     _spread,
-    contract,
     encoding_text,
     next_counter,
     phase_of,
@@ -27,7 +26,7 @@ from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
 from skin.errors import LayoutError
 from skin.layout import Bus, Encoding, Layout, Measuring, Taxels, load_layout
 
-MADE = contract(load_layout())
+CONTRACT = Contract.from_layout(load_layout())
 
 
 def changed(**measurement: object) -> Layout:
@@ -36,7 +35,7 @@ def changed(**measurement: object) -> Layout:
 
 
 def test_default_skin_uses_the_predefined_connection_set() -> None:
-    node = MADE.on_bus(1)[5]
+    node = CONTRACT.on_bus(1)[5]
     assert (node.node_id, node.block, node.sums) == (6, 37, 8)
     assert [tpdo.cob_id for tpdo in node.tpdos] == [0x186, 0x286, 0x386, 0x486]
     assert [tpdo.phase for tpdo in node.tpdos] == [0, 0, 1, 1]
@@ -45,20 +44,20 @@ def test_default_skin_uses_the_predefined_connection_set() -> None:
 
 def test_one_cycle_is_256_frames() -> None:
     for phase in range(PHASES):
-        assert (MADE.table.phase == phase).sum() == 256
+        assert (CONTRACT.table.phase == phase).sum() == 256
 
 
 @pytest.mark.parametrize("seed", range(1, 12))
 def test_uniform_rows_find_identifiers(seed: int) -> None:
-    made = contract(changed(selection="uniform", seed=seed))
-    assert made.phi.shape[0] == 1024
+    contract = Contract.from_layout(changed(selection="uniform", seed=seed))
+    assert contract.phi.shape[0] == 1024
     for bus in range(4):
-        ids = [tpdo.cob_id for node in made.on_bus(bus) for tpdo in node.tpdos]
+        ids = [tpdo.cob_id for node in contract.on_bus(bus) for tpdo in node.tpdos]
         assert len(ids) == len(set(ids))
         # Outside what CiA 301, table 38 restricts.
         assert all(0x181 <= cob_id < 0x580 for cob_id in ids)
     for phase in range(PHASES):
-        gathered = made.table.gather[made.table.phase == phase]
+        gathered = contract.table.gather[contract.table.phase == phase]
         assert sorted(gathered[gathered >= 0]) == list(range(1024))
 
 
@@ -66,7 +65,7 @@ def test_too_many_frames_for_one_bus_is_an_error() -> None:
     text = '[measurement]\nsums = 2560\n[[bus]]\nname = "a"\nnodes = 127\n[[bus]]\nname = "b"\nnodes = 1\n'
     layout = msgspec.toml.decode(text, type=Layout)
     with pytest.raises(LayoutError, match=r"put fewer nodes on `\$\.bus\[0\]`"):
-        contract(layout)
+        Contract.from_layout(layout)
 
 
 def test_phases_take_turns_across_the_overflow() -> None:
@@ -80,17 +79,17 @@ def test_phases_take_turns_across_the_overflow() -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_codec_round_trip_is_exact(seed: int) -> None:
     sums = np.random.default_rng(seed).integers(-(2**15), 2**15, 1024).astype(np.int16)
-    rows = MADE.table.gather[MADE.table.phase == 0]
+    rows = CONTRACT.table.gather[CONTRACT.table.phase == 0]
     back = np.zeros(1024, np.int32)
-    decode(encode(sums, rows, MADE.packing), rows, MADE.packing, back)
+    decode(encode(sums, rows, CONTRACT.packing), rows, CONTRACT.packing, back)
     assert np.array_equal(back, sums)
 
 
 def test_dictionary_maps_each_sum_once_per_phase() -> None:
-    made: Contract = contract(changed(selection="uniform"))
-    for node in made.nodes[:16]:
-        objects = {(each.index, each.subindex): each for each in dictionary(made, node)}
-        assert objects[OD_PHI_FINGERPRINT, None].value == made.phi.fingerprint
+    contract: Contract = Contract.from_layout(changed(selection="uniform"))
+    for node in contract.nodes[:16]:
+        objects = {(each.index, each.subindex): each for each in dictionary(contract, node)}
+        assert objects[OD_PHI_FINGERPRINT, None].value == contract.phi.fingerprint
         mapped = [
             int(each.value)
             for (index, subindex), each in objects.items()
@@ -127,7 +126,7 @@ def test_sums_go_in_few_frames_of_few_bytes(
 
 
 def test_cycle_of_a_bus_is_its_sync_and_its_frames_by_priority() -> None:
-    classic, fd = MADE.cycle(2, 1), contract(load_layout(Path("fd"))).cycle(0)
+    classic, fd = CONTRACT.cycle(2, 1), Contract.from_layout(load_layout(Path("fd"))).cycle(0)
     assert len(classic) == 65
     assert (classic["can_id"][0], classic["length"][0]) == (SYNC_COB_ID, 1)
     assert (np.diff(classic["can_id"].astype(int)) > 0).all()
@@ -139,19 +138,19 @@ def test_cycle_of_a_bus_is_its_sync_and_its_frames_by_priority() -> None:
 
 @pytest.mark.parametrize("name", ["fd", "one-bus-12bit"])
 def test_nodes_of_several_blocks_map_every_sum_once_per_phase(name: str) -> None:
-    made = contract(load_layout(Path(name)))
-    ids = [tpdo.cob_id for node in made.nodes for tpdo in node.tpdos]
+    contract = Contract.from_layout(load_layout(Path(name)))
+    ids = [tpdo.cob_id for node in contract.nodes for tpdo in node.tpdos]
     assert len(set(ids)) == len(ids)
-    for node in made.nodes:
-        objects = dictionary(made, node)
+    for node in contract.nodes:
+        objects = dictionary(contract, node)
         places = [(each.index, each.subindex) for each in objects]
         assert len(set(places)) == len(places)
         by_place = {(each.index, each.subindex): each for each in objects}
         mapped = [int(each.value) for each in objects if 0x1A00 <= each.index < 0x1C00 and each.subindex and each.value]
         wanted = [
-            of_block(OD_SUMS, place) << 16 | sum_ << 8 | made.packing.bits
+            of_block(OD_SUMS, place) << 16 | sum_ << 8 | contract.packing.bits
             for place in range(node.blocks)
-            for sum_ in range(1, len(made.phi.rows_of(node.block + place)) + 1)
+            for sum_ in range(1, len(contract.phi.rows_of(node.block + place)) + 1)
         ]
         assert sorted(mapped) == sorted(wanted * PHASES)
         assert all(by_place[entry >> 16, entry >> 8 & 0xFF].pdo for entry in mapped)
@@ -160,7 +159,7 @@ def test_nodes_of_several_blocks_map_every_sum_once_per_phase(name: str) -> None
 def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
     layout = load_layout()
     encodings = {
-        contract(msgspec.structs.replace(layout, encoding=Encoding(sum_bits=bits, offset_binary=offset)))
+        Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(sum_bits=bits, offset_binary=offset)))
         .nodes[0]
         .encoding
         for bits in (16, 12, 8)
@@ -171,7 +170,7 @@ def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
 
 
 def test_encoding_is_said_in_words_whatever_a_node_answers() -> None:
-    assert encoding_text(MADE.nodes[0].encoding) == "16-bit signed sums in steps of 1 of 1 blocks"
+    assert encoding_text(CONTRACT.nodes[0].encoding) == "16-bit signed sums in steps of 1 of 1 blocks"
     assert "offset binary" in encoding_text(0xFFFF_FFFF)
 
 
@@ -192,8 +191,8 @@ def test_any_skin_sends_every_sum_once_per_phase(
         encoding=Encoding(sum_bits=bits),
         bus=[Bus(name="a", nodes=8 // blocks_per_node, blocks_per_node=blocks_per_node, fd=fd)],
     )
-    made = contract(layout)
-    table = made.table
+    contract = Contract.from_layout(layout)
+    table = contract.table
     assert len(set(table.cob_id.tolist())) == len(table.cob_id)
     for phase in range(PHASES):
         gathered = table.gather[table.phase == phase]

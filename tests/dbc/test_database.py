@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dbc.codec import encode
-from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract, contract
+from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract
 from dbc.database import database, signal_name
 from skin.layout import Encoding, load_layout
 
@@ -26,45 +26,45 @@ CASES = [
 
 def made_of(name: str, encoding: dict[str, object]) -> Contract:
     layout = load_layout(Path(name))
-    return contract(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
+    return Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
 
 
-def read(made: Contract, bus: int) -> Any:
-    return cantools.database.load_string(database(made, bus), "dbc", strict=True)
+def read(contract: Contract, bus: int) -> Any:
+    return cantools.database.load_string(database(contract, bus), "dbc", strict=True)
 
 
 @pytest.mark.parametrize(("name", "encoding"), CASES)
 def test_cantools_decodes_exactly_the_sums(name: str, encoding: dict[str, object]) -> None:
-    made = made_of(name, encoding)
+    contract = made_of(name, encoding)
     sums = np.random.default_rng(5).integers(-16368, 16369, 1024).astype(np.int32)
-    wanted = made.packing.counts(made.packing.raw(sums))
-    names = {signal_name(made, number): number for number in range(1024)}
-    payloads = encode(sums, made.table.gather, made.packing)
-    for bus in range(len(made.layout.bus)):
-        described = read(made, bus)
+    wanted = contract.packing.counts(contract.packing.raw(sums))
+    names = {signal_name(contract, number): number for number in range(1024)}
+    payloads = encode(sums, contract.table.gather, contract.packing)
+    for bus in range(len(contract.layout.bus)):
+        described = read(contract, bus)
         got: dict[tuple[int, int], int] = {}
-        for row in np.flatnonzero(made.table.bus == bus):
-            message = described.get_message_by_frame_id(int(made.table.cob_id[row]))
-            assert message.length == made.table.length[row]
-            assert message.is_fd == made.layout.bus[bus].fd
+        for row in np.flatnonzero(contract.table.bus == bus):
+            message = described.get_message_by_frame_id(int(contract.table.cob_id[row]))
+            assert message.length == contract.table.length[row]
+            assert message.is_fd == contract.layout.bus[bus].fd
             payload = np.zeros(message.length, np.uint8)
             payload[: payloads.shape[1]] = payloads[row, : message.length]
-            phase = int(made.table.phase[row])
+            phase = int(contract.table.phase[row])
             assert f"_Phase{phase + 1}" in message.name
             assert f"in phase {phase + 1} of 2" in message.comment
             for signal, value in message.decode(payload.tobytes()).items():
                 got[phase, names[signal]] = value
-        there = [number for node in made.on_bus(bus) for number in range(*sums_of(made, node))]
+        there = [number for node in contract.on_bus(bus) for number in range(*sums_of(contract, node))]
         assert got == {(phase, number): wanted[number] for phase in (0, 1) for number in there}
 
 
-def sums_of(made: Contract, node: Any) -> tuple[int, int]:
-    return int(made.phi.starts[node.block]), int(made.phi.starts[node.block + node.blocks])
+def sums_of(contract: Contract, node: Any) -> tuple[int, int]:
+    return int(contract.phi.starts[node.block]), int(contract.phi.starts[node.block + node.blocks])
 
 
 def test_signals_say_what_they_are() -> None:
-    made = made_of("default", {"sum_bits": 12, "offset_binary": True})
-    described = read(made, 1)
+    contract = made_of("default", {"sum_bits": 12, "offset_binary": True})
+    described = read(contract, 1)
     message = described.get_message_by_name("Node6_TPDO3_Phase2")
     assert (message.senders, message.cycle_time) == (["Node6"], 20)
     assert "after SYNC counters 2, 4, 6" in message.comment
@@ -73,17 +73,17 @@ def test_signals_say_what_they_are() -> None:
     assert (first.minimum, first.maximum) == (-0x555 * 16, (4095 - 0x555) * 16)
     assert first.name.startswith("Block037_Row")
     attributes = {name: each.value for name, each in described.dbc.attributes.items()}
-    assert attributes["NewtonPerCount"] == made.layout.taxels.newton_per_count
-    assert attributes["PhiFingerprint"] == made.phi.fingerprint
+    assert attributes["NewtonPerCount"] == contract.layout.taxels.newton_per_count
+    assert attributes["PhiFingerprint"] == contract.phi.fingerprint
     assert (attributes["BusType"], attributes["Baudrate"]) == ("CAN", 1_000_000)
 
 
 def test_every_frame_on_a_bus_is_described() -> None:
-    made = made_of("default", {})
-    described = read(made, 3)
+    contract = made_of("default", {})
+    described = read(contract, 3)
     ids = {message.frame_id for message in described.messages}
     for phase in (0, 1):
-        assert set(made.cycle(3, phase)["can_id"].tolist()) <= ids
+        assert set(contract.cycle(3, phase)["can_id"].tolist()) <= ids
     for base in (0x80, 0x580, 0x600, HEARTBEAT_BASE):
         assert set(range(base + 1, base + 33)) <= ids
     assert len(ids) == 2 + 32 * 4 + 4 * 32

@@ -10,7 +10,7 @@ import pytest
 from canopen.objectdictionary import ODVariable
 from dcf.device import Device
 
-from dbc.contract import Contract, NodeContract, contract
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import Object, dictionary
 from dbc.eds import NodeType, eds, node_types
 from dbc.indices import (
@@ -50,9 +50,9 @@ LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in ("defaul
 LAYOUTS["mixed"] = parse_layout(SMALL.encode(), "mixed.toml")
 
 
-def written(made: Contract, kind: NodeType, folder: Path) -> str:
+def written(contract: Contract, kind: NodeType, folder: Path) -> str:
     path = folder / kind.file
-    path.write_text(eds(made, kind), "ascii")
+    path.write_text(eds(contract, kind), "ascii")
     return str(path)
 
 
@@ -62,13 +62,13 @@ def some(kind: NodeType) -> list[NodeContract]:
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_canopen_reads_the_dictionary(name: str, tmp_path: Path) -> None:
-    made = contract(LAYOUTS[name])
-    for kind in node_types(made):
-        path = written(made, kind, tmp_path)
+    contract = Contract.from_layout(LAYOUTS[name])
+    for kind in node_types(contract):
+        path = written(contract, kind, tmp_path)
         for node in some(kind):
             found = canopen.import_od(path, node.node_id)
             variables = {(each.index, each.subindex): each for each in flat(found)}
-            objects = dictionary(made, node)
+            objects = dictionary(contract, node)
             assert set(variables) == {(each.index, each.subindex or 0) for each in objects}
             for each in objects:
                 same_object(each, variables[each.index, each.subindex or 0])
@@ -98,14 +98,14 @@ def same_object(wanted: Object, got: ODVariable) -> None:
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_lely_reads_the_dictionary_and_has_no_complaint(name: str, tmp_path: Path) -> None:
-    made = contract(LAYOUTS[name])
-    for kind in node_types(made):
-        path = written(made, kind, tmp_path)
+    contract = Contract.from_layout(LAYOUTS[name])
+    for kind in node_types(contract):
+        path = written(contract, kind, tmp_path)
         for node in some(kind):
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 device = Device.from_dcf(path, {"NODEID": node.node_id})
-            objects = dictionary(made, node)
+            objects = dictionary(contract, node)
             assert {(index, sub) for index, each in device.items() for sub in each} == {
                 (each.index, each.subindex or 0) for each in objects
             }
@@ -114,23 +114,23 @@ def test_lely_reads_the_dictionary_and_has_no_complaint(name: str, tmp_path: Pat
                 assert (got.name, got.data_type.index, got.access_type.name) == (each.name, each.data_type, each.access)
                 assert got.pdo_mapping == each.pdo
             for tpdo in node.tpdos:
-                same_pdo(made, node, tpdo, device.tpdo[tpdo.number])
+                same_pdo(contract, node, tpdo, device.tpdo[tpdo.number])
             assert not device.rpdo
 
 
-def same_pdo(made: Contract, node: NodeContract, tpdo: Any, got: Any) -> None:
+def same_pdo(contract: Contract, node: NodeContract, tpdo: Any, got: Any) -> None:
     assert got.cob_id == 0x4000_0000 | tpdo.cob_id
     assert (got.transmission_type, got.sync_start_value, got.n) == (2, tpdo.phase + 1, tpdo.sums)
     names = [entry.name for entry in got.mapping.values()]
-    blocks = made.phi.block_of_sum[tpdo.first_sum : tpdo.first_sum + tpdo.sums]
-    starts = made.phi.starts[blocks]
+    blocks = contract.phi.block_of_sum[tpdo.first_sum : tpdo.first_sum + tpdo.sums]
+    starts = contract.phi.starts[blocks]
     assert names == [f"Sum {tpdo.first_sum + place - start + 1}" for place, start in enumerate(starts)]
 
 
 def test_both_readers_find_the_same_values(tmp_path: Path) -> None:
-    made = contract(LAYOUTS["default"])
-    (kind,) = node_types(made)
-    path = written(made, kind, tmp_path)
+    contract = Contract.from_layout(LAYOUTS["default"])
+    (kind,) = node_types(contract)
+    path = written(contract, kind, tmp_path)
     device, found = Device.from_dcf(path, {"NODEID": 9}), canopen.import_od(path, 9)
     compared = 0
     for each in flat(found):
@@ -141,15 +141,15 @@ def test_both_readers_find_the_same_values(tmp_path: Path) -> None:
 
 
 def test_nodes_that_differ_in_values_are_one_type() -> None:
-    (kind,) = node_types(contract(LAYOUTS["default"]))
+    (kind,) = node_types(Contract.from_layout(LAYOUTS["default"]))
     assert (kind.file, len(kind.nodes)) == ("skin.eds", 128)
 
 
 def test_every_node_has_one_type_and_each_number_of_sums_its_own() -> None:
     layout = LAYOUTS["default"]
     measurement = msgspec.structs.replace(layout.measurement, selection="uniform")
-    made = contract(msgspec.structs.replace(layout, measurement=measurement))
-    kinds = node_types(made)
+    contract = Contract.from_layout(msgspec.structs.replace(layout, measurement=measurement))
+    kinds = node_types(contract)
     assert sorted(node.block for kind in kinds for node in kind.nodes) == list(range(128))
-    assert len(kinds) == len({node.sums for node in made.nodes}) > 5
+    assert len(kinds) == len({node.sums for node in contract.nodes}) > 5
     assert len({kind.file for kind in kinds}) == len(kinds)

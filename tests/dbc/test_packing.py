@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bandwidth.frame_bits import wire_bits
 from dbc.codec import decode, encode
-from dbc.contract import contract
+from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.packing import Packing, packing, rounding_error_n
 from skin.layout import Layout, load_layout
@@ -119,11 +119,11 @@ def test_offset_binary_of_an_idle_skin_has_no_run_to_stuff(bits: int) -> None:
 def test_offset_binary_shortens_the_frames_of_an_idle_skin() -> None:
     mean = {}
     for offset_binary in (False, True):
-        made = contract(layout_with(16, offset_binary))
-        table = made.table
+        contract = Contract.from_layout(layout_with(16, offset_binary))
+        table = contract.table
         cycle = frames(len(table.cob_id))
         cycle["can_id"], cycle["length"] = table.cob_id, table.length
-        cycle["data"][:, :8] = encode(np.zeros(1024, np.int32), table.gather, made.packing)
+        cycle["data"][:, :8] = encode(np.zeros(1024, np.int32), table.gather, contract.packing)
         mean[offset_binary] = float(wire_bits(cycle)[0].mean())
     assert mean[False] > 124
     assert mean[True] < 113

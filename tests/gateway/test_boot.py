@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from bus.link import State
-from dbc.contract import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Contract, NodeContract, contract
+from dbc.contract import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Contract, NodeContract
 from dbc.frame import Frames, frames
 from gateway.boot import NMT_START, Boot
 from gateway.network import MasterNetwork
@@ -56,8 +56,8 @@ class Wire:
 
 
 @pytest.fixture(scope="module")
-def made() -> Contract:
-    return contract(load_layout())
+def contract() -> Contract:
+    return Contract.from_layout(load_layout())
 
 
 def boot_of(wire: Wire, nodes: list[NodeContract], fingerprint: str, trusted: list[int]) -> tuple[Boot, MasterNetwork]:
@@ -67,9 +67,9 @@ def boot_of(wire: Wire, nodes: list[NodeContract], fingerprint: str, trusted: li
 
 
 @pytest.fixture
-def wire(made: Contract) -> Wire:
-    sampler = Sampler(made.phi, Still(), Electronics(made.layout.taxels, noise_n=0.0))
-    segment = Segment(made, 0, set(NODES), ArrayLink(), sampler)
+def wire(contract: Contract) -> Wire:
+    sampler = Sampler(contract.phi, Still(), Electronics(contract.layout.taxels, noise_n=0.0))
+    segment = Segment(contract, 0, set(NODES), ArrayLink(), sampler)
     segment.boot(0.0)
     return Wire(segment)
 
@@ -87,41 +87,41 @@ def started(wire: Wire) -> list[int]:
     return [data[1] for can_id, data in wire.sent if can_id == NMT_COB_ID and data[0] == NMT_START]
 
 
-def test_nodes_of_this_skin_are_trusted_and_started(made: Contract, wire: Wire) -> None:
+def test_nodes_of_this_skin_are_trusted_and_started(contract: Contract, wire: Wire) -> None:
     trusted: list[int] = []
-    boot, _ = boot_of(wire, [made.on_bus(0)[place - 1] for place in NODES], made.phi.fingerprint, trusted)
+    boot, _ = boot_of(wire, [contract.on_bus(0)[place - 1] for place in NODES], contract.phi.fingerprint, trusted)
     run(boot)
     assert trusted == started(wire) == list(NODES)
     assert not boot.refused
 
 
 def test_nodes_of_another_skin_are_refused_in_words(
-    made: Contract, wire: Wire, capsys: pytest.CaptureFixture[str]
+    contract: Contract, wire: Wire, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    first, second, _ = made.on_bus(0)[:3]
+    first, second, _ = contract.on_bus(0)[:3]
     trusted: list[int] = []
-    boot, _ = boot_of(wire, [first, replace(second, block=7)], made.phi.fingerprint, trusted)
+    boot, _ = boot_of(wire, [first, replace(second, block=7)], contract.phi.fingerprint, trusted)
     run(boot)
     assert (trusted, started(wire), boot.refused) == ([1], [1], {2})
     assert "node 2 on bus0 refused: expected block 7" in capsys.readouterr().err
 
 
-def test_answers_that_nobody_asked_for_do_not_pile_up(made: Contract, wire: Wire) -> None:
-    boot, network = boot_of(wire, [made.on_bus(0)[0]], made.phi.fingerprint, [])
+def test_answers_that_nobody_asked_for_do_not_pile_up(contract: Contract, wire: Wire) -> None:
+    boot, network = boot_of(wire, [contract.on_bus(0)[0]], contract.phi.fingerprint, [])
     run(boot)
     assert not list(network)
     assert not network.subscribers.get(SDO_RESPONSE_BASE + 1)
 
 
-def test_stop_does_not_ask_the_nodes_that_still_wait(made: Contract) -> None:
+def test_stop_does_not_ask_the_nodes_that_still_wait(contract: Contract) -> None:
     silent = Wire()
-    boot, _ = boot_of(silent, list(made.on_bus(0)), made.phi.fingerprint, [])
+    boot, _ = boot_of(silent, list(contract.on_bus(0)), contract.phi.fingerprint, [])
     boot.start()
     assert silent.asked.wait(PATIENCE_S)
     boot.stop()
     boot._thread.join(PATIENCE_S)
     assert not boot._thread.is_alive()
-    assert len({can_id for can_id, _ in silent.sent}) < len(made.on_bus(0))
+    assert len({can_id for can_id, _ in silent.sent}) < len(contract.on_bus(0))
 
 
 class Endless(Wire):
@@ -137,9 +137,9 @@ class Endless(Wire):
         return super().send(burst)
 
 
-def test_a_transfer_without_end_is_left(made: Contract, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_transfer_without_end_is_left(contract: Contract, capsys: pytest.CaptureFixture[str]) -> None:
     wire, trusted = Endless(), []
-    boot, _ = boot_of(wire, [made.on_bus(0)[0]], made.phi.fingerprint, trusted)
+    boot, _ = boot_of(wire, [contract.on_bus(0)[0]], contract.phi.fingerprint, trusted)
     run(boot)
     assert not trusted
     assert "answers strangely: object" in capsys.readouterr().err
@@ -161,12 +161,12 @@ class Disturbed(Wire):
         return super().send(burst)
 
 
-def test_a_disturbed_transfer_refuses_nobody(made: Contract, wire: Wire) -> None:
+def test_a_disturbed_transfer_refuses_nobody(contract: Contract, wire: Wire) -> None:
     disturbed, trusted = Disturbed(wire._nodes), []
-    boot, _ = boot_of(disturbed, [made.on_bus(0)[0]], made.phi.fingerprint, trusted)
+    boot, _ = boot_of(disturbed, [contract.on_bus(0)[0]], contract.phi.fingerprint, trusted)
     boot.start()
     assert boot._first_pass.wait(PATIENCE_S)
     assert (trusted, boot.refused) == ([], set())
-    boot._check(made.on_bus(0)[0])  # what asking again does
+    boot._check(contract.on_bus(0)[0])  # what asking again does
     assert trusted == [1]
     boot.stop()

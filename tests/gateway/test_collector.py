@@ -6,20 +6,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.codec import encode
-from dbc.contract import SYNC_COB_ID, contract, next_counter, phase_of
+from dbc.contract import SYNC_COB_ID, Contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames, frames
 from gateway.collector import Collector
 from skin.layout import load_layout
 from tests.bus.harness import frame
 
-MADE = contract(load_layout())
-TABLE = MADE.table
+CONTRACT = Contract.from_layout(load_layout())
+TABLE = CONTRACT.table
 RANDOM = np.random.default_rng(7)
 SUMS = RANDOM.integers(-16368, 16369, 1024).astype(np.int16)
 
 
 def new_collector() -> Collector:
-    collector = Collector(MADE)
+    collector = Collector(CONTRACT)
     collector.trusted[:] = True
     return collector
 
@@ -32,7 +32,7 @@ def burst(bus: int, counter: int, sums: np.ndarray = SUMS) -> Frames:
     rows = np.flatnonzero((TABLE.bus == bus) & (TABLE.phase == phase_of(counter)))
     out = frames(len(rows))
     out["can_id"], out["length"] = TABLE.cob_id[rows], TABLE.length[rows]
-    out["data"][:, :8] = encode(sums, TABLE.gather[rows], MADE.packing)
+    out["data"][:, :8] = encode(sums, TABLE.gather[rows], CONTRACT.packing)
     return out
 
 
@@ -100,7 +100,7 @@ def test_old_values_are_never_used_again() -> None:
         gathered = collector.close(counter)
     assert list(np.flatnonzero(~gathered.valid)) == [31, 63, 95, 127]
     for block in (31, 63, 95, 127):
-        assert not gathered.sums[MADE.phi.block_of_sum == block].any()
+        assert not gathered.sums[CONTRACT.phi.block_of_sum == block].any()
 
 
 def test_second_copy_is_ignored_and_a_differing_one_spoils_the_block() -> None:
@@ -114,7 +114,7 @@ def test_second_copy_is_ignored_and_a_differing_one_spoils_the_block() -> None:
     assert collector.counts.duplicate == 5
     assert collector.counts.accepted == 64
     assert list(np.flatnonzero(~gathered.valid[:32])) == [
-        MADE.phi.block_of_sum[TABLE.gather[TABLE.row_of[0, other["can_id"][0]], 0]]
+        CONTRACT.phi.block_of_sum[TABLE.gather[TABLE.row_of[0, other["can_id"][0]], 0]]
     ]
 
 
@@ -126,7 +126,7 @@ def test_untrusted_block_is_never_valid() -> None:
         collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
     gathered = collector.close(1)
     assert list(np.flatnonzero(~gathered.valid)) == [3]
-    assert not gathered.sums[MADE.phi.block_of_sum == 3].any()
+    assert not gathered.sums[CONTRACT.phi.block_of_sum == 3].any()
 
 
 @pytest.mark.parametrize("flags", [EXTENDED, REMOTE, EXTENDED | REMOTE])

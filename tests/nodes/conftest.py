@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bus.link import State
-from dbc.contract import Contract, contract
+from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
@@ -63,8 +63,8 @@ class Still:
 
 
 @pytest.fixture(scope="session")
-def made() -> Contract:
-    return contract(load_layout())
+def contract() -> Contract:
+    return Contract.from_layout(load_layout())
 
 
 @pytest.fixture
@@ -73,9 +73,9 @@ def link() -> ArrayLink:
 
 
 @pytest.fixture
-def segment(made: Contract, link: ArrayLink) -> Segment:
+def segment(contract: Contract, link: ArrayLink) -> Segment:
     """Nodes 1 to 4 of bus0, booted."""
-    sampler = Sampler(made.phi, Still(), Electronics(made.layout.taxels, noise_n=0.0))
-    built = Segment(made, 0, {1, 2, 3, 4}, link, sampler)
+    sampler = Sampler(contract.phi, Still(), Electronics(contract.layout.taxels, noise_n=0.0))
+    built = Segment(contract, 0, {1, 2, 3, 4}, link, sampler)
     built.boot(0.0)
     return built

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from canopen import SdoAbortedError
 
-from dbc.contract import CLASSIC_BYTES, FD_BYTES, SYNC_COB_ID, Contract, NodeContract, contract
+from dbc.contract import CLASSIC_BYTES, FD_BYTES, SYNC_COB_ID, Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO
 from dbc.indices import (
@@ -33,22 +33,22 @@ SUMS = np.random.default_rng(3).integers(-16368, 16369, 1024).astype(np.int32)
 
 def made_of(name: str, **encoding: object) -> Contract:
     layout = load_layout(Path(name))
-    return contract(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
+    return Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
 
 
-def local_of(made: Contract, node: NodeContract) -> LocalNode:
-    return LocalNode(node.node_id, object_dictionary(dictionary(made, node)), made.packing.bits, node.pdo_bytes)
+def local_of(contract: Contract, node: NodeContract) -> LocalNode:
+    return LocalNode(node.node_id, object_dictionary(dictionary(contract, node)), contract.packing.bits, node.pdo_bytes)
 
 
-def burst_of(made: Contract, bus: int) -> Burst:
-    nodes = made.on_bus(bus)
+def burst_of(contract: Contract, bus: int) -> Burst:
+    nodes = contract.on_bus(bus)
     tpdos = [
         (place, node, tpdo)
         for place, node in enumerate(nodes)
-        for tpdo in read_tpdos(local_of(made, node), [each.number for each in node.tpdos])
+        for tpdo in read_tpdos(local_of(contract, node), [each.number for each in node.tpdos])
     ]
     assert all(tpdo.is_plain for _, _, tpdo in tpdos)
-    return Burst(made, tpdos)
+    return Burst(contract, tpdos)
 
 
 CASES = [
@@ -64,14 +64,14 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "encoding"), CASES)
 def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, object]) -> None:
-    made = made_of(name, **encoding)
-    collector = Collector(made)
+    contract = made_of(name, **encoding)
+    collector = Collector(contract)
     collector.trusted[:] = True
     for counter in (1, 2):
         collector.open(counter)
-        for bus in range(len(made.layout.bus)):
-            burst = burst_of(made, bus).frames(counter, SUMS, np.ones(len(made.on_bus(bus)), np.bool_))
-            planned = made.cycle(bus, counter - 1)[1:]
+        for bus in range(len(contract.layout.bus)):
+            burst = burst_of(contract, bus).frames(counter, SUMS, np.ones(len(contract.on_bus(bus)), np.bool_))
+            planned = contract.cycle(bus, counter - 1)[1:]
             by_id = burst[np.argsort(burst["can_id"])]
             for key in ("can_id", "length", "flags"):
                 assert np.array_equal(by_id[key], planned[key])
@@ -79,53 +79,53 @@ def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, obje
             collector.take(bus, np.concatenate((sync, burst)))
         gathered = collector.close(counter)
         assert gathered.complete
-        assert np.array_equal(gathered.sums, made.packing.counts(made.packing.raw(SUMS)))
+        assert np.array_equal(gathered.sums, contract.packing.counts(contract.packing.raw(SUMS)))
     assert collector.counts.foreign == collector.counts.malformed == 0
 
 
 @pytest.mark.parametrize("name", ["fd", "one-bus-12bit"])
 def test_lost_frame_spoils_the_blocks_in_it_and_no_other(name: str) -> None:
-    made = made_of(name)
-    burst = burst_of(made, 0).frames(1, SUMS, np.ones(len(made.nodes), np.bool_))
-    collector = Collector(made)
+    contract = made_of(name)
+    burst = burst_of(contract, 0).frames(1, SUMS, np.ones(len(contract.nodes), np.bool_))
+    collector = Collector(contract)
     collector.trusted[:] = True
     collector.open(1)
     sync = frame(SYNC_COB_ID, b"\1", ECHO)
     collector.take(0, np.concatenate((sync, np.delete(burst, 5))))
     gathered = collector.close(1)
-    there = made.table.gather[made.table.row_of[0, burst["can_id"][5]]]
-    lost = np.unique(made.phi.block_of_sum[there[there >= 0]])
+    there = contract.table.gather[contract.table.row_of[0, burst["can_id"][5]]]
+    lost = np.unique(contract.phi.block_of_sum[there[there >= 0]])
     assert np.array_equal(np.flatnonzero(~gathered.valid), lost)
-    whole = made.phi.sums_of_blocks(gathered.valid)
+    whole = contract.phi.sums_of_blocks(gathered.valid)
     assert not gathered.sums[~whole].any()
-    assert np.array_equal(gathered.sums[whole], made.packing.counts(made.packing.raw(SUMS[whole])))
+    assert np.array_equal(gathered.sums[whole], contract.packing.counts(contract.packing.raw(SUMS[whole])))
     assert len(lost) == (4 if name == "fd" else 1)
 
 
 def test_frame_of_the_other_kind_is_foreign() -> None:
-    made = made_of("fd")
-    burst = burst_of(made, 0).frames(1, SUMS, np.ones(len(made.nodes), np.bool_))
+    contract = made_of("fd")
+    burst = burst_of(contract, 0).frames(1, SUMS, np.ones(len(contract.nodes), np.bool_))
     burst["flags"] = 0
-    collector = Collector(made)
+    collector = Collector(contract)
     collector.open(1)
     collector.take(0, burst)
     assert collector.counts.foreign == 32
 
 
 def test_remapped_pdo_of_12_bits_packs_like_the_codec() -> None:
-    made = made_of("one-bus-12bit")
-    node = made.nodes[2]
-    local = local_of(made, node)
-    raw = made.packing.raw(SUMS)
+    contract = made_of("one-bus-12bit")
+    node = contract.nodes[2]
+    local = local_of(contract, node)
+    raw = contract.packing.raw(SUMS)
 
     def read(index: int, subindex: int, **_: object) -> int | None:
         place, first = split_block(index)
         if index < OD_MANUFACTURER or first != OD_SUMS or not subindex:
             return None
-        return int(raw[made.phi.starts[node.block + place] + subindex - 1])
+        return int(raw[contract.phi.starts[node.block + place] + subindex - 1])
 
     local.on_read(read)
-    burst = burst_of(made, 0).frames(1, SUMS, np.ones(len(made.nodes), np.bool_))
+    burst = burst_of(contract, 0).frames(1, SUMS, np.ones(len(contract.nodes), np.bool_))
     for tpdo in read_tpdos(local, [1, 2, 3, 4]):
         sent = burst[burst["can_id"] == tpdo.cob_id][0]
         assert tpdo.payload(local) == sent["data"][: tpdo.length].tobytes()
@@ -133,8 +133,8 @@ def test_remapped_pdo_of_12_bits_packs_like_the_codec() -> None:
 
 @pytest.mark.parametrize(("name", "limit"), [("default", CLASSIC_BYTES), ("fd", FD_BYTES)])
 def test_mapping_may_fill_a_frame_and_no_more(name: str, limit: int) -> None:
-    made = made_of(name)
-    local = local_of(made, made.nodes[0])
+    contract = made_of(name)
+    local = local_of(contract, contract.nodes[0])
     local.set_data(OD_TPDO_COMMUNICATION, 1, (0x8000_0181).to_bytes(4, "little"))
     local.set_data(OD_TPDO_MAPPING, 0, b"\0")
     check_write(local, OD_TPDO_MAPPING, 1, OD_SUMS << 16 | 1 << 8 | 16)
@@ -150,8 +150,8 @@ def test_mapping_may_fill_a_frame_and_no_more(name: str, limit: int) -> None:
 
 
 def test_rules_hold_for_the_objects_of_every_block() -> None:
-    made = made_of("fd")
-    local = local_of(made, made.nodes[0])
+    contract = made_of("fd")
+    local = local_of(contract, contract.nodes[0])
     for place in range(4):
         check_write(local, of_block(OD_TEST_PATTERN, place), 0, 3)
         check_write(local, of_block(OD_GAIN, place), 1, 2)

@@ -60,7 +60,7 @@ def test_pdos_in_operational_only(segment: Segment, link: ArrayLink) -> None:
     assert give(segment, link, frame(0, bytes((START, 0))), frame(0, bytes((PRE_OPERATIONAL, 0))), sync(5)) == []
 
 
-def test_phases_take_turns_and_carry_the_sums(segment: Segment, link: ArrayLink, made: Contract) -> None:
+def test_phases_take_turns_and_carry_the_sums(segment: Segment, link: ArrayLink, contract: Contract) -> None:
     give(segment, link, frame(0, bytes((START, 0))))
     odd, even = give(segment, link, sync(1)), give(segment, link, sync(2))
     assert [can_id for can_id, _ in odd] == [0x181, 0x281, 0x182, 0x282, 0x183, 0x283, 0x184, 0x284]

@@ -14,7 +14,7 @@ from cantools.database import load_file
 from cantools.logreader import Parser
 
 from bandwidth.plan import plan
-from dbc.contract import contract
+from dbc.contract import Contract
 from skin.messages import GatewayStatus
 from tests.processes import Processes
 from tests.vcan.chain import RATE_HZ, Chain, complete, ip_link, running_chain
@@ -70,7 +70,7 @@ def test_load_is_what_canbusload_and_the_plan_say(chain: Chain) -> None:
     chain.processes.stop("canbusload", signal.SIGINT)
     statuses = chain.statuses[first:]
     elapsed_s = np.diff([status.time_ns for status in statuses]) * 1e-9
-    planned = plan(contract(chain.layout))
+    planned = plan(Contract.from_layout(chain.layout))
     for number, bus in enumerate(chain.layout.bus):
         said = re.findall(rf"vcan{number}@\d+ +(\d+) +(\d+)", chain.processes.log("canbusload").read_text())
         bits = [int(bits) for _, bits in said][1:]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus.link import Link, open_link
-from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, contract, phase_of
+from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract, phase_of
 from dbc.frame import ECHO, Frames, frames
 from skin.layout import load_layout
 from tests.processes import PATIENCE_S, Processes
@@ -78,7 +78,7 @@ def since_start(stream: Frames) -> Frames:
 @pytest.mark.usefixtures("bus0")
 def test_the_echo_of_a_sync_stands_before_its_answers(links: tuple[Link, Link]) -> None:
     master, listener = links
-    table = contract(load_layout()).table
+    table = Contract.from_layout(load_layout()).table
     of_bus = table.bus == 0
     master.send(one(0x000, bytes((1, 0))))  # start all nodes
     stream = drive(master, int((of_bus & (table.phase == 0)).sum()))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dbc.contract import contract
+from dbc.contract import Contract
 from evaluation.schemes.contenders import Events, Scan, Sums, cell_of, measure_contender
 from evaluation.schemes.events import EventRule, run_events
 from evaluation.schemes.judge import Images, Updates, quality
@@ -81,15 +81,15 @@ def test_a_scan_brings_every_value_of_a_still_skin(bits: int) -> None:
 
 
 def test_sums_of_a_still_skin_and_a_lost_frame() -> None:
-    made = contract(load_layout())
+    contract = Contract.from_layout(load_layout())
     counts = np.tile(np.random.default_rng(1).integers(0, 1024, 4096).astype(np.int16), (30, 1))
-    run = run_sums(made, counts)
-    exact = made.phi.forward(counts[0].astype(np.int32)) * made.layout.taxels.newton_per_count
+    run = run_sums(contract, counts)
+    exact = contract.phi.forward(counts[0].astype(np.int32)) * contract.layout.taxels.newton_per_count
     assert run.sums_n.shape == (3, 1024)
     np.testing.assert_allclose(run.sums_n[0], exact, rtol=1e-6, atol=1e-7)
     assert run.valid.all()
     assert run.closed_ns[0] == run.latency_ns[:256].max()
-    lost = run_sums(made, counts, loss_ratio=0.05, seed=3)
+    lost = run_sums(contract, counts, loss_ratio=0.05, seed=3)
     assert 0 < (~lost.valid).sum() < lost.valid.size / 2
     assert ((~lost.valid).sum(axis=1) % 8 == 0).all()
 

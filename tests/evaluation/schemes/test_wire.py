@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.core import Bus as ArbitratedBus
-from dbc.contract import contract
+from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from evaluation.schemes.events import EventRule, run_events
 from evaluation.schemes.scan import run_scan
@@ -70,7 +70,7 @@ def test_bursts_of_events_end_when_the_arbitrated_bus_ends_them() -> None:
 
 def test_scans_and_sums_end_when_the_arbitrated_bus_ends_them() -> None:
     same(run_scan(felt(60), 10, 45.0).sent)
-    same(run_sums(contract(load_layout()), counts_of(felt(60))).sent)
+    same(run_sums(Contract.from_layout(load_layout()), counts_of(felt(60))).sent)
 
 
 @settings(max_examples=25, deadline=None)
