@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from bandwidth.measured import FOREIGN, BusLoad, cycles_of, kind_of, whole_cycles
 from bandwidth.plan import BusPlan
-from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract, next_counter, phase_of
+from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
+from dbc.contract import Contract, next_counter, phase_of
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 

@@ -10,7 +10,9 @@ from skin.layout import Layout
 def layout_text(layout: Layout) -> str:
     """Return TOML that `skin.layout.parse_layout` reads as the same layout."""
     tables: dict[str, Any] = msgspec.to_builtins(layout)
-    lines = [f'name = "{tables.pop("name")}"']
+    lines = [
+        f"{key} = {_value(tables.pop(key))}" for key in [k for k, v in tables.items() if not isinstance(v, dict | list)]
+    ]
     for key, table in tables.items():
         for each in table if isinstance(table, list) else [table]:
             lines += ["", f"[[{key}]]" if isinstance(table, list) else f"[{key}]"]

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
 from bandwidth.plan import BusPlan
-from dbc.contract import (
+from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
     HIGHEST_NODE_ID,
@@ -16,8 +16,8 @@ from dbc.contract import (
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
-    Contract,
 )
+from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ERROR, EXTENDED, Frames
 from skin.errors import InputError

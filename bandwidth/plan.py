@@ -12,7 +12,8 @@ from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.response import UNBOUNDED
 from bandwidth.touched import touched_bits
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from dbc.contract import PHASES, SYNC_COB_ID, SYNC_OVERFLOW, Contract
+from dbc.canopen import SYNC_COB_ID
+from dbc.contract import PHASES, SYNC_OVERFLOW, Contract
 from dbc.dictionary import WINDOW_RATIO
 from dbc.frame import Frames, frames
 from skin.layout import Bus

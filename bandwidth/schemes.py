@@ -15,7 +15,8 @@ import numpy as np
 from bandwidth.frame_bits import wire_bits
 from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.plan import CAUTION, Wire, sync_frames
-from dbc.contract import CLASSIC_BYTES, FD_BYTES, HIGHEST_NODE_ID
+from dbc.canopen import HIGHEST_NODE_ID
+from dbc.contract import CLASSIC_BYTES, FD_BYTES
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, FD, FD_LENGTHS, frames
 from skin.layout import Layout

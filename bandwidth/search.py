@@ -13,7 +13,8 @@ from bandwidth.layout_text import layout_text
 from bandwidth.plan import counted_wire
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance, traffic
-from dbc.contract import HIGHEST_NODE_ID, Contract
+from dbc.canopen import HIGHEST_NODE_ID
+from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO
 from skin.errors import InputError, LayoutError
 from skin.layout import Bus, Layout, Measuring, Sync, Taxels, parse_layout

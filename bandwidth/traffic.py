@@ -8,14 +8,8 @@ import numpy.typing as npt
 
 from bandwidth.frame_bits import frame_time_ns
 from bandwidth.response import blocking_ns, response_times_ns
-from dbc.contract import (
-    CLASSIC_BYTES,
-    HEARTBEAT_BASE,
-    OPERATIONAL,
-    SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
-    Contract,
-)
+from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtState
+from dbc.contract import CLASSIC_BYTES, Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from skin.errors import InputError
@@ -125,7 +119,7 @@ def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance |
     owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
     beats = frames(len(nodes))
     beats["can_id"] = [HEARTBEAT_BASE + node.node_id for node in nodes]
-    beats["length"], beats["data"][:, 0] = 1, OPERATIONAL
+    beats["length"], beats["data"][:, 0] = 1, NmtState.OPERATIONAL
     last = nodes[-1].node_id
     transfers = frames(2 if wish.sdo_per_s else 0)
     transfers["can_id"] = [SDO_RESPONSE_BASE + last, SDO_REQUEST_BASE + last][: len(transfers)]

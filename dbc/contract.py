@@ -13,26 +13,15 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
 from dbc.packing import Packing, packing
 from skin.errors import LayoutError
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe
 
-#: SYNC (CiA 301, 7.3.5: predefined connection set).
-SYNC_COB_ID: Final = 0x080
-NMT_COB_ID: Final = 0x000
-EMCY_BASE: Final = 0x080
-SDO_REQUEST_BASE: Final = 0x600
-SDO_RESPONSE_BASE: Final = 0x580
-HEARTBEAT_BASE: Final = 0x700
-#: NMT state of a running node, which its heartbeat tells (CiA 301, 7.2.8.3.2).
-OPERATIONAL: Final = 5
 #: Bytes of one object that an SDO transfer may carry; far more than any object of a node holds.
 LONGEST_VALUE: Final = 256
-#: COB-IDs of TPDO 1 to 4 of the predefined connection set, then those of the RPDOs, which a skin node does not use.
-TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
-
 #: Sets of TPDOs that take turns, see the module's text.
 PHASES: Final = 2
 #: Synchronous counter overflow value (1019h): a multiple of `PHASES`, so that the turns go on across it.
@@ -40,7 +29,6 @@ SYNC_OVERFLOW: Final = 240
 #: Longest payload of a classic CAN and of a CAN FD frame.
 CLASSIC_BYTES: Final = 8
 FD_BYTES: Final = 64
-HIGHEST_NODE_ID: Final = 127
 
 
 @dataclass(frozen=True)

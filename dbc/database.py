@@ -6,19 +6,8 @@ newtons are a factor away which no decimal fraction gives exactly; it is the att
 
 from typing import Final
 
-from dbc.contract import (
-    EMCY_BASE,
-    HEARTBEAT_BASE,
-    NMT_COB_ID,
-    PHASES,
-    SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
-    SYNC_COB_ID,
-    SYNC_OVERFLOW,
-    Contract,
-    NodeContract,
-    Tpdo,
-)
+from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
+from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD
 from dbc.notation import Message, Signal, dbc_text

@@ -7,7 +7,8 @@ that was programmed for another Φ can be read by SDO.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from dbc.contract import EMCY_BASE, PHASES, SYNC_COB_ID, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
+from dbc.canopen import EMCY_BASE, SYNC_COB_ID
+from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
 from dbc.indices import (
     INTEGER8,
     INTEGER16,
@@ -32,6 +33,7 @@ from dbc.indices import (
     OD_PHI_SEED,
     OD_RESTORE,
     OD_ROWS,
+    OD_SIGNATURE,
     OD_SOFTWARE_VERSION,
     OD_STORE,
     OD_SUMS,
@@ -56,7 +58,7 @@ Value = int | float | str
 #: No vendor number has been assigned by CiA to this project; 0 says so.
 VENDOR_ID: Final = 0
 PRODUCT_CODE: Final = 0x534B_494E
-REVISION: Final = 0x0001_0000
+REVISION: Final = 0x0001_0001
 HEARTBEAT_MS: Final = 1000
 #: Part of the cycle in which TPDOs may be sent: the next SYNC shall find a free bus.
 WINDOW_RATIO: Final = 0.98
@@ -182,6 +184,8 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_PHI_SEED, None, "Seed of the measurement operator", UNSIGNED32, "ro", seed),
         Object(OD_PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", VISIBLE_STRING, "ro", fingerprint),
         Object(OD_ENCODING, None, "Encoding of the sums", UNSIGNED32, "ro", node.encoding),
+        # The node computes the signature; `dbc.configuration` says of what.
+        Object(OD_SIGNATURE, None, "Configuration signature", UNSIGNED32, "ro", 0),
         *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
     ]
     blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]

@@ -23,9 +23,10 @@ from dbc.indices import (
     SIGNED,
     VISIBLE_STRING,
 )
+from skin.ranges import ranges_text
 
 #: Changed by hand, with `dbc.dictionary.REVISION`, when the dictionary changes.
-_DATE: Final = "06-01-2026"
+_DATE: Final = "11-21-2026"
 _MANDATORY: Final = (OD_DEVICE_TYPE, OD_ERROR_REGISTER, OD_IDENTITY)
 #: Bit rates that the format has a key for, in kbit/s.
 _BITRATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
@@ -189,12 +190,6 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
 def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
     lines = [f"Phi {contract.phi.fingerprint}, gains (2010h) are 1.0 after a reset to defaults"]
     for bus, nodes in groupby(kind.nodes, key=lambda node: node.bus):
-        ids = sorted(node.node_id for node in nodes)
-        lines.append(f"{contract.layout.bus[bus].name}: nodes {_ranges(ids)}")
+        ids = ranges_text(node.node_id for node in nodes)
+        lines.append(f"{contract.layout.bus[bus].name}: nodes {ids}")
     return {"Lines": str(len(lines)), **{f"Line{number}": line for number, line in enumerate(lines, 1)}}
-
-
-def _ranges(numbers: list[int]) -> str:
-    """Return ascending numbers as text, such as ``1-3, 7``."""
-    runs = [[number for _, number in run] for _, run in groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0])]
-    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)

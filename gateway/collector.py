@@ -10,12 +10,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.codec import decode
-from dbc.contract import PHASES, SYNC_COB_ID, Contract, next_counter, phase_of
+from dbc.contract import PHASES, Contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 
-#: Largest 11-bit identifier.
-HIGHEST_BASE_ID: Final = 0x7FF
+#: After this many cycles a node is said to have its phases swapped.
+SWAPPED_CYCLES: Final = 5
 
 
 @dataclass
@@ -72,8 +73,14 @@ class Collector:
         self._of_phase = [np.flatnonzero(contract.table.phase == phase) for phase in range(PHASES)]
         #: Of the frames with sums on each bus: classic or CAN FD.
         self._kind = [FD if bus.fd else 0 for bus in contract.layout.bus]
-        #: Blocks whose node has shown the right Φ; the sums of others are never used.
-        self.trusted = np.zeros(contract.phi.blocks, np.bool_)
+        #: Blocks whose node is proven now, and those that were during the whole cycle of a phase.
+        self._trusted = np.zeros(contract.phi.blocks, np.bool_)
+        self._proven = np.zeros((PHASES, contract.phi.blocks), np.bool_)
+        #: Buses on which somebody else has sent a SYNC since the newest cycle was opened.
+        self._disturbed = np.zeros(len(contract.layout.bus), np.bool_)
+        #: Cycles in a row in which a node sent PDOs of the other phase and none of the right one.
+        self._swapped = np.zeros(len(contract.nodes), np.intp)
+        self._strayed = np.zeros(len(contract.nodes), np.bool_)
         #: Nodes a cycle waits for, by place in the contract; the frames of others are welcome, but not awaited.
         self.expected = np.ones(len(contract.nodes), np.bool_)
         #: Counter of the SYNC that a phase is gathering for, 0 when none.
@@ -84,12 +91,31 @@ class Collector:
         #: Counter of the newest SYNC on each bus, 0 before the first.
         self._on_wire = [0] * len(contract.layout.bus)
 
+    def trust(self, blocks: slice, *, proven: bool) -> None:
+        """Use the sums of some blocks from the next cycle on, or no longer, not even in the cycles under way."""
+        self._trusted[blocks] = proven
+        if not proven:
+            self._proven[:, blocks] = False
+
+    @property
+    def trusted(self) -> npt.NDArray[np.bool_]:
+        """Blocks whose node is proven now, shape (blocks,)."""
+        return self._trusted.copy()
+
+    def take_swapped(self) -> list[int]:
+        """Return the places of the nodes that answer each SYNC with the PDOs of the other phase, once."""
+        found = np.flatnonzero(self._swapped >= SWAPPED_CYCLES)
+        self._swapped[found] = 0
+        return [int(place) for place in found]
+
     def open(self, counter: int) -> None:
         """Begin the cycle of SYNC `counter`, before that SYNC is sent."""
         phase = phase_of(counter)
         rows = self._of_phase[phase]
         self._seen[rows] = False
-        self._spoilt[rows] = False
+        self._spoilt[rows] = self._disturbed[self._table.bus[rows]]
+        self._disturbed[:] = False
+        self._proven[phase] = self._trusted
         self._gathering[phase] = counter
         self._awaited[rows] = self.expected[self._table.node[rows]]
         awaited = rows[self._awaited[rows]]
@@ -104,6 +130,11 @@ class Collector:
     def take(self, bus: int, arrived: Frames) -> None:
         """Use what arrived on a bus, in the order of the wire; a SYNC's echo starts its cycle there."""
         begin = 0
+        syncs = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
+        if (syncs & (arrived["can_id"] == SYNC_COB_ID)).any():
+            # Nodes have answered a SYNC that is not of this skin's cycles.
+            self._disturbed[bus] = True
+            self._spoilt[self._table.bus == bus] = True
         sent = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ECHO | ERROR) == ECHO)
         for place in np.flatnonzero(sent):
             self._take(bus, arrived[begin:place])
@@ -121,19 +152,27 @@ class Collector:
         np.add.at(self.missing_of_node, self._table.node[missing], 1)
         whole = self._seen[rows] & ~self._spoilt[rows]
         good, lost = rows[whole], self._table.gather[rows[~whole]]
-        valid = self.trusted.copy()
+        self._judge_phases(rows)
+        valid = self._proven[phase].copy()
         valid[self._phi.block_of_sum[lost[lost >= 0]]] = False
         sums = np.zeros(self._phi.shape[0], np.int32)
         decode(self._payload[good], self._table.gather[good], self._packing, sums)
         sums[~self._phi.sums_of_blocks(valid)] = 0
         return Gathered(sums, valid)
 
+    def _judge_phases(self, rows: npt.NDArray[np.intp]) -> None:
+        """Note which nodes sent nothing but PDOs of the other phase in the cycle of `rows`."""
+        is_right = np.zeros(len(self._strayed), np.bool_)
+        is_right[self._table.node[rows[self._seen[rows]]]] = True
+        self._swapped = np.where(self._strayed & ~is_right, self._swapped + 1, 0)
+        self._strayed[:] = False
+
     def _take(self, bus: int, arrived: Frames) -> None:
         arrived = arrived[arrived["flags"] & (ERROR | ECHO) == 0]
         if not len(arrived):
             return
         kind = arrived["flags"] & (EXTENDED | REMOTE | FD)
-        strange = (kind != self._kind[bus]) | (arrived["can_id"] > HIGHEST_BASE_ID)
+        strange = (kind != self._kind[bus]) | (arrived["can_id"] > BASE_ID_MASK)
         row = self._table.row_of[bus, np.where(strange, 0, arrived["can_id"])]
         ours = row >= 0
         self.counts.foreign += int(len(row) - ours.sum())
@@ -148,6 +187,9 @@ class Collector:
         in_time = (cycle != 0) & (cycle == self._on_wire[bus])
         self.counts.late += int(len(row) - in_time.sum())
         np.add.at(self.late_of_node, self._table.node[row[~in_time]], 1)
+        if self._on_wire[bus]:
+            other = self._table.phase[row] != phase_of(self._on_wire[bus])
+            self._strayed[self._table.node[row[other]]] = True
         row, payload = row[in_time], payload[in_time]
         if not len(row):
             return

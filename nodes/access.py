@@ -9,8 +9,21 @@ from typing import Any, Final
 
 from canopen import SdoAbortedError
 
-from dbc.contract import SYNC_COB_ID
+from dbc.canopen import (
+    BASE_ID_MASK,
+    COB_ID_EXTENDED,
+    COB_ID_INVALID,
+    EVENT_MANUFACTURER,
+    EXTENDED_ID_MASK,
+    LAST_SYNCHRONOUS,
+    RESTRICTED_COB_IDS,
+    SYNC_COB_ID,
+    Abort,
+)
+from dbc.dictionary import HEARTBEATS_WATCHED
 from dbc.indices import (
+    OD_CONSUMER_HEARTBEAT,
+    OD_CYCLE_PERIOD_US,
     OD_EMCY_COB_ID,
     OD_ERROR_BEHAVIOUR,
     OD_ERROR_FIELD,
@@ -27,39 +40,26 @@ from dbc.indices import (
     SIGNATURE_SAVE,
     split_block,
 )
+from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
 
-ABORT_NOT_MAPPABLE: Final = 0x0604_0041
-ABORT_PDO_LENGTH: Final = 0x0604_0042
-ABORT_VALUE: Final = 0x0609_0030
-ABORT_STORE: Final = 0x0800_0020
-ABORT_STATE: Final = 0x0800_0022
-
-#: Bit 31 of a PDO's COB-ID: it does not exist (CiA 301, 7.5.2.37).
-PDO_INVALID: Final = 0x8000_0000
-FRAME_29_BIT: Final = 0x2000_0000
-LAST_SYNCHRONOUS: Final = 240
 TEST_PATTERNS: Final = 4
-
-#: COB-IDs that no PDO may have (CiA 301, table 38).
-RESTRICTED: Final = (
-    range(0x001, 0x080),
-    range(0x101, 0x181),
-    range(0x581, 0x600),
-    range(0x601, 0x680),
-    range(0x6E0, 0x700),
-    range(0x701, 0x800),
-)
 
 
 def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
     """Raise `canopen.SdoAbortedError` when `value`, a whole number but for REAL32, must not be written now."""
-    if OD_TPDO_COMMUNICATION <= index < OD_TPDO_COMMUNICATION + 0x200:
+    if OD_TPDO_COMMUNICATION <= index < OD_TPDO_MAPPING:
         _communication(node, index, subindex, int(value))
-    elif OD_TPDO_MAPPING <= index < OD_TPDO_MAPPING + 0x200:
+    elif OD_TPDO_MAPPING <= index < OD_MANUFACTURER:
         _mapping(node, index, subindex, int(value))
+    elif index == OD_EMCY_COB_ID:
+        _emcy(node, int(value))
+    elif index == OD_CONSUMER_HEARTBEAT:
+        _consumer_heartbeat(node, subindex, int(value))
     elif (rule := _VALUES.get(_first_block(index))) is not None and not rule(value):
-        raise SdoAbortedError(ABORT_STORE if index in (OD_STORE, OD_RESTORE) else ABORT_VALUE)
+        raise SdoAbortedError(Abort.NOT_STORED if index in (OD_STORE, OD_RESTORE) else Abort.VALUE)
+    elif index == OD_SYNC_OVERFLOW and node.unsigned(OD_CYCLE_PERIOD_US):
+        raise SdoAbortedError(Abort.STATE)  # CiA 301, 7.5.2.22
 
 
 def _first_block(index: int) -> int:
@@ -72,7 +72,6 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_SYNC_COB_ID: lambda value: value == SYNC_COB_ID,  # a consumer, on the predefined identifier
     OD_STORE: lambda value: value == SIGNATURE_SAVE,
     OD_RESTORE: lambda value: value == SIGNATURE_LOAD,
-    OD_EMCY_COB_ID: lambda value: value & 0x3FFF_F800 == 0 and value & 0x7FF != 0,
     OD_SYNC_OVERFLOW: lambda value: value == 0 or 2 <= value <= LAST_SYNCHRONOUS,
     OD_ERROR_BEHAVIOUR: lambda value: value <= 2,
     OD_GAIN: math.isfinite,
@@ -81,41 +80,62 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
 
 
 def _communication(node: LocalNode, index: int, subindex: int, value: int) -> None:
-    exists = not node.unsigned(index, 1) & PDO_INVALID
+    exists = not node.unsigned(index, 1) & COB_ID_INVALID
     if subindex == 1:
-        can_id = value & 0x1FFF_FFFF
-        wrong = value & FRAME_29_BIT or can_id in (0, 0x80) or any(can_id in block for block in RESTRICTED)
-        if not value & PDO_INVALID and (wrong or can_id > 0x7FF):
-            raise SdoAbortedError(ABORT_VALUE)
-        if exists and not value & PDO_INVALID and can_id != node.unsigned(index, 1) & 0x1FFF_FFFF:
-            raise SdoAbortedError(ABORT_STATE)
+        _cob_id(node.unsigned(index, 1), value)
     elif subindex == 2:
-        if LAST_SYNCHRONOUS < value < 254:  # reserved, or on remote request, which is not offered
-            raise SdoAbortedError(ABORT_VALUE)
+        if LAST_SYNCHRONOUS < value < EVENT_MANUFACTURER:  # reserved, or on remote request, which is not offered
+            raise SdoAbortedError(Abort.VALUE)
     elif subindex in (3, 6) and exists:
-        raise SdoAbortedError(ABORT_STATE)
+        raise SdoAbortedError(Abort.STATE)
+
+
+def _cob_id(present: int, value: int) -> None:
+    """Check the COB-ID of a PDO or EMCY: free for this use, and the same while the message exists."""
+    can_id = value & EXTENDED_ID_MASK
+    is_free = 0 < can_id <= BASE_ID_MASK and can_id != SYNC_COB_ID and not value & COB_ID_EXTENDED
+    if not value & COB_ID_INVALID and (not is_free or any(can_id in block for block in RESTRICTED_COB_IDS)):
+        raise SdoAbortedError(Abort.VALUE)
+    if not (present | value) & COB_ID_INVALID and can_id != present & EXTENDED_ID_MASK:
+        raise SdoAbortedError(Abort.STATE)
+
+
+def _emcy(node: LocalNode, value: int) -> None:
+    """Check 1014h (CiA 301, 7.5.2.17)."""
+    if value & COB_ID_EXTENDED:
+        raise SdoAbortedError(Abort.VALUE)
+    _cob_id(node.unsigned(OD_EMCY_COB_ID), value)
+
+
+def _consumer_heartbeat(node: LocalNode, subindex: int, value: int) -> None:
+    """Check an entry of 1016h: every node-ID is watched once (CiA 301, 7.5.2.18)."""
+    others = [
+        node.unsigned(OD_CONSUMER_HEARTBEAT, each) for each in range(1, HEARTBEATS_WATCHED + 1) if each != subindex
+    ]
+    if watched_node(value) and watched_node(value) in map(watched_node, others):
+        raise SdoAbortedError(Abort.INCOMPATIBLE)
 
 
 def _mapping(node: LocalNode, index: int, subindex: int, value: int) -> None:
     communication = index - OD_TPDO_MAPPING + OD_TPDO_COMMUNICATION
-    if not node.unsigned(communication, 1) & PDO_INVALID:
-        raise SdoAbortedError(ABORT_STATE)
+    if not node.unsigned(communication, 1) & COB_ID_INVALID:
+        raise SdoAbortedError(Abort.STATE)
     if subindex:
         if node.unsigned(index, 0):
-            raise SdoAbortedError(ABORT_STATE)
+            raise SdoAbortedError(Abort.STATE)
         if value:
             _check_mappable(node, value)
         return
     if value > node.pdo_bytes:  # objects of one byte each
-        raise SdoAbortedError(ABORT_PDO_LENGTH)
+        raise SdoAbortedError(Abort.PDO_LENGTH)
     entries = [node.unsigned(index, place) for place in range(1, value + 1)]
     for entry in entries:
         _check_mappable(node, entry)
     if sum(entry & 0xFF for entry in entries) > 8 * node.pdo_bytes:
-        raise SdoAbortedError(ABORT_PDO_LENGTH)
+        raise SdoAbortedError(Abort.PDO_LENGTH)
 
 
 def _check_mappable(node: LocalNode, entry: int) -> None:
     """Check one mapping entry: index, sub-index and length in bits of an object that PDOs may carry."""
     if node.mappable_bits(entry >> 16, entry >> 8 & 0xFF) != entry & 0xFF:
-        raise SdoAbortedError(ABORT_NOT_MAPPABLE)
+        raise SdoAbortedError(Abort.NOT_MAPPABLE)

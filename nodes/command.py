@@ -34,6 +34,7 @@ def nodes(
     array: Annotated[list[str] | None, Parameter(negative=())] = None,
     noise_n: float = 0.001,
     seed: int = 0,
+    store: Path | None = None,
 ) -> None:
     """Run the virtual CANopen nodes of a skin, one per SBHE block.
 
@@ -63,6 +64,8 @@ def nodes(
         Standard deviation of the sensor noise in newtons; 0 for a recording, which has its own.
     seed
         Seed of the touches and of the noise.
+    store
+        Folder that keeps what 1010h stores, a file per node, as the flash memory of a board does.
 
     Examples
     --------
@@ -71,6 +74,11 @@ def nodes(
     """
     if seed < 0 or not 0 <= noise_n < math.inf:
         raise InputError(f"expected 0 or more: got --noise-n {noise_n:g} --seed {seed}")
+    if store is not None:
+        try:
+            store.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"--store {store}: expected a folder that can be written: {error.strerror}") from error
     stop = StopSignal().install()
     skin = load_layout(layout)
     contract = Contract.from_layout(skin)
@@ -80,7 +88,7 @@ def nodes(
     sampler = Sampler(contract.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     joined = Fabric(skin.name, "nodes", connect, stop=stop) if fabric else None
-    service = NodesService(contract, links, chosen, sampler, joined)
+    service = NodesService(contract, links, chosen, sampler, joined, store=store)
     say("nodes", f"{sum(map(len, chosen.values()))} nodes on {len(links)} buses")
     try:
         service.run(stop)

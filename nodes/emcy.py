@@ -3,32 +3,17 @@
 import struct
 from collections import deque
 from collections.abc import Callable
-from enum import IntEnum
 from typing import Final
 
+from dbc.canopen import Emergency, ErrorRegister
 from dbc.dictionary import ERRORS_KEPT
 
 EMCY: Final = struct.Struct("<HB5s")  # error code, error register, manufacturer's field
-NO_ERROR: Final = 0x0000
-
-#: Error register bits (1001h).
-GENERIC_ERROR: Final = 0x01
-COMMUNICATION_ERROR: Final = 0x10
-MANUFACTURER_ERROR: Final = 0x80
-
-
-class Emergency(IntEnum):
-    """Error codes a skin node can report (CiA 301, table 26; FF00h on are the manufacturer's)."""
-
-    HEARTBEAT_LOST = 0x8130
-    SYNC_LENGTH = 0x8240
-    WINDOW_MISSED = 0xFF10
-
 
 _REGISTER: Final = {
-    Emergency.HEARTBEAT_LOST: COMMUNICATION_ERROR,
-    Emergency.SYNC_LENGTH: COMMUNICATION_ERROR,
-    Emergency.WINDOW_MISSED: MANUFACTURER_ERROR,
+    Emergency.HEARTBEAT_LOST: ErrorRegister.COMMUNICATION,
+    Emergency.SYNC_LENGTH: ErrorRegister.COMMUNICATION,
+    Emergency.WINDOW_MISSED: ErrorRegister.MANUFACTURER,
 }
 
 
@@ -51,7 +36,7 @@ class EmcyProducer:
     @property
     def register(self) -> int:
         """Error register (1001h): the bits of all active errors, with the generic bit."""
-        bits = GENERIC_ERROR if self._active else 0
+        bits = ErrorRegister.GENERIC if self._active else 0
         for error in self._active:
             bits |= _REGISTER[error]
         return bits
@@ -88,7 +73,7 @@ class EmcyProducer:
         """Report that an active error has gone."""
         if error in self._active:
             self._active.discard(error)
-            self._waiting.append(EMCY.pack(NO_ERROR, self.register, error.to_bytes(5, "little")))
+            self._waiting.append(EMCY.pack(Emergency.NONE, self.register, error.to_bytes(5, "little")))
 
     def flush(self, now_s: float, inhibit_s: float) -> None:
         """Send what waits, one message per inhibit time."""

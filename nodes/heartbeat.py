@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+from dbc.canopen import HIGHEST_NODE_ID
+
 
 class HeartbeatProducer:
     """Sends the NMT state every `period_s`; 0 sends none."""
@@ -40,9 +42,8 @@ class HeartbeatConsumer:
         self.lost: set[int] = set()
 
     def watch(self, entries: list[int]) -> None:
-        """Set what to watch from the entries of 1016h: node-ID in bits 16 to 22, time in ms in bits 0 to 15."""
-        self._periods_s = {entry >> 16 & 0x7F: (entry & 0xFFFF) / 1000 for entry in entries if entry & 0xFFFF}
-        self._periods_s.pop(0, None)
+        """Set the nodes to watch from the entries of 1016h: node-ID in bits 16 to 23, time in ms in bits 0 to 15."""
+        self._periods_s = {watched_node(entry): (entry & 0xFFFF) / 1000 for entry in entries if watched_node(entry)}
         self._due_s = {node: due_s for node, due_s in self._due_s.items() if node in self._periods_s}
         self.lost &= self._periods_s.keys()
 
@@ -62,3 +63,9 @@ class HeartbeatConsumer:
         for node_id, due_s in self._due_s.items():
             if now_s > due_s:
                 self.lost.add(node_id)
+
+
+def watched_node(entry: int) -> int:
+    """Return the node-ID that an entry of 1016h watches; 0 where the entry is not used."""
+    node_id, time_ms = entry >> 16, entry & 0xFFFF
+    return node_id if time_ms and node_id <= HIGHEST_NODE_ID else 0

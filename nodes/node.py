@@ -1,45 +1,61 @@
 """One CANopen node: dictionary, NMT state machine (CiA 301, 7.3.2), heartbeats, emergencies, stored parameters."""
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final
 
+import canopen
 import numpy as np
 
-from dbc.contract import HEARTBEAT_BASE, HIGHEST_NODE_ID, NodeContract
+from dbc.canopen import (
+    BASE_ID_MASK,
+    COB_ID_INVALID,
+    COMMANDED,
+    EVENT_MANUFACTURER,
+    HEARTBEAT_BASE,
+    HIGHEST_NODE_ID,
+    Abort,
+    Emergency,
+    NmtCommand,
+    NmtState,
+)
+from dbc.configuration import Setting, signature
+from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, Object
 from dbc.indices import (
+    BITS,
     OD_CONSUMER_HEARTBEAT,
     OD_EMCY_COB_ID,
     OD_EMCY_INHIBIT_100US,
     OD_ERROR_BEHAVIOUR,
     OD_ERROR_FIELD,
     OD_ERROR_REGISTER,
+    OD_GAIN,
     OD_HEALTH,
     OD_HEARTBEAT_MS,
     OD_MANUFACTURER,
     OD_OFFSET,
     OD_RESTORE,
+    OD_SIGNATURE,
     OD_STORE,
     OD_SUMS,
+    OD_TEST_PATTERN,
     REAL32,
     of_block,
     split_block,
 )
-from nodes.access import PDO_INVALID, check_write
-from nodes.emcy import EmcyProducer, Emergency
+from nodes.access import check_write
+from nodes.emcy import EmcyProducer
 from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from nodes.network import SegmentNetwork
-from nodes.nmt import COMMANDED, NmtCommand, NmtState
 from nodes.objects import LocalNode, object_dictionary
 from nodes.sampler import Sampler
-from nodes.tpdo import EVENT_MANUFACTURER, Tpdo, read_tpdos
+from nodes.storage import Parameters, Storage
+from nodes.tpdo import Tpdo, read_tpdos
 
 #: Writing these does something; reading them says that the node can do it.
 _COMMANDS: Final = (OD_STORE, OD_RESTORE)
-
-Store = dict[int, dict[int, bytes]]
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -47,6 +63,18 @@ _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
 
 class SkinNode:
     """A virtual SBHE block on the bus.
+
+    Parameters
+    ----------
+    contract : NodeContract
+    objects : list of Object
+        Its dictionary.
+    settings : sequence of Setting
+        The objects that the configuration signature (2006h) covers.
+    network : SegmentNetwork
+    sampler : Sampler
+    storage : Storage
+        What 1010h stored.
 
     Attributes
     ----------
@@ -58,15 +86,24 @@ class SkinNode:
     """
 
     def __init__(
-        self, contract: NodeContract, objects: list[Object], network: SegmentNetwork, sampler: Sampler
+        self,
+        contract: NodeContract,
+        objects: list[Object],
+        settings: Sequence[Setting],
+        *,
+        network: SegmentNetwork,
+        sampler: Sampler,
+        storage: Storage,
     ) -> None:
         self.contract = contract
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[Tpdo] = []
+        self._settings = settings
+        self._signature: int | None = None
+        self._storage = storage
         self._network = network
         self._sampler = sampler
-        self._saved: Store = {}
         self._changed = True
         self._has_events = False
         self._emcy_cob_id = 0
@@ -75,6 +112,7 @@ class SkinNode:
             OD_ERROR_REGISTER: lambda _: self.emcy.register,
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,
+            OD_SIGNATURE: lambda _: self._read_signature(),
             **{
                 of_block(OD_SUMS, place): partial(self._read_sum, contract.block + place)
                 for place in range(contract.blocks)
@@ -100,9 +138,13 @@ class SkinNode:
         store = self.local.data_store
         for index in [index for index in store if index < OD_MANUFACTURER or not communication_only]:
             del store[index]
-        for index, entries in self._saved.items():
-            if index < OD_MANUFACTURER or not communication_only:
-                store[index] = dict(entries)
+        for index, entries in self._storage.parameters.items():
+            for subindex, data in entries.items():
+                if (index < OD_MANUFACTURER or not communication_only) and self._is_stored(index, subindex, data):
+                    store.setdefault(index, {})[subindex] = data
+        if not communication_only:
+            self._reset_electronics()
+        self._signature = None
         self.emcy.reset()
         self.health[:] = 0
         self._changed = True
@@ -112,6 +154,31 @@ class SkinNode:
         # Boards that are powered together would all beat together, in the middle of a burst of sums.
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
         self.heartbeat.set_period(self.local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s, part)
+
+    def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
+        """Tell whether a stored value fits an object that can be stored; a test pattern ends with a reset."""
+        found = self.local.variable(index, subindex)
+        if found is None or not found.writable or index in _COMMANDS or index == OD_ERROR_FIELD:
+            return False
+        return len(data) * 8 == BITS.get(found.data_type or 0) and split_block(index)[1] != OD_TEST_PATTERN
+
+    def _reset_electronics(self) -> None:
+        """Give the electronics the calibration that the dictionary holds now, and no test pattern."""
+        for place in range(self.contract.blocks):
+            self._sampler.reset(self.contract.block + place)
+        for index, entries in self.local.data_store.items():
+            if index >= OD_MANUFACTURER:
+                for subindex, data in entries.items():
+                    self._adjust(index, subindex, data)
+
+    def _adjust(self, index: int, subindex: int, data: bytes) -> None:
+        """Let the electronics follow an object of the manufacturer's area."""
+        place, first = split_block(index)
+        if first == OD_GAIN:
+            value = struct.unpack("<f", data)[0]
+        else:
+            value = int.from_bytes(data, "little", signed=first == OD_OFFSET)
+        self._sampler.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int, now_s: float) -> None:
         """Obey an NMT command; unknown ones are ignored."""
@@ -179,8 +246,8 @@ class SkinNode:
         self._network.send_message(HEARTBEAT_BASE + self.contract.node_id, struct.pack("B", self.state))
 
     def _send_emcy(self, payload: bytes) -> None:
-        if not self._emcy_cob_id & PDO_INVALID:
-            self._network.send_message(self._emcy_cob_id & 0x7FF, payload)
+        if not self._emcy_cob_id & COB_ID_INVALID:
+            self._network.send_message(self._emcy_cob_id & BASE_ID_MASK, payload)
 
     def _read(self, *, index: int, subindex: int, **_: object) -> Any:
         """Return the present value of an object that is not just stored; None for all others."""
@@ -191,7 +258,22 @@ class SkinNode:
         history = self.emcy.history
         if subindex == 0:
             return len(history)
-        return history[subindex - 1] if subindex <= len(history) else 0
+        if subindex > len(history):
+            raise canopen.SdoAbortedError(Abort.NO_DATA)
+        return history[subindex - 1]
+
+    def _read_signature(self) -> int:
+        """Return the signature of what this node does: its PDOs by the dictionary, its patterns by the electronics."""
+        if self._signature is None:
+            self._signature = signature((each.index, each.subindex, self._value(each)) for each in self._settings)
+        return self._signature
+
+    def _value(self, setting: Setting) -> bytes:
+        if setting.index >= OD_MANUFACTURER:
+            place, first = split_block(setting.index)
+            if first == OD_TEST_PATTERN:
+                return bytes((self._sampler.pattern(self.contract.block + place),))
+        return self.local.get_data(setting.index, setting.subindex)
 
     def _read_health(self, subindex: int) -> int | None:
         contract = self.contract
@@ -208,13 +290,20 @@ class SkinNode:
         if index == OD_ERROR_FIELD:
             self.emcy.clear_history()
         elif index == OD_STORE:
-            self._saved = {at: dict(entries) for at, entries in self.local.data_store.items() if at not in _COMMANDS}
+            self._store({at: dict(entries) for at, entries in self.local.data_store.items() if at not in _COMMANDS})
         elif index == OD_RESTORE:
-            self._saved = {}
+            self._store({})
+        self._signature = None
         if index >= OD_MANUFACTURER:
-            place, first = split_block(index)
-            if first == OD_OFFSET:
-                value = int.from_bytes(data, "little", signed=True)
-            self._sampler.adjust(self.contract.block + place, first, subindex, value)
+            self._adjust(index, subindex, data)
         else:
             self._changed = True
+
+    def _store(self, parameters: Parameters) -> None:
+        try:
+            if parameters:
+                self._storage.save(parameters)
+            else:
+                self._storage.clear()
+        except OSError as error:
+            raise canopen.SdoAbortedError(Abort.HARDWARE) from error

@@ -2,19 +2,18 @@
 
 import logging
 from collections.abc import Callable
-from typing import Any, Final, cast
+from typing import Any, cast
 
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
+from canopen.objectdictionary.datatypes import NUMBER_TYPES
+from canopen.sdo.constants import EXPEDITED, NO_MORE_DATA, SIZE_SPECIFIED
 from canopen.sdo.server import SdoServer
 
+from dbc.canopen import Abort
 from dbc.contract import LONGEST_VALUE
 from dbc.dictionary import Object
 from dbc.indices import BITS, OD_SUMS, split_block
-
-#: Abort codes (CiA 301, table 22): command specifier not valid; value too long.
-ABORT_COMMAND: Final = 0x0504_0001
-ABORT_TOO_LONG: Final = 0x0607_0012
 
 # The library logs every request it refuses; the abort on the bus says it already.
 logging.getLogger("canopen.sdo.server").setLevel(logging.CRITICAL)
@@ -42,29 +41,72 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
     return dictionary
 
 
-class BoundedSdoServer(SdoServer):
-    """The library's SDO server, which neither a download without end nor a segment out of turn can upset."""
+class StrictSdoServer(SdoServer):
+    """The library's SDO server, held to CiA 301, 7.2.4, where it is more lenient than the standard.
+
+    A segment belongs to a transfer of its own direction that has begun and not ended; a download cannot go on for
+    ever; an expedited download may leave its size to the object; block transfer is refused.
+    """
 
     _buffer: bytearray | None
 
-    def __init__(self, rx_cobid: int, tx_cobid: int, node: canopen.LocalNode) -> None:
+    def __init__(self, rx_cobid: int, tx_cobid: int, node: "LocalNode") -> None:
         super().__init__(rx_cobid, tx_cobid, node)  # type: ignore[no-untyped-call]
+        self._local = node
         self._index = self._subindex = 0  # what an abort before the first transfer names
+        self._is_upload = False
+
+    def init_upload(self, request: bytes) -> None:
+        """Begin an upload (7.2.4.3.5); one of more than four bytes goes on in segments."""
+        self._buffer, self._is_upload = None, True
+        super().init_upload(request)  # type: ignore[no-untyped-call]
 
     def segmented_upload(self, command: int) -> None:
-        """Send one segment (CiA 301, 7.2.4.3.6), or abort where no transfer was begun."""
-        if self._buffer is None:
-            raise canopen.SdoAbortedError(ABORT_COMMAND)
+        """Send one segment (7.2.4.3.6)."""
+        if self._buffer is None or not self._is_upload:
+            raise canopen.SdoAbortedError(Abort.COMMAND)
         super().segmented_upload(command)  # type: ignore[no-untyped-call]
+        if not self._buffer:
+            self._buffer = None
+
+    def init_download(self, request: bytes) -> None:
+        """Begin a download (7.2.4.3.3)."""
+        self._buffer, self._is_upload = None, False
+        command = request[0]
+        if command & EXPEDITED and not command & SIZE_SPECIFIED:
+            described = self._local.variable(int.from_bytes(request[1:3], "little"), request[3])
+            if described is not None and described.data_type in NUMBER_TYPES:
+                unused = 4 - min(4, len(described) // 8)
+                request = bytes((command | SIZE_SPECIFIED | unused << 2, *request[1:]))
+        super().init_download(request)  # type: ignore[no-untyped-call]
 
     def segmented_download(self, command: int, request: bytes) -> None:
-        """Take one segment (CiA 301, 7.2.4.3.4), or abort a value longer than any object."""
-        if self._buffer is None:
-            raise canopen.SdoAbortedError(ABORT_COMMAND)
+        """Take one segment (7.2.4.3.4)."""
+        if self._buffer is None or self._is_upload:
+            raise canopen.SdoAbortedError(Abort.COMMAND)
         if len(self._buffer) > LONGEST_VALUE:
-            self._buffer = None
-            raise canopen.SdoAbortedError(ABORT_TOO_LONG)
+            raise canopen.SdoAbortedError(Abort.TOO_LONG)
         super().segmented_download(command, request)  # type: ignore[no-untyped-call]
+        if command & NO_MORE_DATA:
+            self._buffer = None
+
+    def block_upload(self, data: bytes) -> None:
+        """Switch to an upload in segments, where the client allows it for a value of this size (7.2.4.3.12)."""
+        index, subindex, switch_below = int.from_bytes(data[1:3], "little"), data[3], data[5]
+        self._index, self._subindex = index, subindex
+        if data[0] & 0x03 or len(self._local.get_data(index, subindex)) > switch_below:
+            raise canopen.SdoAbortedError(Abort.COMMAND)
+        self.init_upload(data)
+
+    def request_aborted(self, data: bytes) -> None:
+        """End the transfer."""
+        self._buffer = None
+        super().request_aborted(data)  # type: ignore[no-untyped-call]
+
+    def abort(self, abort_code: int = 0x0800_0000) -> None:
+        """End the transfer and say why."""
+        self._buffer = None
+        super().abort(abort_code)  # type: ignore[no-untyped-call]
 
 
 class LocalNode(canopen.LocalNode):
@@ -82,7 +124,7 @@ class LocalNode(canopen.LocalNode):
         super().__init__(node_id, dictionary)
         self.sum_bits = sum_bits
         self.pdo_bytes = pdo_bytes
-        self.sdo = BoundedSdoServer(self.sdo.rx_cobid, self.sdo.tx_cobid, self)
+        self.sdo = StrictSdoServer(self.sdo.rx_cobid, self.sdo.tx_cobid, self)
         # The library would start a thread per node for the heartbeat.
         self._write_callbacks.clear()
 
@@ -93,6 +135,13 @@ class LocalNode(canopen.LocalNode):
     def on_read(self, callback: Callable[..., Any]) -> None:
         """Call ``callback(index=, subindex=, od=)`` for every read; None lets the stored value be read."""
         self._read_callbacks.append(callback)
+
+    def _find_object(self, index: int, subindex: int) -> ODVariable:
+        """Return the description of an object; the library would give a variable any sub-index."""
+        found = self.variable(index, subindex)
+        if found is None:
+            raise canopen.SdoAbortedError(Abort.NO_SUBINDEX if index in self.object_dictionary else Abort.NO_OBJECT)
+        return found
 
     def unsigned(self, index: int, subindex: int = 0) -> int:
         """Return the present value of an unsigned object."""

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from dbc.contract import SYNC_OVERFLOW
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
-from nodes.electronics import Electronics
+from nodes.electronics import PATTERN_OFF, Electronics
 from skin.measurement import Sbhe
 from skin.messages import Truth
 from skin.sources import TaxelSource
@@ -38,6 +38,7 @@ class Sampler:
         self._phi = phi
         self._source = source
         self._electronics = electronics
+        self._patterns = np.full(phi.blocks, PATTERN_OFF, np.uint8)
         self._step = -1
         self._counter = 0
         self._kept: deque[tuple[int, int, npt.NDArray[np.int32]]] = deque(maxlen=KEPT_CYCLES)
@@ -50,20 +51,35 @@ class Sampler:
 
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
         """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
-        size = self._phi.block_size
-        chain = self._phi.order[block * size : (block + 1) * size]
+        size, chain = self._phi.block_size, self._chain(block)
         if index == OD_GAIN and 1 <= subindex <= size:
             self._electronics.gain[chain[subindex - 1]] = value
         elif index == OD_OFFSET and 1 <= subindex <= size:
             self._electronics.offset[chain[subindex - 1]] = value
         elif index == OD_TEST_PATTERN:
             self._electronics.set_pattern(chain, int(value))
+            self._patterns[block] = int(value)
+
+    def reset(self, block: int) -> None:
+        """Give a block gain 1, offset 0 and no test pattern, as its defaults are."""
+        chain = self._chain(block)
+        self._electronics.gain[chain] = 1
+        self._electronics.offset[chain] = 0
+        self._electronics.set_pattern(chain, PATTERN_OFF)
+        self._patterns[block] = PATTERN_OFF
+
+    def pattern(self, block: int) -> int:
+        """Return the test pattern that the electronics of a block show."""
+        return int(self._patterns[block])
 
     def saturated(self, block: int) -> int:
         """Count the taxels of `block` at the top of their range."""
+        return int((self._counts[self._chain(block)] >= self._electronics.top).sum())
+
+    def _chain(self, block: int) -> npt.NDArray[np.intp]:
+        """Return the taxels of a block in the order of their daisy chain."""
         size = self._phi.block_size
-        chain = self._phi.order[block * size : (block + 1) * size]
-        return int((self._counts[chain] >= self._electronics.top).sum())
+        return self._phi.order[block * size : (block + 1) * size]
 
     def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen at `time_ns`."""

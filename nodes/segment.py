@@ -1,31 +1,36 @@
 """All virtual nodes of one bus behind one link: what comes in, and what answers."""
 
-import time
 from collections.abc import Collection
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from bandwidth.frame_bits import frame_time_ns
 from bus.link import DISCARDED, Link
-from dbc.contract import (
+from dbc.canopen import (
     HEARTBEAT_BASE,
     HIGHEST_NODE_ID,
+    LAST_SYNCHRONOUS,
+    NMT_BYTES,
     NMT_COB_ID,
+    SDO_BYTES,
     SDO_REQUEST_BASE,
     SYNC_COB_ID,
-    Contract,
-    NodeContract,
+    Emergency,
+    NmtCommand,
+    NmtState,
 )
+from dbc.configuration import configuration
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from dbc.indices import OD_SYNC_OVERFLOW, OD_WINDOW_US
 from nodes.burst import Burst
-from nodes.emcy import Emergency
 from nodes.network import SegmentNetwork
-from nodes.nmt import NmtCommand, NmtState
 from nodes.node import SkinNode
 from nodes.sampler import Sampler
+from nodes.storage import Storage
 from nodes.tpdo import Tpdo
 from skin.service import Complaints
 
@@ -37,8 +42,6 @@ TICK_S: Final = 0.005
 QUIET_FROM, QUIET_TO = 0.7, 2.0
 #: 1007h is 0: there is no limit.
 NO_WINDOW_NS: Final = 1 << 62
-#: Every SDO frame is 8 bytes (CiA 301, 7.2.4.3).
-SDO_BYTES: Final = 8
 
 
 class Segment:
@@ -53,6 +56,8 @@ class Segment:
         Which of its nodes live here.
     link : Link
     sampler : Sampler
+    store : Path, optional
+        Folder for what 1010h stores, a file per node; without it the parameters end with the process.
 
     Attributes
     ----------
@@ -60,7 +65,16 @@ class Segment:
         Received frames that made the CANopen library raise; they are dropped.
     """
 
-    def __init__(self, contract: Contract, bus: int, node_ids: Collection[int], link: Link, sampler: Sampler) -> None:
+    def __init__(
+        self,
+        contract: Contract,
+        bus: int,
+        node_ids: Collection[int],
+        link: Link,
+        sampler: Sampler,
+        *,
+        store: Path | None = None,
+    ) -> None:
         self.link = link
         self.frames_rejected = 0
         self.syncs_seen = 0
@@ -75,7 +89,16 @@ class Segment:
         self._sampler = sampler
         self._network = SegmentNetwork(link)
         self.nodes = [
-            SkinNode(node, dictionary(contract, node), self._network, sampler)
+            SkinNode(
+                node,
+                dictionary(contract, node),
+                configuration(contract, node),
+                network=self._network,
+                sampler=sampler,
+                storage=Storage(
+                    contract.phi.fingerprint, store / f"{self._name}-{node.node_id}.json" if store else None
+                ),
+            )
             for node in contract.on_bus(bus)
             if node.node_id in node_ids
         ]
@@ -130,7 +153,7 @@ class Segment:
         can_id = int(frame["can_id"])
         data = frame["data"][: frame["length"]].tobytes()
         if can_id == SYNC_COB_ID:
-            self._sync(data, int(frame["time_ns"]))
+            self._sync(data, int(frame["time_ns"]), now_s)
         elif can_id == NMT_COB_ID:
             self._nmt(data, now_s)
         elif can_id > HEARTBEAT_BASE:
@@ -141,9 +164,11 @@ class Segment:
         elif len(data) == SDO_BYTES:
             self._sdo(can_id, data, now_s)
 
-    def _sync(self, data: bytes, time_ns: int) -> None:
+    def _sync(self, data: bytes, time_ns: int, now_s: float) -> None:
+        if len(data) == 1 and not 1 <= data[0] <= LAST_SYNCHRONOUS:
+            return  # no counter of CiA 301, 7.2.5.2
         self.syncs_seen += 1
-        self._sync_at_s = time.monotonic()
+        self._sync_at_s = now_s
         listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
         self._judge_sync(listening, len(data))
         counter = data[0] if len(data) == 1 else 0
@@ -186,7 +211,7 @@ class Segment:
                 node.emcy.raised(Emergency.SYNC_LENGTH, length)
 
     def _nmt(self, data: bytes, now_s: float) -> None:
-        if len(data) < 2:
+        if len(data) != NMT_BYTES:
             return
         command, node_id = data[0], data[1]
         for node in self.nodes if node_id == 0 else filter(None, [self._by_id.get(node_id)]):

@@ -4,6 +4,7 @@ import os
 import selectors
 import time
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Final
 
 from bus.link import Link
@@ -32,6 +33,8 @@ class NodesService:
     sampler : Sampler
     fabric : Fabric or None
         Where counters and, of a simulated skin, the true touch are published.
+    store : Path, optional
+        Folder for what 1010h stores.
     """
 
     def __init__(
@@ -41,8 +44,12 @@ class NodesService:
         node_ids: Mapping[int, Collection[int]],
         sampler: Sampler,
         fabric: Fabric | None = None,
+        *,
+        store: Path | None = None,
     ) -> None:
-        self.segments = [Segment(contract, bus, node_ids[bus], link, sampler) for bus, link in links.items()]
+        self.segments = [
+            Segment(contract, bus, node_ids[bus], link, sampler, store=store) for bus, link in links.items()
+        ]
         self._sampler = sampler
         self._fabric = fabric
         self._status_at_s = 0.0

@@ -1,18 +1,14 @@
 """One transmit PDO as its records describe it now (CiA 301, 7.2.2), and when it is due."""
 
 from dataclasses import dataclass, field
-from typing import Final
 
 from canopen import SdoAbortedError
 
+from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, EVENT_MANUFACTURER, LAST_SYNCHRONOUS
 from dbc.contract import SYNC_OVERFLOW
 from dbc.frame import FD_LENGTHS
 from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, split_block
-from nodes.access import LAST_SYNCHRONOUS, PDO_INVALID
 from nodes.objects import LocalNode
-
-#: First of the two event-driven transmission types: the manufacturer's and the profile's, 255.
-EVENT_MANUFACTURER: Final = 254
 
 
 @dataclass
@@ -111,10 +107,10 @@ def _read(node: LocalNode, communication: int, mapping: int) -> Tpdo | None:
     cob_id = node.unsigned(communication, 1)
     entries = [node.unsigned(mapping, place) for place in range(1, node.unsigned(mapping, 0) + 1)]
     length = (sum(entry & 0xFF for entry in entries) + 7) // 8
-    if cob_id & PDO_INVALID or not entries or length > node.pdo_bytes:
+    if cob_id & COB_ID_INVALID or not entries or length > node.pdo_bytes:
         return None
     return Tpdo(
-        cob_id=cob_id & 0x7FF,
+        cob_id=cob_id & BASE_ID_MASK,
         every=node.unsigned(communication, 2),
         start=node.unsigned(communication, 6),
         inhibit_s=node.unsigned(communication, 3) * 1e-4,

@@ -103,6 +103,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     """
 
     name: Name = "skin"
+    configure: Literal["write", "refuse"] = "write"
     taxels: Taxels = msgspec.field(default_factory=Taxels)
     measurement: Measuring = msgspec.field(default_factory=Measuring)
     sync: Sync = msgspec.field(default_factory=Sync)

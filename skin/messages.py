@@ -114,6 +114,10 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     label: str
 
 
+#: Stands in `BusState.nmt` for a node whose heartbeat is overdue.
+SILENT: Final = 255
+
+
 class BusState(msgspec.Struct, frozen=True, kw_only=True):
     """One bus as the gateway sees it.
 
@@ -122,7 +126,7 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     load_ratio : float
         Bits of all frames seen in the last interval over the bits the bus could carry (exact stuffing).
     nmt : bytes
-        uint8 per node of the bus: last heartbeat's NMT state (CiA 301, 7.2.8.3.2), 255 when silent.
+        uint8 per node of the bus: last heartbeat's NMT state (CiA 301, 7.2.8.3.2), `SILENT` when that is overdue.
     missing, late : list of int
         Frames per node since the start that a cycle had to do without, and that came too late for theirs.
     emcy : list of int
@@ -151,7 +155,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     """The gateway's counters since its start, published a few times a second.
 
     ``frames_accepted + frames_late + frames_duplicate + frames_malformed == frames_received`` counts the
-    sums' TPDOs; everything else on the bus is ``frames_foreign``.
+    sums' TPDOs; everything else on the bus is ``frames_foreign``. `syncs_skipped` counts the SYNCs that were not sent
+    because they were due too long ago.
     """
 
     time_ns: int
@@ -167,6 +172,7 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     sync_rate_hz: float
     buses: list[BusState]
     mean_load_ratio: list[float]
+    syncs_skipped: int = 0
 
 
 class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):

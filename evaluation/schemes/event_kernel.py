@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from bandwidth.kernels import count_classic
-from dbc.contract import HEARTBEAT_BASE, OPERATIONAL, TPDO_BASES
+from dbc.canopen import HEARTBEAT_BASE, TPDO_BASES, NmtState
 from dbc.dictionary import HEARTBEAT_MS
 from evaluation.schemes.wire import TICK_NS
 
@@ -119,7 +119,7 @@ def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
         if is_beat:
             log[ASKED], log[COUNT] = nodes.beat_ns[node], 0
             nodes.beat_ns[node] += HEARTBEAT_MS * TICK_NS
-            row[_DATA] = OPERATIONAL
+            row[_DATA] = NmtState.OPERATIONAL
             _address(row, HEARTBEAT_BASE + node + 1, 1)
         else:
             log[ASKED] = nodes.asked_ns[node]

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dbc.contract import TPDO_BASES
+from dbc.canopen import TPDO_BASES
 from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Updates
 from evaluation.schemes.patches import lines_of, patches

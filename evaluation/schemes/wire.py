@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns, wire_bits
-from dbc.contract import HEARTBEAT_BASE, OPERATIONAL, SYNC_COB_ID, SYNC_OVERFLOW
+from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
+from dbc.contract import SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from evaluation.findings import Row
@@ -123,7 +124,7 @@ def heartbeats(lines: Sequence[Bus], ticks: int) -> Asked:
         times = (first_beats_ns(line.nodes) + turns).ravel()
         beats = frames(len(times))
         beats["can_id"] = HEARTBEAT_BASE + 1 + np.tile(np.arange(line.nodes), rounds)
-        beats["length"], beats["data"][:, 0] = 1, OPERATIONAL
+        beats["length"], beats["data"][:, 0] = 1, NmtState.OPERATIONAL
         due = times < ticks * TICK_NS
         parts.append(Asked(beats[due], np.full(int(due.sum()), number), times[due]))
     return Asked(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("frames", "bus", "time_ns")))

@@ -8,18 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
-from dbc.contract import (
-    PHASES,
-    SYNC_COB_ID,
-    SYNC_OVERFLOW,
-    Contract,
-    _length,
-    _spread,
-    encoding_text,
-    next_counter,
-    phase_of,
-)
+from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, _length, _spread, encoding_text, next_counter, phase_of
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block

@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
 from dbc.codec import encode
-from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract
+from dbc.contract import Contract
 from dbc.database import database, signal_name
 from skin.layout import Encoding, load_layout
 

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
-from dbc.contract import SYNC_COB_ID, Contract, next_counter, phase_of
+from dbc.contract import Contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames, frames
 from gateway.collector import Collector
 from skin.layout import load_layout
@@ -20,7 +21,7 @@ SUMS = RANDOM.integers(-16368, 16369, 1024).astype(np.int16)
 
 def new_collector() -> Collector:
     collector = Collector(CONTRACT)
-    collector.trusted[:] = True
+    collector.trust(slice(None), proven=True)
     return collector
 
 
@@ -120,7 +121,7 @@ def test_second_copy_is_ignored_and_a_differing_one_spoils_the_block() -> None:
 
 def test_untrusted_block_is_never_valid() -> None:
     collector = new_collector()
-    collector.trusted[3] = False
+    collector.trust(slice(3, 4), proven=False)
     collector.open(1)
     for bus in range(4):
         collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))

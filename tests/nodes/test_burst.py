@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from canopen import SdoAbortedError
 
-from dbc.contract import CLASSIC_BYTES, FD_BYTES, SYNC_COB_ID, Contract, NodeContract
+from dbc.canopen import SYNC_COB_ID
+from dbc.contract import CLASSIC_BYTES, FD_BYTES, Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO
 from dbc.indices import (
@@ -66,7 +67,7 @@ CASES = [
 def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, object]) -> None:
     contract = made_of(name, **encoding)
     collector = Collector(contract)
-    collector.trusted[:] = True
+    collector.trust(slice(None), proven=True)
     for counter in (1, 2):
         collector.open(counter)
         for bus in range(len(contract.layout.bus)):
@@ -88,7 +89,7 @@ def test_lost_frame_spoils_the_blocks_in_it_and_no_other(name: str) -> None:
     contract = made_of(name)
     burst = burst_of(contract, 0).frames(1, SUMS, np.ones(len(contract.nodes), np.bool_))
     collector = Collector(contract)
-    collector.trusted[:] = True
+    collector.trust(slice(None), proven=True)
     collector.open(1)
     sync = frame(SYNC_COB_ID, b"\1", ECHO)
     collector.take(0, np.concatenate((sync, np.delete(burst, 5))))

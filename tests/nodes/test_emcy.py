@@ -1,6 +1,7 @@
 """Emergencies: once when an error comes, once when it goes, and never faster than the inhibit time."""
 
-from nodes.emcy import COMMUNICATION_ERROR, EMCY, GENERIC_ERROR, MANUFACTURER_ERROR, EmcyProducer, Emergency
+from dbc.canopen import Emergency, ErrorRegister
+from nodes.emcy import EMCY, EmcyProducer
 
 
 def test_an_error_is_sent_once_and_again_when_it_has_gone() -> None:
@@ -9,7 +10,7 @@ def test_an_error_is_sent_once_and_again_when_it_has_gone() -> None:
     for _ in range(3):
         emcy.raised(Emergency.SYNC_LENGTH, 0)
     emcy.flush(0.0, 0.0)
-    assert [EMCY.unpack(one)[:2] for one in sent] == [(0x8240, GENERIC_ERROR | COMMUNICATION_ERROR)]
+    assert [EMCY.unpack(one)[:2] for one in sent] == [(0x8240, ErrorRegister.GENERIC | ErrorRegister.COMMUNICATION)]
     emcy.gone(Emergency.SYNC_LENGTH)
     emcy.gone(Emergency.SYNC_LENGTH)
     emcy.flush(0.0, 0.0)
@@ -21,9 +22,9 @@ def test_error_register_holds_every_active_error() -> None:
     emcy = EmcyProducer(lambda _: None)
     emcy.raised(Emergency.HEARTBEAT_LOST, 5)
     emcy.raised(Emergency.WINDOW_MISSED, 3)
-    assert emcy.register == GENERIC_ERROR | COMMUNICATION_ERROR | MANUFACTURER_ERROR
+    assert emcy.register == ErrorRegister.GENERIC | ErrorRegister.COMMUNICATION | ErrorRegister.MANUFACTURER
     emcy.gone(Emergency.HEARTBEAT_LOST)
-    assert emcy.register == GENERIC_ERROR | MANUFACTURER_ERROR
+    assert emcy.register == ErrorRegister.GENERIC | ErrorRegister.MANUFACTURER
 
 
 def test_history_is_newest_first_bounded_and_can_be_cleared() -> None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bus.link import Link, open_link
-from dbc.contract import HEARTBEAT_BASE, SYNC_COB_ID, Contract, phase_of
+from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
+from dbc.contract import Contract, phase_of
 from dbc.frame import ECHO, Frames, frames
 from skin.layout import load_layout
 from tests.processes import PATIENCE_S, Processes

@@ -1,0 +1,111 @@
+"""CANopen's own tables (CiA 301): identifiers, NMT, SDO, abort codes, emergencies."""
+
+from enum import IntEnum, IntFlag
+from typing import Final
+
+#: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and those to which a node adds its node-ID.
+NMT_COB_ID: Final = 0x000
+SYNC_COB_ID: Final = 0x080
+EMCY_BASE: Final = 0x080
+SDO_RESPONSE_BASE: Final = 0x580
+SDO_REQUEST_BASE: Final = 0x600
+HEARTBEAT_BASE: Final = 0x700
+#: TPDO 1 to 4, then the identifiers of RPDO 1 to 4.
+TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
+HIGHEST_NODE_ID: Final = 127
+
+#: COB-IDs that no PDO, EMCY or SYNC may be moved to (CiA 301, table 38).
+RESTRICTED_COB_IDS: Final = (
+    range(0x001, 0x080),
+    range(0x101, 0x181),
+    range(0x581, 0x600),
+    range(0x601, 0x680),
+    range(0x6E0, 0x700),
+    range(0x701, 0x800),
+)
+#: Bit 31 of a COB-ID object: the PDO or EMCY does not exist (CiA 301, 7.5.2.17 and 7.5.2.37).
+COB_ID_INVALID: Final = 0x8000_0000
+#: Bit 29 of a COB-ID object: 29-bit identifier.
+COB_ID_EXTENDED: Final = 0x2000_0000
+#: The 11-bit and the 29-bit identifier within a COB-ID object.
+BASE_ID_MASK: Final = 0x7FF
+EXTENDED_ID_MASK: Final = 0x1FFF_FFFF
+
+#: Highest cyclic synchronous transmission type, and highest value of 1019h (CiA 301, 7.5.2.38 and 7.5.2.22).
+LAST_SYNCHRONOUS: Final = 240
+#: Lowest event-driven transmission type: the manufacturer's; 255 is the device profile's.
+EVENT_MANUFACTURER: Final = 254
+
+#: Lengths of the messages (CiA 301, 7.2).
+NMT_BYTES: Final = 2
+SDO_BYTES: Final = 8
+EMCY_BYTES: Final = 8
+HEARTBEAT_BYTES: Final = 1
+
+
+class NmtState(IntEnum):
+    """NMT states as the heartbeat reports them (CiA 301, 7.2.8.3.2)."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class NmtCommand(IntEnum):
+    """NMT command specifiers (CiA 301, 7.2.8.3.1)."""
+
+    START = 1
+    STOP = 2
+    ENTER_PRE_OPERATIONAL = 128
+    RESET_NODE = 129
+    RESET_COMMUNICATION = 130
+
+
+#: The state that a command leads to; the two resets lead through initialisation.
+COMMANDED: Final = {
+    NmtCommand.START: NmtState.OPERATIONAL,
+    NmtCommand.STOP: NmtState.STOPPED,
+    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+}
+
+
+class Abort(IntEnum):
+    """SDO abort codes (CiA 301, table 22)."""
+
+    TOGGLE = 0x0503_0000
+    TIMEOUT = 0x0504_0000
+    COMMAND = 0x0504_0001
+    MEMORY = 0x0504_0005
+    NO_OBJECT = 0x0602_0000
+    NOT_MAPPABLE = 0x0604_0041
+    PDO_LENGTH = 0x0604_0042
+    INCOMPATIBLE = 0x0604_0043
+    HARDWARE = 0x0606_0000
+    TOO_LONG = 0x0607_0012
+    NO_SUBINDEX = 0x0609_0011
+    VALUE = 0x0609_0030
+    NOT_STORED = 0x0800_0020
+    STATE = 0x0800_0022
+    NO_DATA = 0x0800_0024
+
+
+#: Abort codes below speak of the transfer (toggle bit, time-out, command), those from here on of the object.
+FIRST_ABORT_OF_THE_OBJECT: Final = 0x0600_0000
+
+
+class Emergency(IntEnum):
+    """Error codes that a skin node can report (CiA 301, table 26; FF00h on are the manufacturer's)."""
+
+    NONE = 0x0000
+    HEARTBEAT_LOST = 0x8130
+    SYNC_LENGTH = 0x8240
+    WINDOW_MISSED = 0xFF10
+
+
+class ErrorRegister(IntFlag):
+    """Bits of the error register (CiA 301, 7.5.2.2)."""
+
+    GENERIC = 0x01
+    COMMUNICATION = 0x10
+    MANUFACTURER = 0x80

@@ -1,0 +1,137 @@
+"""What a node's dictionary must hold for its sums to be believed, and a signature of all of it.
+
+A TPDO says nothing of how it was mapped. A block counts only while the objects here are known to have the values of
+the contract: identity, identifiers, mapping, SYNC, test pattern, Φ.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from dbc.contract import Contract, NodeContract
+from dbc.dictionary import Object, dictionary
+from dbc.indices import (
+    BITS,
+    OD_BLOCK,
+    OD_EMCY_COB_ID,
+    OD_ENCODING,
+    OD_HEARTBEAT_MS,
+    OD_IDENTITY,
+    OD_MANUFACTURER,
+    OD_PHI_FINGERPRINT,
+    OD_SYNC_COB_ID,
+    OD_SYNC_OVERFLOW,
+    OD_TEST_PATTERN,
+    OD_TPDO_COMMUNICATION,
+    OD_TPDO_MAPPING,
+    OD_WINDOW_US,
+    SIGNED,
+    VISIBLE_STRING,
+    split_block,
+)
+
+#: Sub-indices of an object that are compared; objects without an entry are compared whole.
+_COMPARED: Final = {OD_IDENTITY: (1, 2)}
+#: COB-ID, transmission type, SYNC start value: the rest of a communication record is for event-driven PDOs.
+_COMPARED_OF_TPDO: Final = (1, 2, 6)
+_WHOLE: Final = (
+    OD_SYNC_COB_ID,
+    OD_WINDOW_US,
+    OD_EMCY_COB_ID,
+    OD_HEARTBEAT_MS,
+    OD_SYNC_OVERFLOW,
+    OD_BLOCK,
+    OD_PHI_FINGERPRINT,
+    OD_ENCODING,
+)
+
+#: How long one round of `proof_period_s` takes at least.
+PROOF_PERIOD_S: Final = 2.0
+#: The part of a bus that reading signatures may take.
+PROOF_LOAD_RATIO: Final = 0.005
+#: Request and answer of one expedited transfer: two frames of 8 bytes, 111 bits without stuff bits, 24 bits of these.
+PROOF_BITS: Final = 2 * (111 + 24)
+#: Rounds after which a block whose node has not answered is no longer valid.
+PROOF_ROUNDS: Final = 2
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One object that the gateway compares: `data` is its value in the bytes of an SDO transfer."""
+
+    index: int
+    subindex: int
+    name: str
+    data: bytes
+    is_text: bool
+    is_writable: bool
+
+    def matches(self, data: bytes) -> bool:
+        """Tell whether `data` is this value; numbers may come in more bytes than they need."""
+        if self.is_text:
+            return data == self.data
+        return int.from_bytes(data, "little") == int.from_bytes(self.data, "little")
+
+    def text(self, data: bytes | None = None) -> str:
+        """Return `data`, by default the value itself, for a person."""
+        value = self.data if data is None else data
+        return value.decode("ascii", "replace") if self.is_text else f"{int.from_bytes(value, 'little'):X}h"
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}h:{self.subindex} ({self.name})"
+
+
+def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
+    """Return what a master compares, in the order of the dictionary; the signature covers it in this order."""
+    return tuple(_setting(each) for each in dictionary(contract, node) if _is_compared(each, node))
+
+
+def signature(values: Iterable[tuple[int, int, bytes]]) -> int:
+    """Return the configuration signature (2006h) of index, sub-index and value of each object.
+
+    CRC-32 (polynomial 04C11DB7h reflected, as in IEEE 802.3) over index (2 bytes), sub-index (1 byte) and value, each
+    little endian, of all objects one after another.
+    """
+    crc = 0
+    for index, subindex, data in values:
+        crc = zlib.crc32(struct.pack("<HB", index, subindex) + data, crc)
+    return crc
+
+
+def expected_signature(settings: Iterable[Setting]) -> int:
+    """Return the signature of a node that holds exactly `settings`."""
+    return signature((each.index, each.subindex, each.data) for each in settings)
+
+
+def proof_period_s(contract: Contract, bus: int) -> float:
+    """Return the time in which the gateway reads every signature of a bus once.
+
+    `PROOF_PERIOD_S`, or longer where `PROOF_LOAD_RATIO` of the bus does not carry as much.
+    """
+    wires = contract.layout.bus[bus]
+    return max(PROOF_PERIOD_S, wires.nodes * PROOF_BITS / (PROOF_LOAD_RATIO * wires.bitrate))
+
+
+def _is_compared(each: Object, node: NodeContract) -> bool:
+    subindex = each.subindex or 0
+    if OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING:
+        return subindex in _COMPARED_OF_TPDO
+    if OD_TPDO_MAPPING <= each.index < OD_MANUFACTURER:
+        mapped = next(tpdo.sums for tpdo in node.tpdos if tpdo.number == each.index - OD_TPDO_MAPPING + 1)
+        return subindex <= mapped
+    if each.index in _COMPARED:
+        return subindex in _COMPARED[each.index]
+    first = split_block(each.index)[1] if each.index >= OD_MANUFACTURER else each.index
+    return first in (*_WHOLE, OD_TEST_PATTERN)
+
+
+def _setting(each: Object) -> Setting:
+    is_text = each.data_type == VISIBLE_STRING
+    if is_text:
+        data = str(each.value).encode("ascii")
+    else:
+        data = int(each.value).to_bytes(BITS[each.data_type] // 8, "little", signed=each.data_type in SIGNED)
+    name = f"{each.group}, {each.name}" if each.group else each.name
+    return Setting(each.index, each.subindex or 0, name, data, is_text, each.access == "rw")

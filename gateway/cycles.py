@@ -1,0 +1,71 @@
+"""When SYNC is due: absolute times, never two close together, and what is due too late is skipped and counted."""
+
+from typing import Final
+
+from dbc.contract import next_counter
+
+#: A SYNC that is this part of a period late is not sent any more; nor one this close to the SYNC before it.
+LATEST: Final = 0.5
+
+
+class SyncClock:
+    """The times of the SYNCs.
+
+    Parameters
+    ----------
+    period_s : float
+
+    Attributes
+    ----------
+    due_s : float
+        When the next SYNC is due; infinite before `start`.
+    counter : int
+        Counter of the newest SYNC, 0 before the first.
+    sent, skipped : int
+        SYNCs since the start.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self.due_s = float("inf")
+        self.counter = 0
+        self.sent = self.skipped = 0
+        self._period_s = period_s
+        self._start_s = self._sent_s = float("-inf")
+
+    @property
+    def runs(self) -> bool:
+        """Whether SYNCs are due at all."""
+        return self.due_s != float("inf")
+
+    def start(self, first_s: float) -> None:
+        """Begin with a SYNC at `first_s`."""
+        self._start_s = self.due_s = first_s
+
+    def stop(self) -> None:
+        """Send no more."""
+        self.due_s = float("inf")
+
+    def take(self, now_s: float) -> float | None:
+        """Return when the SYNC was due that is to be sent now, None when none is.
+
+        The lateness of one SYNC does not move the next. A stalled loop skips what it has missed: nodes would answer
+        two SYNCs close together with two bursts that the bus cannot carry.
+        """
+        if now_s < self.due_s:
+            return None
+        missed = int((now_s - self.due_s) / self._period_s)
+        due_s = self.due_s + missed * self._period_s
+        is_late = now_s - due_s > LATEST * self._period_s or now_s - self._sent_s < LATEST * self._period_s
+        self.skipped += missed + is_late
+        self.due_s = due_s + self._period_s
+        if is_late:
+            return None
+        self._sent_s = now_s
+        self.sent += 1
+        self.counter = next_counter(self.counter) if self.counter else 1
+        return due_s
+
+    def rate_hz(self, now_s: float) -> float:
+        """Return the mean rate of the SYNCs sent so far."""
+        elapsed_s = now_s - self._start_s
+        return self.sent / elapsed_s if 0 < elapsed_s < float("inf") else 0.0

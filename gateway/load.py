@@ -1,0 +1,61 @@
+"""How full a bus is: the time its frames took, with exact stuffing, over the time that passed."""
+
+import numpy as np
+
+from bandwidth.frame_bits import frame_time_ns
+from dbc.frame import ERROR, Frames, frames
+from skin.layout import Bus
+
+
+class BusLoad:
+    """Load of one bus, since the last look and since SYNC started.
+
+    Parameters
+    ----------
+    wires : Bus
+        Bit rates.
+    now_s : float
+    """
+
+    def __init__(self, wires: Bus, now_s: float) -> None:
+        self._wires = wires
+        frame_time_ns(frames(1), wires.bitrate, wires.data_bitrate)  # compiled before the first cycle
+        self._waiting: list[Frames] = []
+        self._busy_ns = self._total_busy_ns = 0
+        self._since_s = self._start_s = now_s
+
+    def take(self, arrived: Frames) -> None:
+        """Keep frames seen on the bus, own ones included, until `account`."""
+        self._waiting.append(arrived)
+
+    def account(self) -> None:
+        """Add up the time of the frames taken so far; cheap for many frames, not for few."""
+        if not self._waiting:
+            return
+        taken = np.concatenate(self._waiting)
+        self._waiting.clear()
+        taken = taken[taken["flags"] & ERROR == 0]
+        busy_ns = int(frame_time_ns(taken, self._wires.bitrate, self._wires.data_bitrate).sum())
+        self._busy_ns += busy_ns
+        self._total_busy_ns += busy_ns
+
+    def restart(self, now_s: float) -> None:
+        """Forget the load so far and count from `now_s`: when SYNC starts."""
+        self._waiting.clear()
+        self._busy_ns = self._total_busy_ns = 0
+        self._since_s = self._start_s = now_s
+
+    def look(self, now_s: float) -> float:
+        """Return the load since the last look."""
+        self.account()
+        load_ratio = _ratio(self._busy_ns, now_s - self._since_s)
+        self._busy_ns, self._since_s = 0, now_s
+        return load_ratio
+
+    def mean_ratio(self, now_s: float) -> float:
+        """Return the load since `restart`."""
+        return _ratio(self._total_busy_ns, now_s - self._start_s)
+
+
+def _ratio(busy_ns: int, elapsed_s: float) -> float:
+    return busy_ns * 1e-9 / elapsed_s if elapsed_s > 0 else 0.0

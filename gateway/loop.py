@@ -1,0 +1,301 @@
+"""The gateway apart from its input and output: frames and times in, frames and measurements out."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from bus.link import State
+from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID, NmtState
+from dbc.contract import Contract, NodeContract
+from dbc.frame import Frames, frames
+from gateway.collector import Collector, Gathered
+from gateway.cycles import SyncClock
+from gateway.load import BusLoad
+from gateway.nmt_master import NmtMaster
+from skin.messages import BusState, GatewayStatus, Measurement
+from skin.ranges import ranges_text
+
+#: How often `look_after_nodes` compares what nodes say with what is awaited of them.
+LOOK_PERIOD_S: Final = 0.2
+#: SYNC starts when every node has been asked, or after this time.
+BOOT_PATIENCE_S: Final = 3.0
+#: The last node that was started gets this long to be ready.
+SETTLE_S: Final = 0.1
+#: A cycle is closed this fraction of a period after the next SYNC, if a bus does not show that SYNC.
+GRACE: Final = 0.9
+
+#: Sends frames on a bus; returns how many, from the first, found room.
+Send = Callable[[Frames], int]
+
+
+@dataclass(frozen=True)
+class _Cycle:
+    number: int
+    counter: int
+    sync_mono_ns: int
+    time_ns: int
+    closes_s: float
+
+
+@dataclass
+class _Line:
+    """One bus and what is kept about it."""
+
+    name: str
+    send: Send
+    master: NmtMaster
+    load: BusLoad
+    places: list[tuple[int, NodeContract]]
+    #: SYNCs in a row that found no room.
+    refused_syncs: int = 0
+    foreign_syncs: int = 0
+
+
+class GatewayLoop:
+    """Master and collector of a skin's buses.
+
+    Parameters
+    ----------
+    contract : Contract
+    sends : mapping of int to callable
+        Sends frames, by number of the bus.
+    now_s : float
+        Monotonic time.
+    say, complain : callable
+        Take a line for the log: of a change, and of what may come many times.
+
+    Attributes
+    ----------
+    collector : Collector
+    sync : SyncClock
+    """
+
+    def __init__(
+        self,
+        contract: Contract,
+        sends: Mapping[int, Send],
+        now_s: float,
+        *,
+        say: Callable[[str], None],
+        complain: Callable[[str], None],
+    ) -> None:
+        self.collector = Collector(contract)
+        self.sync = SyncClock(contract.layout.sync.period_s)
+        self._contract = contract
+        self._period_s = contract.layout.sync.period_s
+        self._say, self._complain = say, complain
+        self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
+        self._lines = {number: self._line(number, send, now_s) for number, send in sends.items()}
+        self._numbers = sorted(self._lines)
+        self._flying: deque[_Cycle] = deque()
+        self._patience_s = now_s + BOOT_PATIENCE_S
+        self._look_s = now_s
+        self._closed = self._complete = 0
+        self._explained: set[int] = set()
+
+    @property
+    def in_flight(self) -> int:
+        """Cycles that are not closed yet."""
+        return len(self._flying)
+
+    @property
+    def due_s(self) -> float:
+        """When something is due besides arriving frames."""
+        closes_s = self._flying[0].closes_s if self._flying else float("inf")
+        return min(self.sync.due_s, closes_s)
+
+    def take(self, number: int, arrived: Frames, now_s: float) -> None:
+        """Use the frames that arrived on a bus, in the order of the wire."""
+        if not len(arrived):
+            return
+        line = self._lines[number]
+        # Doubts of the master come before the sums: what it reads here may say what these sums are.
+        line.master.take(arrived, now_s)
+        self.collector.take(number, arrived)
+        line.load.take(arrived)
+        line.foreign_syncs += int(((arrived["flags"] == 0) & (arrived["can_id"] == SYNC_COB_ID)).sum())
+
+    def tick(self, now_s: float) -> None:
+        """Do what time calls for, but for SYNC and the end of cycles."""
+        for line in self._lines.values():
+            line.master.tick(now_s)
+        if not self.sync.runs and self.sync.counter == 0:
+            passed = all(line.master.passed for line in self._lines.values())
+            if passed or now_s >= self._patience_s:
+                self._start_sync(now_s)
+        if now_s >= self._look_s:
+            self._look_s = now_s + LOOK_PERIOD_S
+            self._look_after_nodes(now_s)
+
+    def send_sync(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
+        """Send the SYNC that is due, on every bus; return what had to be closed to make room for its cycle.
+
+        Parameters
+        ----------
+        now_s : float
+            The time of the sending itself: with an older one SYNCs would bunch after a stall.
+        wall_offset_ns : int
+            Wall clock less monotonic clock.
+        """
+        due_s = self.sync.take(now_s)
+        if due_s is None:
+            return []
+        closed = [self._close(self._flying.popleft()) for _ in range(len(self._flying) - 1)]
+        counter = self.sync.counter
+        self.collector.open(counter)
+        sync = frames(1)
+        sync["can_id"], sync["length"] = SYNC_COB_ID, 1
+        sync["data"][0, 0] = counter
+        # When it was due, so that on a virtual bus a late turn of this loop is no jitter of the SYNC.
+        sync["time_ns"] = sync_ns = round(due_s * 1e9)
+        for line in self._lines.values():
+            if line.send(sync):
+                if line.refused_syncs:
+                    self._say(f"{line.name} takes SYNC again, after {line.refused_syncs} that it did not take")
+                line.refused_syncs = 0
+            else:
+                line.refused_syncs += 1
+        closes_s = due_s + (1 + GRACE) * self._period_s
+        self._flying.append(_Cycle(self.sync.sent, counter, sync_ns, sync_ns + wall_offset_ns, closes_s))
+        return closed
+
+    def close_settled(self, now_s: float) -> list[Measurement]:
+        """End the cycles that need not wait any longer."""
+        closed = []
+        while self._flying:
+            oldest = self._flying[0]
+            if not self.collector.is_settled(oldest.counter) and now_s < oldest.closes_s:
+                break
+            closed.append(self._close(self._flying.popleft()))
+        return closed
+
+    def stop(self) -> None:
+        """Leave all nodes PRE-OPERATIONAL."""
+        for line in self._lines.values():
+            line.master.stop()
+
+    def status(self, links: Mapping[int, tuple[State, int]], now_s: float) -> GatewayStatus:
+        """Return all counters.
+
+        Parameters
+        ----------
+        links : mapping of int to (State, int)
+            By number of the bus: state of the gateway's own controller, frames lost on the receive side.
+        """
+        counts = self.collector.counts
+        return GatewayStatus(
+            time_ns=time.time_ns(),
+            cycles=self._closed,
+            cycles_complete=self._complete,
+            frames_received=counts.received,
+            frames_accepted=counts.accepted,
+            frames_missing=counts.missing,
+            frames_late=counts.late,
+            frames_duplicate=counts.duplicate,
+            frames_malformed=counts.malformed,
+            frames_foreign=counts.foreign,
+            sync_rate_hz=self.sync.rate_hz(now_s),
+            buses=[self._bus_state(number, *links[number], now_s) for number in self._numbers],
+            mean_load_ratio=[self._lines[number].load.mean_ratio(now_s) for number in self._numbers],
+            syncs_skipped=self.sync.skipped,
+        )
+
+    def explain_refused_syncs(self, states: Mapping[int, State]) -> None:
+        """Say once why a bus takes no SYNC."""
+        for number, line in self._lines.items():
+            if line.refused_syncs and number not in self._explained:
+                self._explained.add(number)
+                self._say(f"{line.name} takes no SYNC: {_WHY_REFUSED[states[number]]}")
+            elif not line.refused_syncs:
+                self._explained.discard(number)
+
+    def _line(self, number: int, send: Send, now_s: float) -> _Line:
+        def send_one(can_id: int, data: bytes) -> None:
+            frame = frames(1)
+            frame["can_id"], frame["length"] = can_id & BASE_ID_MASK, len(data)
+            frame["data"][0, : len(data)] = tuple(data)
+            send(frame)
+
+        wires = self._contract.layout.bus[number]
+        master = NmtMaster(self._contract, number, send_one, self._trust, self._say)
+        places = [(place, node) for place, node in enumerate(self._contract.nodes) if node.bus == number]
+        return _Line(wires.name, send, master, BusLoad(wires, now_s), places)
+
+    def _trust(self, node: NodeContract, proven: bool) -> None:
+        """Use a node's sums from now on, or no longer."""
+        self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
+        if proven:
+            self.collector.expected[self._place[node.bus, node.node_id]] = True
+
+    def _start_sync(self, now_s: float) -> None:
+        self.sync.start(now_s + SETTLE_S)
+        for line in self._lines.values():
+            line.load.restart(now_s + SETTLE_S)
+            absent = line.master.awaited
+            if absent:
+                self._say(f"{line.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
+
+    def _look_after_nodes(self, now_s: float) -> None:
+        """Wait for operational nodes only, and pass on what the collector noticed."""
+        for place in self.collector.take_swapped():
+            node = self._contract.nodes[place]
+            if node.bus in self._lines:
+                self._lines[node.bus].master.swapped(node.node_id, now_s)
+        for line in self._lines.values():
+            nmt = line.master.nmt
+            for (place, _), state in zip(line.places, nmt, strict=True):
+                # A node that sends sums is operational, whatever its last heartbeat said.
+                self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
+            for node_id, code in line.master.emergencies:
+                self._complain(f"EMCY {code:04X}h from node {node_id} on {line.name}")
+            line.master.emergencies.clear()
+            if line.foreign_syncs:
+                self._complain(f"another SYNC producer on {line.name}: its cycles are not valid")
+                line.foreign_syncs = 0
+        self.collector.heard[:] = False
+
+    def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
+        line, collector = self._lines[number], self.collector
+        places = [place for place, _ in line.places]
+        return BusState(
+            name=line.name,
+            load_ratio=line.load.look(now_s),
+            nodes=line.master.node_ids,
+            nmt=line.master.nmt.tobytes(),
+            missing=collector.missing_of_node[places].tolist(),
+            late=collector.late_of_node[places].tolist(),
+            emcy=line.master.emcy,
+            refused=line.master.refused,
+            link=state.name.lower(),
+            overrun=dropped,
+        )
+
+    def _close(self, cycle: _Cycle) -> Measurement:
+        gathered: Gathered = self.collector.close(cycle.counter)
+        self._closed += 1
+        self._complete += gathered.complete
+        # One bus per cycle, now that the burst is over and the loop has time.
+        self._lines[self._numbers[self._closed % len(self._numbers)]].load.account()
+        return Measurement(
+            cycle=cycle.number,
+            sync_counter=cycle.counter,
+            sync_mono_ns=cycle.sync_mono_ns,
+            time_ns=cycle.time_ns,
+            sums=gathered.sums.astype("<i4").tobytes(),
+            valid=gathered.valid.astype(np.uint8).tobytes(),
+            fingerprint=self._contract.phi.fingerprint,
+        )
+
+
+#: Why a transmit queue is full, by the state of the controller.
+_WHY_REFUSED: Final = {
+    State.ACTIVE: "its transmit queue is full: is the bus overloaded?",
+    State.WARNING: "its transmit queue is full: is the bus overloaded?",
+    State.PASSIVE: "nobody acknowledges its frames: is any node powered, wired and at the same bit rate?",
+    State.BUS_OFF: "the controller is bus-off: wiring, termination or bit rate",
+    State.LOST: "the connection to the bus is gone",
+}

@@ -1,0 +1,175 @@
+"""The dialogue that proves what a node's sums are: its configuration is compared with the contract, and set right.
+
+After CiA 302-2, boot NMT slave. One read is enough where the node computes the signature of its configuration
+(2006h); every object is read where it does not, or where the signature differs.
+"""
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from dbc.canopen import COB_ID_INVALID
+from dbc.configuration import Setting, expected_signature
+from dbc.indices import (
+    OD_CYCLE_PERIOD_US,
+    OD_EMCY_COB_ID,
+    OD_IDENTITY,
+    OD_MANUFACTURER,
+    OD_SIGNATURE,
+    OD_SYNC_OVERFLOW,
+    OD_TPDO_COMMUNICATION,
+    OD_TPDO_MAPPING,
+)
+from gateway.sdo import Read, SdoAbortedError, Transfer, Write
+
+#: A signature of 0: the board does not compute one.
+NO_SIGNATURE: Final = 0
+#: Objects that a refusal names before it says how many more there are.
+NAMED: Final = 3
+
+Steps = Generator[Transfer, bytes, "Proof"]
+_Part = Generator[Transfer, bytes, None]
+
+
+@dataclass
+class Proof:
+    """What a dialogue found.
+
+    Attributes
+    ----------
+    refusal : str
+        Why the node's sums must not be used; empty when they may.
+    written : list of str
+        Objects that were set right, and what they held.
+    signed : bool
+        The node computes its signature, so that the next proof is one transfer.
+    """
+
+    refusal: str = ""
+    written: list[str] = field(default_factory=list)
+    signed: bool = False
+
+
+def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]) -> Steps:
+    """Compare a node with its contract; return the `Proof`.
+
+    Parameters
+    ----------
+    settings : sequence of Setting
+        From `dbc.configuration.configuration`.
+    write : bool
+        Set right what differs and can be written; else refuse the node.
+    doubt : callable
+        Called as soon as anything differs, before anything is written.
+
+    Raises
+    ------
+    gateway.sdo.SdoTimeoutError
+        If the node does not answer.
+    """
+    proof = Proof()
+    if (yield from _is_signed(settings, proof)):
+        return proof
+    try:
+        wrong = yield from _differences(settings)
+        if wrong or proof.signed:
+            doubt()
+        if wrong and write and all(setting.is_writable for setting, _ in wrong):
+            yield from _write([setting for setting, _ in wrong], settings)
+            proof.written = [_difference(setting, data) for setting, data in wrong]
+            if (yield from _is_signed(settings, proof)):
+                return proof
+            wrong = yield from _differences(settings)
+    except SdoAbortedError as error:
+        doubt()
+        proof.refusal = str(error)
+        return proof
+    fixed = [(setting, data) for setting, data in wrong if not setting.is_writable]
+    if wrong:
+        proof.refusal = _in_words(fixed or wrong)
+    elif proof.signed:
+        proof.refusal = f"its objects are right, but not their signature ({OD_SIGNATURE:04X}h)"
+    return proof
+
+
+def _is_signed(settings: Sequence[Setting], proof: Proof) -> Generator[Transfer, bytes, bool]:
+    """Read the signature; tell whether it is that of the contract."""
+    try:
+        found = int.from_bytes((yield Read(OD_SIGNATURE)), "little")
+    except SdoAbortedError:
+        return False
+    proof.signed = found != NO_SIGNATURE
+    return proof.signed and found == expected_signature(settings)
+
+
+def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list[tuple[Setting, bytes]]]:
+    """Return the objects that differ, with what they hold; those of another device end the comparison."""
+    wrong = []
+    for setting in settings:
+        data = yield Read(setting.index, setting.subindex)
+        if not setting.matches(data):
+            wrong.append((setting, data))
+            if setting.index == OD_IDENTITY:
+                break
+    return wrong
+
+
+def _write(wrong: Sequence[Setting], settings: Sequence[Setting]) -> _Part:
+    """Write what differs, in the order that CiA 301 asks for."""
+    of_tpdos = {_tpdo(setting.index) for setting in wrong} - {None}
+    for setting in wrong:
+        if setting.index == OD_SYNC_OVERFLOW:
+            yield from _write_overflow(setting)
+        elif setting.index == OD_EMCY_COB_ID:
+            # The identifier may change only while the message does not exist (CiA 301, 7.5.2.17).
+            yield Write(setting.index, 0, _invalid(setting.data))
+            yield Write(setting.index, 0, setting.data)
+        elif _tpdo(setting.index) is None:
+            yield Write(setting.index, setting.subindex, setting.data)
+    for tpdo in sorted(filter(None, of_tpdos)):
+        yield from _write_tpdo(tpdo, settings)
+
+
+def _write_overflow(setting: Setting) -> _Part:
+    """Write 1019h, which may change only while 1006h is 0 (CiA 301, 7.5.2.22)."""
+    period = yield Read(OD_CYCLE_PERIOD_US)
+    yield Write(OD_CYCLE_PERIOD_US, 0, bytes(4))
+    yield Write(setting.index, setting.subindex, setting.data)
+    yield Write(OD_CYCLE_PERIOD_US, 0, period[:4].ljust(4, b"\0"))
+
+
+def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
+    """Write both records of a TPDO (CiA 301, 7.5.2.38): off, no mapping, entries, their number, the rest, on."""
+    communication = {each.subindex: each for each in settings if each.index == OD_TPDO_COMMUNICATION + tpdo - 1}
+    mapping = [each for each in settings if each.index == OD_TPDO_MAPPING + tpdo - 1]
+    cob_id = communication.pop(1)
+    yield Write(cob_id.index, 1, _invalid(cob_id.data))
+    count = next(each for each in mapping if each.subindex == 0)
+    yield Write(count.index, 0, b"\0")
+    for entry in mapping:
+        if entry.subindex:
+            yield Write(entry.index, entry.subindex, entry.data)
+    yield Write(count.index, 0, count.data)
+    for each in communication.values():
+        yield Write(each.index, each.subindex, each.data)
+    yield Write(cob_id.index, 1, cob_id.data)
+
+
+def _tpdo(index: int) -> int | None:
+    """Return the number of the TPDO whose record this is."""
+    if OD_TPDO_COMMUNICATION <= index < OD_MANUFACTURER:
+        return index % 0x200 + 1
+    return None
+
+
+def _invalid(cob_id: bytes) -> bytes:
+    return (int.from_bytes(cob_id, "little") | COB_ID_INVALID).to_bytes(4, "little")
+
+
+def _difference(setting: Setting, data: bytes) -> str:
+    return f"{setting} was {setting.text(data)}, not {setting.text()}"
+
+
+def _in_words(wrong: Sequence[tuple[Setting, bytes]]) -> str:
+    named = "; ".join(_difference(setting, data) for setting, data in wrong[:NAMED])
+    return named + (f"; and {len(wrong) - NAMED} more" if len(wrong) > NAMED else "")

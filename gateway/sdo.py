@@ -1,0 +1,214 @@
+"""SDO transfers of a client as a state machine (CiA 301, 7.2.4): frames in, frames out, time as an argument.
+
+The ``canopen`` library's client waits for each answer in a thread. The gateway asks many nodes at once and must not
+block. A dialogue with a node is a generator that yields `Read` and `Write` and is sent the answers.
+"""
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Final
+
+from dbc.canopen import FIRST_ABORT_OF_THE_OBJECT, SDO_BYTES, SDO_REQUEST_BASE, Abort
+from dbc.contract import LONGEST_VALUE
+
+#: An answer waits behind a whole burst of sums; five SYNC periods of 100 Hz are ample.
+TIMEOUT_S: Final = 0.3
+#: How often a transfer is begun before the node counts as not answering.
+ATTEMPTS: Final = 3
+
+_TOGGLE: Final = 0x10
+
+
+@dataclass(frozen=True)
+class Read:
+    """Upload of one object."""
+
+    index: int
+    subindex: int = 0
+
+
+@dataclass(frozen=True)
+class Write:
+    """Expedited download of one object: `data` has 1 to 4 bytes."""
+
+    index: int
+    subindex: int
+    data: bytes
+
+
+Transfer = Read | Write
+#: Yields transfers, is sent the value read (empty after a write), returns whatever it found out.
+Dialogue = Generator[Transfer, bytes, "object"]
+
+
+class SdoError(Exception):
+    """A transfer came to nothing."""
+
+
+class SdoTimeoutError(SdoError):
+    """The node did not answer, `ATTEMPTS` times."""
+
+
+class SdoAbortedError(SdoError):
+    """The node refused; `code` says why (CiA 301, table 22)."""
+
+    def __init__(self, transfer: Transfer, code: int) -> None:
+        try:
+            words = f"{code:08X}h, {Abort(code).name.lower().replace('_', ' ')}"
+        except ValueError:
+            words = f"{code:08X}h"
+        super().__init__(f"object {transfer.index:04X}h:{transfer.subindex}: abort {words}")
+        self.code = code
+
+
+class SdoDialogue:
+    """One dialogue with one node.
+
+    Parameters
+    ----------
+    node_id : int
+    steps : generator
+        The dialogue; `SdoError` is thrown into it where a transfer fails.
+    send : callable
+        Sends a frame: COB-ID and data.
+    now_s : float
+
+    Attributes
+    ----------
+    done : bool
+    result : object
+        What the generator returned.
+    error : SdoError or None
+        What ended the dialogue, where the generator did not catch it.
+    transfers : int
+        Transfers that were begun, those begun again included.
+    """
+
+    def __init__(
+        self,
+        node_id: int,
+        steps: Dialogue,
+        send: Callable[[int, bytes], None],
+        now_s: float,
+        *,
+        attempts: int = ATTEMPTS,
+    ) -> None:
+        self.done = False
+        self.result: object = None
+        self.error: SdoError | None = None
+        self.transfers = 0
+        self._cob_id = SDO_REQUEST_BASE + node_id
+        self._steps = steps
+        self._send = send
+        self._attempts = attempts
+        self._transfer: Transfer = Read(0)
+        self._tried = 0
+        self._value: bytearray | None = None
+        self._toggle = 0
+        self._due_s = float("inf")
+        self._go_on(lambda: next(steps), now_s)
+
+    @property
+    def due_s(self) -> float:
+        """When `tick` has something to do."""
+        return self._due_s
+
+    def tick(self, now_s: float) -> None:
+        """Begin the transfer again when its answer is overdue."""
+        if self.done or now_s < self._due_s:
+            return
+        self._abort(Abort.TIMEOUT)
+        self._again(now_s)
+
+    def take(self, data: bytes, now_s: float) -> None:
+        """Use an answer of the node; answers to somebody else are passed over."""
+        if self.done or len(data) != SDO_BYTES:
+            return
+        kind = data[0] & 0xE0
+        if kind == 0x80:
+            self._aborted(data, now_s)
+        elif isinstance(self._transfer, Write):
+            if kind == 0x60 and self._is_mine(data):
+                self._answered(b"", now_s)
+        elif self._value is None:
+            if kind == 0x40 and self._is_mine(data):
+                self._begun(data, now_s)
+        elif kind == 0x00:
+            self._segment(self._value, data, now_s)
+
+    def _is_mine(self, data: bytes) -> bool:
+        return (int.from_bytes(data[1:3], "little"), data[3]) == (self._transfer.index, self._transfer.subindex)
+
+    def _begun(self, data: bytes, now_s: float) -> None:
+        if data[0] & 0x02:  # expedited
+            unused = data[0] >> 2 & 0x03 if data[0] & 0x01 else 0
+            self._answered(data[4 : SDO_BYTES - unused], now_s)
+            return
+        self._value, self._toggle = bytearray(), 0
+        self._ask_segment(now_s)
+
+    def _segment(self, value: bytearray, data: bytes, now_s: float) -> None:
+        if data[0] & _TOGGLE != self._toggle:
+            return
+        value += data[1 : SDO_BYTES - (data[0] >> 1 & 0x07)]
+        if data[0] & 0x01:
+            self._answered(bytes(value), now_s)
+        elif len(value) > LONGEST_VALUE:
+            self._abort(Abort.MEMORY)
+            self._fail(SdoAbortedError(self._transfer, Abort.MEMORY), now_s)
+        else:
+            self._toggle ^= _TOGGLE
+            self._ask_segment(now_s)
+
+    def _ask_segment(self, now_s: float) -> None:
+        self._due_s = now_s + TIMEOUT_S
+        self._send(self._cob_id, bytes((0x60 | self._toggle, 0, 0, 0, 0, 0, 0, 0)))
+
+    def _aborted(self, data: bytes, now_s: float) -> None:
+        code = int.from_bytes(data[4:8], "little")
+        if code < FIRST_ABORT_OF_THE_OBJECT:
+            self._again(now_s)  # the transfer was disturbed, which says nothing of the object
+        elif self._is_mine(data):
+            self._fail(SdoAbortedError(self._transfer, code), now_s)
+
+    def _again(self, now_s: float) -> None:
+        if self._tried >= self._attempts:
+            index, subindex = self._transfer.index, self._transfer.subindex
+            self._fail(SdoTimeoutError(f"no answer to object {index:04X}h:{subindex}"), now_s)
+        else:
+            self._begin(now_s)
+
+    def _begin(self, now_s: float) -> None:
+        self._tried += 1
+        self.transfers += 1
+        self._value = None
+        self._due_s = now_s + TIMEOUT_S
+        to = self._transfer
+        place = to.index.to_bytes(2, "little") + bytes((to.subindex,))
+        if isinstance(to, Read):
+            self._send(self._cob_id, b"\x40" + place + bytes(4))
+        else:
+            command = 0x23 | 4 - len(to.data) << 2
+            self._send(self._cob_id, bytes((command,)) + place + to.data.ljust(4, b"\0"))
+
+    def _abort(self, code: int) -> None:
+        place = self._transfer.index.to_bytes(2, "little") + bytes((self._transfer.subindex,))
+        self._send(self._cob_id, b"\x80" + place + code.to_bytes(4, "little"))
+
+    def _answered(self, value: bytes, now_s: float) -> None:
+        self._go_on(lambda: self._steps.send(value), now_s)
+
+    def _fail(self, error: SdoError, now_s: float) -> None:
+        self._go_on(lambda: self._steps.throw(error), now_s)
+
+    def _go_on(self, step: Callable[[], Transfer], now_s: float) -> None:
+        self._due_s = float("inf")
+        try:
+            self._transfer = step()
+        except StopIteration as end:
+            self.done, self.result = True, end.value
+        except SdoError as error:
+            self.done, self.error = True, error
+        else:
+            self._tried = 0
+            self._begin(now_s)

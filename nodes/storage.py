@@ -1,0 +1,95 @@
+"""What 1010h stores of one node (CiA 301, 7.5.2.13): kept in memory, and in a file where a folder is given."""
+
+from pathlib import Path
+
+import msgspec
+
+from skin.errors import InputError
+
+#: Values by index and sub-index, in the bytes of an SDO transfer.
+Parameters = dict[int, dict[int, bytes]]
+
+
+class _Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The file: whose parameters these are, and the values in hexadecimal by ``INDEX:SUBINDEX``."""
+
+    phi: str
+    parameters: dict[str, str]
+
+
+class Storage:
+    """Non-volatile parameters of one node.
+
+    Parameters
+    ----------
+    phi : str
+        Fingerprint of Φ: parameters of another skin are refused.
+    path : Path or None
+        File that keeps the parameters beyond the process.
+
+    Attributes
+    ----------
+    parameters : dict
+        What was stored last; empty after `clear`.
+
+    Raises
+    ------
+    InputError
+        If the file is there and cannot be read, or holds another skin's parameters.
+    """
+
+    def __init__(self, phi: str, path: Path | None = None) -> None:
+        self._phi = phi
+        self._path = path
+        self.parameters: Parameters = {} if path is None else self._load(path)
+
+    def save(self, parameters: Parameters) -> None:
+        """Store `parameters` in place of all before.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written; the parameters stored before stay.
+        """
+        if self._path is not None:
+            flat = {
+                f"{index:04X}:{subindex:02X}": data.hex()
+                for index, entries in parameters.items()
+                for subindex, data in entries.items()
+            }
+            unfinished = self._path.with_suffix(".tmp")
+            unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(_Stored(self._phi, flat))))
+            unfinished.replace(self._path)
+        self.parameters = parameters
+
+    def clear(self) -> None:
+        """Forget what was stored: the next reset restores the defaults.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be removed.
+        """
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+        self.parameters = {}
+
+    def _load(self, path: Path) -> Parameters:
+        try:
+            stored = msgspec.json.decode(path.read_bytes(), type=_Stored)
+            found: Parameters = {}
+            for place, value in stored.parameters.items():
+                index, subindex = (int(part, 16) for part in place.split(":"))
+                found.setdefault(index, {})[subindex] = bytes.fromhex(value)
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            raise InputError(f"{path}: cannot read the stored parameters: {error.strerror or error}") from error
+        except (msgspec.MsgspecError, ValueError) as error:
+            raise InputError(f"{path}: expected parameters stored by a node: {error}; remove the file") from error
+        if stored.phi != self._phi:
+            raise InputError(
+                f"{path}: expected parameters of a skin with Φ {self._phi}, got Φ {stored.phi}:"
+                " give another --store folder, or remove the file"
+            )
+        return found

@@ -1,0 +1,140 @@
+"""Whatever is written, commanded, stored and lost: no wrong sum is valid, and the skin becomes whole again."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from dbc.canopen import NmtCommand
+from dbc.configuration import configuration
+from dbc.contract import Contract
+from dbc.frame import ECHO
+from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, SIGNATURE_LOAD, SIGNATURE_SAVE
+from gateway.nmt_master import LATER_S
+from tests.gateway.test_proof import little, swap_mapping
+from tests.gateway.world import EndOfWire, Wire, World, small_contract
+
+EXAMPLES, STEPS = 50, 200  # 10,000 steps
+#: After the last disturbance: the longest pause, a heartbeat, a proof that runs out, and some cycles.
+BOUND_S = LATER_S + 1.0 + 5.0 + 1.0
+
+SMALL = small_contract()
+PLACES = sorted(
+    {
+        (each.index, each.subindex, len(each.data))
+        for node in SMALL.nodes
+        for each in configuration(SMALL, node)
+        if not each.is_text
+    }
+)
+VALUES = sorted({each.data for node in SMALL.nodes for each in configuration(SMALL, node) if len(each.data) <= 4})
+
+node = st.tuples(st.integers(0, 1), st.integers(1, 2))
+place = st.one_of(
+    st.sampled_from(PLACES),
+    st.sampled_from(
+        [(OD_GAIN, 3, 4), (OD_OFFSET, 7, 2), (OD_HEARTBEAT_MS, 0, 2), (0x1006, 0, 4), (0x1016, 1, 4), (0x1029, 1, 1)]
+    ),
+    st.tuples(st.integers(0x1000, 0x2200), st.integers(0, 8), st.integers(1, 4)),
+)
+value = st.one_of(st.sampled_from(VALUES), st.binary(min_size=1, max_size=4))
+action = st.one_of(
+    st.just(("quiet",)),
+    st.tuples(st.just("write"), node, place, value),
+    st.tuples(st.just("swap"), node, st.integers(0, 3)),
+    st.tuples(st.just("pattern"), node, st.integers(0, 3)),
+    st.tuples(st.just("nmt"), st.integers(0, 1), st.sampled_from(list(NmtCommand)), st.integers(0, 2)),
+    st.tuples(st.just("store"), node),
+    st.tuples(st.just("restore"), node),
+    st.tuples(st.just("sync"), st.integers(0, 1), st.integers(0, 255)),
+    st.tuples(st.just("lose"), st.integers(0, 1), st.sampled_from([0.0, 0.05, 0.5, 1.0]), st.integers(0, 2**16)),
+)
+
+
+class Losing:
+    """Loses frames at random at one end of a wire; own frames always come back."""
+
+    def __init__(self, end: EndOfWire, ratio: float, seed: int) -> None:
+        self._end, self._ratio, self._random = end, ratio, np.random.default_rng(seed)
+
+    def __call__(self, end: EndOfWire, each: np.void) -> bool:
+        return end is self._end and not each["flags"] & ECHO and self._random.random() < self._ratio
+
+
+def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
+    """Do one thing to the skin; return the blocks it may have changed."""
+    match what:
+        case ("write", (bus, node_id), (index, subindex, size), data):
+            world.write(bus, node_id, index, subindex, data.ljust(size, b"\0")[:size])
+        case ("swap", (bus, node_id), tpdo):
+            swap_mapping(world, bus, node_id, tpdo)
+        case ("pattern", (bus, node_id), pattern):
+            world.write(bus, node_id, 0x2021, 0, bytes((pattern,)))
+        case ("nmt", bus, command, node_id):
+            world.nmt(bus, command, node_id)
+            return [bus * 2, bus * 2 + 1]
+        case ("store", (bus, node_id)):
+            world.write(bus, node_id, OD_STORE, 1, little(SIGNATURE_SAVE))
+        case ("restore", (bus, node_id)):
+            world.write(bus, node_id, OD_RESTORE, 1, little(SIGNATURE_LOAD))
+        case ("sync", bus, counter):
+            world.wires[bus].put(0x80, bytes((counter,)))
+            return [bus * 2, bus * 2 + 1]
+        case ("lose", bus, ratio, seed):
+            wire: Wire = world.wires[bus]
+            wire.loses = Losing(wire.gateway if gateway_loses else wire.nodes, ratio, seed)
+            return []
+        case _:
+            return []
+    return [bus * 2 + node_id - 1]
+
+
+def drive(contract: Contract, actions: list[tuple], store: Path, *, gateway_loses: bool) -> None:
+    world = World(contract, store)
+    world.until_whole(2.0)
+    changed_s = np.full(contract.phi.blocks, -np.inf)
+    limit_s = max(line.master.proof_limit_s for line in world.gateway._lines.values())
+    for what in actions:
+        for block in disturb(world, what, gateway_loses=gateway_loses):
+            changed_s[block] = world.now_s
+        for each in world.step():
+            for block in world.wrong_blocks(each):
+                ago_s = world.now_s - changed_s[block]
+                assert gateway_loses, f"block {block} is wrong"
+                assert ago_s < limit_s, f"block {block} is wrong, changed {ago_s:.2f} s ago"
+    for wire in world.wires:
+        wire.loses = lambda *_: False
+    world.until_whole(BOUND_S)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gateway_loses", [False, True], ids=["nodes lose", "gateway loses"])
+def test_ten_thousand_steps(gateway_loses: bool) -> None:
+    @settings(max_examples=EXAMPLES // 2, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(st.lists(action, min_size=STEPS, max_size=STEPS))
+    def run(actions: list[tuple]) -> None:
+        with TemporaryDirectory() as folder:
+            drive(SMALL, actions, Path(folder), gateway_loses=gateway_loses)
+
+    run()
+
+
+def test_a_short_while_of_disturbances(tmp_path: Path) -> None:
+    """The same in little, for the quick loop: one fixed draw."""
+    actions = [
+        ("pattern", (0, 1), 2),
+        ("store", (0, 1)),
+        ("nmt", 0, NmtCommand.RESET_NODE, 0),
+        ("swap", (1, 2), 1),
+        ("lose", 0, 0.5, 3),
+        ("sync", 1, 7),
+        ("nmt", 1, NmtCommand.STOP, 0),
+        *[("quiet",)] * 10,
+    ]
+    for gateway_loses in (False, True):
+        folder = tmp_path / str(gateway_loses)
+        folder.mkdir()
+        drive(SMALL, actions, folder, gateway_loses=gateway_loses)

@@ -1,0 +1,179 @@
+"""Nodes that leave OPERATIONAL, whatever took them out, and how they come back."""
+
+import numpy as np
+import pytest
+
+from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID, NmtCommand, NmtState
+from dbc.contract import Contract
+from dbc.frame import ECHO
+from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS
+from gateway.nmt_master import LATER_S, PAUSES_S, SILENT_AFTER_S, STABLE_S
+from skin.messages import SILENT
+from tests.gateway.world import PERIOD_S, EndOfWire, World, valid
+
+HEARTBEAT_S = 1.0
+#: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
+SOON_S = PAUSES_S[0] + 3 * PERIOD_S
+
+
+def state_of(world: World, bus: int, node_id: int) -> NmtState:
+    return next(node.state for node in world.segments[bus].nodes if node.contract.node_id == node_id)
+
+
+@pytest.mark.parametrize("command", [NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL])
+@pytest.mark.parametrize("node_id", [0, 2])
+def test_stray_nmt_command(world: World, command: NmtCommand, node_id: int) -> None:
+    world.nmt(0, command, node_id)
+    came = world.run(3 * PERIOD_S)
+    assert not all(valid(each)[1] for each in came)
+    world.until_whole(SOON_S)
+    world.run(0.5)
+    nodes = "nodes 1-2" if node_id == 0 else "node 2"
+    state = "stopped" if command is NmtCommand.STOP else "pre-operational"
+    assert world.lines[0] == f"{nodes} on bus0 left OPERATIONAL: {state}, by another master's NMT command"
+    assert world.lines[1].startswith(f"{nodes} on bus0 back after 0.")
+    assert len(world.lines) == 2
+
+
+@pytest.mark.parametrize("command", [NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION])
+def test_reset_by_somebody_else(world: World, command: NmtCommand) -> None:
+    world.nmt(1, command, 1)
+    came = world.run(3 * PERIOD_S)
+    assert [True, True, False, True] in [valid(each).tolist() for each in came]
+    world.until_whole(SOON_S)
+    world.run(0.5)
+    assert world.lines[0] == "node 1 on bus1 booted again, reset by another master"
+
+
+def test_own_error_reaction_is_explained_by_its_emcy(world: World) -> None:
+    """Node 2 watches a heartbeat that stops, so that it goes PRE-OPERATIONAL by itself (1029h)."""
+    world.write(0, 2, OD_CONSUMER_HEARTBEAT, 1, (100 << 16 | 200).to_bytes(4, "little"))
+    world.wires[0].put(HEARTBEAT_BASE + 100, b"\5")
+    world.run(HEARTBEAT_S + 0.5)
+    went = next(line for line in world.lines if "left OPERATIONAL" in line)
+    assert went == "node 2 on bus0 left OPERATIONAL: pre-operational after EMCY 8130h"
+    world.until_whole(SOON_S + HEARTBEAT_S)
+    assert any(line.startswith("node 2 on bus0 back after") for line in world.lines)
+
+
+def test_lost_start_command(small: Contract) -> None:
+    world = World(small)
+    lost: list[int] = []
+
+    def loses(end: EndOfWire, each: np.void) -> bool:
+        is_start = each["can_id"] == NMT_COB_ID and bytes(each["data"][:2]) == bytes((NmtCommand.START, 2))
+        if is_start and end is world.wires[0].nodes and not lost:
+            lost.append(1)
+            return True
+        return False
+
+    world.wires[0].loses = loses
+    world.run(0.5)
+    assert lost
+    assert state_of(world, 0, 2) is NmtState.PRE_OPERATIONAL
+    world.until_whole(HEARTBEAT_S + SOON_S)
+
+
+def test_silent_node_is_said_once_and_comes_back(world: World) -> None:
+    """The wire to the node is cut, not its process: it goes on by itself meanwhile."""
+    wire = world.wires[0]
+    wire.loses = lambda end, each: bool(end is wire.gateway and not each["flags"] & ECHO)
+    world.run(SILENT_AFTER_S + 0.3)
+    assert not valid(world.measured[-1])[:2].any()
+    assert valid(world.measured[-1])[2:].all()
+    silent = [line for line in world.lines if "silent" in line]
+    assert silent == ["nodes 1-2 on bus0 silent: no heartbeat for 1.5 s"]
+    assert world.gateway._lines[0].master.nmt.tolist() == [SILENT, SILENT]
+    world.run(20)
+    assert [line for line in world.lines if "silent" in line] == silent
+    wire.loses = lambda *_: False
+    world.until_whole(HEARTBEAT_S + SOON_S)
+    world.run(0.5)
+    assert any("nodes 1-2 on bus0 back after" in line for line in world.lines)
+
+
+def test_node_that_will_not_stay_is_tried_ever_more_seldom(world: World) -> None:
+    """A node that obeys no start: every try fails, and the pauses grow to their bound."""
+    world.wires[0].loses = lambda end, each: bool(
+        end is world.wires[0].nodes and each["can_id"] == NMT_COB_ID and each["data"][0] == NmtCommand.START
+    )
+    world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
+    world.run(100)
+    starts = [data for can_id, data in world.wires[0].log if can_id == NMT_COB_ID and data == b"\1\1"]
+    assert len(PAUSES_S) <= len(starts) <= len(PAUSES_S) + 100 / LATER_S + 1
+    given_up = [line for line in world.lines if "given up" in line]
+    assert given_up == ["node 1 on bus0 given up after 8 tries: tried again every 60 s"]
+    world.wires[0].loses = lambda *_: False
+    world.until_whole(LATER_S + HEARTBEAT_S + SOON_S)
+
+
+def test_every_try_is_a_fresh_one_after_a_stable_time(world: World) -> None:
+    for _ in range(len(PAUSES_S)):
+        world.nmt(0, NmtCommand.STOP, 1)
+        world.run(3 * PERIOD_S)
+        world.until_whole(SOON_S)
+        world.gateway._lines[0].master._nodes[1].trusted_s -= STABLE_S  # the time itself takes long
+        world.run(2 * PERIOD_S)
+
+
+def test_heartbeat_that_was_under_way_is_no_news(small: Contract) -> None:
+    world = World(small)
+    world.until_whole(2.0)
+    world.wires[0].put(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
+    master = world.gateway._lines[0].master
+    for node in master._nodes.values():
+        node.trusted_s = world.now_s
+    world.run(2 * PERIOD_S)
+    assert valid(world.measured[-1]).all()
+    assert not world.lines
+
+
+def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:
+    world.gateway = world.new_gateway()
+    world.until_whole(2.0)
+    assert not [line for line in world.lines if "left" in line]
+
+
+def test_gateway_leaves_nodes_pre_operational(world: World) -> None:
+    world.gateway.stop()
+    for wire in world.wires:
+        wire.deliver()
+    world._receive()
+    assert {node.state for segment in world.segments for node in segment.nodes} == {NmtState.PRE_OPERATIONAL}
+
+
+def test_absent_nodes_do_not_keep_sync_waiting(small: Contract) -> None:
+    world = World(small)
+    world.wires[1].loses = lambda end, _: end is world.wires[1].nodes
+    taken_s = 0.0
+    while not world.measured:
+        world.step()
+        taken_s += PERIOD_S / 2
+        assert taken_s < 3.5
+    assert valid(world.measured[-1]).tolist()[2:] == [False, False]
+    assert "bus1: no answer yet from nodes 1-2" in world.lines
+
+
+def test_other_syncs_spoil_the_cycles_of_their_bus(world: World) -> None:
+    world.wires[1].put(SYNC_COB_ID, b"\7")
+    came = world.run(4 * PERIOD_S)
+    assert any(not valid(each)[2:].any() for each in came)
+    assert all(valid(each)[:2].all() for each in came)
+    assert not any(world.wrong_blocks(each) for each in came)
+    assert world.complaints == ["another SYNC producer on bus1: its cycles are not valid"]
+    world.until_whole(1.0)
+
+
+def test_emergency_of_a_node_is_complained_of(world: World) -> None:
+    world.wires[0].put(EMCY_BASE + 1, bytes((0x10, 0xFF, 0x81, 0, 0, 0, 0, 0)))
+    world.run(0.5)
+    assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
+    assert world.gateway._lines[0].master.emcy == [0xFF10, 0]
+
+
+def test_heartbeat_time_is_kept(world: World) -> None:
+    """A node whose heartbeat was switched off would pass for silent."""
+    world.write(0, 1, OD_HEARTBEAT_MS, 0, bytes(2))
+    world.run(5.0)
+    assert valid(world.measured[-1]).all()
+    assert "node 1 on bus0 set right: 1017h:0 (Producer heartbeat time) was 0h, not 3E8h" in world.lines

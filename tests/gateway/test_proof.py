@@ -1,0 +1,227 @@
+"""What a node's PDOs carry is proven before it counts."""
+
+import pytest
+
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand
+from dbc.configuration import configuration, expected_signature, signature
+from dbc.contract import Contract
+from dbc.frame import ECHO
+from dbc.indices import (
+    OD_EMCY_COB_ID,
+    OD_IDENTITY,
+    OD_PHI_FINGERPRINT,
+    OD_SIGNATURE,
+    OD_STORE,
+    OD_SYNC_OVERFLOW,
+    OD_TEST_PATTERN,
+    OD_TPDO_COMMUNICATION,
+    OD_TPDO_MAPPING,
+    OD_WINDOW_US,
+    SIGNATURE_SAVE,
+)
+from tests.gateway.world import PERIOD_S, STEP_S, World, small_contract, valid
+
+
+def little(value: int, size: int = 4) -> bytes:
+    return value.to_bytes(size, "little")
+
+
+def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0) -> None:
+    """Swap the first two sums of a TPDO, as CiA 301, 7.5.2.38, wants it done."""
+    node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
+    cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
+    entries = [each.data for each in configuration(world.contract, node) if each.index == OD_TPDO_MAPPING + tpdo]
+    count, first, second = entries[0], entries[1], entries[2]
+    communication, mapping = OD_TPDO_COMMUNICATION + tpdo, OD_TPDO_MAPPING + tpdo
+    for index, subindex, data in (
+        (communication, 1, little(cob_id | 0x8000_0000)),
+        (mapping, 0, b"\0"),
+        (mapping, 1, second),
+        (mapping, 2, first),
+        (mapping, 0, count),
+        (communication, 1, little(cob_id)),
+    ):
+        world.write(bus, node_id, index, subindex, data)
+
+
+def deaf_to_writes(world: World, bus: int) -> None:
+    """Let the gateway miss what other masters write, as a full receive buffer would."""
+    wire = world.wires[bus]
+    wire.loses = lambda end, each: bool(
+        end is wire.gateway and SDO_REQUEST_BASE < each["can_id"] < 0x680 and not each["flags"] & ECHO
+    )
+
+
+def check(world: World, seconds: float) -> None:
+    """Go on, and hold every valid block against the counts of its cycle."""
+    for each in world.run(seconds):
+        assert not world.wrong_blocks(each)
+
+
+def test_swapped_mapping_that_was_saved_never_counts(world: World) -> None:
+    swap_mapping(world, 0, 1)
+    world.write(0, 1, OD_STORE, 1, little(SIGNATURE_SAVE))
+    check(world, STEP_S)
+    world.nmt(0, NmtCommand.RESET_NODE, 1)
+    check(world, 3.0)
+    assert valid(world.measured[-1]).all()
+    assert any("set right: 1A00h:1 (TPDO 1 mapping parameter, Mapped object 1) was 21000210h" in x for x in world.lines)
+
+
+def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
+    world = World(small_contract('configure = "refuse"'))
+    world.until_whole(2.0)
+    swap_mapping(world, 0, 1)
+    check(world, 3.0)
+    assert not valid(world.measured[-1])[0]
+    assert valid(world.measured[-1])[1:].all()
+    assert world.gateway._lines[0].master.refused == [1]
+    refused = [line for line in world.lines if "refused" in line]
+    assert len(refused) == 1
+    assert "1A00h:1" in refused[0]
+    swap_mapping_back = configuration(world.contract, world.contract.nodes[0])
+    assert swap_mapping_back
+    world.nmt(0, NmtCommand.RESET_NODE, 1)
+    world.until_whole(3.0)
+
+
+def test_test_pattern_is_not_touch(world: World) -> None:
+    world.write(1, 2, OD_TEST_PATTERN, 0, b"\2")
+    check(world, 1.0)
+    assert valid(world.measured[-1]).all()
+    assert any("set right: 2021h:0 (Test pattern) was 2h, not 0h" in line for line in world.lines)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda world: swap_mapping(world, 0, 1),
+        lambda world: world.write(0, 1, OD_TEST_PATTERN, 0, b"\2"),
+    ],
+)
+def test_a_change_that_nobody_saw_is_found_within_the_stated_time(world: World, change: object) -> None:
+    assert callable(change)
+    deaf_to_writes(world, 0)
+    change(world)
+    world.step()
+    limit_s = world.gateway._lines[0].master.proof_limit_s
+    assert limit_s < 5.0
+    wrong = [bool(world.wrong_blocks(each)) for each in world.run(limit_s)]
+    assert any(wrong)  # or there would be nothing to find
+    check(world, 2.0)
+    assert valid(world.measured[-1]).all()
+
+
+def test_what_another_master_writes_is_doubted_at_once(world: World) -> None:
+    for index, subindex, data in (
+        (OD_WINDOW_US, 0, little(1000)),
+        (OD_EMCY_COB_ID, 0, little(0x8000_0081)),
+        (OD_TPDO_COMMUNICATION, 2, b"\1"),
+    ):
+        world.write(0, 1, index, subindex, data)
+        came = world.run(2 * PERIOD_S)
+        assert not valid(came[-1])[0], f"{index:04X}h"
+        world.until_whole(2.0)
+
+
+def test_offsets_and_gains_may_be_written_while_it_runs(world: World) -> None:
+    world.write(0, 1, 0x2011, 5, little(100, 2))
+    check(world, 1.0)
+    assert all(valid(each).all() for each in world.measured[-15:])
+    assert world.electronics.offset.any()
+
+
+def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
+    for index, data in ((0x1006, little(0)), (OD_SYNC_OVERFLOW, b"\x14"), (0x1006, little(50_000))):
+        world.write(0, 2, index, 0, data)
+    check(world, 2.0)
+    assert valid(world.measured[-1]).all()
+    node = world.segments[0].nodes[1]
+    assert node.local.unsigned(OD_SYNC_OVERFLOW) == 240
+    assert node.local.unsigned(0x1006) == 50_000
+
+
+class OtherAnswers:
+    """Replaces answers of a node on their way to the gateway."""
+
+    def __init__(self, world: World, bus: int, node_id: int, index: int, answer: bytes) -> None:
+        self._wire = world.wires[bus]
+        self._cob_id, self._place, self._answer = SDO_RESPONSE_BASE + node_id, index.to_bytes(2, "little"), answer
+        self._wire.loses = self
+
+    def __call__(self, end: object, each: object) -> bool:
+        if each["can_id"] == self._cob_id and bytes(each["data"][1:3]) == self._place:  # type: ignore[index]
+            each["data"][:8] = tuple(self._answer)  # type: ignore[index]
+        return False
+
+
+def read_answer(index: int, value: bytes, subindex: int = 0) -> bytes:
+    return (
+        bytes((0x43 | (4 - len(value)) << 2,))
+        + index.to_bytes(2, "little")
+        + bytes((subindex,))
+        + value.ljust(4, b"\0")
+    )
+
+
+def abort(index: int, code: int, subindex: int = 0) -> bytes:
+    return b"\x80" + index.to_bytes(2, "little") + bytes((subindex,)) + little(code)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [read_answer(OD_SIGNATURE, little(0)), abort(OD_SIGNATURE, 0x0602_0000)],
+    ids=["no signature", "no object"],
+)
+def test_board_without_signature_is_read_object_by_object(small: Contract, answer: bytes) -> None:
+    world = World(small)
+    OtherAnswers(world, 0, 1, OD_SIGNATURE, answer)
+    world.until_whole(3.0)
+    swap_mapping(world, 0, 1)
+    check(world, 1.0)
+    assert valid(world.measured[-1]).all()
+    assert any("set right: 1A00h:1" in line for line in world.lines)
+    assert world.gateway._lines[0].master._nodes[1].cost > 10
+
+
+@pytest.mark.parametrize(
+    ("index", "answer", "words"),
+    [
+        (OD_IDENTITY, read_answer(OD_IDENTITY, little(0x1234), 1), "1018h:1 (Identity, Vendor-ID) was 1234h, not 0h"),
+        (
+            OD_PHI_FINGERPRINT,
+            read_answer(OD_PHI_FINGERPRINT, b"abcd"),
+            "2002h:0 (Fingerprint of the measurement operator) was abcd",
+        ),
+        (OD_WINDOW_US, abort(OD_WINDOW_US, 0x0609_0011), "object 1007h:0: abort 06090011h, no subindex"),
+    ],
+)
+def test_another_device_is_refused_by_name(small: Contract, index: int, answer: bytes, words: str) -> None:
+    world = World(small)
+    world.segments[0].nodes[0]._settings = world.segments[0].nodes[0]._settings[1:]  # so that its signature differs
+    OtherAnswers(world, 0, 1, index, answer)
+    world.run(2.0)
+    assert not valid(world.measured[-1])[0]
+    assert valid(world.measured[-1])[1:].all()
+    refused = [line for line in world.lines if "refused" in line]
+    assert len(refused) == 1
+    assert words in refused[0]
+    assert not [data for can_id, data in world.wires[0].log if can_id == NMT_COB_ID and data == b"\1\1"]
+
+
+def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
+    """What the electronics do may differ from what the dictionary says."""
+    world = World(small)
+    world.sampler._patterns[0] = 3
+    world.run(2.0)
+    assert not valid(world.measured[-1])[0]
+    assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines
+
+
+def test_signature_is_the_crc_of_ieee_802_3() -> None:
+    assert signature([(0x3231, 0x33, b"456789")]) == 0xCBF4_3926  # the check value of "123456789"
+
+
+def test_signatures_of_all_nodes_differ(small: Contract) -> None:
+    found = {expected_signature(configuration(small, node)) for node in small.nodes}
+    assert len(found) == len(small.nodes)

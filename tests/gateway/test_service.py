@@ -1,0 +1,124 @@
+"""The gateway's turn of input and output, with a clock that stalls where a process may."""
+
+import socket
+
+import msgspec
+import numpy as np
+
+from bus.link import State
+from dbc.canopen import SYNC_COB_ID
+from dbc.contract import Contract
+from dbc.frame import ECHO, Frames, frames
+from gateway.service import GatewayService
+from skin.messages import GATEWAY, GatewayStatus, Topic
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 50.0
+
+    def __call__(self) -> float:
+        self.now_s += 1e-5
+        return self.now_s
+
+
+class Echoing:
+    """A link on which nobody else speaks; what is sent comes back."""
+
+    dropped = 0
+    state = State.ACTIVE
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._near, self._far = socket.socketpair()
+        self._waiting: list[Frames] = []
+        self.syncs_s: list[float] = []
+        self.takes = True
+
+    def fileno(self) -> int:
+        return self._near.fileno()
+
+    def send(self, burst: Frames) -> int:
+        if not self.takes:
+            return 0
+        echo = burst.copy()
+        echo["flags"] |= ECHO
+        self._waiting.append(echo)
+        self._far.send(b"!")
+        if burst["can_id"][0] == SYNC_COB_ID:
+            self.syncs_s.append(self._clock.now_s)
+        return len(burst)
+
+    def receive(self) -> Frames:
+        self._near.recv(4096)
+        arrived, self._waiting = [*self._waiting, frames(0)], []
+        return np.concatenate(arrived)
+
+    def close(self) -> None:
+        self._near.close()
+        self._far.close()
+
+
+class Fabric:
+    """Takes messages; publishing the status takes as long as the test wants."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.stall_s = 0.0
+        self.statuses: list[GatewayStatus] = []
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        if topic is GATEWAY:
+            assert isinstance(message, GatewayStatus)
+            self.statuses.append(message)
+            self._clock.now_s += self.stall_s
+
+
+def running(small: Contract) -> tuple[GatewayService, Clock, Fabric, list[Echoing]]:
+    clock = Clock()
+    fabric = Fabric(clock)
+    links = [Echoing(clock) for _ in small.layout.bus]
+    service = GatewayService(small, dict(enumerate(links)), fabric, clock=clock)
+    while not links[0].syncs_s:
+        service.turn()
+        clock.now_s += 0.005
+    return service, clock, fabric, links
+
+
+def test_syncs_do_not_bunch_after_a_stall(small: Contract) -> None:
+    """The loop is held up while it publishes, by more than two periods, when a SYNC is just about to be due."""
+    service, clock, fabric, links = running(small)
+    period_s = small.layout.sync.period_s
+    fabric.stall_s = 2.3 * period_s
+    for _ in range(400):
+        service.turn()
+        clock.now_s += 0.002
+    gaps_s = np.diff(links[0].syncs_s)
+    assert gaps_s.max() > 2 * period_s
+    assert gaps_s.min() >= 0.5 * period_s
+    assert service.loop.sync.skipped > 0
+    assert fabric.statuses[-1].syncs_skipped > 0
+    for link in links:
+        link.close()
+
+
+def test_bus_that_takes_no_sync_says_why_once(small: Contract, capsys: object) -> None:
+    service, clock, _, links = running(small)
+    links[1].takes, links[1].state = False, State.PASSIVE
+    for _ in range(500):
+        service.turn()
+        clock.now_s += 0.005
+    links[1].takes = True
+    for _ in range(50):
+        service.turn()
+        clock.now_s += 0.005
+    said = capsys.readouterr().err.splitlines()  # type: ignore[attr-defined]
+    about = [line for line in said if "SYNC" in line]
+    assert len(about) == 2
+    assert about[0] == (
+        "gateway: bus1 takes no SYNC: nobody acknowledges its frames:"
+        " is any node powered, wired and at the same bit rate?"
+    )
+    assert about[1].startswith("gateway: bus1 takes SYNC again, after ")
+    for link in links:
+        link.close()

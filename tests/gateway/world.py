@@ -1,0 +1,238 @@
+"""A whole skin in one thread: real nodes and the real gateway on wires of arrays, with a clock that the test moves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.link import State
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
+from dbc.contract import Contract
+from dbc.frame import ECHO, Frames, frames
+from gateway.loop import GatewayLoop
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from nodes.segment import Segment
+from skin.layout import parse_layout
+from skin.messages import Measurement
+from skin.sources import Frame
+from tests.bus.harness import frame
+
+#: Four blocks of 32 taxels, two sums in each of two frames per block, on two buses.
+SMALL = """
+name = "small"
+{top}
+[taxels]
+rows = 8
+columns = 16
+[measurement]
+sums = 32
+[sync]
+rate_hz = 20.0
+[[bus]]
+name = "bus0"
+nodes = 2
+[[bus]]
+name = "bus1"
+nodes = 2
+"""
+PERIOD_S = 0.05
+#: Nodes look at time between two SYNCs only.
+STEP_S = PERIOD_S / 2
+
+
+def small_contract(top: str = "") -> Contract:
+    return Contract.from_layout(parse_layout(SMALL.format(top=top).encode(), "small"))
+
+
+class Shaking:
+    """A source in which no two frames have a taxel in common."""
+
+    has_noise = True
+
+    def frame(self, step: int) -> Frame:
+        force_n = np.random.default_rng(step).uniform(0.004, 0.016, (8, 16)).astype(np.float32)
+        return Frame(force_n, "")
+
+
+class Witness(Electronics):
+    """Electronics that remember the counts behind what a test pattern shows."""
+
+    counts: npt.NDArray[np.int32]
+
+    def read(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
+        raw = np.rint(force_n.ravel() / self._newton_per_count)
+        self.counts = np.clip(np.rint(self.gain * raw + self.offset), 0, self.top).astype(np.int32)
+        return super().read(force_n)
+
+
+class EndOfWire:
+    """A link whose far end is a `Wire`."""
+
+    dropped = 0
+    state = State.ACTIVE
+
+    def __init__(self, wire: "Wire") -> None:
+        self.wire = wire
+        self.waiting: list[Frames] = []
+        self.takes = True
+
+    def fileno(self) -> int:
+        raise NotImplementedError
+
+    def receive(self) -> Frames:
+        arrived = np.concatenate(self.waiting) if self.waiting else frames(0)
+        self.waiting.clear()
+        return arrived
+
+    def send(self, burst: Frames) -> int:
+        if not self.takes:
+            return 0
+        self.wire.queue.append((self, burst.copy()))
+        return len(burst)
+
+    def close(self) -> None:
+        pass
+
+
+class Wire:
+    """A bus without time: frames arrive in the order in which they were sent, at once, at everybody."""
+
+    def __init__(self) -> None:
+        self.queue: list[tuple[EndOfWire | None, Frames]] = []
+        self.gateway = EndOfWire(self)
+        self.nodes = EndOfWire(self)
+        self.log: list[tuple[int, bytes]] = []
+        #: Tells which frames an end loses: called with the end and a frame.
+        self.loses: Callable[[EndOfWire, np.void], bool] = lambda *_: False
+
+    def deliver(self) -> bool:
+        """Carry what was sent; tell whether there was anything."""
+        sent, self.queue = self.queue, []
+        for sender, burst in sent:
+            for each in burst:
+                self.log.append((int(each["can_id"]), each["data"][: each["length"]].tobytes()))
+            for end in (self.gateway, self.nodes):
+                copy = burst.copy()
+                if end is sender:
+                    copy["flags"] |= ECHO
+                kept = [not self.loses(end, each) for each in copy]
+                end.waiting.append(copy[kept])
+        return bool(sent)
+
+    def put(self, can_id: int, data: bytes) -> None:
+        """Send a frame of somebody else."""
+        self.queue.append((None, frame(can_id, data)))
+
+
+@dataclass
+class World:
+    """The skin, its gateway, and what they said."""
+
+    contract: Contract
+    store: Path | None = None
+    now_s: float = 100.0
+    lines: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+    measured: list[Measurement] = field(default_factory=list)
+    #: Sums of the counts of each cycle by SYNC counter, whatever the nodes make of them; newest last.
+    truths: dict[int, npt.NDArray[np.int32]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.electronics = Witness(self.contract.layout.taxels, noise_n=0.0)
+        self.sampler = Sampler(self.contract.phi, Shaking(), self.electronics)
+        self.wires = [Wire() for _ in self.contract.layout.bus]
+        self.segments = [
+            Segment(
+                self.contract,
+                bus,
+                {node.node_id for node in self.contract.on_bus(bus)},
+                wire.nodes,
+                self.sampler,
+                store=self.store,
+            )
+            for bus, wire in enumerate(self.wires)
+        ]
+        self.power_up()
+        self.gateway = self.new_gateway()
+
+    def power_up(self) -> None:
+        for segment in self.segments:
+            segment.boot(self.now_s)
+
+    def new_gateway(self) -> GatewayLoop:
+        return GatewayLoop(
+            self.contract,
+            {bus: wire.gateway.send for bus, wire in enumerate(self.wires)},
+            self.now_s,
+            say=self.lines.append,
+            complain=self.complaints.append,
+        )
+
+    def step(self) -> list[Measurement]:
+        """Go on by `STEP_S`: everybody does what is due, until nobody says anything more."""
+        self.now_s += STEP_S
+        came: list[Measurement] = []
+        self.gateway.tick(self.now_s)
+        came += self.gateway.send_sync(self.now_s)
+        while sum(wire.deliver() for wire in self.wires):
+            self._receive()
+        for segment in self.segments:
+            segment.tick(self.now_s)
+        while sum(wire.deliver() for wire in self.wires):
+            self._receive()
+        came += self.gateway.close_settled(self.now_s)
+        self.measured += came
+        return came
+
+    def _receive(self) -> None:
+        for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
+            segment.receive(self.now_s)
+            self.gateway.take(bus, wire.gateway.receive(), self.now_s)
+        truth = self.sampler.take_truth()
+        if truth is not None:
+            self.truths[truth.sync_counter] = self.contract.phi.forward(self.electronics.counts)
+
+    def run(self, seconds: float) -> list[Measurement]:
+        """Go on for some time; return the measurements of it."""
+        first = len(self.measured)
+        for _ in range(round(seconds / STEP_S)):
+            self.step()
+        return self.measured[first:]
+
+    def until_whole(self, at_most_s: float) -> float:
+        """Go on until every block is valid; return how long that took."""
+        start_s = self.now_s
+        while self.now_s - start_s < at_most_s:
+            if any(valid(each).all() for each in self.step()):
+                return self.now_s - start_s
+        raise AssertionError(
+            f"blocks {np.flatnonzero(~valid(self.measured[-1]))} are still not valid: {self.lines[-5:]}"
+        )
+
+    def wrong_blocks(self, measurement: Measurement) -> list[int]:
+        """Return the blocks that are called valid and are not Φ of that cycle's counts."""
+        sums = np.frombuffer(measurement.sums, "<i4")
+        phi = self.contract.phi
+        differs = np.zeros(phi.blocks, np.bool_)
+        truth = self.truths.get(measurement.sync_counter)
+        if truth is None:  # no node has sampled in this cycle
+            return np.flatnonzero(valid(measurement)).tolist()
+        differs[phi.block_of_sum[sums != truth]] = True
+        return np.flatnonzero(differs & valid(measurement)).tolist()
+
+    # What another master does
+
+    def nmt(self, bus: int, command: int, node_id: int) -> None:
+        self.wires[bus].put(NMT_COB_ID, bytes((command, node_id)))
+
+    def write(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object by an expedited SDO download."""
+        request = bytes((0x23 | 4 - len(data) << 2,)) + index.to_bytes(2, "little") + bytes((subindex,))
+        self.wires[bus].put(SDO_REQUEST_BASE + node_id, request + data.ljust(4, b"\0"))
+
+
+def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:
+    return np.frombuffer(measurement.valid, np.uint8) == 1

@@ -1,0 +1,150 @@
+"""Reset, store and restore: dictionary and electronics go together, and a folder outlives the process."""
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from dbc.canopen import Abort
+from dbc.contract import Contract
+from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, OD_TEST_PATTERN
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from nodes.segment import Segment
+from nodes.storage import Storage
+from skin.errors import InputError
+from tests.bus.harness import frame
+from tests.nodes.conftest import ArrayLink, Still
+from tests.nodes.test_segment import RESET_COMMUNICATION, RESET_NODE, give, read, sync, write
+
+SAVE, LOAD = 0x6576_6173, 0x6461_6F6C
+
+
+class Board:
+    """Nodes 1 and 2 of bus0 and what their taxels are made of."""
+
+    def __init__(self, contract: Contract, store: Path | None = None) -> None:
+        self.electronics = Electronics(contract.layout.taxels, noise_n=0.0)
+        self.sampler = Sampler(contract.phi, Still(), self.electronics)
+        self.link = ArrayLink()
+        self.segment = Segment(contract, 0, {1, 2}, self.link, self.sampler, store=store)
+        self.segment.boot(0.0)
+        self.chain = contract.phi.order[: contract.phi.block_size]
+
+    def write(self, index: int, subindex: int, value: int, size: int) -> int:
+        return write(self.segment, self.link, index, subindex, value, size)
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        return read(self.segment, self.link, 1, index, subindex)
+
+    def reset(self, command: int = RESET_NODE) -> None:
+        give(self.segment, self.link, frame(0, bytes((command, 1))))
+
+    @property
+    def offset(self) -> float:
+        """What the electronics add to the taxel at place 3."""
+        return float(self.electronics.offset[self.chain[2]])
+
+
+@pytest.fixture
+def board(contract: Contract) -> Board:
+    return Board(contract)
+
+
+def test_reset_takes_calibration_and_pattern_from_the_electronics(board: Board) -> None:
+    sums = board.sampler.sample(1, 0).copy()
+    board.write(OD_OFFSET, 3, 100, 2)
+    board.write(OD_GAIN, 4, int.from_bytes(struct.pack("<f", 0.5), "little"), 4)
+    board.write(OD_TEST_PATTERN, 0, 2, 1)
+    assert (board.sampler.sample(2, 10**9) != sums)[:8].any()
+    board.reset()
+    assert (board.read(OD_OFFSET, 3), board.read(OD_TEST_PATTERN), board.offset) == (0, 0, 0.0)
+    assert (board.sampler.sample(3, 2 * 10**9) == sums).all()
+
+
+def test_reset_communication_leaves_calibration_and_pattern(board: Board) -> None:
+    board.write(OD_OFFSET, 3, 100, 2)
+    board.write(OD_TEST_PATTERN, 0, 3, 1)
+    board.reset(RESET_COMMUNICATION)
+    assert (board.read(OD_OFFSET, 3), board.offset) == (100, 100.0)
+    assert (board.read(OD_TEST_PATTERN), board.sampler.pattern(0)) == (3, 3)
+
+
+def test_stored_offset_comes_back_in_dictionary_and_electronics(board: Board) -> None:
+    board.write(OD_OFFSET, 3, 100, 2)
+    board.write(OD_STORE, 1, SAVE, 4)
+    board.write(OD_OFFSET, 3, 7, 2)
+    board.reset()
+    assert (board.read(OD_OFFSET, 3), board.offset) == (100, 100.0)
+
+
+def test_restored_defaults_hold_from_the_next_reset_on(board: Board) -> None:
+    board.write(OD_OFFSET, 3, 100, 2)
+    board.write(OD_STORE, 1, SAVE, 4)
+    board.write(OD_RESTORE, 1, LOAD, 4)
+    assert board.offset == 100.0
+    board.reset()
+    assert (board.read(OD_OFFSET, 3), board.offset) == (0, 0.0)
+
+
+def test_test_pattern_is_never_stored(board: Board) -> None:
+    board.write(OD_TEST_PATTERN, 0, 2, 1)
+    board.write(OD_STORE, 1, SAVE, 4)
+    board.reset()
+    assert (board.read(OD_TEST_PATTERN), board.sampler.pattern(0)) == (0, 0)
+
+
+def test_other_nodes_keep_their_calibration(board: Board, contract: Contract) -> None:
+    size = contract.phi.block_size
+    board.electronics.offset[contract.phi.order[size : 2 * size]] = 5
+    board.reset()
+    assert (board.electronics.offset[contract.phi.order[size : 2 * size]] == 5).all()
+
+
+def test_folder_outlives_the_process(contract: Contract, tmp_path: Path) -> None:
+    first = Board(contract, tmp_path)
+    first.write(OD_OFFSET, 3, 100, 2)
+    first.write(OD_HEARTBEAT_MS, 0, 400, 2)
+    first.write(OD_STORE, 1, SAVE, 4)
+    assert [path.name for path in tmp_path.iterdir()] == ["bus0-1.json"]
+    second = Board(contract, tmp_path)
+    assert (second.read(OD_OFFSET, 3), second.offset, second.read(OD_HEARTBEAT_MS)) == (100, 100.0, 400)
+    second.write(OD_RESTORE, 1, LOAD, 4)
+    assert not list(tmp_path.iterdir())
+    assert Board(contract, tmp_path).offset == 0.0
+
+
+def test_full_disk_is_an_abort_and_loses_nothing(
+    contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = Board(contract, tmp_path)
+    board.write(OD_OFFSET, 3, 100, 2)
+    board.write(OD_STORE, 1, SAVE, 4)
+    board.write(OD_OFFSET, 3, 7, 2)
+    monkeypatch.setattr(Path, "write_bytes", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    assert board.write(OD_STORE, 1, SAVE, 4) == Abort.HARDWARE
+    monkeypatch.undo()
+    assert Board(contract, tmp_path).offset == 100.0
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"phi": 3}', '{"phi": "x", "parameters": {"zz": "00"}}', "\0\1\2"])
+def test_file_that_no_node_stored_is_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / "bus0-1.json").write_text(content)
+    with pytest.raises(InputError, match=r"bus0-1\.json: expected parameters"):
+        Storage("abc", tmp_path / "bus0-1.json")
+
+
+def test_parameters_of_another_skin_are_refused(tmp_path: Path) -> None:
+    Storage("abc", tmp_path / "bus0-1.json").save({0x1017: {0: b"\1\0"}})
+    with pytest.raises(InputError, match="expected parameters of a skin with Φ def, got Φ abc"):
+        Storage("def", tmp_path / "bus0-1.json")
+
+
+def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tmp_path: Path) -> None:
+    """A file that was written by hand can put nothing into a node that an SDO write could not."""
+    parameters = {0x1000: {0: b"\1\0\0\0"}, 0x1017: {0: b"\1"}, 0x5000: {0: b"\1"}, OD_TEST_PATTERN: {0: b"\2"}}
+    Storage(contract.phi.fingerprint, tmp_path / "bus0-1.json").save(parameters)
+    board = Board(contract, tmp_path)
+    assert (board.read(0x1000), board.read(OD_HEARTBEAT_MS), board.sampler.pattern(0)) == (0, 1000, 0)
+    give(board.segment, board.link, frame(0, bytes((1, 1))))
+    assert give(board.segment, board.link, sync(1))
