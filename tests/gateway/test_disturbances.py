@@ -106,7 +106,7 @@ def drive(contract: Contract, actions: list[tuple], store: Path, *, gateway_lose
                 assert gateway_loses, f"block {block} is wrong"
                 assert ago_s < limit_s, f"block {block} is wrong, changed {ago_s:.2f} s ago"
     for wire in world.wires:
-        wire.loses = lambda *_: False
+        wire.loses = None
     world.until_whole(BOUND_S)
 
 

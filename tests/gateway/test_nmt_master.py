@@ -86,7 +86,7 @@ def test_silent_node_is_said_once_and_comes_back(world: World) -> None:
     assert world.gateway._lines[0].master.nmt.tolist() == [SILENT, SILENT]
     world.run(20)
     assert [line for line in world.lines if "silent" in line] == silent
-    wire.loses = lambda *_: False
+    wire.loses = None
     world.until_whole(HEARTBEAT_S + SOON_S)
     world.run(0.5)
     assert any("nodes 1-2 on bus0 back after" in line for line in world.lines)
@@ -103,7 +103,7 @@ def test_node_that_will_not_stay_is_tried_ever_more_seldom(world: World) -> None
     assert len(PAUSES_S) <= len(starts) <= len(PAUSES_S) + 100 / LATER_S + 1
     given_up = [line for line in world.lines if "given up" in line]
     assert given_up == ["node 1 on bus0 given up after 8 tries: tried again every 60 s"]
-    world.wires[0].loses = lambda *_: False
+    world.wires[0].loses = None
     world.until_whole(LATER_S + HEARTBEAT_S + SOON_S)
 
 
