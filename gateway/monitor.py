@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.frame_bits import frame_time_ns
 from bus.link import Link
 from dbc.contract import EMCY_BASE, HEARTBEAT_BASE, HIGHEST_NODE_ID, OPERATIONAL, SYNC_COB_ID, Contract
 from dbc.frame import ERROR, Frames, frames
+from dbc.frame_bits import frame_time_ns
 from skin.messages import BusState
 
 #: Reported instead of an NMT state while a node is silent.
