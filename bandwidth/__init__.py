@@ -1,1 +1,1 @@
-"""What fits on a bus: exact frame bits and the arithmetic built on them."""
+"""What fits on a bus, and what is on it: response times, plans and logs."""

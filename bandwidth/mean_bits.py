@@ -10,8 +10,8 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.frame_bits import wire_bits
 from dbc.frame import BRS, ESI, EXTENDED, FD, FD_LENGTHS, frames
+from dbc.frame_bits import wire_bits
 
 #: Longest run that stuffing allows.
 RUN_MAX = 5
@@ -35,7 +35,7 @@ def mean_wire_bits(length: int, flags: int = 0, can_id: int | None = None) -> tu
     Returns
     -------
     nominal, data : float
-        As `bandwidth.frame_bits.wire_bits`.
+        As `dbc.frame_bits.wire_bits`.
     """
     one = frames(1)
     one["length"], one["flags"] = length, flags

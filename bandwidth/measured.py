@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.frame_bits import frame_time_ns
 from bandwidth.plan import BusPlan
 from dbc.canopen import (
     EMCY_BASE,
@@ -20,6 +19,7 @@ from dbc.canopen import (
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ERROR, EXTENDED, Frames
+from dbc.frame_bits import frame_time_ns
 from skin.errors import InputError
 
 FOREIGN: Final = "foreign"

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.frame_bits import Stuffing, wire_bits
 from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.response import UNBOUNDED
 from bandwidth.touched import touched_bits
@@ -16,6 +15,7 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.contract import PHASES, SYNC_OVERFLOW, Contract
 from dbc.dictionary import WINDOW_RATIO
 from dbc.frame import Frames, frames
+from dbc.frame_bits import Stuffing, wire_bits
 from skin.layout import Bus
 
 #: Part of the bus that a cautious plan uses.

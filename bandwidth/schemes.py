@@ -12,13 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from bandwidth.frame_bits import wire_bits
 from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.plan import CAUTION, Wire, sync_frames
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import CLASSIC_BYTES, FD_BYTES
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, FD, FD_LENGTHS, frames
+from dbc.frame_bits import wire_bits
 from skin.layout import Layout
 
 SUM_BITS: Final = (16, 12, 8)

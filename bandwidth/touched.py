@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.frame_bits import wire_bits
 from dbc.codec import encode
 from dbc.contract import PHASES, Contract
 from dbc.frame import frames
+from dbc.frame_bits import wire_bits
 from skin.layout import Layout
 from skin.sources import TaxelSource, load_source
 

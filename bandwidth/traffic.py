@@ -6,12 +6,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.frame_bits import frame_time_ns
 from bandwidth.response import blocking_ns, response_times_ns
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtState
 from dbc.contract import CLASSIC_BYTES, Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
+from dbc.frame_bits import frame_time_ns
 from skin.errors import InputError
 from skin.layout import Bus
 

@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns
 from bus.arbitration import arbitration_keys
 from bus.controller import Controller
 from bus.error_frames import State, ack_report, bit_report, state_report
@@ -21,6 +20,7 @@ from bus.pending import Pending, Waiting
 from bus.pool import FramePool
 from bus.station import Counts, Station
 from dbc.frame import Frames
+from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
 
 #: Error flag of the first controller and its echo by the others, error delimiter (ISO 11898-1, error frame).
 ERROR_FRAME_BITS: Final = 6 + 6 + 8

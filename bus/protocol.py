@@ -15,9 +15,9 @@ from typing import Annotated, Final, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from bandwidth.frame_bits import padded_length
 from bus.error_frames import State
 from dbc.frame import BRS, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
+from dbc.frame_bits import padded_length
 from skin.errors import InputError
 
 MAGIC: Final = b"CSK1"

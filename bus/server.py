@@ -13,7 +13,6 @@ from typing import Final, Self
 
 import msgspec
 
-from bandwidth.frame_bits import frame_time_ns
 from bus.core import Bus
 from bus.faults import Fault
 from bus.protocol import (
@@ -32,6 +31,7 @@ from bus.protocol import (
 )
 from bus.session import Batch, Session
 from dbc.frame import frames
+from dbc.frame_bits import frame_time_ns
 from skin.errors import BusError, InputError
 from skin.service import say
 

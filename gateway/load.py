@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from bandwidth.frame_bits import frame_time_ns
 from dbc.frame import ERROR, Frames, frames
+from dbc.frame_bits import frame_time_ns
 from skin.layout import Bus
 
 

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from bandwidth.frame_bits import frame_time_ns
 from bus.link import DISCARDED, Link
 from dbc.canopen import (
     HEARTBEAT_BASE,
@@ -25,6 +24,7 @@ from dbc.configuration import configuration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from dbc.frame_bits import frame_time_ns
 from dbc.indices import OD_SYNC_OVERFLOW, OD_WINDOW_US
 from nodes.burst import Burst
 from nodes.network import SegmentNetwork

@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns, wire_bits
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.contract import SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
+from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, wire_bits
 from evaluation.findings import Row
 from evaluation.schemes.wire_kernel import arbitrate
 from skin.layout import Bus

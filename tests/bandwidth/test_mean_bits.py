@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bandwidth.frame_bits import wire_bits
 from bandwidth.mean_bits import mean_wire_bits
 from dbc.frame import BRS, ESI, EXTENDED, FD, frames
+from dbc.frame_bits import wire_bits
 
 SAMPLES = 20_000
 

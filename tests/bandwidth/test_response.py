@@ -16,10 +16,10 @@ from response_time_analysis.model import (
     taskset,
 )
 
-from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns
 from bandwidth.response import UNBOUNDED, blocking_ns, response_times_ns
 from bus.core import Bus
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
+from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
 from skin.errors import InputError
 
 Times = npt.NDArray[np.int64]

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bandwidth.frame_bits import INTERMISSION_BITS, frame_time_ns
 from bus.core import Bus
 from bus.outbox import DISCARDED, OTHERS, OWNER
 from dbc.frame import BRS, EXTENDED, FD, FRAME, REMOTE, Frames
+from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
 from tests.bus.harness import burst, frame
 
 INTERMISSION_NS = INTERMISSION_BITS * 1000

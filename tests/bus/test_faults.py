@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bandwidth.frame_bits import wire_bits
 from bus.core import Bus
 from bus.faults import Fault, FaultBook, parse_fault
 from bus.outbox import DISCARDED, OTHERS, OWNER
 from dbc.frame import ERROR
+from dbc.frame_bits import wire_bits
 from skin.errors import InputError
 from tests.bus.harness import burst, frame
 

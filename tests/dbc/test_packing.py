@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bandwidth.frame_bits import wire_bits
 from dbc.codec import decode, encode
 from dbc.contract import Contract
 from dbc.frame import frames
+from dbc.frame_bits import wire_bits
 from dbc.packing import Packing, packing, rounding_error_n
 from skin.layout import Layout, load_layout
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bandwidth.frame_bits import frame_time_ns, padded_length, wire_bits
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frames, frames
+from dbc.frame_bits import frame_time_ns, padded_length, wire_bits
 
 
 def frame(can_id: int, data: bytes = b"", flags: int = 0, length: int | None = None) -> Frames:

@@ -120,7 +120,7 @@ def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bit
 
 
 def _exact_stuff(frames: Frames) -> tuple[Bits, Bits]:
-    from bandwidth.kernels import count_stuff
+    from dbc.stuff_bits import count_stuff
 
     rows = np.ascontiguousarray(frames).view(np.uint8).reshape(-1, FRAME.itemsize)[:, _FIRST_BYTE:]
     nominal, data = np.empty(len(rows), np.int32), np.empty(len(rows), np.int32)

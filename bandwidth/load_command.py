@@ -6,9 +6,9 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter
 
+from bandwidth.logs import listen, of_buses, read_log
 from bandwidth.measured import BusLoad, measure
 from bandwidth.plan import plan
-from bus.logs import listen, of_buses, read_log
 from bus.options import BusOptions, channels, open_links
 from dbc.contract import Contract
 from skin.errors import InputError, RunError

@@ -1,8 +1,4 @@
-"""``skin plan``: what a layout asks of its buses, and the layout that meets a wish.
-
-It stands in this room and not beside the arithmetic because a plan can be checked against a log, which only this room
-reads.
-"""
+"""``skin plan``: what a layout asks of its buses, and the layout that meets a wish."""
 
 from pathlib import Path
 from typing import Annotated
@@ -159,8 +155,8 @@ def _search(wish: Wish, allowed: Disturbance, out: Path | None, *, as_json: bool
 
 def _check(contract: Contract, plans: list[BusPlan], log: Path, names: list[str], *, as_json: bool) -> int:
     from bandwidth.departures import departures
+    from bandwidth.logs import of_buses, read_log
     from bandwidth.measured import measure
-    from bus.logs import of_buses, read_log
 
     wanted = channels(contract.layout, BusOptions(channel=names))
     lines = []

@@ -6,7 +6,7 @@ import can
 import numpy as np
 import pytest
 
-from bus.logs import listen, of_buses, read_log
+from bandwidth.logs import listen, of_buses, read_log
 from dbc.frame import BRS, EXTENDED, FD, Frames, frames
 from skin.errors import InputError
 from skin.layout import load_layout
@@ -77,6 +77,7 @@ def test_channels_are_assigned_by_name_or_in_their_natural_order() -> None:
         of_buses(layout, names, {"can7": frames(0)}, Path("x.log"), named_by_user=True)
 
 
+@pytest.mark.usefixtures("own_sockets")
 def test_a_live_bus_is_listened_to() -> None:
     with serving("bus0"), linked("talker", "listener") as (talker, listener):
         talker.send(burst(range(20)))
