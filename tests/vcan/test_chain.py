@@ -17,7 +17,7 @@ from bandwidth.plan import plan
 from dbc.contract import Contract
 from skin.messages import GatewayStatus
 from tests.processes import Processes
-from tests.vcan.chain import RATE_HZ, Chain, complete, ip_link, running_chain
+from tests.vcan.chain import RATE_HZ, Chain, complete, ip_link, running_chain, valid
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +152,40 @@ def sums_in_log(chain: Chain, log: Path) -> dict[int, dict[str, int]]:
             elif "TPDO" in message.name and frame.channel in counter:
                 found.setdefault(counter[frame.channel], {}).update(signals)
     return found
+
+
+def cansend(channel: str, *frames: str) -> None:
+    for each in frames:
+        subprocess.run(["cansend", channel, each], check=True)
+
+
+def await_back(chain: Chain, node: str) -> str:
+    """Wait until the gateway's log says that a node is back; return the log."""
+    chain.processes.await_words("gateway", f"{node} back after")
+    chain.await_complete()
+    return chain.processes.log("gateway").read_text()
+
+
+def test_node_that_a_stray_command_stops_comes_back(chain: Chain) -> None:
+    cansend("vcan1", "000#0205")
+    assert "node 5 on bus1 left OPERATIONAL: stopped, by another master's NMT command" in await_back(
+        chain, "node 5 on bus1"
+    )
+
+
+def test_mapping_that_was_swapped_saved_and_reset_never_counts(chain: Chain) -> None:
+    first = len(chain.measurements)
+    cansend(
+        "vcan1",
+        *("607#23001801870100C0", "607#2F001A0000000000"),
+        *("607#23001A0110020021", "607#23001A0210010021", "607#2F001A0004000000"),
+        *("607#2300180187010040", "607#2310100173617665", "000#8107"),
+    )
+    log = await_back(chain, "node 7 on bus1")
+    assert "set right: 1A00h:1" in log
+    wrong = 0
+    for measurement in chain.measurements[first:]:
+        is_valid = chain.phi.sums_of_blocks(valid(measurement))
+        differs = np.frombuffer(measurement.sums, "<i4") != chain.true_sums(measurement)
+        wrong += int((differs & is_valid).sum())
+    assert wrong == 0
