@@ -7,7 +7,7 @@ from pathlib import Path
 
 from skin.errors import InputError
 from skin.layout import Layout
-from skin.picture_place import check_place
+from skin.output import check_picture_path
 from skin.sources import load_source
 from touch.objects import checked_names
 
@@ -43,7 +43,7 @@ class Wishes:
             raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
         if self.view and self.port is not None:
             _check_port(self.port)
-        check_place(self.picture)
+        check_picture_path(self.picture)
         self._check_touch(layout)
 
     def _check_touch(self, layout: Layout) -> None:
