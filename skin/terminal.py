@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
+from skin.service import Talk, talks
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -34,8 +36,8 @@ def print_json(document: Any) -> None:
 def print_table(headings: Sequence[str], rows: Iterable[Iterable[Any]], *, title: str = "") -> None:
     """Print a table on standard output.
 
-    Columns with numbers are aligned right, but for the first. A terminal that is too narrow folds cells; elsewhere the
-    table is plain text, and a row is a line.
+    Under headings, columns with numbers are aligned right, but for the first. A terminal that is too narrow folds
+    cells; elsewhere the table is plain text, and a row is a line.
 
     Parameters
     ----------
@@ -54,7 +56,7 @@ def print_table(headings: Sequence[str], rows: Iterable[Iterable[Any]], *, title
     table = Table(box=None, pad_edge=False, show_header=bool(headings))
     columns = headings or [""] * max(map(len, cells), default=0)
     for place, heading in enumerate(columns):
-        is_right = place > 0 and any(_begins_a_number(row[place]) for row in cells)
+        is_right = bool(headings) and place > 0 and any(_begins_a_number(row[place]) for row in cells)
         # Text, for square brackets in a cell are no markup.
         table.add_column(Text(heading), justify="right" if is_right else "left", overflow="fold")
     for row in cells:
@@ -132,6 +134,6 @@ def progress(what: str, total: float | None, *, done: float = 0) -> Iterator[Pro
         console=console,
         transient=True,
         refresh_per_second=1 if total is None else 10,
-        disable=not console.is_terminal,
+        disable=not (console.is_terminal and talks(Talk.NORMAL)),
     ) as shown:
         yield ProgressBar(shown, shown.add_task(what, total=total, completed=done))  # type: ignore[arg-type]

@@ -26,7 +26,7 @@ def test_numbers_stand_right_and_words_left(capsys: pytest.CaptureFixture[str]) 
 
 def test_rows_without_headings(capsys: pytest.CaptureFixture[str]) -> None:
     print_table([], [["cycles", "10 of 10"], ["load", "76 %"]])
-    assert capsys.readouterr().out == "cycles  10 of 10\nload        76 %\n"
+    assert capsys.readouterr().out == "cycles  10 of 10\nload    76 %\n"
     print_table(["object"], [])
     assert capsys.readouterr().out == "object\n"
 
