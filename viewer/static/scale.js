@@ -5,7 +5,7 @@ import { COLOURS, roundUp } from "./colour.js";
 const MN = 1000;
 const TICKS = 5;
 // Of the largest force: below it, an automatic scale would only show noise.
-const LEAST = 0.05;
+const LEAST = 0.25;
 // An automatic scale shrinks only when the images stay below this part of it for HOLD_MS.
 const SHRINK_BELOW = 0.8;
 const HOLD_MS = 1500;
