@@ -43,7 +43,7 @@ demo: .venv/.demo
 	@$(BIN)/skin demo $(ARGS)
 
 figures: setup
-	@$(BIN)/python docs/figures.py $(ARGS)
+	@$(BIN)/python -m docs.figures $(ARGS)
 
 test: check
 	$(BIN)/pytest

@@ -66,11 +66,19 @@ class Browser:
     def text(self, selector: str) -> str:
         return str(self.ask(f"document.querySelector({json.dumps(selector)})?.innerText ?? ''"))
 
-    def until(self, holds: Callable[[], bool], what: str) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
+    def until(self, holds: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+        deadline_s = time.monotonic() + patience_s
         while not holds():
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"{what}; the page says: {self.text('body')}; complaints: {self.complaints}")
+
+    def wait(self, seconds: float) -> None:
+        """Let the page go on for a while."""
+        self.call(
+            "Runtime.evaluate",
+            expression=f"new Promise((done) => setTimeout(done, {1000 * seconds}))",
+            awaitPromise=True,
+        )
 
     def picture(self) -> bytes:
         """Return the whole page as PNG."""
