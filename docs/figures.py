@@ -24,7 +24,7 @@ SKIN: Final = (sys.executable, "-m", "skin")
 #: The page is looked at this long after the golf ball was named, so that all its figures are of a touch.
 TOUCHED_S: Final = 3.0
 PATIENCE_S: Final = 120.0
-PAGE_WIDTH, PAGE_HEIGHT = 1280, 900
+PAGE_WIDTH, PAGE_HEIGHT = 1280, 720
 
 
 def demo(path: Path) -> None:

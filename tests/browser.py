@@ -84,7 +84,9 @@ class Browser:
         """Return the whole page as PNG."""
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
         clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png", clip=clip)["data"])
+        return base64.b64decode(
+            self.call("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)["data"]
+        )
 
     def point(self, x: float, y: float) -> None:
         self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)

@@ -73,7 +73,7 @@ class ViewState:
         self._gateway: Last[GatewayStatus] | None = None
         self._nodes: dict[str, Last[NodesStatus]] = {}
         self._services: dict[str, Service] = {}
-        self._self = new_peer(layout.name, "viewer", layout.phi().fingerprint)
+        self._self = new_peer(layout.name, "this page", layout.phi().fingerprint)
         self._peers: dict[str, Peer] = {}
         self._pairing: Pairing[Image] = Pairing()
         self._latency_s = Window(LATENCY_SPAN_S)
@@ -149,7 +149,7 @@ class ViewState:
 
     def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
         """Return what the page shows at `now_s`; `undecodable` messages never got here but are told of."""
-        truth = self._truth_shown(now_s)
+        truth, gateway = self._truth_shown(now_s), self._gateway_state(now_s)
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
             skin=self._layout.name,
@@ -157,9 +157,9 @@ class ViewState:
             truth=truth[0] if truth else None,
             label=self._label_state(now_s),
             figures=self._figures(now_s),
-            gateway=self._gateway_state(now_s),
+            gateway=gateway,
             nodes=self._nodes_states(now_s),
-            services={name: self._service(name, now_s) for name in sorted(self._services)},
+            services={name: self._service(name, gateway, now_s) for name in sorted(self._services)},
             other_skins=sorted({peer.skin for peer in self._peers.values() if peer.fingerprint} - {self._layout.name}),
             cut_off=self._is_cut_off(now_s),
             ignored=self.ignored + undecodable,
@@ -235,7 +235,7 @@ class ViewState:
             blocks=self._layout.blocks,
         )
 
-    def _service(self, name: str, now_s: float) -> Service:
+    def _service(self, name: str, gateway: GatewayState | None, now_s: float) -> Service:
         """Return what is known of a service; of several of one name, one that differs from this page's skin."""
         own = [each for each in self._peers.values() if (each.skin, each.service) == (self._layout.name, name)]
         if not own:
@@ -243,15 +243,14 @@ class ViewState:
         peer = next((each for each in own if self._self.difference(each)), own[-1])
         return msgspec.structs.replace(
             self._services[name],
-            silent=self._is_silent(name, now_s),
+            silent=self._is_silent(name, gateway, now_s),
             version=peer.version,
             fingerprint=peer.fingerprint,
             difference=self._self.difference(peer),
         )
 
-    def _is_silent(self, name: str, now_s: float) -> bool:
+    def _is_silent(self, name: str, gateway: GatewayState | None, now_s: float) -> bool:
         """Tell whether a service that is there sends nothing, though it gets what it needs."""
-        gateway = self._gateway_state(now_s)
         if gateway is None or name == "gateway":
             return gateway is not None and gateway.stale
         last = {"reconstructor": self._image, "classifier": self._label}.get(name)

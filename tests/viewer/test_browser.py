@@ -270,7 +270,7 @@ def test_service_of_another_phi_is_named_with_its_fingerprint(page: Browser, hub
 def test_words_that_explain_amber_are_whole_on_a_phone(browser: Browser, server: Server, chain: Chain) -> None:
     chain.invalid = (3,)
     browser.open(f"http://127.0.0.1:{server.port}/", width=380)
-    browser.until(lambda: "1 missing in" in browser.text("#blocks"), "the missing block was not told")
+    browser.until(lambda: "1 missing within 1 s" in browser.text("#blocks"), "the missing block was not told")
     assert browser.ask(
         "[...document.querySelectorAll('.detail')].every((line) => line.scrollWidth <= line.clientWidth)"
     )

@@ -68,6 +68,6 @@ export function drawFigures(snapshot) {
 
   const low = stale ? null : figures.valid_blocks_low;
   const missing = low !== null && low < figures.blocks;
-  const fewest = low === null ? "" : missing ? `${figures.blocks - low} missing in the last second` : "none missing in the last second";
+  const fewest = low === null ? "" : missing ? `${figures.blocks - low} missing within 1 s` : "none missing within 1 s";
   set("blocks", `${stale ? "–" : figures.valid_blocks} / ${figures.blocks}`, fewest, { stale, alert: missing });
 }
