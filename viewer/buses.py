@@ -4,13 +4,11 @@ from typing import Final
 
 import msgspec
 
-from skin.messages import BusState, GatewayStatus, NodesStatus
+from skin.messages import SILENT, BusState, GatewayStatus, NodesStatus
 from viewer.snapshot import BusView, GatewayState, NodesState
 
 #: What a gateway's controller says when it can neither send nor receive.
 DEAD_LINKS: Final = ("lost", "bus_off")
-#: The gateway's word for the NMT state of a node it does not hear.
-SILENT: Final = 255
 
 
 def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:

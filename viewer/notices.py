@@ -5,7 +5,7 @@ from typing import Final
 
 import msgspec
 
-from viewer.buses import SILENT
+from skin.messages import SILENT
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
 #: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2).
