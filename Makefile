@@ -1,25 +1,49 @@
-# make demo   the whole chain on this machine, about 20 s
-# make test   everything that must hold: style, types, imports, tests
+# make demo     the whole chain on this machine, about 20 s
+# make test     everything that must hold: style, types, imports, tests
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
-# make setup  the environment both use, in .venv
+# make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
+# make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
 
 PYTHON ?= python3
 BIN := .venv/bin
 # What the demo is given, for example: make demo ARGS="--seconds 10 --objects golf-ball"
 ARGS ?=
+# The oldest Python that works, as pyproject.toml has it.
+OLDEST := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
+IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < tuple(map(int, "$(OLDEST)".split("."))))
 
-.PHONY: setup demo test test-vcan check loop
+.PHONY: setup demo test test-vcan figures check loop
 
 setup: .venv/.installed
 
-.venv/.installed: pyproject.toml
-	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+# One stamp for what `make demo` needs and one for everything. Neither is touched when the install fails, and a .venv
+# that cannot be used (wrong Python, no pip) is made anew.
+define install
+	@$(BIN)/python -c 'import pip; $(IS_NEW_ENOUGH)' 2>/dev/null || { \
+		$(PYTHON) -c '$(IS_NEW_ENOUGH)' 2>/dev/null || { \
+			echo "canskin needs Python $(OLDEST) or newer, and '$(PYTHON)' is $$($(PYTHON) --version 2>&1 | tail -n 1);" \
+				"name another one: make PYTHON=python$(OLDEST) $(MAKECMDGOALS)" >&2; \
+			exit 1; \
+		}; \
+		$(PYTHON) -m venv --clear .venv || { rm -rf .venv; exit 1; }; \
+	}
 	@echo "installing into .venv"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable "$(1)"
+endef
+
+.venv/.installed: pyproject.toml
+	$(call install,.[test])
+	@touch .venv/.demo $@
+
+.venv/.demo: pyproject.toml
+	$(call install,.)
 	@touch $@
 
-demo: setup
+demo: .venv/.demo
 	@$(BIN)/skin demo $(ARGS)
+
+figures: setup
+	@$(BIN)/python -m docs.figures $(ARGS)
 
 test: check
 	$(BIN)/pytest

@@ -55,7 +55,7 @@ def classify(
     if model is not None and objects:
         raise InputError("--model already says which objects there are: leave --objects out")
     trained = load_model(model, skin, phi) if model else find_or_train(skin, phi, _named(objects))
-    fabric = Fabric(skin.name, "classifier", connect, stop=stop)
+    fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=phi.fingerprint)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     try:
         ClassifierService(Classifier(trained, phi), phi, fabric).run(stop)

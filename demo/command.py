@@ -1,13 +1,15 @@
 """``skin demo``: the whole chain on this machine, without hardware, root or a running service."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from skin.errors import RunError
+from skin.names import split_names
 from skin.service import StopSignal, say
+from skin.terminal import Json, print_json
 
 
 def demo(
@@ -16,13 +18,14 @@ def demo(
     seconds: float = 20.0,
     input: Path | None = None,  # noqa: A002 - the flag's name
     full_scale: float | None = None,
-    array: Annotated[list[str] | None, Parameter(negative=())] = None,
-    objects: str = "",
+    array: list[str] | None = None,
+    objects: list[str] | None = None,
     seed: int = 0,
     view: bool = True,
     port: int | None = None,
-    picture: Path = Path("skin-demo.png"),
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    listen: str | None = None,
+    picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png"),
+    json: Json = False,
 ) -> int:
     """Press and slide objects on a skin and show the whole chain at work.
 
@@ -40,57 +43,62 @@ def demo(
     full_scale
         Value of the recording that stands for the skin's largest force; default: the largest it holds.
     array
-        Name of the array of an .npz; give two to place them side by side.
+        Name of the array of an .npz; two names are placed side by side.
     objects
-        Comma-separated names of the objects, see ``skin objects``; default: a series of five.
+        Names of the objects, see ``skin objects``; default: a series of five.
     seed
         Seed of the touches and of the sensor noise.
     view
         ``--no-view`` leaves the live page out.
     port
         Port of the live page, 0 for a free one; default 8765, or a free one when that is taken.
+    listen
+        Endpoint of the fabric's hub, where other programs can listen in; default: a free port of this machine.
     picture
         File for the picture of true, sensor, rebuilt and difference.
-    json_
+    json
         Print the figures of the run as one JSON object on stdout.
 
     Examples
     --------
     skin demo --seconds 10 --objects golf-ball
-    skin demo --input S1.npz --array posture_01 --array posture_02 --full-scale 4095 --json
+    skin demo --input S1.npz --array posture_01 posture_02 --full-scale 4095 --json
     """
     stop = StopSignal().install()
     # Only now, for these take seconds in which a signal must be heeded.
     from demo.folder import run_folder
+    from demo.options import DemoOptions
     from demo.run import Run
-    from demo.wishes import Wishes
     from skin.layout import load_layout
 
-    wishes = Wishes(
+    options = DemoOptions(
         layout_path=layout,
         seconds=seconds,
         recording=input,
         full_scale=full_scale,
         arrays=tuple(array or ()),
-        objects=objects,
+        objects=split_names(objects or ()),
         seed=seed,
         view=view,
         port=port,
+        listen=listen,
         picture=picture,
     )
     skin = load_layout(layout)
-    wishes.check(skin)
+    options.check(skin)
     try:
         with run_folder() as folder:
-            run = Run(skin, wishes, folder)
+            run = Run(skin, options, folder)
             report = run.execute(stop)
     except KeyboardInterrupt:
         say("demo", "interrupted before the first cycle")
         raise
-    is_saved = run.save_picture(report)
-    if json_:
-        print(json.dumps(report))
+    saved = run.save_picture(report)
+    if json:
+        print_json(saved or report)
     else:
-        run.print_summary(report)
+        run.print_summary(saved or report)
     sys.stdout.flush()
-    return 0 if report["cycles"] and is_saved else 1
+    if report.failure:
+        raise RunError(report.failure)
+    return int(saved is None)

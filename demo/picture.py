@@ -1,10 +1,12 @@
 """The picture of a run: what was there, what the sensor felt, what was rebuilt, and the difference."""
 
+import io
 from pathlib import Path
 
 import matplotlib as mpl
 
 from demo.score import Snapshot
+from skin.output import write_file
 from skin.pairing import psnr_db
 
 mpl.use("Agg")
@@ -21,7 +23,7 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
     peak_n : float
         Largest force a taxel can feel, the peak of the PSNR.
     path : pathlib.Path
-        Where; one of `skin.picture_place.SUFFIXES`.
+        Where; one of `skin.output.PICTURE_SUFFIXES`.
     noisy : bool
         Whether the sensor adds noise, so that its PSNR means something.
 
@@ -47,5 +49,7 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
         axis.set_xticks([])
         axis.set_yticks([])
         figure.colorbar(shown, ax=axis, shrink=0.85, label="mN")
-    figure.savefig(path, dpi=110)
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix[1:], dpi=110)
     plt.close(figure)
+    write_file(path, content.getvalue())

@@ -2,48 +2,48 @@
 
 import socket
 import time
+from collections.abc import Collection
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+import msgspec
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
+from demo.options import DemoOptions
 from demo.picture import save_picture
+from demo.report import Report
 from demo.score import Score
 from demo.supervisor import Supervisor
-from demo.wishes import Wishes
 from skin.errors import RunError
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
 from skin.pairing import adds_noise
-from skin.service import StopSignal, say
+from skin.service import StopSignal, Talk, say, talks
 from skin.sources import DEFAULT_OBJECTS
+from skin.terminal import print_table, progress
 
 DEFAULT_PORT: Final = 8765
 #: A first run compiles the solver and trains the classifier.
 READY_PATIENCE_S: Final = 180.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
 TURN_S: Final = 0.1
-#: Nodes the summary names when frames are missing.
-NAMED: Final = 5
 
 
 class Run:
-    """Starts the services, follows them, and reports; of `wishes` that have been checked."""
+    """Starts the services, follows them, and reports; its options have been checked."""
 
-    def __init__(self, layout: Layout, wishes: Wishes, folder: Path) -> None:
+    def __init__(self, layout: Layout, options: DemoOptions, folder: Path) -> None:
         self._layout = layout
-        self._wishes = wishes
+        self._options = options
         self._score = Score(layout)
         self._supervisor = Supervisor(folder)
         self._alive: set[str] = set()
-        self._console = Console(stderr=True)
-        self._port = _page_port(wishes.port) if wishes.view else None
+        self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
+        self._port = _page_port(options.port) if options.view else None
 
-    def execute(self, stop: StopSignal) -> dict[str, Any]:
+    def execute(self, stop: StopSignal) -> Report:
         """Run the chain until its time is over or `stop`, and return the figures.
 
         Raises
@@ -54,7 +54,7 @@ class Run:
         if stop.is_set():
             raise KeyboardInterrupt
         with ExitStack() as last:
-            endpoint, fabric = _hub(self._layout.name)
+            endpoint, fabric = _hub(self._layout.name, self._options.listen)
             last.callback(fabric.close)
             last.callback(self._supervisor.stop)
             self._listen(fabric)
@@ -62,7 +62,7 @@ class Run:
             self._await_services(stop)
             if not stop.is_set():
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint))
-                self._follow(stop)
+                self._follow(stop, endpoint)
             if stop.is_set() and not self._has_started():
                 self._supervisor.stop_at_once()
                 raise KeyboardInterrupt
@@ -72,28 +72,25 @@ class Run:
             time.sleep(TURN_S)  # the last counters are on their way
         return self._score.report()
 
-    def save_picture(self, report: dict[str, Any]) -> bool:
-        """Save the picture, if there was a contact to show, and name it in `report`; tell whether nothing failed."""
-        if self._score.shown is None:
-            return True
-        path, taxels = self._wishes.picture, self._layout.taxels
+    def save_picture(self, report: Report) -> Report | None:
+        """Save the picture, if there was a contact to show; return the report with its path, None if that failed."""
+        if self._score.snapshot is None:
+            return report
+        path, taxels = self._options.picture, self._layout.taxels
         try:
-            save_picture(self._score.shown, taxels.force_max_n, path, noisy=bool(report["sensor_adds_noise"]))
+            save_picture(self._score.snapshot, taxels.force_max_n, path, noisy=bool(report.sensor_adds_noise))
         except OSError as error:  # the figures are worth more than the picture
             say("demo", f"{path}: cannot write the picture: {error.strerror or error}")
-            return False
-        report["picture"] = str(path.resolve())
-        return True
+            return None
+        return msgspec.structs.replace(report, picture=str(path.resolve()))
 
-    def print_summary(self, report: dict[str, Any]) -> None:
+    @staticmethod
+    def print_summary(report: Report) -> None:
         """Print the figures as a table for a person."""
-        table = Table(show_header=False, box=None)
-        for name, value in summary(report):
-            table.add_row(name, value)
-        Console().print(table)
+        print_table((), report.rows())
 
     def _common(self, endpoint: str) -> list[str]:
-        layout = ["--layout", str(self._wishes.layout_path)] if self._wishes.layout_path else []
+        layout = ["--layout", str(self._options.layout_path)] if self._options.layout_path else []
         return [*layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:
@@ -108,19 +105,19 @@ class Run:
         fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
 
     def _start_services(self, endpoint: str) -> None:
-        wishes, start, common = self._wishes, self._supervisor.start, self._common(endpoint)
+        options, start, common = self._options, self._supervisor.start, self._common(endpoint)
         bitrates = {(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in self._layout.bus}
         bitrate, data_bitrate = bitrates.pop()
         names = [bus.name for bus in self._layout.bus]
         start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
-        touch = ["--objects", wishes.objects] if wishes.objects else []
-        if wishes.recording is not None:
-            touch = ["--input", str(wishes.recording)]
-            touch += ["--full-scale", str(wishes.full_scale)] if wishes.full_scale is not None else []
-            touch += [part for name in wishes.arrays for part in ("--array", name)]
-        start("nodes", "nodes", *common, "--seed", str(wishes.seed), *touch)
+        touch = ["--objects", ",".join(options.objects)] if options.objects else []
+        if options.recording is not None:
+            touch = ["--input", str(options.recording)]
+            touch += ["--full-scale", str(options.full_scale)] if options.full_scale is not None else []
+            touch += [part for name in options.arrays for part in ("--array", name)]
+        start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)
         start("reconstructor", "reconstruct", *common, restart=True)
-        start("classifier", "classify", *common, *_known_objects(wishes.objects), restart=True)
+        start("classifier", "classify", *common, *_known_objects(options.objects), restart=True)
         if self._port is not None:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)
 
@@ -135,10 +132,11 @@ class Run:
                 if time.monotonic() > patience_s:
                     raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
 
-    def _follow(self, stop: StopSignal) -> None:
+    def _follow(self, stop: StopSignal, endpoint: str) -> None:
         """Show progress until the time is over."""
         if self._port is not None:
             self._console.print(f"live page: http://127.0.0.1:{self._port}/")
+        self._console.print(f"fabric: {endpoint}", highlight=False)
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
         self._console.print(f"processes: {pids}", highlight=False)
         patience_s = time.monotonic() + FIRST_CYCLE_PATIENCE_S
@@ -146,16 +144,15 @@ class Run:
             self._supervisor.look()
             if time.monotonic() > patience_s:
                 raise RunError("no cycle came from the gateway")
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=self._console, transient=True) as progress:
-            task = progress.add_task("", total=self._wishes.seconds)
+        with progress("", self._options.seconds) as bar:
             start_s = time.monotonic()
-            while (elapsed_s := time.monotonic() - start_s) < self._wishes.seconds:
-                if stop.wait(min(TURN_S, self._wishes.seconds - elapsed_s)):
+            while (elapsed_s := time.monotonic() - start_s) < self._options.seconds:
+                if stop.wait(min(TURN_S, self._options.seconds - elapsed_s)):
                     break
                 for event in self._supervisor.look():
-                    progress.console.print(event, highlight=False)
-                progress.update(task, completed=elapsed_s, description=self._line())
+                    if talks(Talk.NORMAL):
+                        bar.print(event)
+                bar.update(elapsed_s, self._line())
 
     def _has_started(self) -> bool:
         """Tell whether SYNC has."""
@@ -169,48 +166,20 @@ class Run:
             sensor_db = score.psnr_sensor_db[-1]
             noisy = adds_noise(sensor_db, self._layout.taxels.adc_bits)
             parts.append(f"image {score.psnr_image_db[-1]:.1f} dB" + f", sensor {sensor_db:.1f} dB" * noisy)
-        parts.append(score.said())
+        parts.append(score.label_text())
         return " | ".join(parts)
 
 
-def _known_objects(wanted: str) -> list[str]:
-    """Let the classifier know the wanted objects as well as the default ones it can confuse them with."""
-    names = [name.strip() for name in wanted.split(",") if name.strip()]
-    if set(names) <= set(DEFAULT_OBJECTS):
+def _known_objects(touching: Collection[str]) -> list[str]:
+    """Let the classifier know the objects that touch, and the default ones that it can confuse them with."""
+    if set(touching) <= set(DEFAULT_OBJECTS):
         return []
-    return ["--objects", ",".join(dict.fromkeys((*DEFAULT_OBJECTS, *names)))]
+    return ["--objects", ",".join(dict.fromkeys((*DEFAULT_OBJECTS, *touching)))]
 
 
-def summary(report: dict[str, Any]) -> list[tuple[str, str]]:
-    """Say the figures of a run as a person would."""
-    latency, loads = report["latency_ms"], report["bus_load"]
-    rows = [
-        ("cycles", f"{report['cycles_complete']} of {report['cycles']} complete, at {report['sync_rate_hz']:.1f} Hz"),
-        ("frames", f"{report['frames_sent']} sent, {report['frames_received']} received, {report['frames_lost']} lost"),
-        ("bus load", ", ".join(f"{load:.1%}" for load in loads)),
-    ]
-    if report["frames_missing"]:
-        late = f"{report['frames_missing']} missed their cycle: {report['frames_dropped']} given up by their nodes"
-        rows.append(("", f"{late}, {report['frames_late']} late"))
-        worst = [f"{row['bus']}:{row['node']} ({row['missing']})" for row in report["nodes_missing"][:NAMED]]
-        rows.append(("", f"most of node {', '.join(worst)}"))
-    if latency["p50"] is not None:
-        rows.append(("SYNC to image", f"{latency['p50']:.1f} ms, 99 % within {latency['p99']:.1f} ms"))
-    if report["psnr_image_db"] is not None:
-        noisy = report["sensor_adds_noise"]
-        against = f"the sensor's {report['psnr_sensor_db']:.1f} dB" if noisy else "what was played, which has no noise"
-        over = f"over {report['contact_cycles']} contact cycles"
-        rows.append(("image", f"{report['psnr_image_db']:.1f} dB, against {against}, {over}"))
-    if report["label_accuracy"] is not None:
-        rows.append(("label", f"right on {report['label_accuracy']:.1%} of the contact cycles"))
-    if "picture" in report:
-        rows.append(("picture", str(report["picture"])))
-    return rows
-
-
-def _hub(skin: str) -> tuple[str, Fabric]:
-    """Open the fabric's hub on a free loopback port."""
-    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+def _hub(skin: str, listen: str | None) -> tuple[str, Fabric]:
+    """Open the fabric's hub at `listen`, or on a free loopback port."""
+    endpoint = listen or f"tcp/127.0.0.1:{_free_port()}"
     return endpoint, Fabric(skin, "demo", endpoint, hub=True)
 
 

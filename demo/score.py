@@ -1,4 +1,4 @@
-"""What a run was worth: messages in, figures out. No input or output of its own.
+"""The figures of a run: messages in, a `demo.report.Report` out. No input or output of its own.
 
 PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles.
 """
@@ -6,11 +6,12 @@ PSNR follows the paper's equation with the skin's largest force as peak, per cyc
 from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from demo.report import NodeMissing, Percentiles, Report
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
@@ -19,7 +20,7 @@ from skin.pairing import Pairing, adds_noise, in_contact, psnr_db
 #: Nodes named in a report when frames are missing.
 NODES_NAMED: Final = 16
 #: Cycles whose figures are kept: an hour at 100 Hz.
-KEPT: Final = 360_000
+HISTORY: Final = 360_000
 #: The picture shows the last cycle whose largest force is at least this part of the largest of the run.
 FULL_CONTACT_RATIO: Final = 0.95
 
@@ -34,7 +35,7 @@ class Snapshot:
 
 
 def _newest() -> deque[float]:
-    return deque(maxlen=KEPT)
+    return deque(maxlen=HISTORY)
 
 
 @dataclass
@@ -44,9 +45,9 @@ class Score:
     Attributes
     ----------
     psnr_image_db, psnr_sensor_db : deque of float
-        One entry per contact cycle, of the last `KEPT`.
+        One entry per contact cycle, of the last `HISTORY`.
     latency_ms : deque of float
-        SYNC to published image, one entry per image, of the last `KEPT`.
+        SYNC to published image, one entry per image, of the last `HISTORY`.
     """
 
     layout: Layout
@@ -58,7 +59,7 @@ class Score:
     contact_cycles: int = 0
     labelled: int = 0
     labelled_right: int = 0
-    shown: Snapshot | None = None
+    snapshot: Snapshot | None = None
     last_label: Label | None = None
     _images: Pairing[Image] = field(default_factory=Pairing)
     _labels: Pairing[Label] = field(default_factory=Pairing)
@@ -73,17 +74,17 @@ class Score:
         self.nodes[status.process] = status
 
     def take_truth(self, truth: Truth) -> None:
-        """Use what the skin really felt in a cycle; of another size than the skin's it is none of ours."""
+        """Use what the skin really felt in a cycle; one of another size than the skin's is left alone."""
         if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
             return
         image, label = self._images.take_truth(truth), self._labels.take_truth(truth)
         if image is not None:
             self._compare(image, truth)
         if label is not None:
-            self._judge(label, truth)
+            self._count_label(label, truth)
 
     def take_image(self, image: Image) -> None:
-        """Compare an image with the truth of its cycle; one of another size is none of ours."""
+        """Compare an image with the truth of its cycle; one of another size is left alone."""
         if len(image.pixels) != 4 * self.layout.taxels.count:
             return
         self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
@@ -96,25 +97,25 @@ class Score:
         self.last_label = label
         truth = self._labels.take(label)
         if truth is not None:
-            self._judge(label, truth)
+            self._count_label(label, truth)
 
-    def said(self) -> str:
-        """Return what the newest label tells a person."""
+    def label_text(self) -> str:
+        """Return the newest label in words."""
         if self.last_label is None or not is_measured(self.last_label, self.layout.measurement.sums):
             return "not measured"
         return self.last_label.label or "no contact"
 
-    def _missing(self) -> list[dict[str, Any]]:
-        """Name the nodes whose frames missed their cycle, the worst first."""
+    def _nodes_missing(self) -> list[NodeMissing]:
+        """Return the nodes whose frames missed their cycle, the worst first."""
         rows = [
-            {"bus": bus.name, "node": node_id, "missing": missing, "late": late, "emcy": f"{emcy:04X}h"}
+            NodeMissing(bus=bus.name, node=node_id, missing=missing, late=late, emcy=f"{emcy:04X}h")
             for bus in (self.gateway.buses if self.gateway else [])
             for node_id, missing, late, emcy in zip(bus.nodes, bus.missing, bus.late, bus.emcy, strict=False)
             if missing or late
         ]
-        return sorted(rows, key=lambda row: -int(str(row["missing"])))[:NODES_NAMED]
+        return sorted(rows, key=lambda row: -row.missing)[:NODES_NAMED]
 
-    def _judge(self, label: Label, truth: Truth) -> None:
+    def _count_label(self, label: Label, truth: Truth) -> None:
         if truth.label and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
@@ -123,43 +124,43 @@ class Score:
         true = self._grid(truth.true)
         if not in_contact(true, self.layout.taxels.force_max_n):
             return
-        sensor, made = self._grid(truth.sensor), self._grid(image.pixels)
+        sensor, image_n = self._grid(truth.sensor), self._grid(image.pixels)
         self.psnr_sensor_db.append(psnr_db(true, sensor, self.layout.taxels.force_max_n))
-        self.psnr_image_db.append(psnr_db(true, made, self.layout.taxels.force_max_n))
+        self.psnr_image_db.append(psnr_db(true, image_n, self.layout.taxels.force_max_n))
         self.contact_cycles += 1
         peak_n = float(true.max())
         self._peak_n = max(self._peak_n, peak_n)
         if peak_n >= FULL_CONTACT_RATIO * self._peak_n:
-            self.shown = Snapshot(true, sensor, made)
+            self.snapshot = Snapshot(true, sensor, image_n)
 
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)
 
-    def report(self) -> dict[str, Any]:
-        """Return the figures of the run; None where nothing was measured."""
+    def report(self) -> Report:
+        """Return the figures of the run so far."""
         gateway = self.gateway
         received = gateway.frames_received if gateway else 0
         sensor_db = _mean(self.psnr_sensor_db)
         sent = sum(status.frames_sent for status in self.nodes.values())
-        return {
-            "cycles": gateway.cycles if gateway else 0,
-            "cycles_complete": gateway.cycles_complete if gateway else 0,
-            "frames_sent": sent,
-            "frames_received": received,
-            "frames_lost": sent - received,
-            "frames_dropped": sum(status.frames_dropped for status in self.nodes.values()),
-            "frames_missing": gateway.frames_missing if gateway else 0,
-            "frames_late": gateway.frames_late if gateway else 0,
-            "nodes_missing": self._missing(),
-            "psnr_sensor_db": sensor_db,
-            "psnr_image_db": _mean(self.psnr_image_db),
-            "sensor_adds_noise": None if sensor_db is None else adds_noise(sensor_db, self.layout.taxels.adc_bits),
-            "contact_cycles": self.contact_cycles,
-            "label_accuracy": self.labelled_right / self.labelled if self.labelled else None,
-            "latency_ms": {"p50": _percentile(self.latency_ms, 50), "p99": _percentile(self.latency_ms, 99)},
-            "sync_rate_hz": round(gateway.sync_rate_hz, 3) if gateway else 0.0,
-            "bus_load": [round(load, 4) for load in gateway.mean_load_ratio] if gateway else [],
-        }
+        return Report(
+            cycles=gateway.cycles if gateway else 0,
+            cycles_complete=gateway.cycles_complete if gateway else 0,
+            frames_sent=sent,
+            frames_received=received,
+            frames_lost=sent - received,
+            frames_dropped=sum(status.frames_dropped for status in self.nodes.values()),
+            frames_missing=gateway.frames_missing if gateway else 0,
+            frames_late=gateway.frames_late if gateway else 0,
+            nodes_missing=self._nodes_missing(),
+            psnr_sensor_db=sensor_db,
+            psnr_image_db=_mean(self.psnr_image_db),
+            sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self.layout.taxels.adc_bits),
+            contact_cycles=self.contact_cycles,
+            label_accuracy=self.labelled_right / self.labelled if self.labelled else None,
+            latency_ms=Percentiles(p50=_percentile(self.latency_ms, 50), p99=_percentile(self.latency_ms, 99)),
+            sync_rate_hz=round(gateway.sync_rate_hz, 3) if gateway else 0.0,
+            bus_load=[round(load, 4) for load in gateway.mean_load_ratio] if gateway else [],
+        )
 
 
 def _mean(values: Collection[float]) -> float | None:

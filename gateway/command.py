@@ -38,10 +38,12 @@ def gateway(
     stop = StopSignal().install()
     skin = load_layout(layout)
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
-    fabric = Fabric(skin.name, "gateway", connect or listen, hub=connect is None, stop=stop)
+    contract = Contract.from_layout(skin)
+    hub, mark = connect or listen, contract.phi.fingerprint
+    fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     say("gateway", f"{len(links)} buses, SYNC {skin.sync.rate_hz:g} Hz")
     try:
-        GatewayService(Contract.from_layout(skin), links, fabric).run(stop)
+        GatewayService(contract, links, fabric).run(stop)
     finally:
         for link in links.values():
             link.close()

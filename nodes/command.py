@@ -87,7 +87,8 @@ def nodes(
     noise = 0.0 if source.has_noise else noise_n
     sampler = Sampler(contract.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
-    joined = Fabric(skin.name, "nodes", connect, stop=stop) if fabric else None
+    mark = contract.phi.fingerprint
+    joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
     service = NodesService(contract, links, chosen, sampler, joined, store=store)
     say("nodes", f"{sum(map(len, chosen.values()))} nodes on {len(links)} buses")
     try:

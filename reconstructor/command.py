@@ -62,7 +62,7 @@ def reconstruct(
         engine.warm_up()
     finally:
         patience.cancel()
-    fabric = Fabric(skin.name, "reconstructor", connect, stop=stop)
+    fabric = Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)
     try:
         service = ReconstructorService(skin, engine, fabric)
         say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {settings['iterations']} iterations")

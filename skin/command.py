@@ -1,15 +1,16 @@
 """The ``skin`` command: one table of verbs, each loaded only when it is called."""
 
+import logging
 import signal
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from types import FrameType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-from skin.errors import RunError, SkinError
+from skin.errors import InputError, RunError, SkinError
 from skin.explain import docstring, examples, summary
-from skin.service import Stopped
+from skin.service import Stopped, Talk, set_talk
 
 if TYPE_CHECKING:
     import cyclopts
@@ -20,7 +21,7 @@ WRONG_INPUT: Final = 2
 INTERRUPTED: Final = 130
 TERMINATED: Final = 143
 
-#: Verb: where its function lives. Strings, so that this room imports none of the others.
+#: Verb: where its function lives. Strings, so that this folder imports none of the others.
 VERBS: Final = {
     "demo": "demo.command:demo",
     "bus": "bus.command:bus",
@@ -44,24 +45,67 @@ HELP_FLAGS: Final = ("--help", "-h")
 
 
 def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
-    """Return the command line with every verb registered, and with the help texts that `arguments` ask for."""
+    """Return the command line with every verb registered, and with the help texts that `arguments` ask for.
+
+    Options of the whole command (``--verbose``, ``--quiet``, ``--log-json``) are those of `cyclopts.App.meta`, which
+    hands everything else to the verb: call ``build_app(...).meta(arguments)``.
+    """
     import cyclopts
 
+    everywhere = cyclopts.Group("Of every verb", sort_key=1)
     app = cyclopts.App(
         name="skin",
         help="A distributed robot skin on CAN: sums from CANopen nodes, images by FISTA, objects by name.",
         version=lambda: version("canskin"),
         version_flags=["--version"],
+        # A list takes every value up to the next option; a default that says nothing is not shown.
+        default_parameter=cyclopts.Parameter(consume_multiple=(1, None), negative_iterable=(), show_default=_default),
+        result_action="return_value",
+        exit_on_error=False,
+        print_error=False,
     )
-    lists_verbs = not arguments or arguments[0] in HELP_FLAGS
+    asks_for_help = bool(set(arguments) & set(HELP_FLAGS))
+    verbs = [word for word in arguments if not word.startswith("-")]
     for place, (verb, where) in enumerate(VERBS.items()):
         texts = {}
-        if lists_verbs:
+        if not verbs:
             texts["help"] = summary(docstring(where))
-        elif arguments[0] == verb and set(arguments) & set(HELP_FLAGS):
+        elif asks_for_help and verbs[0] == verb:
             texts["help_epilogue"] = examples(docstring(where))
         app.command(where, name=verb, sort_key=place, **texts)
+    app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
+
+    @app.meta.default
+    def launch(
+        *tokens: Annotated[str, cyclopts.Parameter(show=False, allow_leading_hyphen=True)],
+        verbose: Annotated[bool, cyclopts.Parameter(alias="-v", group=everywhere, negative=())] = False,
+        quiet: Annotated[bool, cyclopts.Parameter(alias="-q", group=everywhere, negative=())] = False,
+        log_json: Annotated[bool, cyclopts.Parameter(group=everywhere, negative=())] = False,
+    ) -> object:
+        """Run a verb.
+
+        Parameters
+        ----------
+        verbose
+            Say more on stderr: every repeated warning, who joins and leaves, the log of the libraries.
+        quiet
+            Say nothing on stderr but errors.
+        log_json
+            Say what is said on stderr as JSON, one object a line.
+        """
+        if verbose and quiet:
+            raise InputError("expected --verbose or --quiet, got both")
+        set_talk(Talk.VERBOSE if verbose else Talk.QUIET if quiet else Talk.NORMAL, as_json=log_json)
+        if verbose:
+            logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+        return app(tokens)
+
     return app
+
+
+def _default(value: object) -> str | None:
+    """Return how the help shows a default; None for one that says nothing: a flag's, or an empty one."""
+    return None if value is None or isinstance(value, bool) or value in ("", [], ()) else str(value)
 
 
 def main() -> None:
@@ -82,7 +126,7 @@ def _run(arguments: Sequence[str]) -> int:
     import cyclopts
 
     try:
-        status = build_app(arguments)(exit_on_error=False, print_error=False)
+        status = build_app(arguments).meta(arguments)
         sys.stdout.flush()
     except RunError as error:
         return _complain(error, FAILED)

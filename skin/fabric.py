@@ -5,8 +5,8 @@ Nothing that arrives can raise out of decoding: what cannot be decoded is counte
 """
 
 import json
+import math
 import re
-import secrets
 import threading
 import time
 from collections import deque
@@ -18,18 +18,19 @@ import zenoh
 
 from skin.errors import BusError
 from skin.messages import Topic
-from skin.service import Stopped, StopSignal, say
+from skin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
+from skin.service import Stopped, StopSignal, Talk, say
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
-#: How long a service tries to reach its hub before it gives up; services may be started in any order.
-CONNECT_PATIENCE_S: Final = 30.0
 #: After this long without a hub a service says that it waits.
 SILENT_S: Final = 3.0
 #: How soon a service that waits for its hub notices that it shall end.
 TRY_S: Final = 1.0
-#: Random bytes that tell services of one name apart.
-INSTANCE_BYTES: Final = 4
+#: What zenoh has links for; those before ``serial`` need a port.
+PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
+PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
+HIGHEST_PORT: Final = 65535
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
@@ -57,29 +58,6 @@ class Mailbox(Generic[Message]):
             return self._messages.popleft()
 
 
-class _Roll:
-    """Who is there now: the instances of each service; a name without any takes no room."""
-
-    def __init__(self) -> None:
-        self._instances: dict[str, set[str]] = {}
-
-    def note(self, service: str, instance: str, is_there: bool) -> bool:
-        """Note that an instance is there or gone; tell whether the service itself came or went by it."""
-        was_there = self.holds(service)
-        instances = self._instances.setdefault(service, set())
-        if is_there:
-            instances.add(instance)
-        else:
-            instances.discard(instance)
-        if not instances:
-            del self._instances[service]
-        return self.holds(service) != was_there
-
-    def holds(self, service: str) -> bool:
-        """Tell whether any instance of a service is there."""
-        return service in self._instances
-
-
 class Fabric:
     """One service's connection to the others.
 
@@ -95,11 +73,16 @@ class Fabric:
         Listen on the endpoint instead of connecting to it.
     stop : StopSignal, optional
         Raises `skin.service.Stopped` if it is set while this waits for its hub.
+    fingerprint : str
+        Of the Φ this service works with. It is announced, and services that work with another one, or are of another
+        skin or version, are named on stderr.
+    patience_s : float
+        How long to wait for the hub. Services wait without end: they may be started in any order.
 
     Raises
     ------
     BusError
-        If the endpoint cannot be used.
+        If the endpoint cannot be used, or no hub came in time.
     """
 
     def __init__(
@@ -110,18 +93,21 @@ class Fabric:
         *,
         hub: bool = False,
         stop: StopSignal | None = None,
+        fingerprint: str = "",
+        patience_s: float = math.inf,
     ) -> None:
         self.malformed = 0
+        self._peer = new_peer(skin, service, fingerprint)
+        self._differences: set[str] = set()
         self._prefix = f"canskin/{skin}"
         self._encoder = msgspec.msgpack.Encoder()
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
-        if not re.fullmatch(r"\w+/.+", endpoint):
-            raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
-        self._session = _listen(endpoint) if hub else _connect(endpoint, service, stop)
-        # The second part tells services of one name apart: of two pages, one may leave.
-        token = f"{self._prefix}/alive/{service}/{secrets.token_hex(INSTANCE_BYTES)}"
-        self._kept.append(self._session.liveliness().declare_token(token))
+        _check_endpoint(endpoint)
+        self._session = _listen(endpoint) if hub else _connect(endpoint, service, stop, patience_s)
+        self._kept.append(self._session.liveliness().declare_token(self._peer.key))
+        if fingerprint:
+            self.watch_peers(self._compare)
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         """Send `message` to every subscriber of `topic`; one that falls behind loses it, and nobody waits."""
@@ -158,19 +144,43 @@ class Fabric:
 
         Several services of one name count as one: it comes with the first and goes with the last of them.
         """
-        there = _Roll()
+        there = Roll()
+
+        def note(peer: Peer, alive: bool) -> None:
+            if peer.skin == self._peer.skin and there.note(peer.service, peer.instance, alive):
+                changed(peer.service, there.holds(peer.service))
+
+        self.watch_peers(note)
+
+    def watch_peers(self, changed: Callable[[Peer, bool], None]) -> None:
+        """Call ``changed(peer, alive)`` for every service of every skin on the hub that is there, comes or goes."""
 
         def receive(sample: Any) -> None:
-            service, instance = str(sample.key_expr).rsplit("/", 2)[-2:]
-            if there.note(service, instance, sample.kind == zenoh.SampleKind.PUT):
-                changed(service, there.holds(service))
+            changed(peer_of_key(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
 
-        watcher = self._session.liveliness().declare_subscriber(f"{self._prefix}/alive/*/*", receive, history=True)
-        self._kept.append(watcher)
+        self._kept.append(self._session.liveliness().declare_subscriber(EVERY_KEY, receive, history=True))
 
     def close(self) -> None:
         """Leave the fabric; what was published before is sent first."""
         self._session.close()
+
+    def _compare(self, peer: Peer, alive: bool) -> None:
+        """Say of a service that it cannot work with this one, once for each difference."""
+        if peer == self._peer:
+            return
+        say(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", Talk.VERBOSE)
+        difference = self._peer.difference(peer) if alive else ""
+        if difference and difference not in self._differences:
+            self._differences.add(difference)
+            say(self._peer.service, difference)
+
+
+def _check_endpoint(endpoint: str) -> None:
+    protocol, _, address = endpoint.partition("/")
+    port = address.rpartition(":")[2]
+    has_port = re.fullmatch(r".+:\d+", address) and int(port) <= HIGHEST_PORT
+    if protocol not in PROTOCOLS or not address or (protocol in PROTOCOLS_WITH_PORT and not has_port):
+        raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
 
 
 def _listen(endpoint: str) -> Any:
@@ -181,21 +191,25 @@ def _listen(endpoint: str) -> Any:
         raise BusError(f"cannot listen on {endpoint}: {_first_sentence(error)}") from error
 
 
-def _connect(endpoint: str, service: str, stop: StopSignal | None) -> Any:
+def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: float) -> Any:
     """Open a session to the hub, which may be still starting; in short tries, for inside one no signal is heeded."""
     started_s, said = time.monotonic(), False
     while True:
-        waited_s = time.monotonic() - started_s
+        left_s = patience_s - (time.monotonic() - started_s)
         try:
-            return zenoh.open(_config(endpoint, patience_s=max(0.0, min(TRY_S, CONNECT_PATIENCE_S - waited_s))))
+            session = zenoh.open(_config(endpoint, patience_s=max(0.0, min(TRY_S, left_s))))
         except zenoh.ZError as error:
-            waited_s = time.monotonic() - started_s
             if stop is not None and stop.is_set():
                 raise Stopped from None
-            if waited_s >= CONNECT_PATIENCE_S:
-                raise BusError(f"cannot connect to {endpoint}: {_first_sentence(error)}") from error
+            waited_s = time.monotonic() - started_s
+            if waited_s >= patience_s:
+                raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give its --connect") from error
+        else:
+            if said:
+                say(service, "the hub is there")
+            return session
         if waited_s >= SILENT_S and not said:
-            say(service, f"waits for the fabric's hub at {endpoint}")
+            say(service, f"waits for the fabric's hub at {endpoint}, usually 'skin gateway'")
             said = True
 
 

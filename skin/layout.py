@@ -3,7 +3,7 @@
 import re
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -19,6 +19,11 @@ BITRATE_MAX: Final = 1_000_000
 RATE_MAX_HZ: Final = 2000.0
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
+
+#: Unless the file says otherwise, one sum is sent for so many taxels ...
+SUMS_PART: Final = 4
+#: ... and there are as few buses as hold all blocks, with so many nodes of one block each.
+NODES_PER_BUS: Final = 32
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
@@ -161,7 +166,7 @@ def load_layout(path: Path | None = None) -> Layout:
 def parse_layout(content: bytes, origin: str) -> Layout:
     """Decode and check a layout; `origin` names the file in messages."""
     try:
-        layout = msgspec.toml.decode(content, type=Layout)
+        layout = msgspec.convert(_with_sizes(msgspec.toml.decode(content)), Layout)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise LayoutError(f"{origin}: {_with_choices(str(error))}") from error
     try:
@@ -169,6 +174,21 @@ def parse_layout(content: bytes, origin: str) -> Layout:
     except LayoutError as error:
         raise LayoutError(f"{origin}: {error}") from error
     return layout
+
+
+def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
+    """Fill in the keys whose defaults follow from the size of the skin: its sums and its buses."""
+    try:
+        taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
+        measuring = msgspec.convert(tables.get("measurement", {}), Measuring)
+    except msgspec.ValidationError:  # of which the whole layout's check names the path
+        return tables
+    blocks = max(1, taxels.count // measuring.block_size)
+    tables.setdefault("measurement", {}).setdefault("sums", blocks * max(1, measuring.block_size // SUMS_PART))
+    buses = -(-blocks // NODES_PER_BUS)
+    if "taxels" in tables:  # an empty file is a mistake, no skin
+        tables.setdefault("bus", [{"name": f"bus{each}", "nodes": blocks // buses} for each in range(buses)])
+    return tables
 
 
 def _with_choices(text: str) -> str:

@@ -2,7 +2,9 @@
 
 import contextlib
 import ctypes
+import enum
 import gc
+import json
 import os
 import signal
 import sys
@@ -53,7 +55,8 @@ class StopSignal:
 class Complaints:
     """Says what goes wrong, but not each time: a cut wire must not flood the log.
 
-    The first `BURST` lines of every `PERIOD_S` are printed; how many were not is said when the next one is.
+    The first `BURST` lines of every `PERIOD_S` are printed; how many were not is said when the next one is. A verbose
+    process prints every line.
     """
 
     PERIOD_S: Final = 10.0
@@ -71,7 +74,7 @@ class Complaints:
             if self._held_back:
                 say(self._service, f"{self._held_back} more lines like these were not printed")
             self._since_s, self._said, self._held_back = now_s, 0, 0
-        if self._said < self.BURST:
+        if self._said < self.BURST or talks(Talk.VERBOSE):
             self._said += 1
             say(self._service, text)
         else:
@@ -101,6 +104,36 @@ def be_punctual() -> None:
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME_PRIORITY))
 
 
-def say(service: str, text: str) -> None:
-    """Print one line for the person at the terminal, on stderr."""
-    print(f"{service}: {text}", file=sys.stderr, flush=True)
+class Talk(enum.IntEnum):
+    """How much is said on stderr."""
+
+    QUIET = 0
+    NORMAL = 1
+    VERBOSE = 2
+
+
+class _Setting:
+    """How this process talks."""
+
+    talk = Talk.NORMAL
+    as_json = False
+
+
+def set_talk(talk: Talk, *, as_json: bool = False) -> None:
+    """Choose how much this process says on stderr, and whether as JSON; errors of the command line are always said."""
+    _Setting.talk, _Setting.as_json = talk, as_json
+
+
+def talks(talk: Talk) -> bool:
+    """Tell whether lines of the level `talk` are printed."""
+    return _Setting.talk >= talk
+
+
+def say(service: str, text: str, talk: Talk = Talk.NORMAL) -> None:
+    """Print one line for the person at the terminal, on stderr, if this process talks as much as `talk`."""
+    if not talks(talk):
+        return
+    line = f"{service}: {text}"
+    if _Setting.as_json:
+        line = json.dumps({"time_s": round(time.time(), 3), "service": service, "text": text}, ensure_ascii=False)
+    print(line, file=sys.stderr, flush=True)

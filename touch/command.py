@@ -34,12 +34,12 @@ def objects(
     skin objects --figure objects.png
     skin objects --json | jq 'max_by(.contact_taxels).name'
     """
-    from skin.picture_place import check_place
+    from skin.output import check_picture_path
     from touch.drawing import as_text, save_images
     from touch.objects import CATALOGUE, checked_names
 
     if figure is not None:
-        check_place(figure)
+        check_picture_path(figure)
     images = _press_each(tuple(CATALOGUE) if names is None else checked_names(names), meshes)
     rows = [_describe(name, meshes, force_n) for name, force_n in images.items()]
     if json:

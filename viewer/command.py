@@ -52,7 +52,7 @@ def view(
     stop = StopSignal().install()
     skin = load_layout(layout)
     with _listen(host, port) as listener:
-        fabric = Fabric(skin.name, "viewer", connect, stop=stop)
+        fabric = Fabric(skin.name, "viewer", connect, stop=stop, fingerprint=skin.phi().fingerprint)
         try:
             if not stop.is_set():
                 feed = Feed(skin)

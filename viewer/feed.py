@@ -8,6 +8,7 @@ from typing import Any
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH, Topic
+from skin.peers import Peer
 from viewer.snapshot import Pictures, Snapshot
 from viewer.state import ViewState
 
@@ -40,7 +41,7 @@ class Feed:
         self._fabric = fabric
         for topic, take in handlers:
             fabric.subscribe(topic, self._noting(take))
-        fabric.watch(self._changed)
+        fabric.watch_peers(self._changed)
 
     def snapshot(self) -> tuple[Snapshot, Pictures]:
         """Return what the page shows now."""
@@ -55,6 +56,6 @@ class Feed:
 
         return note
 
-    def _changed(self, service: str, alive: bool) -> None:
+    def _changed(self, peer: Peer, alive: bool) -> None:
         with self._lock:
-            self._state.take_service(service, alive, time.monotonic())
+            self._state.take_peer(peer, alive, time.monotonic())

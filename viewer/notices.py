@@ -5,7 +5,7 @@ from typing import Final
 
 import msgspec
 
-from viewer.buses import SILENT
+from skin.messages import SILENT
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
 #: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2).
@@ -27,7 +27,7 @@ def notices(state: Snapshot) -> Snapshot:
         text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
         found = [_error(text, state.services["viewer"].since_time_s)]
     else:
-        found = [*_gateway(state), *_images(state), *_labels(state), *_nodes(state), *_buses(state)]
+        found = [*_gateway(state), *_misfits(state), *_images(state), *_labels(state), *_nodes(state), *_buses(state)]
     found += _ignored(state)
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
@@ -41,8 +41,19 @@ def _gateway(state: Snapshot) -> Iterator[Notice]:
         yield _error("the state of the buses is unknown: gateway sends no status", state.time_s - status.age_s)
     elif status is None:
         yield Notice(level="info", text="waiting for the gateway")
+        if token is None and state.other_skins:
+            others = ", ".join(f"'{name}'" for name in state.other_skins)
+            text = f"this page shows skin '{state.skin}', and on its hub is {others}: give both the same --layout"
+            yield Notice(level="warning", text=text)
     elif status.cycles == 0:
         yield Notice(level="info", text="gateway is booting the nodes; SYNC has not started")
+
+
+def _misfits(state: Snapshot) -> Iterator[Notice]:
+    """Name services that work with another Φ or another version."""
+    for service in state.services.values():
+        if service.alive and service.difference:
+            yield _error(service.difference, service.since_time_s)
 
 
 def _images(state: Snapshot) -> Iterator[Notice]:

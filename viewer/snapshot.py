@@ -6,6 +6,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from skin.messages import BusState, GatewayStatus, NodesStatus
+
 Pixels = npt.NDArray[np.float32]
 
 
@@ -26,10 +28,28 @@ class Notice(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Service(msgspec.Struct, frozen=True, kw_only=True):
-    """A service as its liveliness token tells: there or gone, and since when."""
+    """A service as its liveliness token and its messages tell.
+
+    Attributes
+    ----------
+    alive : bool
+        Its process is there.
+    silent : bool
+        It is there and sends nothing, though it should.
+    since_time_s : float
+        When it came or went.
+    version, fingerprint : str
+        What it says of itself; see `skin.peers.Peer`.
+    difference : str
+        Why it cannot work with this page's skin; empty when it can.
+    """
 
     alive: bool
     since_time_s: float
+    silent: bool = False
+    version: str = ""
+    fingerprint: str = ""
+    difference: str = ""
 
 
 class ImageState(msgspec.Struct, frozen=True, kw_only=True):
@@ -80,8 +100,10 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
+    images_hz : float
+        Images that show something measured.
     latency_p50_s, latency_p99_s : float or None
-        SYNC to published image.
+        SYNC to such an image.
     psnr_image_db, psnr_sensor_db : float or None
         Mean over the contact cycles of the last second, against the truth.
     sensor_adds_noise : bool or None
@@ -101,61 +123,50 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     blocks: int
 
 
-class BusView(msgspec.Struct, frozen=True, kw_only=True):
-    """One bus: `load_ratio` now, `mean_load_ratio` since SYNC started, and the NMT state of each node.
+class BusView(BusState, frozen=True, kw_only=True):
+    """One bus: what the gateway says of it, and what follows.
 
     Attributes
     ----------
-    refused : list of int
-        Node-IDs the gateway does not use.
-    link : str
-        What the gateway's own controller says; see `skin.messages.BusState`.
+    mean_load_ratio : float or None
+        Since SYNC started.
+    nmt : list of int
+        State of each node.
     dead : bool
         Nothing passes between the gateway and this bus.
     synced : bool
         SYNC reaches a node: without any, no frame of the gateway is acknowledged.
     """
 
-    name: str
-    load_ratio: float
     mean_load_ratio: float | None
-    nodes: list[int]
-    nmt: list[int]
-    refused: list[int]
-    link: str
+    nmt: list[int]  # type: ignore[assignment]  # numbers in JSON, where bytes would be Base64
     dead: bool
     synced: bool
 
 
-class GatewayState(msgspec.Struct, frozen=True, kw_only=True):
-    """The gateway's newest counters."""
+class GatewayState(GatewayStatus, frozen=True, kw_only=True):
+    """The gateway's newest counters, and how old they are."""
 
     age_s: float
     stale: bool
-    sync_rate_hz: float
-    cycles: int
-    cycles_complete: int
-    frames_received: int
-    frames_missing: int
-    frames_late: int
-    frames_duplicate: int
-    frames_malformed: int
-    frames_foreign: int
-    buses: list[BusView]
+    buses: list[BusView]  # type: ignore[assignment]  # which are the gateway's, and more
 
 
-class NodesState(msgspec.Struct, frozen=True, kw_only=True):
-    """One process of virtual nodes."""
+class NodesState(NodesStatus, frozen=True, kw_only=True):
+    """The newest counters of one process of virtual nodes, and how old they are."""
 
-    process: str
     age_s: float
     stale: bool
-    frames_sent: int
-    frames_dropped: int
 
 
 class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything the page shows, but the pixels; ``cut_off`` when the viewer itself hears nobody."""
+    """Everything the page shows, but the pixels; ``cut_off`` when the viewer itself hears nobody.
+
+    Attributes
+    ----------
+    other_skins : list of str
+        Names of other skins whose services are on the hub.
+    """
 
     time_s: float
     skin: str
@@ -166,6 +177,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     gateway: GatewayState | None
     nodes: list[NodesState]
     services: dict[str, Service]
+    other_skins: list[str]
     cut_off: bool
     ignored: int
     notices: list[Notice]

@@ -2,12 +2,14 @@
 
 from typing import Final, Generic, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
 
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
 from skin.pairing import Pairing, adds_noise, in_contact, psnr_db
+from skin.peers import Peer, new_peer
 from viewer.buses import gateway_state, nodes_state
 from viewer.checks import image_fits, label_fits, status_fits, truth_fits
 from viewer.notices import notices
@@ -35,6 +37,8 @@ TRUTH_GONE_S: Final = 3.0
 PROCESSES: Final = 64
 #: Services known at most; the one that is gone for longest makes room.
 SERVICES: Final = 64
+#: Tokens of services known at most, those of other skins included.
+PEERS: Final = 256
 LATENCY_SPAN_S: Final = 5.0
 SPAN_S: Final = 1.0
 
@@ -69,9 +73,11 @@ class ViewState:
         self._gateway: Last[GatewayStatus] | None = None
         self._nodes: dict[str, Last[NodesStatus]] = {}
         self._services: dict[str, Service] = {}
+        self._self = new_peer(layout.name, "this page", layout.phi().fingerprint)
+        self._peers: dict[str, Peer] = {}
         self._pairing: Pairing[Image] = Pairing()
         self._latency_s = Window(LATENCY_SPAN_S)
-        self._valid = Window(SPAN_S)
+        self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
 
     def take_image(self, image: Image, now_s: float) -> None:
@@ -80,8 +86,10 @@ class ViewState:
             self.ignored += 1
             return
         self._image = Last(image, now_s)
-        self._latency_s.add(now_s, (image.published_mono_ns - image.sync_mono_ns) * 1e-9)
         self._valid.add(now_s, self._valid_blocks(image))
+        if image.valid_sums:
+            self._rate.add(now_s, 1.0)
+            self._latency_s.add(now_s, (image.published_mono_ns - image.sync_mono_ns) * 1e-9)
         truth = self._pairing.take(image)
         if truth is not None:
             self._compare(image, truth, now_s)
@@ -129,9 +137,19 @@ class ViewState:
             del self._services[min(gone, key=lambda each: self._services[each].since_time_s)]
         self._services[name] = Service(alive=alive, since_time_s=self._epoch_s + now_s)
 
+    def take_peer(self, peer: Peer, alive: bool, now_s: float) -> None:
+        """Note that a service of this or another skin came or went at `now_s`; of a name, the last to go counts."""
+        if not alive:
+            self._peers.pop(peer.key, None)
+        elif len(self._peers) < PEERS:
+            self._peers[peer.key] = peer
+        if peer.skin == self._layout.name:
+            there = any(each.skin == peer.skin and each.service == peer.service for each in self._peers.values())
+            self.take_service(peer.service, there, now_s)
+
     def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
         """Return what the page shows at `now_s`; `undecodable` messages never got here but are told of."""
-        truth = self._truth_shown(now_s)
+        truth, gateway = self._truth_shown(now_s), self._gateway_state(now_s)
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
             skin=self._layout.name,
@@ -139,9 +157,10 @@ class ViewState:
             truth=truth[0] if truth else None,
             label=self._label_state(now_s),
             figures=self._figures(now_s),
-            gateway=self._gateway_state(now_s),
+            gateway=gateway,
             nodes=self._nodes_states(now_s),
-            services=dict(sorted(self._services.items())),
+            services={name: self._service(name, gateway, now_s) for name in sorted(self._services)},
+            other_skins=sorted({peer.skin for peer in self._peers.values() if peer.fingerprint} - {self._layout.name}),
             cut_off=self._is_cut_off(now_s),
             ignored=self.ignored + undecodable,
             notices=[],
@@ -205,7 +224,7 @@ class ViewState:
         low = self._valid.values(now_s)
         sensor_db = self._psnr_sensor_db.mean(now_s)
         return Figures(
-            images_hz=self._valid.rate_hz(now_s),
+            images_hz=self._rate.rate_hz(now_s),
             latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
             latency_p99_s=float(np.percentile(latency_s, 99)) if latency_s else None,
             psnr_image_db=self._psnr_image_db.mean(now_s),
@@ -215,6 +234,31 @@ class ViewState:
             valid_blocks_low=int(min(low)) if low else None,
             blocks=self._layout.blocks,
         )
+
+    def _service(self, name: str, gateway: GatewayState | None, now_s: float) -> Service:
+        """Return what is known of a service; of several of one name, one that differs from this page's skin."""
+        own = [each for each in self._peers.values() if (each.skin, each.service) == (self._layout.name, name)]
+        if not own:
+            return self._services[name]
+        peer = next((each for each in own if self._self.difference(each)), own[-1])
+        return msgspec.structs.replace(
+            self._services[name],
+            silent=self._is_silent(name, gateway, now_s),
+            version=peer.version,
+            fingerprint=peer.fingerprint,
+            difference=self._self.difference(peer),
+        )
+
+    def _is_silent(self, name: str, gateway: GatewayState | None, now_s: float) -> bool:
+        """Tell whether a service that is there sends nothing, though it gets what it needs."""
+        if gateway is None or name == "gateway":
+            return gateway is not None and gateway.stale
+        last = {"reconstructor": self._image, "classifier": self._label}.get(name)
+        has_input = not gateway.stale and gateway.cycles > STATUS_FRESH_S * gateway.sync_rate_hz
+        is_new = now_s + self._epoch_s - self._services[name].since_time_s < STATUS_FRESH_S
+        if name not in {"reconstructor", "classifier"} or not has_input or is_new:
+            return False
+        return last is None or now_s - last.at_s > FRESH_S
 
     def _gateway_state(self, now_s: float) -> GatewayState | None:
         if self._gateway is None:

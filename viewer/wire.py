@@ -38,6 +38,7 @@ def greeting(layout: Layout) -> dict[str, Any]:
             "name": bus.name,
             "nodes": bus.nodes,
             "bitrate": bus.bitrate,
+            "data_bitrate": bus.data_bitrate if bus.fd else None,
             "first_block": layout.first_block(place),
             "blocks_per_node": bus.blocks_per_node,
         }

@@ -1,19 +1,20 @@
 """The end of a run: its picture, its summary, and an interruption."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from demo.folder import PREFIX
-from demo.run import Run, summary
+from demo.options import DemoOptions
+from demo.run import Run
 from demo.score import Score, Snapshot
-from demo.wishes import Wishes
 from skin.layout import load_layout
 from tests.processes import Processes
 
@@ -21,22 +22,21 @@ LAYOUT = load_layout()
 
 
 def run_with_contact(picture: Path, folder: Path) -> Run:
-    wishes = Wishes(None, 1.0, None, None, (), "", 0, view=False, port=None, picture=picture)
-    run = Run(LAYOUT, wishes, folder)
+    options = DemoOptions(None, 1.0, None, None, (), (), 0, view=False, port=None, listen=None, picture=picture)
+    run = Run(LAYOUT, options, folder)
     force_n = np.full((64, 64), 0.01, np.float32)
-    run._score.shown = Snapshot(force_n, force_n, force_n)
+    run._score.snapshot = Snapshot(force_n, force_n, force_n)
     return run
 
 
 def test_picture_that_cannot_be_written_after_all_is_a_failure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    report: dict[str, Any] = {"sensor_adds_noise": True}
-    assert run_with_contact(tmp_path / "here.png", tmp_path).save_picture(report)
-    assert report["picture"] == str(tmp_path / "here.png")
-    del report["picture"]
-    assert not run_with_contact(tmp_path / "gone" / "x.png", tmp_path).save_picture(report)
-    assert "picture" not in report
+    report = msgspec.structs.replace(Score(LAYOUT).report(), sensor_adds_noise=True)
+    saved = run_with_contact(tmp_path / "here.png", tmp_path).save_picture(report)
+    assert saved is not None
+    assert saved.picture == str(tmp_path / "here.png")
+    assert run_with_contact(tmp_path / "gone" / "x.png", tmp_path).save_picture(report) is None
     assert "cannot write the picture" in capsys.readouterr().err
 
 
@@ -49,7 +49,25 @@ def test_picture_that_cannot_be_written_after_all_is_a_failure(
 )
 def test_summary_compares_with_a_sensor_that_adds_noise(adds_noise: bool, expected: str) -> None:
     figures = {"psnr_image_db": 51.6, "psnr_sensor_db": 26.0, "sensor_adds_noise": adds_noise, "contact_cycles": 7}
-    assert dict(summary(Score(LAYOUT).report() | figures))["image"] == expected
+    assert dict(msgspec.structs.replace(Score(LAYOUT).report(), **figures).rows())["image"] == expected
+
+
+def test_run_that_measured_nothing_fails_and_says_why() -> None:
+    nothing = Score(LAYOUT).report()
+    assert nothing.failure.startswith("no cycle: SYNC never came")
+    overloaded = msgspec.structs.replace(nothing, cycles=300, frames_dropped=9000, frames_missing=9000, bus_load=[1.0])
+    assert overloaded.failure.startswith("no cycle was complete: nodes gave up 9000 TPDOs")
+    assert not msgspec.structs.replace(overloaded, cycles_complete=1).failure
+    names = [name for name, _ in overloaded.rows()]
+    assert names.index("missing") < names.index("bus load")
+
+
+def test_report_as_json_has_a_picture_only_where_one_was_saved() -> None:
+    report = Score(LAYOUT).report()
+    assert "picture" not in json.loads(msgspec.json.encode(report))
+    saved = msgspec.structs.replace(report, picture="x.png")
+    assert json.loads(msgspec.json.encode(saved))["picture"] == "x.png"
+    assert list(json.loads(msgspec.json.encode(saved))["latency_ms"]) == ["p50", "p99"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -4,7 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from demo.score import KEPT, Score
+from demo.report import Percentiles
+from demo.score import HISTORY, Score
 from skin.layout import load_layout
 from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
 
@@ -68,17 +69,17 @@ def test_psnr_of_contact_cycles_whichever_message_comes_first(score: Score) -> N
     score.take_truth(truth(3, force_n=0.001))
     score.take_image(image(3, force_n=0.001))
     report = score.report()
-    assert report["contact_cycles"] == 2
-    assert report["psnr_image_db"] == pytest.approx(20 * np.log10(20), abs=0.01)
-    assert report["psnr_sensor_db"] == pytest.approx(20 * np.log10(10), abs=0.01)
-    assert report["latency_ms"] == {"p50": 9.0, "p99": 9.0}
-    assert score.shown is not None
+    assert report.contact_cycles == 2
+    assert report.psnr_image_db == pytest.approx(20 * np.log10(20), abs=0.01)
+    assert report.psnr_sensor_db == pytest.approx(20 * np.log10(10), abs=0.01)
+    assert report.latency_ms == Percentiles(p50=9.0, p99=9.0)
+    assert score.snapshot is not None
 
 
 def test_a_message_of_240_cycles_later_is_no_pair(score: Score) -> None:
     score.take_truth(truth(1))
     score.take_image(image(241))
-    assert score.report()["contact_cycles"] == 0
+    assert score.report().contact_cycles == 0
 
 
 def test_labels_count_while_an_object_touches(score: Score) -> None:
@@ -87,7 +88,7 @@ def test_labels_count_while_an_object_touches(score: Score) -> None:
         score.take_truth(truth(cycle))
     score.take_truth(truth(5, label=""))
     score.take_label(label(5, "cup"))
-    assert score.report()["label_accuracy"] == 0.5
+    assert score.report().label_accuracy == 0.5
 
 
 def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
@@ -122,9 +123,9 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
             NodesStatus(time_ns=0, process=process, frames_sent=sent, frames_dropped=2, syncs_seen=10),
         )
     report = score.report()
-    assert report["frames_sent"] == report["frames_received"] + report["frames_lost"] == 100
-    assert report["frames_dropped"] == 4
-    assert [(row["node"], row["missing"], row["emcy"]) for row in report["nodes_missing"]] == [
+    assert report.frames_sent == report.frames_received + report.frames_lost == 100
+    assert report.frames_dropped == 4
+    assert [(row.node, row.missing, row.emcy) for row in report.nodes_missing] == [
         (3, 9, "FF10h"),
         (2, 4, "0000h"),
     ]
@@ -132,39 +133,39 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
 
 def test_nothing_measured_is_none_and_not_zero(score: Score) -> None:
     report = score.report()
-    assert report["psnr_image_db"] is None
-    assert report["label_accuracy"] is None
-    assert report["latency_ms"] == {"p50": None, "p99": None}
+    assert report.psnr_image_db is None
+    assert report.label_accuracy is None
+    assert report.latency_ms == Percentiles(p50=None, p99=None)
 
 
 def test_messages_of_another_size_are_left_alone(score: Score) -> None:
     score.take_truth(msgspec.structs.replace(truth(1), true=b"1234"))
     score.take_image(msgspec.structs.replace(image(1), pixels=b""))
-    assert score.report()["contact_cycles"] == 0
+    assert score.report().contact_cycles == 0
 
 
 def test_what_the_newest_label_tells(score: Score) -> None:
-    assert score.said() == "not measured"
+    assert score.label_text() == "not measured"
     for name, said in (("cup", "cup"), ("", "no contact")):
         score.take_label(label(1, name))
-        assert score.said() == said
+        assert score.label_text() == said
         score.take_label(msgspec.structs.replace(label(1, name), valid_sums=255))
-        assert score.said() == "not measured"
+        assert score.label_text() == "not measured"
 
 
 def test_a_run_of_days_keeps_the_last_hour(score: Score, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {score.latency_ms.maxlen, score.psnr_image_db.maxlen, score.psnr_sensor_db.maxlen} == {KEPT}
-    monkeypatch.setattr("demo.score.KEPT", 3)
+    assert {score.latency_ms.maxlen, score.psnr_image_db.maxlen, score.psnr_sensor_db.maxlen} == {HISTORY}
+    monkeypatch.setattr("demo.score.HISTORY", 3)
     score = Score(LAYOUT)
     for cycle in range(1, 11):
         score.take_truth(truth(cycle))
         score.take_image(image(cycle, latency_ms=cycle))
     assert list(score.latency_ms) == [8.0, 9.0, 10.0]
-    assert score.report()["contact_cycles"] == 10
+    assert score.report().contact_cycles == 10
 
 
 def test_sensor_that_only_rounds_is_said_to_add_no_noise(score: Score) -> None:
-    assert score.report()["sensor_adds_noise"] is None
+    assert score.report().sensor_adds_noise is None
     score.take_truth(msgspec.structs.replace(truth(1), sensor=pixels(0.01)))
     score.take_image(image(1))
-    assert score.report()["sensor_adds_noise"] is False
+    assert score.report().sensor_adds_noise is False

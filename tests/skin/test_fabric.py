@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from skin import fabric as fabric_module
 from skin.errors import BusError
-from skin.fabric import Fabric, Mailbox, _Roll
+from skin.fabric import Fabric, Mailbox
 from skin.messages import LABEL, Label
+from skin.peers import Peer, Roll, new_peer, peer_of_key
 from skin.service import Stopped, StopSignal
 
 
@@ -131,7 +132,7 @@ def test_one_of_two_services_of_a_name_may_leave(hub: Fabric, endpoint: str) -> 
 
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from("123"), st.booleans())))
 def test_a_service_is_there_while_any_of_its_name_is(notes: list[tuple[str, str, bool]]) -> None:
-    roll, there, told = _Roll(), set[tuple[str, str]](), {"a": False, "b": False}
+    roll, there, told = Roll(), set[tuple[str, str]](), {"a": False, "b": False}
     for service, instance, is_there in notes:
         (there.add if is_there else there.discard)((service, instance))
         if roll.note(service, instance, is_there):
@@ -146,10 +147,69 @@ def test_endpoint_in_use_is_one_clear_line(hub: Fabric, endpoint: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_no_hub_is_one_clear_line(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fabric_module, "CONNECT_PATIENCE_S", 0.2)
-    with pytest.raises(BusError, match="cannot connect to tcp/127"):
-        Fabric("test", "lonely", endpoint)
+def test_no_hub_is_one_clear_line(endpoint: str) -> None:
+    with pytest.raises(BusError, match=r"^no hub at tcp/127.*: start 'skin gateway'"):
+        Fabric("test", "lonely", endpoint, patience_s=0.2)
+
+
+def test_hub_that_comes_later_is_found_and_both_are_told(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(fabric_module, "TRY_S", 0.05)
+    monkeypatch.setattr(fabric_module, "SILENT_S", 0.0)
+    waits, hubs = threading.Event(), list[Fabric]()
+    monkeypatch.setattr(fabric_module, "say", lambda _service, text, *_: said.append(text) or waits.set())
+    said: list[str] = []
+
+    def start_hub() -> None:
+        waits.wait(10)
+        hubs.append(Fabric("test", "hub", endpoint, hub=True))
+
+    starting = threading.Thread(target=start_hub)
+    starting.start()
+    Fabric("test", "early", endpoint).close()
+    starting.join()
+    hubs[0].close()
+    assert said == [f"waits for the fabric's hub at {endpoint}, usually 'skin gateway'", "the hub is there"]
+
+
+def test_services_of_another_phi_skin_or_version_are_named_once(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    said, news = list[str](), threading.Condition()
+
+    def say(service: str, text: str, *talk: object) -> None:
+        with news:
+            said.extend([] if talk else [f"{service}: {text}"])
+            news.notify()
+
+    monkeypatch.setattr(fabric_module, "say", say)
+    gateway = Fabric("palm", "gateway", endpoint, hub=True, fingerprint="aa")
+    others = [
+        Fabric("palm", "reconstructor", endpoint, fingerprint="bb"),
+        Fabric("palm", "reconstructor", endpoint, fingerprint="bb"),
+        Fabric("hand", "viewer", endpoint, fingerprint="aa"),
+        Fabric("palm", "health", endpoint),
+    ]
+    expected = {
+        "gateway: reconstructor has Φ bb, gateway has Φ aa: give both the same --layout",
+        "reconstructor: gateway has Φ aa, reconstructor has Φ bb: give both the same --layout",
+        "gateway: viewer on this hub is of skin 'hand', gateway of 'palm': they do not hear each other",
+        "viewer: gateway on this hub is of skin 'palm', viewer of 'hand': they do not hear each other",
+    }
+    with news:
+        assert news.wait_for(lambda: set(said) >= expected, 10), said
+        assert sum("gateway: reconstructor" in line for line in said) == 1
+    for fabric in (*others, gateway):
+        fabric.close()
+
+
+def test_what_a_service_says_of_itself_survives_its_key() -> None:
+    peer = new_peer("palm", "gateway", "0123456789abcdef")
+    assert peer.version
+    assert peer_of_key(peer.key) == peer
+    assert peer_of_key("canskin/palm/alive/gateway/8f00") == Peer("palm", "gateway", "8f00")
+    newer = Peer("palm", "viewer", "1", "9.9", "0123456789abcdef")
+    assert "viewer is canskin 9.9" in peer.difference(newer)
+    assert not peer.difference(Peer("palm", "viewer", "1"))
 
 
 def test_a_stop_while_waiting_for_the_hub_ends_quietly(
@@ -163,7 +223,7 @@ def test_a_stop_while_waiting_for_the_hub_ends_quietly(
     with pytest.raises(Stopped):
         Fabric("test", "lonely", endpoint, stop=stop)
     later.join()
-    assert capfd.readouterr().err == f"lonely: waits for the fabric's hub at {endpoint}\n"
+    assert capfd.readouterr().err == f"lonely: waits for the fabric's hub at {endpoint}, usually 'skin gateway'\n"
 
 
 def test_mailbox_keeps_the_newest_and_counts_the_rest() -> None:
@@ -177,6 +237,7 @@ def test_mailbox_keeps_the_newest_and_counts_the_rest() -> None:
     assert mailbox.get(0) is None
 
 
-def test_endpoint_of_no_known_form_is_one_clear_line() -> None:
-    with pytest.raises(BusError, match=r"expected an endpoint such as tcp/127\.0\.0\.1:7447, got 'bogus'"):
-        Fabric("test", "lonely", "bogus")
+@pytest.mark.parametrize("endpoint", ["bogus", "tcp/127.0.0.1", "tcp/host:99999", "tpc/host:7447", "unixpipe/"])
+def test_endpoint_of_no_known_form_is_one_clear_line(endpoint: str) -> None:
+    with pytest.raises(BusError, match=rf"expected an endpoint such as tcp/127\.0\.0\.1:7447, got '{endpoint}'"):
+        Fabric("test", "lonely", endpoint)

@@ -132,3 +132,11 @@ def test_the_page_names_every_key() -> None:
     for name, table in tables.items():
         for field in msgspec.structs.fields(table):
             assert f"`{name}.{field.name}`" in page
+
+
+def test_sums_and_buses_follow_the_size_of_the_skin() -> None:
+    small = parse_layout(b"[taxels]\nrows = 16\ncolumns = 16\n", "small.toml")
+    assert (small.measurement.sums, [(bus.name, bus.nodes) for bus in small.bus]) == (64, [("bus0", 8)])
+    assert parse_layout(b"[taxels]\n", "default.toml") == load_layout()
+    least = parse_layout(b"[taxels]\nrows = 8\ncolumns = 8\n[measurement]\nblock_size = 2\n", "least.toml")
+    assert least.measurement.sums == least.blocks == 32

@@ -1,115 +1,26 @@
-"""The page in a real browser: Debian's chromium, spoken to over its DevTools protocol."""
+"""The page in a real browser."""
 
 import itertools
-import json
-import shutil
 import socket
-import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 import uvicorn
-from websockets.sync.client import ClientConnection, connect
 
 from skin.fabric import Fabric
 from skin.messages import GATEWAY, IMAGE, LABEL, TRUTH
+from tests.browser import CHROMIUM, Browser, chromium
 from viewer.app import build_app
 from viewer.feed import Feed
-
-CHROMIUM = shutil.which("chromium")
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--hide-scrollbars",
-    "--remote-debugging-port=0",
-)
-PATIENCE_S = 20.0
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="NO CHROMIUM ON PATH: the page is not tested in any browser"),
 ]
-
-
-class Browser:
-    """One page of a headless chromium."""
-
-    def __init__(self, socket: ClientConnection) -> None:
-        self._socket = socket
-        self._numbers = itertools.count(1)
-        self.complaints: list[str] = []
-        for domain in ("Runtime", "Log", "Page"):
-            self.call(f"{domain}.enable")
-
-    def call(self, method: str, **parameters: Any) -> Any:
-        """Call a method of the protocol; what the page complains of meanwhile is kept."""
-        number = next(self._numbers)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
-        while True:
-            message = json.loads(self._socket.recv(PATIENCE_S))
-            if message.get("id") == number:
-                assert "error" not in message, message
-                return message["result"]
-            entry = message.get("params", {}).get("entry", {})
-            if message["method"] == "Runtime.exceptionThrown" or entry.get("level") == "error":
-                self.complaints.append(json.dumps(message["params"]))
-
-    def open(self, address: str, width: int = 1280, height: int = 800) -> None:
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.call("Emulation.setDeviceMetricsOverride", **size)
-        self.call("Page.navigate", url=address)
-
-    def ask(self, expression: str) -> Any:
-        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
-        assert "exceptionDetails" not in answer, answer
-        return answer["result"].get("value")
-
-    def text(self, selector: str) -> str:
-        return str(self.ask(f"document.querySelector({json.dumps(selector)})?.innerText ?? ''"))
-
-    def until(self, holds: Callable[[], bool], what: str) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not holds():
-            if time.monotonic() > deadline_s:
-                pytest.fail(f"{what}; the page says: {self.text('body')}; complaints: {self.complaints}")
-
-    def point(self, x: float, y: float) -> None:
-        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
-
-
-@contextmanager
-def chromium(profile: Path) -> Iterator[Browser]:
-    assert CHROMIUM is not None
-    command = [CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
-    with (profile / "stderr").open("w+") as said:
-        process = subprocess.Popen(command, stderr=said, stdout=subprocess.DEVNULL)
-        try:
-            port_file = profile / "DevToolsActivePort"
-            deadline_s = time.monotonic() + PATIENCE_S
-            while not (port_file.exists() and port_file.read_text().count("\n")):
-                assert process.poll() is None, (profile / "stderr").read_text()
-                assert time.monotonic() < deadline_s, "chromium does not start"
-                time.sleep(0.05)
-            pages = httpx.get(f"http://127.0.0.1:{port_file.read_text().split()[0]}/json").json()
-            address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
-            with connect(address, max_size=None) as devtools:
-                yield Browser(devtools)
-        finally:
-            process.terminate()
-            process.wait(PATIENCE_S)
 
 
 class Chain:
@@ -120,8 +31,9 @@ class Chain:
         self.invalid: tuple[int, ...] = ()
         self.gateway: dict[str, Any] = {}
         self.label: dict[str, Any] = {}
+        self.fingerprint = messages.layout.phi().fingerprint
         self._messages, self._hub = messages, hub
-        self.reconstructor = Fabric(messages.layout.name, "reconstructor", endpoint)
+        self.reconstructor = Fabric(messages.layout.name, "reconstructor", endpoint, fingerprint=self.fingerprint)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -323,7 +235,42 @@ def test_page_fits_its_window(browser: Browser, server: Server, width: int) -> N
     assert browser.ask("document.querySelector('#map-image').clientWidth") >= min(256, width / 2)
 
 
-def test_automatic_scale_follows_the_images(page: Browser) -> None:
-    assert page.text("#scale li") == "20"
-    page.ask("document.querySelector('#scaling input[value=auto]').click()")
-    page.until(lambda: page.text("#scale li") == "10", "the scale stayed")
+def test_scale_follows_the_images_or_is_fixed(page: Browser) -> None:
+    page.until(lambda: page.text("#scale li") == "10", "the scale did not follow the images")
+    page.ask("document.querySelector('#scaling input[value=fixed]').click()")
+    page.until(lambda: page.text("#scale li") == "20", "the scale was not fixed")
+
+
+def test_frozen_reconstructor_is_not_green_and_its_figures_go(page: Browser, chain: Chain) -> None:
+    chain.images = False
+    page.until(lambda: "sends nothing" in page.text("#services li.silent"), "the frozen reconstructor stayed green")
+    assert "reconstructor is there but sends none" in page.text("#notices")
+    page.until(lambda: page.text("#rate .value") == page.text("#latency .value") == "–", "old figures stayed")
+    assert page.text("#blocks .value") == "– / 8"
+
+
+def test_figures_of_a_dead_skin_go(page: Browser, chain: Chain) -> None:
+    silent = (255, 255, 255, 255)
+    chain.gateway = {"links": ("lost", "lost"), "nmt": (silent, silent)}
+    chain.invalid = tuple(range(8))
+    page.until(lambda: page.text("#rate .value") == page.text("#latency .value") == "–", "old figures stayed")
+    page.until(lambda: page.text("#buses .load") == "–", "the load of a dead bus stayed")
+    assert "nothing is measured" in page.text("#latency .detail")
+
+
+def test_service_of_another_phi_is_named_with_its_fingerprint(page: Browser, hub: Fabric, endpoint: str) -> None:
+    assert page.text("#services li.differs") == ""
+    other = Fabric("palm", "classifier", endpoint, fingerprint="0123456789abcdef")
+    page.until(lambda: "classifier has Φ 0123456789abcdef" in page.text("#notices"), "no notice")
+    assert "classifier" in page.text("#services li.differs")
+    assert "Φ 0123456789abcdef" in page.ask("document.querySelector('#services li.differs').title")
+    other.close()
+
+
+def test_words_that_explain_amber_are_whole_on_a_phone(browser: Browser, server: Server, chain: Chain) -> None:
+    chain.invalid = (3,)
+    browser.open(f"http://127.0.0.1:{server.port}/", width=380)
+    browser.until(lambda: "1 missing within 1 s" in browser.text("#blocks"), "the missing block was not told")
+    assert browser.ask(
+        "[...document.querySelectorAll('.detail')].every((line) => line.scrollWidth <= line.clientWidth)"
+    )

@@ -32,6 +32,13 @@ def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -
     assert (later.images_hz, later.latency_p50_s, later.latency_p99_s) == (0.0, None, None)
 
 
+def test_images_of_which_nothing_was_measured_have_no_rate(state: ViewState, messages: Any) -> None:
+    for cycle in range(1, 101):
+        state.take_image(messages.image(cycle, invalid=tuple(range(8))), cycle / 100)
+    figures = state.snapshot(1.0)[0].figures
+    assert (figures.images_hz, figures.latency_p50_s, figures.valid_blocks) == (0.0, None, 0)
+
+
 @pytest.mark.parametrize("truth_first", [True, False])
 def test_psnr_is_that_of_the_same_cycle(state: ViewState, messages: Any, truth_first: bool) -> None:
     true = messages.grid(0.01)

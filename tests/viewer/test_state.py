@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from skin.peers import Peer, new_peer
 from viewer.state import PROCESSES, SERVICES, ViewState
 
 EPOCH_S = 1000.0
@@ -282,3 +283,55 @@ def test_services_do_not_pile_up(state: ViewState) -> None:
     for number in range(3 * SERVICES):
         state.take_service(f"lasting-{number}", True, 2000.0)
     assert len(state.snapshot(3000.0)[0].services) == SERVICES
+
+
+def test_service_of_another_phi_or_version_is_an_error_that_names_both(state: ViewState, messages: Any) -> None:
+    own = messages.layout.phi().fingerprint
+    state.take_peer(new_peer("palm", "gateway", own), True, 0.0)
+    state.take_peer(new_peer("palm", "nodes", ""), True, 0.0)
+    assert texts(state, 0.1) == []
+    other = new_peer("palm", "reconstructor", "0123456789abcdef")
+    state.take_peer(other, True, 1.0)
+    (text,) = texts(state, 1.1)
+    assert "reconstructor has Φ 0123456789abcdef, " in text
+    assert own in text
+    assert state.snapshot(1.1)[0].services["reconstructor"].fingerprint == "0123456789abcdef"
+    right = new_peer("palm", "reconstructor", own)
+    state.take_peer(right, True, 2.0)  # a second one, while the first is still there
+    assert len(texts(state, 2.1)) == 1
+    state.take_peer(other, False, 3.0)
+    assert texts(state, 3.1) == []
+    assert state.snapshot(3.1)[0].services["reconstructor"].alive
+    state.take_peer(msgspec.structs.replace(right, version="9.9", instance="2"), True, 4.0)
+    assert "reconstructor is canskin 9.9" in texts(state, 4.1)[0]
+
+
+def test_another_skin_on_the_hub_is_named_while_there_is_no_gateway(state: ViewState, messages: Any) -> None:
+    stranger = new_peer("hand", "gateway", "0123456789abcdef")
+    state.take_peer(stranger, True, 1.0)
+    state.take_peer(Peer("health", "health", "1"), True, 1.0)
+    (text,) = texts(state, 1.1, "warning")
+    assert "shows skin 'palm', and on its hub is 'hand'" in text
+    assert "gateway" not in state.snapshot(1.1)[0].services
+    state.take_peer(new_peer("palm", "gateway", messages.layout.phi().fingerprint), True, 2.0)
+    assert texts(state, 2.1, "warning") == []
+
+
+def test_service_that_sends_nothing_is_silent(state: ViewState, messages: Any) -> None:
+    own = messages.layout.phi().fingerprint
+    for name in ("gateway", "reconstructor", "classifier"):
+        state.take_peer(new_peer("palm", name, own), True, 0.0)
+
+    def silent(now_s: float) -> list[str]:
+        return [name for name, service in state.snapshot(now_s)[0].services.items() if service.silent]
+
+    assert silent(0.1) == []
+    state.take_gateway(messages.gateway(cycles=10), 4.0)
+    assert silent(4.1) == []  # SYNC has just begun
+    state.take_gateway(messages.gateway(cycles=1000), 5.0)
+    state.take_label(messages.label(), 5.0)
+    assert silent(5.1) == ["reconstructor"]
+    state.take_image(messages.image(), 5.2)
+    assert silent(5.3) == []
+    assert silent(5.9) == ["classifier", "reconstructor"]
+    assert silent(9.0) == ["gateway"]

@@ -52,3 +52,12 @@ def test_greeting_names_the_first_block_of_each_bus(messages: Any) -> None:
         ("left", 0, 4),
         ("right", 4, 4),
     ]
+
+
+def test_greeting_has_both_bit_rates_of_an_fd_bus(messages: Any) -> None:
+    fd = load_layout(Path("fd"))
+    assert [(bus["bitrate"], bus["data_bitrate"]) for bus in greeting(fd)["buses"]] == [
+        (bus.bitrate, bus.data_bitrate) for bus in fd.bus
+    ]
+    assert fd.bus[0].data_bitrate is not None
+    assert {bus["data_bitrate"] for bus in greeting(messages.layout)["buses"]} == {None}

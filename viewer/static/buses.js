@@ -13,7 +13,8 @@ const COUNTERS = [
   ["foreign", "other frames", false],
 ];
 
-const bitrate = (bits) => (bits < 1e6 ? `${bits / 1e3} kbit/s` : `${bits / 1e6} Mbit/s`);
+const rate = (bits) => (bits < 1e6 ? `${bits / 1e3} kbit/s` : `${bits / 1e6} Mbit/s`);
+const bitrates = ({ bitrate, data_bitrate: data }) => (data ? `FD, ${rate(bitrate)} and ${rate(data)}` : rate(bitrate));
 
 export const nmtName = (state) => NMT[state] ?? "unknown";
 
@@ -37,9 +38,10 @@ export class Buses {
     const card = make("div", "card bus");
     const head = make("h2", "", bus.name);
     const load = make("span", "load", "–");
-    head.append(make("small", "", bitrate(bus.bitrate)), load);
+    head.append(make("small", "", bitrates(bus)), load);
     const meter = make("div", "meter");
     const [fill, mean] = [make("div"), make("i")];
+    mean.title = "mean load since SYNC started";
     meter.append(fill, mean);
     const nodes = make("div", "nodes");
     for (let node = 1; node <= bus.nodes; node++) {
@@ -70,9 +72,11 @@ export class Buses {
   }
 
   drawBus({ bus, load, fill, mean, detail }, seen, gateway) {
-    write(load, percent(seen.load_ratio, 1));
-    fill.style.width = `${100 * Math.min(1, seen.load_ratio)}%`;
-    fill.className = seen.load_ratio > 0.95 ? "full" : "";
+    const isKnown = !seen.dead && !gateway.stale;
+    const ratio = isKnown ? seen.load_ratio : 0;
+    write(load, isKnown ? percent(ratio, 1) : "–");
+    fill.style.width = `${100 * Math.min(1, ratio)}%`;
+    fill.className = ratio > 0.95 ? "full" : "";
     mean.hidden = seen.mean_load_ratio === null;
     mean.style.left = `${100 * Math.min(1, seen.mean_load_ratio ?? 0)}%`;
     let operational = 0;

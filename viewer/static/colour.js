@@ -58,8 +58,8 @@ export const COLOURS = build();
 /** Index into COLOURS of `value` on a scale from 0 to `top`. */
 export const colourIndex = (value, top) => Math.max(0, Math.min(STEPS - 1, Math.round((value / top) * (STEPS - 1))));
 
-/** The next of 1, 2, 5, 10, 20, 50 … that is not below `value`. */
+/** The next of 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15 … that is not below `value`. */
 export function roundUp(value) {
   const decade = 10 ** Math.floor(Math.log10(value));
-  return [1, 2, 5, 10].map((step) => step * decade).find((step) => step >= value * 0.999999);
+  return [1, 1.5, 2, 3, 4, 5, 6, 8, 10].map((step) => step * decade).find((step) => step >= value * 0.999999);
 }

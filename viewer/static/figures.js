@@ -56,15 +56,18 @@ export function drawFigures(snapshot) {
   const stale = !image || image.stale;
   drawObject(snapshot);
 
-  const psnr = figures.psnr_image_db === null ? "–" : `${fixed(figures.psnr_image_db, 1)} dB`;
+  const nothing = stale || image.valid_sums === 0;
+  const psnr = nothing || figures.psnr_image_db === null ? "–" : `${fixed(figures.psnr_image_db, 1)} dB`;
   set("psnr", psnr, comparison(snapshot, stale), { stale });
-  set("rate", image ? `${fixed(figures.images_hz, 1)} /s` : "–", sync(gateway), { stale });
+  set("rate", nothing ? "–" : `${fixed(figures.images_hz, 1)} /s`, sync(gateway), { stale });
 
   const ms = (seconds) => (seconds === null ? "–" : `${(1000 * seconds).toFixed(1)} ms`);
-  const solve = image ? ` · solver ${ms(image.solve_s)}` : "";
-  set("latency", ms(figures.latency_p50_s), figures.latency_p99_s === null ? "" : `p99 ${ms(figures.latency_p99_s)}${solve}`, { stale });
+  const isTimed = !nothing && figures.latency_p99_s !== null;
+  const detail = isTimed ? `p99 ${ms(figures.latency_p99_s)} · solver ${ms(image.solve_s)}` : nothing && image ? "nothing is measured" : "";
+  set("latency", ms(isTimed ? figures.latency_p50_s : null), detail, { stale });
 
-  const low = figures.valid_blocks_low === null ? "" : `fewest in the last second ${figures.valid_blocks_low}`;
-  const missing = !stale && figures.valid_blocks_low !== null && figures.valid_blocks_low < figures.blocks;
-  set("blocks", `${figures.valid_blocks ?? "–"} / ${figures.blocks}`, low, { stale, alert: missing });
+  const low = stale ? null : figures.valid_blocks_low;
+  const missing = low !== null && low < figures.blocks;
+  const fewest = low === null ? "" : missing ? `${figures.blocks - low} missing within 1 s` : "none missing within 1 s";
+  set("blocks", `${stale ? "–" : figures.valid_blocks} / ${figures.blocks}`, fewest, { stale, alert: missing });
 }

@@ -10,6 +10,7 @@ const GAP_PX = 12;
 // What stands above and below the images, and the smallest taxel worth looking at.
 const AROUND_PX = { beside: 400, alone: 240 };
 const SMALLEST_PX = 5;
+const CAPTION_PX = 30;
 
 export class Images {
   constructor(skin, buses) {
@@ -60,7 +61,7 @@ export class Images {
   }
 
   /** Captions and stale marks. */
-  explain({ image, truth }, lost) {
+  explain({ image, truth, figures }, lost) {
     const old = (age_s) => `stale: ${span(age_s)} old`;
     const { image: rebuilt, true: real, sensor } = this.maps;
     write(rebuilt.caption, image ? `cycle ${image.cycle}` : "");
@@ -68,7 +69,7 @@ export class Images {
     if (!truth) return;
     const object = truth.label ? spoken(truth.label) : "no object named";
     write(real.caption, `${truth.of_image ? "same cycle" : `step ${truth.step}`}, ${object}`);
-    write(sensor.caption, "true with noise, in ADC steps");
+    write(sensor.caption, figures.sensor_adds_noise ? "true with noise, in ADC steps" : "true in ADC steps");
     for (const map of [real, sensor]) map.setStale(lost || (truth.stale ? old(truth.age_s) : ""));
   }
 
@@ -93,11 +94,23 @@ export class Images {
     if (wanted === this.sized) return;
     this.sized = wanted;
     const { rows, columns } = this.skin;
-    const perRow = !beside || innerWidth < 560 ? 1 : innerWidth < 960 ? 2 : 3;
-    const room = beside || innerWidth < 960 ? width : innerWidth * 0.5;
-    const wide = (room - BAR_PX - (perRow - 1) * GAP_PX) / perRow / columns;
-    const high = Math.max(SMALLEST_PX, (innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / rows);
-    const cell = Math.max(1, Math.floor((innerWidth < 960 ? wide : Math.min(wide, high)) * devicePixelRatio));
+    const images = beside ? NAMES.length : 1;
+    const wide = (perRow) => ((beside || innerWidth < 960 ? width : innerWidth * 0.5) - BAR_PX - (perRow - 1) * GAP_PX) / perRow / columns;
+    const high = (perRow) => {
+      const lines = Math.ceil(images / perRow);
+      return Math.max(SMALLEST_PX, ((innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / lines - (lines > 1 ? CAPTION_PX : 0)) / rows);
+    };
+    // In a narrow window the page scrolls; in a wide one, as many images beside each other as makes them largest.
+    let perRow = Math.min(images, innerWidth < 560 ? 1 : 2);
+    let size = wide(perRow);
+    if (innerWidth >= 960) {
+      size = 0;
+      for (let each = images; each >= 1; each--) {
+        const fits = Math.min(wide(each), high(each));
+        if (fits > size + 0.01) [perRow, size] = [each, fits];
+      }
+    }
+    const cell = Math.max(1, Math.floor(size * devicePixelRatio));
     for (const map of Object.values(this.maps)) map.resize(cell);
     this.scale.resize((rows * cell) / devicePixelRatio);
     document.getElementById("pictures").style.setProperty("--per-row", perRow);

@@ -3,7 +3,7 @@
 import { clock, make, span } from "./words.js";
 
 const EXPECTED = ["gateway", "reconstructor", "classifier"];
-const WORD = { gone: "gone", unreached: "out of reach", unseen: "not seen" };
+const WORD = { gone: "gone", silent: "sends nothing", differs: "of another Φ", unreached: "out of reach", unseen: "not seen" };
 const bar = document.getElementById("notices");
 const list = document.getElementById("services");
 let written = "";
@@ -20,16 +20,26 @@ export function drawNotices(notices, time_s) {
   bar.replaceChildren(...lines.map(({ level, text }) => make("p", level, text)));
 }
 
-/** One chip per service: there, gone, out of reach with the whole fabric, or not seen yet. */
+/** What a service is: there, silent, of another skin, gone, out of reach with the whole fabric, or not seen yet. */
+function state(service, isCutOff) {
+  if (!service) return "unseen";
+  if (!service.alive) return isCutOff ? "unreached" : "gone";
+  if (service.difference) return "differs";
+  return service.silent ? "silent" : "there";
+}
+
+const about = (service) => [service?.version && `canskin ${service.version}`, service?.fingerprint && `Φ ${service.fingerprint}`].filter(Boolean).join(", ");
+
+/** One chip per service; its title says which version and which Φ the service has. */
 export function drawServices({ services, cut_off: isCutOff }) {
   const names = [...EXPECTED, ...Object.keys(services).filter((name) => name.startsWith("nodes"))];
-  const state = (name) => (services[name] ? (services[name].alive ? "there" : isCutOff ? "unreached" : "gone") : "unseen");
-  const chips = names.map((name) => ({ name, state: state(name) }));
+  const chips = names.map((name) => ({ name, state: state(services[name], isCutOff), title: about(services[name]) }));
   const wanted = JSON.stringify(chips);
   if (list.dataset.written === wanted) return;
   list.dataset.written = wanted;
-  list.replaceChildren(...chips.map(({ name, state }) => {
+  list.replaceChildren(...chips.map(({ name, state, title }) => {
     const chip = make("li", state, name);
+    chip.title = title;
     if (state !== "there") chip.append(make("small", "", WORD[state]));
     return chip;
   }));

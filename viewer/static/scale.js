@@ -3,9 +3,11 @@
 import { COLOURS, roundUp } from "./colour.js";
 
 const MN = 1000;
-const TICKS = 5;
+// Parts of the scale between its labels, by the leading digits of its top, so that the labels are short.
+const PARTS = { 1: 5, 1.5: 3, 3: 3, 5: 5, 6: 3 };
+const OTHER_PARTS = 4;
 // Of the largest force: below it, an automatic scale would only show noise.
-const LEAST = 0.05;
+const LEAST = 0.25;
 // An automatic scale shrinks only when the images stay below this part of it for HOLD_MS.
 const SHRINK_BELOW = 0.8;
 const HOLD_MS = 1500;
@@ -50,9 +52,11 @@ export class Scale {
 
   label(top) {
     this.labels.replaceChildren();
-    for (let tick = TICKS - 1; tick >= 0; tick--) {
+    const leading = Number((top * MN / 10 ** Math.floor(Math.log10(top * MN) + 1e-9)).toPrecision(3));
+    const parts = PARTS[leading] ?? OTHER_PARTS;
+    for (let tick = parts; tick >= 0; tick--) {
       const item = document.createElement("li");
-      item.textContent = String(Number(((top * MN * tick) / (TICKS - 1)).toPrecision(3)));
+      item.textContent = String(Number(((top * MN * tick) / parts).toPrecision(3)));
       this.labels.append(item);
     }
   }

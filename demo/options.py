@@ -1,4 +1,4 @@
-"""What a person asks of a run, checked before any process is started."""
+"""The options of a run, checked before any process is started."""
 
 import errno
 import socket
@@ -7,33 +7,34 @@ from pathlib import Path
 
 from skin.errors import InputError
 from skin.layout import Layout
-from skin.picture_place import check_place
+from skin.output import check_picture_path
 from skin.sources import load_source
 from touch.objects import checked_names
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What the person asked for; see `demo.command.demo`."""
+class DemoOptions:
+    """The options of `demo.command.demo`, under the same names; `objects` empty for the default series."""
 
     layout_path: Path | None
     seconds: float
     recording: Path | None
     full_scale: float | None
     arrays: tuple[str, ...]
-    objects: str
+    objects: tuple[str, ...]
     seed: int
     view: bool
     port: int | None
+    listen: str | None
     picture: Path
 
     def check(self, layout: Layout) -> None:
-        """Find out whether the wishes can be met on a skin.
+        """Check that a skin can be run with these options.
 
         Raises
         ------
         InputError
-            If one cannot.
+            If it cannot.
         """
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
@@ -43,7 +44,7 @@ class Wishes:
             raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
         if self.view and self.port is not None:
             _check_port(self.port)
-        check_place(self.picture)
+        check_picture_path(self.picture)
         self._check_touch(layout)
 
     def _check_touch(self, layout: Layout) -> None:
@@ -53,7 +54,7 @@ class Wishes:
                 if value not in ((), None):
                     raise InputError(f"{flag} is for a recording: give one with --input")
             if self.objects:
-                checked_names(self.objects)
+                checked_names(",".join(self.objects))
             return
         taxels = layout.taxels
         load_source(

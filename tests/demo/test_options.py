@@ -8,27 +8,28 @@ import msgspec
 import numpy as np
 import pytest
 
-from demo.wishes import Wishes
+from demo.options import DemoOptions
 from skin.errors import InputError
 from skin.layout import Bus, load_layout
 
 LAYOUT = load_layout()
 
 
-def wishes(folder: Path, **changes: Any) -> Wishes:
+def options(folder: Path, **changes: Any) -> DemoOptions:
     usual: dict[str, Any] = {
         "layout_path": None,
         "seconds": 1.0,
         "recording": None,
         "full_scale": None,
         "arrays": (),
-        "objects": "",
+        "objects": (),
         "seed": 0,
         "view": True,
         "port": None,
+        "listen": None,
         "picture": folder / "picture.png",
     }
-    return Wishes(**(usual | changes))
+    return DemoOptions(**(usual | changes))
 
 
 @pytest.mark.parametrize(
@@ -39,16 +40,16 @@ def wishes(folder: Path, **changes: Any) -> Wishes:
         ({"seed": -1}, "--seed: expected 0 or more"),
         ({"port": -3}, "--port: expected 0 to 65535, got -3"),
         ({"port": 65536}, "--port: expected 0 to 65535, got 65536"),
-        ({"objects": "golf-ball,nosuch"}, "unknown object 'nosuch'"),
+        ({"objects": ("golf-ball", "nosuch")}, "unknown object 'nosuch'"),
         ({"arrays": ("foo",)}, "--array is for a recording: give one with --input"),
         ({"full_scale": 0.0}, "--full-scale is for a recording"),
         ({"recording": Path("missing.npz")}, "no recording at 'missing.npz'"),
         ({"picture": Path("/proc/x.png")}, "/proc/x.png: cannot write the picture there"),
     ],
 )
-def test_wish_that_cannot_be_met_is_told(changes: dict[str, Any], says: str, tmp_path: Path) -> None:
+def test_option_that_cannot_be_used_is_told(changes: dict[str, Any], says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=says):
-        wishes(tmp_path, **changes).check(LAYOUT)
+        options(tmp_path, **changes).check(LAYOUT)
 
 
 def test_broken_recording_and_its_options_are_told(tmp_path: Path) -> None:
@@ -57,22 +58,22 @@ def test_broken_recording_and_its_options_are_told(tmp_path: Path) -> None:
     np.savez(good, one=np.ones((3, 8, 8)))
     for changes in ({"recording": broken}, {"recording": good, "arrays": ("two",)}):
         with pytest.raises(InputError, match=r"broken\.npz|no array 'two'"):
-            wishes(tmp_path, **changes).check(LAYOUT)
+            options(tmp_path, **changes).check(LAYOUT)
     with pytest.raises(InputError, match="full_scale needs a number above 0"):
-        wishes(tmp_path, recording=good, full_scale=0.0).check(LAYOUT)
-    wishes(tmp_path, recording=good, full_scale=4.0, arrays=("one",)).check(LAYOUT)
+        options(tmp_path, recording=good, full_scale=0.0).check(LAYOUT)
+    options(tmp_path, recording=good, full_scale=4.0, arrays=("one",)).check(LAYOUT)
 
 
 def test_port_in_use_is_told_but_not_without_the_page(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(InputError, match=f"port {port} is in use"):
-            wishes(tmp_path, port=port).check(LAYOUT)
-        wishes(tmp_path, port=port, view=False).check(LAYOUT)
-    wishes(tmp_path, port=0).check(LAYOUT)
+            options(tmp_path, port=port).check(LAYOUT)
+        options(tmp_path, port=port, view=False).check(LAYOUT)
+    options(tmp_path, port=0).check(LAYOUT)
 
 
 def test_buses_of_several_bit_rates_are_refused(tmp_path: Path) -> None:
     buses = [Bus(name="quick", nodes=16), Bus(name="slow", nodes=16, bitrate=125_000)]
     with pytest.raises(InputError, match="the same bit rates"):
-        wishes(tmp_path).check(msgspec.structs.replace(LAYOUT, bus=buses))
+        options(tmp_path).check(msgspec.structs.replace(LAYOUT, bus=buses))

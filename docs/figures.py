@@ -1,0 +1,128 @@
+"""Every picture of the README and of docs/, made with today's code.
+
+``make figures`` makes all of the table `FIGURES`, ``make figures ARGS="demo.png page.png"`` some. The paper's figures
+need the meshes of its objects, ``MESHES=DIR`` in the environment; `page.png` needs chromium.
+"""
+
+import base64
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+import httpx
+
+from skin.output import write_file
+from tests.browser import CHROMIUM, chromium
+from tests.processes import Processes, free_port
+
+DOCS: Final = Path(__file__).parent
+SKIN: Final = (sys.executable, "-m", "skin")
+#: The page is looked at this long after the golf ball was named, so that all its figures are of a touch.
+TOUCHED_S: Final = 1.5
+PATIENCE_S: Final = 120.0
+PAGE_WIDTH, PAGE_HEIGHT = 1280, 720
+
+
+def demo(path: Path) -> None:
+    """One cycle of the golf ball through the whole chain."""
+    _run("demo", "--seconds", "10", "--objects", "golf-ball", "--no-view", "--figure", str(path))
+
+
+def page(path: Path) -> None:
+    """Take a picture of the live page while the golf ball touches."""
+    if CHROMIUM is None:
+        raise RuntimeError("expected chromium on PATH")
+    port = free_port()
+    with tempfile.TemporaryDirectory() as folder, Processes(Path(folder)) as processes:
+        figure = str(Path(folder) / "demo.png")
+        processes.skin(
+            "demo", "demo", "--seconds", "300", "--objects", "golf-ball", "--port", str(port), "--figure", figure
+        )
+        processes.until(lambda: "fabric:" in processes.log("demo").read_text(), "the live page")
+        address = f"http://127.0.0.1:{port}/"
+        # Drawing the page takes a core: chromium comes only when the ball is there.
+        processes.until(lambda: _object(address) == "golf-ball", "the golf ball to be named")
+        profile = Path(folder) / "chromium"
+        profile.mkdir()
+        with chromium(profile) as browser:
+            browser.open(address, width=PAGE_WIDTH, height=PAGE_HEIGHT)
+            touches = "the golf ball was not named"
+            browser.until(lambda: browser.text("#object .value") == "golf ball", touches, PATIENCE_S)
+            browser.wait(TOUCHED_S)
+            write_file(path, browser.picture())
+        processes.stop("demo", signal.SIGINT)
+
+
+def _object(address: str) -> str:
+    """Return the object that a live page names now."""
+    label = httpx.get(f"{address}api/state").json()["label"]
+    return label["label"] if label and not label["stale"] else ""
+
+
+def missing_data(path: Path) -> None:
+    """Draw PSNR against dead nodes and lost frames."""
+    _run("bench", "missing", "--figure", str(path))
+
+
+def paper_images(path: Path) -> None:
+    """Take the drill's sample images from the report of the paper's figures."""
+    write_file(path, _from_report("The drill"))
+
+
+def paper_psnr(path: Path) -> None:
+    """Take the clamp's PSNR over time from the report of the paper's figures."""
+    write_file(path, _from_report("PSNR of the clamp's images over time"))
+
+
+#: File in docs/: what makes it.
+FIGURES: Final[dict[str, Callable[[Path], None]]] = {
+    "demo.png": demo,
+    "page.png": page,
+    "missing-data.svg": missing_data,
+    "paper-images.png": paper_images,
+    "paper-psnr.png": paper_psnr,
+}
+
+
+def _from_report(caption: str) -> bytes:
+    """Return the picture whose caption begins with `caption`; the report is made once and kept in build/figures."""
+    meshes = os.environ.get("MESHES")
+    if not meshes:
+        raise RuntimeError("expected the folder of the paper's meshes: MESHES=DIR")
+    folder = DOCS.parent / "build/figures"
+    report = folder / "report.html"
+    if not report.exists():
+        _run("evaluate", "figures", "--meshes", meshes, "--out", str(folder))
+    found = re.findall(r'<img alt="([^"]*)" src="data:image/png;base64,([^"]*)"', report.read_text(encoding="utf-8"))
+    return next(base64.b64decode(data) for alt, data in found if alt.replace("&#x27;", "'").startswith(caption))
+
+
+def _run(*arguments: str) -> None:
+    subprocess.run([*SKIN, *arguments], check=True)
+
+
+def main(names: Sequence[str]) -> int:
+    """Make figures; return the exit status."""
+    unknown = [name for name in names if name not in FIGURES]
+    if unknown:
+        print(f"figures: expected some of {', '.join(FIGURES)}, got {', '.join(unknown)}", file=sys.stderr)
+        return 2
+    failed = 0
+    for name in names or FIGURES:
+        print(f"figures: {name}", file=sys.stderr, flush=True)
+        try:
+            FIGURES[name](DOCS / name)
+        except (RuntimeError, OSError, AssertionError, subprocess.CalledProcessError) as error:
+            failed += 1
+            print(f"figures: {name} was not made: {error}", file=sys.stderr)
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

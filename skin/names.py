@@ -1,0 +1,14 @@
+"""Lists of names on the command line."""
+
+from collections.abc import Iterable
+
+
+def split_names(given: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of a list option, which may be given with spaces, with commas or several times; each once.
+
+    Examples
+    --------
+    >>> split_names(["golf-ball,ring", "cup", "ring"])
+    ('golf-ball', 'ring', 'cup')
+    """
+    return tuple(dict.fromkeys(name.strip() for each in given for name in each.split(",") if name.strip()))

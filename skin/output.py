@@ -1,0 +1,61 @@
+"""Files that a verb writes: whether a path can be used, found out before the work, and the writing in one step."""
+
+import contextlib
+import os
+import secrets
+from pathlib import Path
+from typing import Final
+
+from skin.errors import InputError
+
+PICTURE_SUFFIXES: Final = (".png", ".svg", ".pdf")
+
+
+def check_picture_path(path: Path) -> None:
+    """Check that a picture can be saved at `path`.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist, the name has none of `PICTURE_SUFFIXES`, or no file can be written there.
+    """
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{path}: the folder for the picture does not exist")
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise InputError(f"{path}: expected a picture that ends in {', '.join(PICTURE_SUFFIXES)}, got '{path.suffix}'")
+    is_new = not path.exists()
+    try:
+        path.open("ab").close()
+        if is_new:
+            path.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the picture there: {error.strerror or error}") from error
+
+
+def write_file(path: Path, content: bytes | str) -> None:
+    """Write a file in one step: whatever happens, a full disk included, the old file or the whole new one is there.
+
+    The content goes to a file beside `path` that is then renamed. What is no regular file (``/dev/stdout``, a pipe) is
+    written as it is. Text is written as UTF-8.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; nothing of it is left.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    target = path.resolve()  # a link stays a link
+    if target.exists() and not target.is_file():
+        target.write_bytes(data)
+        return
+    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    try:
+        with draft.open("xb") as file:
+            file.write(data)
+            if target.exists():
+                os.fchmod(file.fileno(), target.stat().st_mode & 0o7777)
+        draft.replace(target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+        raise

@@ -1,0 +1,139 @@
+"""What every verb shows a person or a program: one form of table, one progress bar, one ``--json``."""
+
+import io
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
+
+from skin.service import Talk, talks
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+#: The type of a verb's argument ``json``: the flag ``--json``, without a ``--no-json``.
+Json = Annotated[bool, Parameter(name="--json", negative=())]
+
+#: Columns where standard output is no terminal: more than any table needs, so that nothing is wrapped or cut off.
+_UNLIMITED: Final = 10_000
+
+
+def print_json(document: Any) -> None:
+    """Print a document on standard output, as one line of JSON.
+
+    Parameters
+    ----------
+    document : object
+        What `msgspec` encodes: builtins, structs, dataclasses. A number that is not finite becomes ``null``.
+    """
+    import msgspec
+
+    print(msgspec.json.encode(document).decode())
+
+
+def print_table(headings: Sequence[str], rows: Iterable[Iterable[Any]], *, title: str = "") -> None:
+    """Print a table on standard output.
+
+    Under headings, columns with numbers are aligned right, but for the first. A terminal that is too narrow folds
+    cells; elsewhere the table is plain text, and a row is a line.
+
+    Parameters
+    ----------
+    headings : sequence of str
+        One for each column; none of them prints rows alone.
+    rows : iterable of iterables
+        Cells; ``None`` is shown as an empty cell, anything else by `str`.
+    title : str
+        A line above the table.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    cells = [["" if cell is None else str(cell) for cell in row] for row in rows]
+    table = Table(box=None, pad_edge=False, show_header=bool(headings))
+    columns = headings or [""] * max(map(len, cells), default=0)
+    for place, heading in enumerate(columns):
+        is_right = bool(headings) and place > 0 and any(_begins_a_number(row[place]) for row in cells)
+        # Text, for square brackets in a cell are no markup.
+        table.add_column(Text(heading), justify="right" if is_right else "left", overflow="fold")
+    for row in cells:
+        table.add_row(*map(Text, row))
+    if title:
+        print(title)
+    is_terminal = sys.stdout.isatty()
+    console = Console(file=sys.stdout) if is_terminal else Console(file=io.StringIO(), width=_UNLIMITED)
+    with console.capture() as capture:
+        console.print(table)
+    print("\n".join(line.rstrip() for line in capture.get().splitlines()))
+
+
+def _begins_a_number(cell: str) -> bool:
+    return cell.lstrip("+-")[:1].isdigit()
+
+
+class ProgressBar:
+    """A bar that `progress` shows; without a terminal, only `print` shows anything."""
+
+    def __init__(self, shown: "Progress", task: "TaskID") -> None:
+        self._shown, self._task = shown, task
+
+    def advance(self, steps: float = 1) -> None:
+        """Add to what is done."""
+        self._shown.advance(self._task, steps)
+
+    def update(self, done: float, what: str | None = None) -> None:
+        """Say how much is done, and what is being done where that has changed."""
+        self._shown.update(self._task, completed=done, description=what)
+
+    def print(self, line: str) -> None:
+        """Print a line on standard error, above the bar."""
+        self._shown.console.print(line, highlight=False, markup=False)
+
+
+@contextmanager
+def progress(what: str, total: float | None, *, done: float = 0) -> Iterator[ProgressBar]:
+    """Show how far the work inside the ``with`` is, on standard error where that is a terminal, else nothing.
+
+    Parameters
+    ----------
+    what : str
+        Beside the bar.
+    total : float, optional
+        Of which an int is counted out ("3/40"); None where the end is unknown, which shows the time since the start.
+    done : float
+        Of `total`, before the work begins.
+
+    Yields
+    ------
+    ProgressBar
+    """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False)]
+    if total is None:
+        columns.append(TimeElapsedColumn())
+    else:
+        counted = [MofNCompleteColumn()] if isinstance(total, int) else []
+        columns += [BarColumn(), *counted, TimeRemainingColumn()]
+    console = Console(stderr=True)
+    # Without an end the bar only tells that something goes on: redrawn rarely, to leave the processor to the work.
+    with Progress(
+        *columns,
+        console=console,
+        transient=True,
+        refresh_per_second=1 if total is None else 10,
+        disable=not (console.is_terminal and talks(Talk.NORMAL)),
+    ) as shown:
+        yield ProgressBar(shown, shown.add_task(what, total=total, completed=done))  # type: ignore[arg-type]
