@@ -139,7 +139,7 @@ class Score:
     def report(self) -> Report:
         """Return the figures of the run so far."""
         gateway = self.gateway
-        received = gateway.frames_received if gateway else 0
+        received = gateway.frames.received if gateway else 0
         sensor_db = _mean(self.psnr_sensor_db)
         sent = sum(status.frames_sent for status in self.nodes.values())
         return Report(
@@ -149,8 +149,8 @@ class Score:
             frames_received=received,
             frames_lost=sent - received,
             frames_dropped=sum(status.frames_dropped for status in self.nodes.values()),
-            frames_missing=gateway.frames_missing if gateway else 0,
-            frames_late=gateway.frames_late if gateway else 0,
+            frames_missing=gateway.frames.missing if gateway else 0,
+            frames_late=gateway.frames.late if gateway else 0,
             nodes_missing=self._nodes_missing(),
             psnr_sensor_db=sensor_db,
             psnr_image_db=_mean(self.psnr_image_db),
@@ -159,7 +159,7 @@ class Score:
             label_accuracy=self.labelled_right / self.labelled if self.labelled else None,
             latency_ms=Percentiles(p50=_percentile(self.latency_ms, 50), p99=_percentile(self.latency_ms, 99)),
             sync_rate_hz=round(gateway.sync_rate_hz, 3) if gateway else 0.0,
-            bus_load=[round(load, 4) for load in gateway.mean_load_ratio] if gateway else [],
+            bus_load=[round(bus.mean_load_ratio, 4) for bus in gateway.buses] if gateway else [],
         )
 
 

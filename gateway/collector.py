@@ -14,26 +14,10 @@ from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.codec import decode
 from dbc.contract import PHASES, Contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
+from skin.messages import FrameCounts
 
 #: After this many cycles a node is said to have its phases swapped.
 SWAPPED_CYCLES: Final = 5
-
-
-@dataclass
-class Counts:
-    """Frames since the start. Received sums' frames: ``accepted + late + duplicate + malformed``."""
-
-    accepted: int = 0
-    late: int = 0
-    duplicate: int = 0
-    malformed: int = 0
-    foreign: int = 0
-    missing: int = 0
-
-    @property
-    def received(self) -> int:
-        """Frames with the identifier of a sums' PDO."""
-        return self.accepted + self.late + self.duplicate + self.malformed
 
 
 @dataclass(frozen=True)
@@ -57,7 +41,7 @@ class Collector:
     """
 
     def __init__(self, contract: Contract) -> None:
-        self.counts = Counts()
+        self.counts = FrameCounts()
         #: Of the counts above, each node's part, by place in the contract.
         self.late_of_node = np.zeros(len(contract.nodes), np.int64)
         self.missing_of_node = np.zeros(len(contract.nodes), np.int64)

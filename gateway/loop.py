@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from bus.link import State
@@ -186,21 +187,13 @@ class GatewayLoop:
         links : mapping of int to (State, int)
             By number of the bus: state of the gateway's own controller, frames lost on the receive side.
         """
-        counts = self.collector.counts
         return GatewayStatus(
             time_ns=time.time_ns(),
             cycles=self._closed,
             cycles_complete=self._complete,
-            frames_received=counts.received,
-            frames_accepted=counts.accepted,
-            frames_missing=counts.missing,
-            frames_late=counts.late,
-            frames_duplicate=counts.duplicate,
-            frames_malformed=counts.malformed,
-            frames_foreign=counts.foreign,
+            frames=msgspec.structs.replace(self.collector.counts),
             sync_rate_hz=self.sync.rate_hz(now_s),
             buses=[self._bus_state(number, *links[number], now_s) for number in self._numbers],
-            mean_load_ratio=[self._lines[number].load.mean_ratio(now_s) for number in self._numbers],
             syncs_skipped=self.sync.skipped,
         )
 
@@ -264,6 +257,7 @@ class GatewayLoop:
         return BusState(
             name=line.name,
             load_ratio=line.load.look(now_s),
+            mean_load_ratio=line.load.mean_ratio(now_s),
             nodes=line.master.node_ids,
             nmt=line.master.nmt.tobytes(),
             missing=collector.missing_of_node[places].tolist(),

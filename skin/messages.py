@@ -114,6 +114,34 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     label: str
 
 
+class FrameCounts(msgspec.Struct, kw_only=True):
+    """What became of the frames that carry sums, since the gateway's start.
+
+    Attributes
+    ----------
+    accepted : int
+        Used for their cycle.
+    late, duplicate, malformed : int
+        After their cycle, a second time, and of a wrong length: never used.
+    missing : int
+        Awaited by a cycle and not come.
+    foreign : int
+        Everything else on the buses.
+    """
+
+    accepted: int = 0
+    late: int = 0
+    duplicate: int = 0
+    malformed: int = 0
+    missing: int = 0
+    foreign: int = 0
+
+    @property
+    def received(self) -> int:
+        """Frames with the identifier of a sums' PDO."""
+        return self.accepted + self.late + self.duplicate + self.malformed
+
+
 #: Stands in `BusState.nmt` for a node whose heartbeat is overdue.
 SILENT: Final = 255
 
@@ -125,6 +153,8 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     load_ratio : float
         Bits of all frames seen in the last interval over the bits the bus could carry (exact stuffing).
+    mean_load_ratio : float
+        The same since SYNC started.
     nmt : bytes
         uint8 per node of the bus: last heartbeat's NMT state (CiA 301, 7.2.8.3.2), `SILENT` when that is overdue.
     missing, late : list of int
@@ -141,6 +171,7 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     load_ratio: float
+    mean_load_ratio: float = 0.0
     nodes: list[int]
     nmt: bytes
     missing: list[int] = []
@@ -154,24 +185,20 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     """The gateway's counters since its start, published a few times a second.
 
-    ``frames_accepted + frames_late + frames_duplicate + frames_malformed == frames_received`` counts the
-    sums' TPDOs; everything else on the bus is ``frames_foreign``. `syncs_skipped` counts the SYNCs that were not sent
-    because they were due too long ago.
+    Attributes
+    ----------
+    cycles, cycles_complete : int
+        Cycles that have ended, and those of them in which every block was valid.
+    syncs_skipped : int
+        SYNCs that were not sent, because they were due too long ago.
     """
 
     time_ns: int
     cycles: int
     cycles_complete: int
-    frames_received: int
-    frames_accepted: int
-    frames_missing: int
-    frames_late: int
-    frames_duplicate: int
-    frames_malformed: int
-    frames_foreign: int
+    frames: FrameCounts
     sync_rate_hz: float
     buses: list[BusState]
-    mean_load_ratio: list[float]
     syncs_skipped: int = 0
 
 

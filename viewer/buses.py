@@ -13,7 +13,7 @@ DEAD_LINKS: Final = ("lost", "bus_off")
 
 def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:
     """Return what the page shows of the gateway's counters."""
-    buses = [_bus_view(bus, place, status.mean_load_ratio) for place, bus in enumerate(status.buses)]
+    buses = list(map(_bus_view, status.buses))
     return GatewayState(**{**msgspec.structs.asdict(status), "age_s": age_s, "stale": stale, "buses": buses})
 
 
@@ -22,10 +22,9 @@ def nodes_state(status: NodesStatus, age_s: float, *, stale: bool) -> NodesState
     return NodesState(**{**msgspec.structs.asdict(status), "age_s": age_s, "stale": stale})
 
 
-def _bus_view(bus: BusState, place: int, mean_load_ratio: list[float]) -> BusView:
+def _bus_view(bus: BusState) -> BusView:
     is_dead = bus.link in DEAD_LINKS
     more = {
-        "mean_load_ratio": mean_load_ratio[place] if place < len(mean_load_ratio) else None,
         "nmt": list(bus.nmt),
         "dead": is_dead,
         "synced": not is_dead and not (bus.link == "passive" and set(bus.nmt) == {SILENT}),

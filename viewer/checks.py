@@ -27,7 +27,7 @@ def label_fits(label: Label) -> bool:
 
 def status_fits(status: GatewayStatus) -> bool:
     """Tell whether every bus has a state for each of its nodes, and every figure is a number."""
-    numbers = [status.sync_rate_hz, *status.mean_load_ratio, *(bus.load_ratio for bus in status.buses)]
+    numbers = [status.sync_rate_hz, *(load for bus in status.buses for load in (bus.load_ratio, bus.mean_load_ratio))]
     return all(len(bus.nmt) == len(bus.nodes) for bus in status.buses) and all(map(math.isfinite, numbers))
 
 

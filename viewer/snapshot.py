@@ -128,8 +128,6 @@ class BusView(BusState, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    mean_load_ratio : float or None
-        Since SYNC started.
     nmt : list of int
         State of each node.
     dead : bool
@@ -138,7 +136,6 @@ class BusView(BusState, frozen=True, kw_only=True):
         SYNC reaches a node: without any, no frame of the gateway is acknowledged.
     """
 
-    mean_load_ratio: float | None
     nmt: list[int]  # type: ignore[assignment]  # numbers in JSON, where bytes would be Base64
     dead: bool
     synced: bool

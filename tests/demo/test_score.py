@@ -7,7 +7,7 @@ import pytest
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
 from skin.layout import load_layout
-from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
 
 LAYOUT = load_layout()
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
@@ -95,6 +95,7 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
     bus = BusState(
         name="bus0",
         load_ratio=0.7,
+        mean_load_ratio=0.7,
         nodes=[1, 2, 3],
         nmt=b"\5\5\5",
         missing=[0, 4, 9],
@@ -106,16 +107,9 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
             time_ns=0,
             cycles=10,
             cycles_complete=9,
-            frames_received=98,
-            frames_accepted=97,
-            frames_missing=13,
-            frames_late=1,
-            frames_duplicate=0,
-            frames_malformed=0,
-            frames_foreign=3,
+            frames=FrameCounts(accepted=97, missing=13, late=1, foreign=3),
             sync_rate_hz=100.0,
             buses=[bus],
-            mean_load_ratio=[0.7],
         )
     )
     for process, sent in (("1", 60), ("2", 40)):

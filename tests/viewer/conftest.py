@@ -10,7 +10,7 @@ import pytest
 
 from skin.fabric import Fabric
 from skin.layout import Bus, Layout, Measuring, Taxels
-from skin.messages import BusState, GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
 
 SECOND_NS = 1_000_000_000
 
@@ -93,7 +93,14 @@ class Messages:
         """``refused`` are nodes of the left bus."""
         states = nmt or ((5, 5, 5, 5), (5, 5, 5, 5))
         buses = [
-            BusState(name=bus.name, load_ratio=0.8, nodes=list(range(1, bus.nodes + 1)), nmt=bytes(state), link=link)
+            BusState(
+                name=bus.name,
+                load_ratio=0.8,
+                mean_load_ratio=0.8,
+                nodes=list(range(1, bus.nodes + 1)),
+                nmt=bytes(state),
+                link=link,
+            )
             for bus, state, link in zip(self.layout.bus, states, links, strict=True)
         ]
         buses[0] = msgspec.structs.replace(buses[0], refused=list(refused))
@@ -101,16 +108,9 @@ class Messages:
             time_ns=0,
             cycles=cycles,
             cycles_complete=cycles,
-            frames_received=16 * cycles,
-            frames_accepted=16 * cycles,
-            frames_missing=missing,
-            frames_late=0,
-            frames_duplicate=0,
-            frames_malformed=0,
-            frames_foreign=0,
+            frames=FrameCounts(accepted=16 * cycles, missing=missing),
             sync_rate_hz=100.0,
             buses=buses,
-            mean_load_ratio=[0.8, 0.8],
         )
 
     def nodes(self, process: str = "nodes") -> NodesStatus:

@@ -5,7 +5,7 @@ import { count, make, percent, span, write } from "./words.js";
 const NMT = { 0: "booting", 4: "stopped", 5: "operational", 127: "pre-operational", 255: "silent" };
 // Counter, its name on the page, and whether any of them is bad. Other frames are heartbeats above all.
 const COUNTERS = [
-  ["received", "received", false],
+  ["accepted", "in time", false],
   ["missing", "missing", true],
   ["late", "late", true],
   ["duplicate", "duplicate", true],
@@ -77,8 +77,7 @@ export class Buses {
     write(load, isKnown ? percent(ratio, 1) : "–");
     fill.style.width = `${100 * Math.min(1, ratio)}%`;
     fill.className = ratio > 0.95 ? "full" : "";
-    mean.hidden = seen.mean_load_ratio === null;
-    mean.style.left = `${100 * Math.min(1, seen.mean_load_ratio ?? 0)}%`;
+    mean.style.left = `${100 * Math.min(1, seen.mean_load_ratio)}%`;
     let operational = 0;
     seen.nodes.forEach((node, place) => {
       const tile = node >= 1 && node <= bus.nodes ? this.tiles[bus.first_block + (node - 1) * bus.blocks_per_node] : null;
@@ -98,7 +97,7 @@ export class Buses {
   drawCounters(gateway) {
     const rows = [["cycles complete", gateway.cycles ? percent(gateway.cycles_complete / gateway.cycles, 2) : "–", false]];
     for (const [key, name, isBad] of COUNTERS) {
-      const value = gateway[`frames_${key}`];
+      const value = gateway.frames[key];
       rows.push([name, count(value), isBad && value > 0]);
     }
     if (this.counters.childElementCount !== rows.length) this.counters.replaceChildren(...rows.map(([name]) => counter(name)));
