@@ -82,6 +82,8 @@ class _Node:
     asked: bool = False
     lost_s: float | None = None
     hint: str = ""
+    #: The gateway itself has reset the node, so that its boot is no sign of a repair.
+    is_own_reset: bool = False
     #: The download that another master has begun is of an object that is compared.
     is_sdo_suspect: bool = True
     foreign_sdo_s: float = -np.inf
@@ -224,7 +226,9 @@ class NmtMaster:
         """Doubt a node that has booted: nothing is known of it until it is proven."""
         node.dialogue = None
         node.refusal = ""
-        node.tries = min(node.tries, len(PAUSES_S) - 1)
+        if not node.is_own_reset:
+            node.tries = min(node.tries, len(PAUSES_S) - 1)
+        node.is_own_reset = False
         if node.trusted:
             self._lose(node, f"booted again{node.hint or self._explanation(node, now_s)}", now_s)
         elif node.lost_s is None:
@@ -263,6 +267,7 @@ class NmtMaster:
         node = self._nodes[node_id]
         if node.trusted:
             self._lose(node, "answers odd SYNC counters with its PDOs for even ones: communication reset", now_s)
+            node.is_own_reset = True
             self._command(NmtCommand.RESET_COMMUNICATION, node_id)
 
     # What time calls for

@@ -1,5 +1,7 @@
 """Nodes that leave OPERATIONAL, whatever took them out, and how they come back."""
 
+from typing import Final
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID, NmtC
 from dbc.contract import Contract
 from dbc.frame import ECHO
 from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS
+from gateway.collector import SWAPPED_CYCLES
+from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import LATER_S, PAUSES_S, SILENT_AFTER_S, STABLE_S
 from skin.messages import SILENT
 from tests.gateway.world import PERIOD_S, EndOfWire, World, valid
@@ -177,3 +181,45 @@ def test_heartbeat_time_is_kept(world: World) -> None:
     world.run(5.0)
     assert valid(world.measured[-1]).all()
     assert "node 1 on bus0 set right: 1017h:0 (Producer heartbeat time) was 0h, not 3E8h" in world.lines
+
+
+class CountsSyncs:
+    """Node 1 of bus0 as a board that uses its SYNC start values once: after a lost SYNC its sets are swapped."""
+
+    SWAPPED: Final = {0x181: 0x381, 0x281: 0x481, 0x381: 0x181, 0x481: 0x281}
+
+    def __init__(self, world: World) -> None:
+        self._wire = world.wires[0]
+        self._wire.loses = self
+        self.is_swapped = True
+        self.resets = 0
+
+    def __call__(self, end: EndOfWire, each: np.void) -> bool:
+        data = bytes(each["data"][:2])
+        if end is self._wire.nodes and each["can_id"] == NMT_COB_ID and data[0] == NmtCommand.RESET_COMMUNICATION:
+            self.is_swapped = False
+            self.resets += 1
+        if end is self._wire.gateway and self.is_swapped:
+            each["can_id"] = self.SWAPPED.get(int(each["can_id"]), int(each["can_id"]))
+        return False
+
+
+def test_node_with_swapped_phases_is_named_and_set_right(world: World) -> None:
+    board = CountsSyncs(world)
+    came = world.run((SWAPPED_CYCLES + 3) * PERIOD_S + LOOK_PERIOD_S)
+    assert board.resets == 1
+    assert not any(world.wrong_blocks(each) for each in world.measured)
+    assert sum(not valid(each)[0] for each in came) >= SWAPPED_CYCLES
+    assert all(valid(each)[1] for each in came)
+    world.until_whole(SOON_S + 2 * PERIOD_S)
+    world.run(0.5)
+    assert world.lines[0] == "node 1 on bus0 answers odd SYNC counters with its PDOs for even ones: communication reset"
+    assert board.resets == 1
+
+
+def test_node_whose_phases_stay_swapped_is_not_reset_for_ever(world: World) -> None:
+    board = CountsSyncs(world)
+    world.wires[0].loses = lambda end, each: (setattr(board, "is_swapped", True), board(end, each))[1]
+    world.run(60)
+    assert len(PAUSES_S) - 2 <= board.resets <= len(PAUSES_S) + 2
+    assert not any(world.wrong_blocks(each) for each in world.measured[-200:])
