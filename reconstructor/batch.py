@@ -1,112 +1,165 @@
-"""Recordings: every frame of a stream of sums that is there as a whole."""
+"""Images of a whole recording: every cycle of a stream of sums, by the quickest solver that the settings have.
 
-from typing import Any, Final, Protocol
+A solver of several streams cuts the recording into as many parts of one length. Every part but the first begins
+`RUN_IN` cycles early, so that its first image is as warm as if all before it had been solved.
+"""
+
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.array_api import BatchSolver
 from reconstructor.checks import LARGEST_N
+from reconstructor.clipping import ClipCorrection
+from reconstructor.engine import Reconstructor
 from reconstructor.kernels.lanes import LANES, LaneSolver
+from reconstructor.settings import LIVE, WAVELETS, SolverSettings
 from skin.errors import InputError
+from skin.measurement import Sbhe
 
-#: Frames solved ahead of each part, so that it starts as warm as if all before it had been solved.
+#: Cycles solved ahead of each part.
 RUN_IN: Final = 12
+#: Streams side by side on arrays: a part is long against its run-in, and a batch fills a GPU.
+ARRAY_STREAMS: Final = 256
+_LEAST_PART: Final = 4 * RUN_IN
 
-Values = npt.NDArray[np.floating[Any]]
-
-
-class ImageSolver(Protocol):
-    """`FusedSolver` or `ContourletSolver`: one image after the other."""
-
-    @property
-    def sums(self) -> int:
-        """Number of sums m."""
-        ...
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the images."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Of sums and estimates."""
-        ...
-
-    def new_estimate(self) -> Values:
-        """Return an estimate of zeros."""
-        ...
-
-    def reset(self) -> None:
-        """Forget what is kept besides the estimate."""
-        ...
-
-    def solve(self, estimate: Values, sums_n: Values, weights: Values) -> int:
-        """Improve the estimate in place."""
-        ...
-
-    def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
-        """Return the image."""
-        ...
+Sums = npt.NDArray[np.floating[Any]]
+Validity = npt.NDArray[np.bool_]
+Images = npt.NDArray[np.float32]
 
 
-def reconstruct_recording(
-    solver: LaneSolver | ImageSolver, sums_n: Values, valid: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.float32]:
-    """Return the images of a recording, each warm-started from the one before.
+def _silent(_images: int) -> None:
+    pass
 
-    A `LaneSolver`, which there is for wavelets, cuts the recording into as many parts as it has lanes; every part but
-    the first begins `RUN_IN` frames early. Any other solver takes one frame after the other.
+
+class RecordingSolver:
+    """Solves whole recordings, each image warm-started from the one before.
+
+    Total variation, contourlets and the temporal filter go through the `Reconstructor` one cycle after the other:
+    the images are those of the live service, bit by bit. Wavelets go through a `LaneSolver`, or with `library`
+    through a `BatchSolver`.
 
     Parameters
     ----------
-    solver : LaneSolver, FusedSolver or ContourletSolver
-    sums_n, valid : arrays, shape (frames, m)
-        Newtons, and which sums came.
+    phi : Sbhe
+    rows, columns : int
+        The grid, powers of two from 8 to 256.
+    settings : SolverSettings
+    noise_n : float, optional
+        See `Reconstructor`.
+    library : module, optional
+        A library of the Python array API, see `reconstructor.array_api.array_library`.
 
-    Returns
-    -------
-    array of float32, shape (frames, rows, columns)
+    Attributes
+    ----------
+    method : str
+        How the recording is solved, for people.
 
     Raises
     ------
     InputError
-        If shapes or dtypes do not fit, or a valid sum is not a number of newtons below 1e6.
+        If the grid or the settings do not fit, or arrays have no solver for the settings.
     """
-    if sums_n.ndim != 2 or sums_n.shape[1] != solver.sums or valid.shape != sums_n.shape:
-        raise InputError(f"expected shape (frames, {solver.sums}) twice: got {sums_n.shape} and {valid.shape}")
-    if sums_n.dtype.kind != "f" or valid.dtype != np.bool_:
-        raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid.dtype}")
-    if not (np.abs(sums_n[valid]) <= LARGEST_N).all():  # so written, NaN fails
-        raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
-    clean = np.where(valid, sums_n, 0).astype(solver.dtype)
-    if isinstance(solver, LaneSolver):
-        return _in_lanes(solver, clean, valid)
-    return _one_by_one(solver, clean, valid)
+
+    def __init__(
+        self,
+        phi: Sbhe,
+        rows: int,
+        columns: int,
+        settings: SolverSettings = LIVE,
+        *,
+        noise_n: float | None = None,
+        library: ModuleType | None = None,
+    ) -> None:
+        self._shape, self._sums = (rows, columns), phi.shape[0]
+        self._correct = None if noise_n is None else ClipCorrection(noise_n)
+        self._solve: Callable[[Sums, Validity, Images, Callable[[int], None]], None]
+        if library is not None:
+            self._arrays = BatchSolver(phi, rows, columns, settings, library=library)
+            self._solve = self._on_arrays
+            self.method = f"up to {ARRAY_STREAMS} parts of the recording side by side on arrays of {library.__name__}"
+        elif settings.prior in WAVELETS and not settings.temporal_filter:
+            self._lanes = LaneSolver(phi, rows, columns, settings)
+            self._solve = self._in_lanes
+            self.method = f"{LANES} parts of the recording side by side"
+        else:
+            self._engine = Reconstructor(phi, rows, columns, settings)
+            self._solve = self._one_by_one
+            self.method = "one image after the other"
+
+    def solve(self, sums_n: Sums, valid: Validity, advance: Callable[[int], None] = _silent) -> Images:
+        """Return the images of a recording; a cycle without any valid sum gives zeros.
+
+        Parameters
+        ----------
+        sums_n : array, shape (cycles, m)
+            Newtons; what stands where a sum is not valid has no effect.
+        valid : array of bool, shape (cycles, m)
+        advance : callable
+            Called now and then with the number of further images that are done.
+
+        Returns
+        -------
+        array of float32, shape (cycles, rows, columns)
+
+        Raises
+        ------
+        InputError
+            If shapes or dtypes do not fit, or a valid sum is not a number of newtons below 1e6.
+        """
+        if sums_n.ndim != 2 or sums_n.shape[1] != self._sums or valid.shape != sums_n.shape:
+            raise InputError(f"expected shape (cycles, {self._sums}) twice: got {sums_n.shape} and {valid.shape}")
+        if sums_n.dtype.kind != "f" or valid.dtype != np.bool_:
+            raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid.dtype}")
+        if not (np.abs(sums_n[valid]) <= LARGEST_N).all():  # so written, NaN fails
+            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
+        images = np.empty((len(sums_n), *self._shape), np.float32)
+        self._solve(np.where(valid, sums_n, 0).astype(np.float32), valid, images, advance)
+        if self._correct is not None:
+            for image in images:  # not all at once: a recording may be large
+                image[:] = self._correct(image)
+        return images
+
+    def _one_by_one(self, sums: Sums, valid: Validity, images: Images, advance: Callable[[int], None]) -> None:
+        self._engine.restart()
+        for k, each in enumerate(sums):
+            images[k] = self._engine.solve(each, valid[k])
+            advance(1)
+
+    def _in_lanes(self, sums: Sums, valid: Validity, images: Images, advance: Callable[[int], None]) -> None:
+        solver = self._lanes
+        estimate = solver.new_estimate()
+        for taken, used, is_kept in _turns(len(sums), LANES):
+            weights = (valid[taken] & used[:, None]).astype(np.float32)
+            estimate.reshape(-1, LANES)[:, ~weights.any(axis=1)] = 0
+            solver.solve(estimate, sums[taken], weights)
+            if is_kept:
+                images[taken[used]] = solver.deliver(estimate)[used]
+                advance(int(used.sum()))
+
+    def _on_arrays(self, sums: Sums, valid: Validity, images: Images, advance: Callable[[int], None]) -> None:
+        streams = max(1, min(ARRAY_STREAMS, len(sums) // _LEAST_PART))
+        estimate = None
+        for taken, used, is_kept in _turns(len(sums), streams):
+            counted = valid[taken] & used[:, None]
+            estimate = self._arrays.solve(sums[taken], counted, estimate)
+            estimate = self._arrays.without(estimate, np.any(counted, axis=1))
+            if is_kept:
+                images[taken[used]] = self._arrays.deliver(estimate)[used]
+                advance(int(used.sum()))
 
 
-def _one_by_one(solver: ImageSolver, sums: Values, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
-    images = np.empty((len(sums), *solver.shape), np.float32)
-    estimate, weights = solver.new_estimate(), valid.astype(solver.dtype)
-    solver.reset()
-    for k, each in enumerate(sums):
-        solver.solve(estimate, each, weights[k])
-        images[k] = solver.deliver(estimate)
-    return images
+def _turns(cycles: int, streams: int) -> Iterator[tuple[npt.NDArray[np.intp], Validity, bool]]:
+    """Yield for each turn which cycle every stream solves, whether it is one of the recording, and if images are kept.
 
-
-def _in_lanes(solver: LaneSolver, sums: Values, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
-    frames = len(sums)
-    images = np.empty((frames, *solver.shape), np.float32)
-    length = -(-frames // LANES)
-    estimate = solver.new_estimate()
-    starts = np.arange(LANES) * length
-    for k in range(-RUN_IN if frames else 0, length):
-        at = starts + k
-        used = (at >= 0) & (at < frames)
-        taken = np.clip(at, 0, frames - 1)
-        weights = (valid[taken] & used[:, None]).astype(solver.dtype)
-        solver.solve(estimate, sums[taken], weights)
-        if k >= 0:
-            images[at[used]] = solver.deliver(estimate)[used]
-    return images
+    A stream whose cycle is none of the recording is given any other; it counts for nothing.
+    """
+    length = -(-cycles // streams)
+    starts = np.arange(streams) * length
+    for turn in range(-RUN_IN if cycles and streams > 1 else 0, length):
+        at = starts + turn
+        used = (at >= 0) & (at < cycles)
+        yield np.clip(at, 0, cycles - 1), used, turn >= 0

@@ -6,10 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.clipping import ClipCorrection
-from reconstructor.kernels.contourlet import ContourletSolver
-from reconstructor.kernels.fused import FusedSolver
-from reconstructor.memory import Memory
-from reconstructor.presets import LIVE, Prior
+from reconstructor.settings import LIVE, SolverSettings
+from reconstructor.solver import make_solver
+from reconstructor.temporal_filter import TemporalFilter
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
@@ -24,11 +23,11 @@ class Reconstructor:
     """The solver of the service.
 
     Every call starts from the previous image. A start from an image that no longer fits would leave its ghost in
-    the null space of Φ, so the start is first scaled by how well it explains the sums (`matched`): all of it
+    the null space of Φ, so the start is first scaled by how well it explains the sums (`scaled_start`): all of it
     while a touch moves slowly, nothing of it when another touch has taken its place.
 
-    With `remembering`, sums are averaged over cycles with the gain of `Memory`, and λ follows their noise: `penalty_n`
-    is then that for sums with a noise of `SUM_NOISE_N` that are not averaged.
+    With `temporal_filter`, sums are averaged over cycles with the gain of `TemporalFilter`, and λ follows their noise:
+    `penalty_n` is then that for sums with a noise of `SUM_NOISE_N` that are not averaged.
 
     The taxels of a block whose sums do not come are not measured: within a few cycles, one or two while the touch
     moves, they show what the measured taxels around them make likely, somewhat too little, and nothing of the past
@@ -40,10 +39,7 @@ class Reconstructor:
         The skin's Φ.
     rows, columns : int
         The grid, powers of two from 8 to 256.
-    prior, iterations, penalty_n, lipschitz_ratio, spins, nonnegative, matched
-        See `FusedSolver` and `ContourletSolver`; `LIVE` without, and ``**PAPER`` for the paper's solver.
-    remembering : bool
-        Average sums over cycles.
+    settings : SolverSettings
     noise_n : float, optional
         Standard deviation of the noise of a sensor that clips at 0; with it the bias of clipping is corrected.
     dtype : float32 or float64
@@ -52,7 +48,7 @@ class Reconstructor:
     Raises
     ------
     InputError
-        If an option does not fit.
+        If the grid or the settings do not fit.
     """
 
     def __init__(
@@ -60,54 +56,21 @@ class Reconstructor:
         phi: Sbhe,
         rows: int,
         columns: int,
+        settings: SolverSettings = LIVE,
         *,
-        prior: Prior = LIVE["prior"],
-        iterations: int = LIVE["iterations"],
-        penalty_n: float = LIVE["penalty_n"],
-        lipschitz_ratio: float = LIVE["lipschitz_ratio"],
-        spins: int = LIVE["spins"],
-        nonnegative: bool = LIVE["nonnegative"],
-        matched: bool = LIVE["matched"],
-        remembering: bool = LIVE["remembering"],
         noise_n: float | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        self._kernel: FusedSolver | ContourletSolver
-        if prior == "contourlet":
-            if spins != 1 or nonnegative or matched:
-                raise InputError("the contourlet is solved for its coefficients: no spins, nonnegative or matched")
-            self._kernel = ContourletSolver(
-                phi,
-                rows,
-                columns,
-                iterations=iterations,
-                penalty_n=penalty_n,
-                lipschitz_ratio=lipschitz_ratio,
-                dtype=dtype,
-            )
-        else:
-            self._kernel = FusedSolver(
-                phi,
-                rows,
-                columns,
-                prior=prior,
-                iterations=iterations,
-                penalty_n=penalty_n,
-                lipschitz_ratio=lipschitz_ratio,
-                spins=spins,
-                nonnegative=nonnegative,
-                matched=matched,
-                dtype=dtype,
-            )
+        self._kernel = make_solver(phi, rows, columns, settings, dtype=dtype)
         self._correct = None if noise_n is None else ClipCorrection(noise_n)
-        self._memory = Memory(phi.shape[0], self._kernel.dtype)
-        self._remembering = remembering
+        self._filter = TemporalFilter(phi.shape[0], self._kernel.dtype)
+        self._settings = settings
         self._estimate = self._kernel.new_estimate()
 
     @property
     def gain(self) -> float:
-        """How much of the last cycle's sums went into the averaged ones, 0 to 1; always 1 without memory."""
-        return self._memory.gain
+        """The gain of the temporal filter in the last cycle, 0 to 1; always 1 without the filter."""
+        return self._filter.gain
 
     def solve(
         self, sums_n: npt.NDArray[np.floating[Any]], valid_sums: npt.NDArray[np.bool_]
@@ -130,47 +93,52 @@ class Reconstructor:
         InputError
             If the shapes differ from Φ's, a dtype is of another kind, or a valid sum is not finite or above 1e6 N.
         """
-        memory, kernel = self._memory, self._kernel
+        filtered, kernel = self._filter, self._kernel
         for each in (sums_n, valid_sums):
             if not isinstance(each, np.ndarray):
                 raise InputError(f"expected arrays, got {type(each).__name__}")
-        if sums_n.shape != memory.sums.shape or valid_sums.shape != memory.sums.shape:
+        expected = filtered.sums.shape
+        if sums_n.shape != expected or valid_sums.shape != expected:
             raise InputError(
-                f"Φ gives {memory.sums.size} sums: got sums of shape {sums_n.shape} and validity of {valid_sums.shape}"
+                f"Φ gives {expected[0]} sums: got sums of shape {sums_n.shape} and validity of {valid_sums.shape}"
             )
         if sums_n.dtype.kind != "f" or valid_sums.dtype != np.bool_:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
-        if not self._remembering:
-            memory.reset()
+        if not self._settings.temporal_filter:
+            filtered.reset()
         with np.errstate(over="ignore"):  # what stands where a sum is not valid has no effect
-            taken = memory.take(np.ascontiguousarray(sums_n, kernel.dtype), np.ascontiguousarray(valid_sums))
+            taken = filtered.take(np.ascontiguousarray(sums_n, kernel.dtype), np.ascontiguousarray(valid_sums))
         if not taken:
             raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
         if not valid_sums.any():
             self.reset()
         else:
-            kernel.solve(self._estimate, memory.sums, memory.weights, relative_penalty=self._relative_penalty())
+            kernel.solve(self._estimate, filtered.sums, filtered.weights, relative_penalty=self._relative_penalty())
         image = kernel.deliver(self._estimate)
         return image if self._correct is None else self._correct(image)
 
     def _relative_penalty(self) -> float:
         """Return by how much λ is to be scaled: with the noise that is seen, and with what is left of it."""
-        if not self._remembering:
+        if not self._settings.temporal_filter:
             return 1.0
-        noise_n = self._memory.noise_n
+        noise_n = self._filter.noise_n
         seen = min(max(noise_n / SUM_NOISE_N, LEAST_PENALTY), MOST_PENALTY) if noise_n else 1.0
-        return seen * self._memory.noise_ratio
+        return seen * self._filter.noise_ratio
 
     def reset(self) -> None:
         """Forget the previous images and sums."""
         self._estimate[:] = 0
         self._kernel.reset()
-        self._memory.reset()
+        self._filter.reset()
+
+    def restart(self) -> None:
+        """Forget everything, as after construction."""
+        self.reset()
+        self._filter.restart()
 
     def warm_up(self) -> None:
         """Compile, or load what was compiled before, so that the first cycle is as fast as the others."""
-        valid = np.ones(self._memory.sums.size, np.bool_)
+        valid = np.ones(self._filter.sums.size, np.bool_)
         for _ in range(2):
-            self.solve(np.zeros_like(self._memory.sums), valid)
-        self.reset()
-        self._memory.restart()
+            self.solve(np.zeros_like(self._filter.sums), valid)
+        self.restart()

@@ -7,7 +7,7 @@ import numpy as np
 
 from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
 from reconstructor.engine import Reconstructor
-from reconstructor.presets import LIVE, PRESETS
+from reconstructor.settings import LIVE, PRESETS, SolverSettings
 from skin.layout import load_layout
 from touch.electronics import NOISE_N
 
@@ -17,15 +17,15 @@ SPEEDS: Final = (1, 10)
 def run(meshes: Path | None = None) -> dict[str, Any]:
     """Return rows of method, object, speed and PSNR, dB, and their means over objects; `meshes` as in `make_scenes`."""
     phi = load_layout().phi()
-    solvers: dict[str, dict[str, Any]] = {name: dict(settings) for name, settings in PRESETS.items()}
-    solvers["live, clip bias corrected"] = {**LIVE, "noise_n": NOISE_N}
+    solvers: dict[str, tuple[SolverSettings, float | None]] = {name: (each, None) for name, each in PRESETS.items()}
+    solvers["live, clip bias corrected"] = LIVE, NOISE_N
     rows: list[dict[str, Any]] = []
     for speed in SPEEDS:
         for scene in make_scenes(phi, speed, meshes):
             place: dict[str, Any] = {"object": scene.name, "speed": speed}
             rows.append({"method": "sensor", **place, "psnr_db": mean_psnr_db(scene.felt, scene)})
-            for name, settings in solvers.items():
-                engine = Reconstructor(phi, 64, 64, **settings)
+            for name, (settings, noise_n) in solvers.items():
+                engine = Reconstructor(phi, 64, 64, settings, noise_n=noise_n)
                 valid = np.ones(scene.sums.shape, np.bool_)
                 psnr_db = mean_psnr_db(solved(engine, scene, valid), scene)
                 rows.append({"method": name, **place, "psnr_db": psnr_db})

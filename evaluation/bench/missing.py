@@ -9,7 +9,7 @@ import numpy.typing as npt
 from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
 from evaluation.figure import new_figure
 from reconstructor.engine import Reconstructor
-from reconstructor.presets import preset
+from reconstructor.settings import preset
 from skin.layout import load_layout
 from skin.measurement import Sbhe
 
@@ -36,7 +36,7 @@ def run(rounds: int) -> dict[str, Any]:
                     blocks = _present(phi, kind, amount, len(scene.sums), seed=draw)
                     valid = blocks[:, phi.block_of_sum]
                     for method in METHODS:
-                        engine = Reconstructor(phi, 64, 64, **preset(method))
+                        engine = Reconstructor(phi, 64, 64, preset(method))
                         psnr_db = mean_psnr_db(solved(engine, scene, valid), scene)
                         rows.append({"method": method, "kind": kind, "amount": amount, "psnr_db": psnr_db})
     return {"rows": mean_over(rows, "psnr_db", "method", "kind", "amount")}

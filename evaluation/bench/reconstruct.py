@@ -13,7 +13,7 @@ from reconstructor.bases import haar_pyramid
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
-from reconstructor.presets import PAPER, PAPER_CONTOURLET
+from reconstructor.settings import PAPER, PAPER_CONTOURLET, SolverSettings
 from skin.layout import load_layout
 
 OURS: Final = "canskin"
@@ -22,13 +22,11 @@ OURS: Final = "canskin"
 def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […], "contourlet": […], "limit": {…}}``; rows as in the verb's docstring."""
     with threadpool_limits(1):
-        haar = _rows(
-            make_problem(haar_pyramid(64, 64), PAPER["penalty_n"], lipschitz=32.0), _haar, rounds, everyone=True
-        )
+        haar = _rows(make_problem(haar_pyramid(64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, rounds, everyone=True)
         psi = CompiledContourlet(64, 64)
         eigenvalue = largest_eigenvalue(load_layout().phi(), psi)
         contourlet = _rows(
-            make_problem(psi, PAPER_CONTOURLET["penalty_n"], eigenvalue), _contourlet, rounds, everyone=False
+            make_problem(psi, PAPER_CONTOURLET.penalty_n, eigenvalue), _contourlet, rounds, everyone=False
         )
         limit = measure_limit(iterations=20)
     least = next(row["ms_least"] for row in haar if row["method"] == OURS)
@@ -46,15 +44,8 @@ def _rows(problem: Problem, ours: Any, rounds: int, *, everyone: bool) -> list[d
 
 
 def _haar(problem: Problem, dtype: npt.DTypeLike) -> Method:
-    solver = FusedSolver(
-        problem.phi,
-        64,
-        64,
-        prior="haar-pyramid",
-        iterations=problem.iterations,
-        penalty_n=problem.penalty_n,
-        dtype=dtype,
-    )
+    settings = SolverSettings(prior="haar-pyramid", iterations=problem.iterations, penalty_n=problem.penalty_n)
+    solver = FusedSolver(problem.phi, 64, 64, settings, dtype=dtype)
     start = solver.blocks_of(problem.psi.adjoint(problem.start.reshape(problem.psi.shape)))
     sums, ones = problem.sums.astype(solver.dtype), np.ones(problem.sums.size, solver.dtype)
     estimate = solver.new_estimate()
@@ -71,9 +62,8 @@ def _haar(problem: Problem, dtype: npt.DTypeLike) -> Method:
 
 
 def _contourlet(problem: Problem, dtype: npt.DTypeLike) -> Method:
-    solver = ContourletSolver(
-        problem.phi, 64, 64, iterations=problem.iterations, penalty_n=problem.penalty_n, dtype=dtype
-    )
+    settings = SolverSettings(prior="contourlet", iterations=problem.iterations, penalty_n=problem.penalty_n)
+    solver = ContourletSolver(problem.phi, 64, 64, settings, dtype=dtype)
     start = solver.estimate_of(problem.start)
     sums, ones = problem.sums.astype(solver.dtype), np.ones(problem.sums.size, solver.dtype)
     estimate = solver.new_estimate()

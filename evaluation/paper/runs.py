@@ -1,7 +1,7 @@
 """One trajectory, measured with one Φ and rebuilt step by step as the paper does it (sections V and VI)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -11,11 +11,9 @@ import numpy.typing as npt
 
 from evaluation.findings import Options, Row
 from evaluation.paper.printed import BasisName, Matrix
-from reconstructor.batch import ImageSolver
-from reconstructor.kernels.contourlet import ContourletSolver
-from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.noiselet import NoiseletSolver
-from reconstructor.presets import PAPER, PAPER_CONTOURLET
+from reconstructor.settings import PAPER, PAPER_CONTOURLET
+from reconstructor.solver import ImageSolver, make_solver
 from skin.measurement import sbhe
 from skin.noiselet import noiselet
 from skin.operator import Operator
@@ -28,13 +26,13 @@ OBJECTS: Final = tuple(ACQUISITION_OBJECTS)
 SIDE: Final = 64
 #: λ, newtons: the printed one for noiselets, for SBHE a tenth of the printed one, which fits no table.
 PENALTY_N: Final[dict[tuple[Matrix, BasisName], float]] = {
-    ("sbhe", "haar"): PAPER["penalty_n"],
-    ("sbhe", "contourlet"): PAPER_CONTOURLET["penalty_n"],
+    ("sbhe", "haar"): PAPER.penalty_n,
+    ("sbhe", "contourlet"): PAPER_CONTOURLET.penalty_n,
     ("noiselet", "haar"): 1.0,
     ("noiselet", "contourlet"): 1.0,
 }
 #: L over the largest eigenvalue of (ΦΨ)ᵀΦΨ.
-RATIO: Final = PAPER["lipschitz_ratio"]
+RATIO: Final = PAPER.lipschitz_ratio
 #: Under this name `measure`'s results are kept, so that a table takes up what it shares with another.
 RECONSTRUCTIONS: Final = "reconstructions"
 #: Steps whose sums are formed at a time: Φ works in the cache.
@@ -75,19 +73,8 @@ class Method:
                 lipschitz_ratio=RATIO,
             )
         phi = sbhe(SIDE * SIDE, self.sums, selection="uniform", seed=seed)
-        if self.basis == "contourlet":
-            return phi, ContourletSolver(
-                phi, SIDE, SIDE, iterations=self.iterations, penalty_n=penalty_n, lipschitz_ratio=RATIO
-            )
-        return phi, FusedSolver(
-            phi,
-            SIDE,
-            SIDE,
-            prior="haar-tensor",
-            iterations=self.iterations,
-            penalty_n=penalty_n,
-            lipschitz_ratio=RATIO,
-        )
+        settings = PAPER_CONTOURLET if self.basis == "contourlet" else PAPER
+        return phi, make_solver(phi, SIDE, SIDE, replace(settings, iterations=self.iterations))
 
 
 @lru_cache(maxsize=1)

@@ -188,7 +188,7 @@ class Events:
         if self.receiver == "plain":
             return updates
         held = updates.held(np.arange(0, ticks, EVENT_IMAGE_MS, dtype=np.int64) * TICK_NS, TAXELS)
-        return smoothed(held, EVENTS_PENALTY_N, remembering=False)
+        return smoothed(held, EVENTS_PENALTY_N, temporal_filter=False)
 
 
 _KINDS: Final[dict[str, Any]] = {kind.__name__: kind for kind in (Sums, Scan, Events)}

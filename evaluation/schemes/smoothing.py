@@ -1,5 +1,6 @@
 """What a receiver can make of a rival's values: our own live reconstruction, and arrays made finer."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Final
 
@@ -11,7 +12,7 @@ from evaluation.schemes.judge import Images
 from evaluation.schemes.scenes import SIDE
 from evaluation.schemes.sums import SOLVED_NS
 from reconstructor.engine import Reconstructor
-from reconstructor.presets import LIVE, Settings
+from reconstructor.settings import LIVE
 from skin.measurement import Sbhe, sbhe
 from touch.contact import Force
 
@@ -27,7 +28,7 @@ def _complete(cells: int) -> Sbhe:
     return sbhe(cells, cells)
 
 
-def smoothed(held: Images, penalty_n: float, *, remembering: bool = True, noise_n: float | None = None) -> Images:
+def smoothed(held: Images, penalty_n: float, *, temporal_filter: bool = True, noise_n: float | None = None) -> Images:
     """Return what the live reconstruction makes of complete images, as if every sum of every block had come.
 
     Parameters
@@ -36,15 +37,15 @@ def smoothed(held: Images, penalty_n: float, *, remembering: bool = True, noise_
         Of a square array of 8 x 8 cells or more.
     penalty_n : float
         λ.
-    remembering : bool
+    temporal_filter : bool
         Average over time as far as the motion allows; for images whose values are new each time.
     noise_n : float, optional
         Of the sensor, where it is known.
     """
     cells = held.force_n.shape[1]
     side, phi = round(cells**0.5), _complete(cells)
-    settings: Settings = {**LIVE, "penalty_n": penalty_n, "remembering": remembering}
-    engine = Reconstructor(phi, side, side, **settings, noise_n=noise_n)
+    settings = replace(LIVE, penalty_n=penalty_n, temporal_filter=temporal_filter)
+    engine = Reconstructor(phi, side, side, settings, noise_n=noise_n)
     valid = np.ones(cells, np.bool_)
     sums = np.asarray(phi.forward(held.force_n), np.float32)
     images = np.stack([engine.solve(each, valid).ravel() for each in sums])

@@ -1,6 +1,6 @@
 """Our own: compressed sums of a layout that `skin plan` knows, and the images of the live reconstruction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +13,7 @@ from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Images
 from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
 from reconstructor.engine import Reconstructor
-from reconstructor.presets import LIVE
+from reconstructor.settings import LIVE
 
 #: Assumed from the last frame of a cycle to its image: gateway, fabric and solver on one core. The running chain takes
 #: 9 to 14 ms from SYNC to image in the median (README), of which the frames take 8.
@@ -47,7 +47,7 @@ class SumsRun:
     def images(self, contract: Contract, noise_n: float | None = None, **settings: Any) -> Images:
         """Return the live reconstruction of every cycle, or that with other settings."""
         taxels = contract.layout.taxels
-        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, **{**LIVE, **settings}, noise_n=noise_n)
+        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, replace(LIVE, **settings), noise_n=noise_n)
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
         for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
             images[cycle] = engine.solve(sums_n, valid).ravel()

@@ -4,7 +4,7 @@ import numpy as np
 
 from reconstructor.bases.basis import Values
 from reconstructor.bases.directional import Level, bank
-from reconstructor.bases.ladder import ROOT_TWO, PyramidFilter, fan, pyramid_pair
+from reconstructor.bases.pkva import ROOT_TWO, fan, pyramid_pair
 from reconstructor.checks import check_values, is_whole
 from skin.errors import InputError
 
@@ -26,24 +26,20 @@ class Contourlet:
     ----------
     rows, columns : int
         Equal, a power of two, 16 to 256: the shears of the bank need a square.
-    pyramid : {"pkva", "9-7"}
-        Filters of the Laplacian pyramid; those of the directional bank are 'pkva'.
 
     Raises
     ------
     InputError
-        If the grid or the name does not fit.
+        If the grid does not fit.
     """
 
-    def __init__(self, rows: int, columns: int, pyramid: PyramidFilter = "pkva") -> None:
+    def __init__(self, rows: int, columns: int) -> None:
         if rows != columns or not is_whole(rows) or rows & (rows - 1) or not 16 <= rows <= 256:
             raise InputError(f"a contourlet needs a square, a power of two, 16 to 256: got {rows} x {columns}")
-        if pyramid not in {"pkva", "9-7"}:
-            raise InputError(f"unknown pyramid filter '{pyramid}': expected pkva or 9-7")
         self.image_shape = (rows, columns)
         self.shape = (5 * rows * columns // 4,)
         self.levels, self.order = bank(rows, LEVELS)
-        self.pair = pyramid_pair(rows, pyramid)
+        self.pair = pyramid_pair(rows)
 
     @property
     def dtype(self) -> np.dtype[np.float64]:

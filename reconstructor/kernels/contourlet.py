@@ -7,14 +7,22 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases.contourlet import Contourlet
-from reconstructor.bases.ladder import PyramidFilter
-from reconstructor.checks import check_estimate, check_sbhe, check_settings, check_values, float_kind, placed
+from reconstructor.checks import check_estimate, check_sbhe, check_values, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
-from reconstructor.kernels.ladder import synthesise, transpose
-from reconstructor.kernels.ladder_plan import Plan, Room, coefficient_order, image_order, plan_of, room_of
+from reconstructor.kernels.contourlet_tables import (
+    ContourletBuffers,
+    ContourletTables,
+    coefficient_order,
+    image_order,
+    make_buffers,
+    make_tables,
+)
+from reconstructor.kernels.contourlet_transform import synthesise, transpose
 from reconstructor.kernels.problem import check_penalty_ratio, checked, places_of_sums, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
+from reconstructor.settings import SolverSettings
+from skin.errors import InputError
 from skin.measurement import Sbhe
 
 Values = npt.NDArray[np.floating[Any]]
@@ -44,18 +52,24 @@ class _Scratch(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _solve(  # noqa: PLR0917  compiled functions take no keywords
-    estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, plan: Plan, scratch: _Scratch, room: Room
+    estimate: Flat,
+    sums: Flat,
+    weights: Flat,
+    problem: _Problem,
+    tables: ContourletTables,
+    scratch: _Scratch,
+    buffers: ContourletBuffers,
 ) -> int:
     gain, target, work, image, ahead, slope = scratch
     count = load(sums, weights, problem.places, problem.numbers[0], gain, target)
     threshold = problem.numbers[1]
     ahead[:] = estimate
     for turn in range(problem.momentum.size):
-        synthesise(image, ahead, plan, room)
+        synthesise(image, ahead, tables, buffers)
         gather(work, image, problem.tables[1])
         masked_gram(work, gain, target, problem.blocks)
         gather(image, work, problem.tables[0])
-        transpose(slope, image, plan, room)
+        transpose(slope, image, tables, buffers)
         advance_coefficients(estimate, ahead, slope, threshold, problem.momentum[turn])
     return count
 
@@ -73,13 +87,11 @@ def advance_coefficients(estimate: Flat, ahead: Flat, slope: Flat, threshold: An
 class CompiledContourlet(Contourlet):
     """`Contourlet` with compiled `forward` and `adjoint`, of one dtype; for basis pursuit and other long iterations."""
 
-    def __init__(
-        self, rows: int, columns: int, pyramid: PyramidFilter = "pkva", dtype: npt.DTypeLike = np.float64
-    ) -> None:
-        super().__init__(rows, columns, pyramid)
+    def __init__(self, rows: int, columns: int, dtype: npt.DTypeLike = np.float64) -> None:
+        super().__init__(rows, columns)
         self._kind = float_kind(dtype)
-        self._plan = plan_of(self, self._kind)
-        self._room = room_of(self._plan, self._kind)
+        self._tables = make_tables(self, self._kind)
+        self._buffers = make_buffers(self._tables, self._kind)
         self._pixels, self._order = image_order(rows), coefficient_order(self)
 
     def forward(self, image: Values) -> Values:
@@ -87,7 +99,7 @@ class CompiledContourlet(Contourlet):
         check_values("image", image, self.image_shape)
         made = aligned(self._order.size, self._kind)
         kept = image.reshape(-1)[self._pixels].astype(self._kind, copy=False)
-        transpose(made, kept, self._plan, self._room)
+        transpose(made, kept, self._tables, self._buffers)
         return made[self._order]
 
     def adjoint(self, coefficients: Values) -> Values:
@@ -95,7 +107,7 @@ class CompiledContourlet(Contourlet):
         check_values("coefficients", coefficients, self.shape)
         kept, made = np.empty_like(coefficients, self._kind), aligned(self._pixels.size, self._kind)
         kept[self._order] = coefficients
-        synthesise(made, kept, self._plan, self._room)
+        synthesise(made, kept, self._tables, self._buffers)
         image = np.empty_like(made)
         image[self._pixels] = made
         return image.reshape(self.image_shape)
@@ -109,18 +121,14 @@ class ContourletSolver:
     phi : Sbhe
     rows, columns : int
         Equal, a power of two, 16 to 256.
-    iterations : int
-    penalty_n : float
-        λ, newtons.
-    lipschitz_ratio : float
-        L over the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed; the paper takes 2.
-    pyramid : {"pkva", "9-7"}
+    settings : SolverSettings
+        Of the prior "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed.
     dtype : float32 or float64
 
     Raises
     ------
     InputError
-        If the grid does not fit, or an option is out of its range.
+        If the grid or the settings do not fit.
     """
 
     def __init__(
@@ -128,33 +136,31 @@ class ContourletSolver:
         phi: Sbhe,
         rows: int,
         columns: int,
+        settings: SolverSettings,
         *,
-        iterations: int,
-        penalty_n: float,
-        lipschitz_ratio: float = 1.0,
-        pyramid: PyramidFilter = "pkva",
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        check_settings(iterations, penalty_n, lipschitz_ratio)
+        if settings.prior != "contourlet":
+            raise InputError(f"expected the prior 'contourlet', got '{settings.prior}': use FusedSolver")
         check_sbhe(phi)
         self.dtype: Final = float_kind(dtype)
-        psi = CompiledContourlet(rows, columns, pyramid)
-        self.lipschitz: Final = lipschitz_ratio * largest_eigenvalue(phi, psi)
+        psi = CompiledContourlet(rows, columns)
+        self.lipschitz: Final = settings.lipschitz_ratio * largest_eigenvalue(phi, psi)
         self.shape: Final = psi.image_shape
         self.sums: Final = phi.shape[0]
         taxel = taxels_in_block_order(phi)
         place = np.argsort(image_order(rows))
         to_blocks = place[taxel]
-        self._threshold = penalty_n / self.lipschitz
+        self._threshold = settings.penalty_n / self.lipschitz
         self._problem = _Problem(
             places=places_of_sums(phi),
             tables=np.stack((np.argsort(to_blocks), to_blocks)).astype(np.uint16),
             numbers=np.array((1 / self.lipschitz, self._threshold), self.dtype),
-            momentum=momentum(iterations).astype(self.dtype),
+            momentum=momentum(settings.iterations).astype(self.dtype),
             blocks=phi.blocks,
         )
-        self._plan = plan_of(psi, self.dtype)
-        self._room = room_of(self._plan, self.dtype)
+        self._tables = make_tables(psi, self.dtype)
+        self._buffers = make_buffers(self._tables, self.dtype)
         sizes = (taxel.size,) * 4 + psi.shape * 2
         self._scratch = _Scratch(*(aligned(size, self.dtype) for size in sizes))
         self._order = coefficient_order(psi)
@@ -170,7 +176,7 @@ class ContourletSolver:
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
         check_penalty_ratio(relative_penalty)
         self._problem.numbers[1] = self._threshold * relative_penalty
-        return int(_solve(estimate, sums, counting, self._problem, self._plan, self._scratch, self._room))
+        return int(_solve(estimate, sums, counting, self._problem, self._tables, self._scratch, self._buffers))
 
     def reset(self) -> None:
         """Forget what is kept from solve to solve besides the estimate: nothing."""
@@ -190,7 +196,7 @@ class ContourletSolver:
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
         """Return a new image of shape (rows, columns), negative forces as 0."""
         kept = placed("estimate", estimate, self._order.shape, self.dtype)
-        synthesise(self._scratch.image, kept, self._plan, self._room)
+        synthesise(self._scratch.image, kept, self._tables, self._buffers)
         image = np.empty(self.shape, np.float32)
         deliver(image.reshape(-1), self._scratch.image, self._deliver)
         return image

@@ -9,8 +9,9 @@ import numpy.typing as npt
 from reconstructor.checks import check_estimate, check_values, placed
 from reconstructor.kernels import daubechies, haar, variation
 from reconstructor.kernels.addresses import spin_shifts
-from reconstructor.kernels.problem import Model, Prior, check_penalty_ratio, checked, taxels_in_block_order
+from reconstructor.kernels.problem import Model, check_penalty_ratio, checked, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, row, scratch_of
+from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
 
 Values = npt.NDArray[np.floating[Any]]
@@ -48,26 +49,14 @@ class FusedSolver:
         Any block size.
     rows, columns : int
         Powers of two, 8 to 256, not necessarily equal.
-    prior : {"haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "variation"}
-    iterations : int
-        How many, each solve.
-    penalty_n : float
-        λ, newtons.
-    lipschitz_ratio : float
-        L / B. ΦᵀΦ has no eigenvalue above B, so 1 is exact; the paper takes 2.
-    spins : int
-        The basis moves on through this many shifts from iteration to iteration (cycle spinning); 1 keeps it fixed.
-        Total variation has no grid to move: 1.
-    nonnegative : bool
-        Lift negative taxels to 0 in every iteration.
-    matched : bool
-        First scale each start by max(0, 2a - 1), where a is the factor, at most 1, that explains the sums best.
+    settings : SolverSettings
+        Any prior but the contourlet.
     dtype : float32 or float64
 
     Raises
     ------
     InputError
-        If the grid is not one of Φ's taxels or not of powers of two, or an option is out of its range.
+        If the grid is not one of Φ's taxels or not of powers of two, or the settings do not fit.
     """
 
     def __init__(
@@ -75,27 +64,19 @@ class FusedSolver:
         phi: Sbhe,
         rows: int,
         columns: int,
+        settings: SolverSettings,
         *,
-        prior: Prior,
-        iterations: int,
-        penalty_n: float,
-        lipschitz_ratio: float = 1.0,
-        spins: int = 1,
-        nonnegative: bool = False,
-        matched: bool = False,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        model = Model(
-            phi, rows, columns, prior, iterations, penalty_n, lipschitz_ratio, spins, nonnegative, matched, dtype
-        )
+        model = Model(phi, rows, columns, settings, dtype)
         self.shape: Final = (rows, columns)
         self.sums: Final = phi.shape[0]
-        self.shifts: Final = spin_shifts(spins, rows, columns)
+        self.shifts: Final = spin_shifts(settings.spins, rows, columns)
         self.dtype: Final = np.dtype(dtype)
-        self._kernel = _KERNELS[prior]
+        self._kernel = _KERNELS[settings.prior]
         self._taxel = taxels_in_block_order(phi)
         self._problem = model.problem()
-        self._threshold = penalty_n * model.step
+        self._threshold = settings.penalty_n * model.step
         self._scratch = scratch_of(self._kernel.scratch_rows, phi.order.size, self.dtype)
 
     def new_estimate(self) -> Values:
@@ -112,7 +93,7 @@ class FusedSolver:
         sums_n, weights : arrays of `dtype`, shape (m,)
             Newtons, and how much each sum counts, 0 to 1; sums of weight 0 are left out exactly.
         relative_penalty : float
-            λ of this solve over the λ of the constructor.
+            λ of this solve over the λ of the settings.
 
         Raises
         ------

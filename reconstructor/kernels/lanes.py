@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from reconstructor.checks import check_estimate, placed
 from reconstructor.kernels import daubechies, haar
-from reconstructor.kernels.problem import Model, Prior, checked
-from reconstructor.kernels.steps import Problem, advance, aligned, descend, row, scratch_of
-from reconstructor.kernels.transforms import FAST_MATH, Flat
+from reconstructor.kernels.problem import Model, checked
+from reconstructor.kernels.steps import Problem, advance, aligned, descend, row, scratch_of, start_scale
+from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
+from reconstructor.settings import WAVELETS, SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
@@ -41,6 +42,8 @@ def _solve(  # noqa: PLR0917  compiled functions take no keywords
         problem.numbers[4:8],
     )
     _load(sums, weights, problem, gain, target)
+    if problem.scaled_start:
+        _scale_starts(estimate, gain, target, work, problem.blocks)
     ahead[:] = estimate
     work[:] = estimate
     for turn in range(problem.momentum.size):
@@ -71,6 +74,25 @@ def _load(sums: Values, weights: Values, problem: Problem, gain: Flat, target: F
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _scale_starts(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) -> None:
+    """Scale the start of every lane; see `reconstructor.kernels.steps.begin`."""
+    work[:] = estimate
+    hadamard(work, blocks)
+    explained = np.zeros(LANES, estimate.dtype)
+    energy = np.zeros(LANES, estimate.dtype)
+    for start in range(0, work.size, LANES):
+        for lane in range(LANES):
+            seen = gain[start + lane] * work[start + lane]
+            explained[lane] += seen * target[start + lane]
+            energy[lane] += seen * seen
+    for lane in range(LANES):
+        explained[lane] = start_scale(explained[lane], energy[lane])
+    for start in range(0, work.size, LANES):
+        for lane in range(LANES):
+            estimate[start + lane] *= explained[lane]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _gather(target: Flat, source: Flat, index: Table) -> None:
     """Move eight values at a time: all are read before any is written, so that they become one vector."""
     for k in range(index.size):
@@ -85,10 +107,11 @@ class LaneSolver:
 
     Parameters
     ----------
-    phi, rows, columns, iterations, penalty_n, lipschitz_ratio, spins, nonnegative, dtype
+    phi, rows, columns, dtype
         See `reconstructor.kernels.fused.FusedSolver`.
-    prior : {"haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor"}
-        Not total variation: its loops are vectors as they are, and its dual would not fit the cache eight times.
+    settings : SolverSettings
+        A wavelet prior. Total variation has no form in lanes: its loops are vectors as they are, and its dual would
+        not fit the cache eight times.
 
     Raises
     ------
@@ -101,25 +124,18 @@ class LaneSolver:
         phi: Sbhe,
         rows: int,
         columns: int,
+        settings: SolverSettings,
         *,
-        iterations: int,
-        penalty_n: float,
-        prior: Prior = "haar-pyramid",
-        lipschitz_ratio: float = 1.0,
-        spins: int = 1,
-        nonnegative: bool = False,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        model = Model(
-            phi, rows, columns, prior, iterations, penalty_n, lipschitz_ratio, spins, nonnegative, False, dtype
-        )
-        if prior == "variation":
-            raise InputError("total variation has no solver in lanes: use FusedSolver")
+        if settings.prior not in WAVELETS:
+            raise InputError(f"'{settings.prior}' has no solver in lanes: expected one of {', '.join(WAVELETS)}")
+        model = Model(phi, rows, columns, settings, dtype)
         self.shape: Final = (rows, columns)
         self.dtype: Final = np.dtype(dtype)
         self.sums: Final = phi.shape[0]
         self._problem = model.problem(LANES)
-        self._smooth = prior.startswith("d4")
+        self._smooth = settings.prior.startswith("d4")
         self._scratch = scratch_of(_SCRATCH_ROWS, phi.order.size * LANES, self.dtype)
 
     def new_estimate(self) -> Values:

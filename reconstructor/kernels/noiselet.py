@@ -15,9 +15,15 @@ from reconstructor.checks import check_estimate, check_grid, check_settings, flo
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.addresses import tensor_addresses
 from reconstructor.kernels.contourlet import CompiledContourlet, advance_coefficients
+from reconstructor.kernels.contourlet_tables import (
+    ContourletBuffers,
+    ContourletTables,
+    image_order,
+    make_buffers,
+    make_tables,
+)
+from reconstructor.kernels.contourlet_transform import synthesise, transpose
 from reconstructor.kernels.haar import shrink_tensor
-from reconstructor.kernels.ladder import synthesise, transpose
-from reconstructor.kernels.ladder_plan import Plan, Room, image_order, plan_of, room_of
 from reconstructor.kernels.problem import checked
 from reconstructor.kernels.steps import aligned, deliver, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat
@@ -121,7 +127,13 @@ def _solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, sc
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _solve_contourlet(  # noqa: PLR0917  compiled functions take no keywords
-    estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, scratch: _Scratch, plan: Plan, room: Room
+    estimate: Flat,
+    sums: Flat,
+    weights: Flat,
+    problem: _Problem,
+    scratch: _Scratch,
+    plan: ContourletTables,
+    room: ContourletBuffers,
 ) -> int:
     count = load(sums, weights, problem.places, problem.numbers[0], scratch.gain, scratch.target)
     ahead, slope = scratch.ahead, scratch.slope
@@ -180,8 +192,8 @@ class NoiseletSolver:
             largest = largest_eigenvalue(phi, psi)
             places = np.argsort(image_order(phi.rows)).reshape(self.shape)
             self._size = psi.shape[0]
-            plan = plan_of(psi, self.dtype)
-            self._more: tuple[Any, ...] = (plan, room_of(plan, self.dtype))
+            plan = make_tables(psi, self.dtype)
+            self._more: tuple[Any, ...] = (plan, make_buffers(plan, self.dtype))
         else:
             largest = phi.norm_squared
             places = tensor_addresses(phi.rows, phi.columns)

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases.separable import DAUBECHIES_4
-from reconstructor.checks import check_grid_of, check_settings, float_kind, placed
+from reconstructor.checks import check_grid_of, float_kind, placed
 from reconstructor.fista import momentum
 from reconstructor.kernels.addresses import (
     Indices,
@@ -21,10 +21,10 @@ from reconstructor.kernels.addresses import (
     tensor_addresses,
 )
 from reconstructor.kernels.steps import Problem, Table, usable
+from reconstructor.settings import SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
-Prior = Literal["haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "variation"]
 Values = npt.NDArray[np.floating[Any]]
 
 ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
@@ -38,56 +38,50 @@ ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
 
 @dataclass(frozen=True)
 class Model:
-    """What a compiled solver minimises and how; see `reconstructor.kernels.fused.FusedSolver` for each option."""
+    """One Φ, one grid and the settings of the solver; not for the contourlet.
+
+    Raises
+    ------
+    InputError
+        If they do not fit each other.
+    """
 
     phi: Sbhe
     rows: int
     columns: int
-    prior: Prior
-    iterations: int
-    penalty_n: float
-    lipschitz_ratio: float
-    spins: int
-    nonnegative: bool
-    matched: bool
+    settings: SolverSettings
     dtype: npt.DTypeLike
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit."""
         check_grid_of(self.phi, self.rows, self.columns)
-        check_settings(self.iterations, self.penalty_n, self.lipschitz_ratio)
-        if self.prior not in ADDRESSES:
-            raise InputError(f"unknown prior '{self.prior}': expected one of {', '.join(get_args(Prior))}")
-        if self.prior == "variation" and self.spins != 1:
-            raise InputError(f"total variation has no basis to shift: expected spins of 1, got {self.spins}")
-        most = min(8, self.rows) * min(8, self.columns)
-        if not 1 <= self.spins <= most:
-            raise InputError(f"expected 1 to {most} shifts of the basis, got {self.spins}")
+        if self.settings.prior not in ADDRESSES:
+            raise InputError(f"expected a prior of {', '.join(ADDRESSES)}, got '{self.settings.prior}'")
         float_kind(self.dtype)
 
     @property
     def step(self) -> float:
         """1 / L."""
-        return 1 / (self.lipschitz_ratio * self.phi.block_size)
+        return 1 / (self.settings.lipschitz_ratio * self.phi.block_size)
 
     def problem(self, lanes: int = 1) -> Problem:
         """Return the tables for `lanes` images side by side."""
         kind, phi, taxel = np.dtype(self.dtype), self.phi, taxels_in_block_order(self.phi)
-        floor = 0.0 if self.nonnegative else float(np.finfo(kind).min)
-        addresses = ADDRESSES[self.prior](self.rows, self.columns)
-        shifts = spin_shifts(self.spins, self.rows, self.columns)
+        settings = self.settings
+        floor = 0.0 if settings.nonnegative else float(np.finfo(kind).min)
+        addresses = ADDRESSES[settings.prior](self.rows, self.columns)
+        shifts = spin_shifts(settings.spins, self.rows, self.columns)
         to_blocks = np.stack([shifted(addresses, shift).ravel()[taxel] for shift in shifts])
         return Problem(
             places=places_of_sums(phi),
             tables=np.stack((np.argsort(to_blocks, axis=1), to_blocks)).astype(np.uint16),
             deliver=np.argsort(taxel).astype(np.uint16),
-            numbers=np.array((self.step, self.penalty_n * self.step, floor, 0.5**0.5, *DAUBECHIES_4), kind),
-            momentum=momentum(self.iterations).astype(kind),
+            numbers=np.array((self.step, settings.penalty_n * self.step, floor, 0.5**0.5, *DAUBECHIES_4), kind),
+            momentum=momentum(settings.iterations).astype(kind),
             blocks=phi.blocks * lanes,
             rows=self.rows,
             columns=self.columns,
-            levels=pyramid_levels(self.rows, self.columns) if self.prior.endswith("pyramid") else 0,
-            matched=self.matched,
+            levels=pyramid_levels(self.rows, self.columns) if settings.prior.endswith("pyramid") else 0,
+            scaled_start=settings.scaled_start,
         )
 
 

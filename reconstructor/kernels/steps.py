@@ -30,7 +30,7 @@ class Problem(NamedTuple):
     blocks, rows, columns : int
     levels : int
         Of a pyramid, 0 for a tensor transform.
-    matched : bool
+    scaled_start : bool
         First take from the start what does not explain the sums.
     """
 
@@ -43,7 +43,7 @@ class Problem(NamedTuple):
     rows: int
     columns: int
     levels: int
-    matched: bool
+    scaled_start: bool
 
 
 #: Elements between the rows of working memory: without them all would fall into the same sets of the L1 cache.
@@ -102,8 +102,8 @@ def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: 
     )
     count = load(sums, weights, problem.places, problem.numbers[0], gain, target)
     kept = estimate.dtype.type(1)
-    if problem.matched:
-        kept = _match(estimate, gain, target, work, problem.blocks)
+    if problem.scaled_start:
+        kept = _scale_start(estimate, gain, target, work, problem.blocks)
     ahead[:] = estimate
     work[:] = estimate
     return count, kept
@@ -170,7 +170,7 @@ def deliver(image: npt.NDArray[np.float32], estimate: Flat, index: Table) -> Non
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _match(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) -> Any:
+def _scale_start(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) -> Any:
     """Scale `estimate` by and return max(0, 2a - 1), where a is the factor, at most 1, that explains the sums best.
 
     Not by a itself: images of different touches share their noise and a few taxels, and explain a part of each other.
@@ -183,9 +183,17 @@ def _match(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) ->
         seen = gain[k] * work[k]
         explained += seen * target[k]
         energy += seen * seen
+    scale = start_scale(explained, energy)
+    if scale < 1:
+        estimate *= scale
+    return scale
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def start_scale(explained: Any, energy: Any) -> Any:
+    """Return max(0, 2a - 1) for a = min(1, explained / energy)."""
+    zero = explained - explained  # of their own dtype
     excess = explained + explained - energy
     if excess >= energy:  # also where both are 0
-        return estimate.dtype.type(1)
-    kept = max(explained - explained, excess / energy)
-    estimate *= kept
-    return kept
+        return zero + np.float32(1)
+    return max(zero, excess / energy)

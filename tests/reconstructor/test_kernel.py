@@ -1,5 +1,6 @@
 """The compiled solver against the plain one."""
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.proximal import Proximal, Shrinkage, Variation
+from reconstructor.settings import Prior, SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 
@@ -69,7 +71,7 @@ def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
     sums = rng.normal(0, 0.03, phi.shape[0])
     valid = rng.random(phi.shape[0]) >= problem["missing_ratio"]
     options = {name: problem[name] for name in ("prior", "spins", "nonnegative", "lipschitz_ratio", "iterations")}
-    kernel = FusedSolver(phi, rows, columns, penalty_n=0.01, dtype=dtype, **options)
+    kernel = FusedSolver(phi, rows, columns, SolverSettings(penalty_n=0.01, **options), dtype=dtype)
     estimate = kernel.blocks_of(start)
     assert kernel.solve(estimate, np.where(valid, sums, 1e6).astype(dtype), valid.astype(dtype)) == valid.sum()
     reference = fista_image(
@@ -134,7 +136,9 @@ def test_weights_are_those_of_a_weighted_problem() -> None:
     """ΦᵀWΦ and ΦᵀW y: the same as the problem of rows √w Φ and sums √w y."""
     phi, rng = sbhe(256, 64, block_size=16, seed=3), np.random.default_rng(0)
     sums, weights = rng.normal(0, 0.03, 64), rng.uniform(0, 1, 64)
-    kernel = FusedSolver(phi, 16, 16, prior="haar-pyramid", iterations=9, penalty_n=0.01, dtype=np.float64)
+    kernel = FusedSolver(
+        phi, 16, 16, SolverSettings(prior="haar-pyramid", iterations=9, penalty_n=0.01), dtype=np.float64
+    )
     estimate = kernel.new_estimate()
     assert kernel.solve(estimate, sums, weights) == 64
     roots = np.sqrt(weights)
@@ -163,7 +167,8 @@ def test_relative_penalty_and_reset() -> None:
     sums, ones = np.random.default_rng(0).normal(0, 0.03, 64), np.ones(64)
     results = []
     for penalty_n, relative in ((0.02, 0.5), (0.01, 1.0)):
-        kernel = FusedSolver(phi, 16, 16, prior="variation", iterations=9, penalty_n=penalty_n, dtype=np.float64)
+        settings = SolverSettings(prior="variation", iterations=9, penalty_n=penalty_n)
+        kernel = FusedSolver(phi, 16, 16, settings, dtype=np.float64)
         for _ in range(2):  # after a reset it is as new
             kernel.reset()
             estimate = kernel.new_estimate()
@@ -175,24 +180,38 @@ def test_relative_penalty_and_reset() -> None:
     assert results[0].any()
 
 
-DEFAULTS = {"prior": "haar-pyramid", "rows": 64, "columns": 64, "iterations": 5, "penalty_n": 0.01}
-
-
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("rows", "columns", "prior", "dtype", "says"),
     [
-        ({"rows": 32}, "4096 taxels but the grid has 32 x 64"),
-        ({"rows": 512, "columns": 8}, "powers of two, 8 to 256"),
-        ({"iterations": 0}, "at least 1 iteration"),
-        ({"penalty_n": -1.0}, "penalty"),
-        ({"penalty_n": float("nan")}, "penalty"),
-        ({"lipschitz_ratio": 0.5}, "diverges"),
-        ({"prior": "dct"}, "expected one of haar-pyramid, haar-tensor"),
-        ({"prior": "variation", "spins": 2}, "no basis to shift"),
-        ({"dtype": np.int32}, "float32 or float64, got int32"),
-        ({"spins": 65}, "1 to 64 shifts"),
+        (32, 64, "haar-pyramid", np.float32, "4096 taxels but the grid has 32 x 64"),
+        (512, 8, "haar-pyramid", np.float32, "powers of two, 8 to 256"),
+        (64, 64, "contourlet", np.float32, "expected a prior of haar-pyramid, haar-tensor"),
+        (64, 64, "variation", np.int32, "float32 or float64, got int32"),
     ],
 )
-def test_wrong_options_are_named(phi: Sbhe, options: dict[str, Any], says: str) -> None:
+def test_wrong_options_are_named(phi: Sbhe, rows: int, columns: int, prior: Prior, dtype: type, says: str) -> None:
+    settings = SolverSettings(prior=prior, iterations=5, penalty_n=0.01)
     with pytest.raises(InputError, match=says):
-        FusedSolver(phi, **{**DEFAULTS, **options})
+        FusedSolver(phi, rows, columns, settings, dtype=dtype)
+
+
+def test_the_interpreter_is_free_while_a_kernel_runs(phi: Sbhe) -> None:
+    """Another thread gets to run between begin and end of one call, many times over."""
+    many, one = (SolverSettings(prior="variation", iterations=count, penalty_n=0.01) for count in (20_000, 1))
+    solver = FusedSolver(phi, 64, 64, many)
+    estimate, sums, weights = solver.new_estimate(), np.full(1024, 0.01, np.float32), np.ones(1024, np.float32)
+    FusedSolver(phi, 64, 64, one).solve(estimate, sums, weights)  # compiles
+    inside = threading.Event()
+    turns = 0
+
+    def solve() -> None:
+        inside.set()
+        solver.solve(estimate, sums, weights)
+
+    thread = threading.Thread(target=solve)
+    thread.start()
+    inside.wait()
+    while thread.is_alive():
+        turns += 1
+        thread.join(0.001)
+    assert turns > 20

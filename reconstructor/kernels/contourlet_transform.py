@@ -1,10 +1,13 @@
-"""The contourlet's synthesis Ψ and its transpose Ψᵀ, compiled, in the orders of `reconstructor.kernels.ladder_plan`."""
+"""The contourlet's synthesis Ψ and its transpose Ψᵀ, compiled.
+
+Samples are in the orders of `reconstructor.kernels.contourlet_tables`.
+"""
 
 from typing import Final
 
 import numba
 
-from reconstructor.kernels.ladder_plan import Phases, Plan, Room
+from reconstructor.kernels.contourlet_tables import ContourletBuffers, ContourletTables, Phases
 from reconstructor.kernels.steps import gather
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 
@@ -14,82 +17,84 @@ ROOT_TWO: Final = 2**0.5
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def synthesise(image: Flat, coefficients: Flat, plan: Plan, room: Room) -> None:
+def synthesise(image: Flat, coefficients: Flat, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Set image = Ψ coefficients: x = d + U (c - D d Dᵀ) Uᵀ of d = F⁻¹ s_d."""
     count = image.size
-    work = room.image
+    work = buffers.image
     work[:] = coefficients[count // 4 :]
-    for number in range(len(plan.geometry) - 1, -1, -1):
-        _ladder(work, number, plan, room)
-        gather(room.other, work, plan.returns[number])
-        work[:] = room.other
-    coarse = room.half[: count // 4]
-    _coarsen(coarse, work, plan.low, plan, room)
+    for number in range(len(tables.geometry) - 1, -1, -1):
+        _ladder(work, number, tables, buffers)
+        gather(buffers.other, work, tables.returns[number])
+        work[:] = buffers.other
+    coarse = buffers.half[: count // 4]
+    _coarsen(coarse, work, tables.low, tables, buffers)
     for k in range(coarse.size):
         coarse[k] = coefficients[k] - coarse[k]
-    _refine(image, coarse, plan.high, plan, room)
+    _refine(image, coarse, tables.high, tables, buffers)
     for k in range(count):
         image[k] += work[k]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def transpose(coefficients: Flat, image: Flat, plan: Plan, room: Room) -> None:
+def transpose(coefficients: Flat, image: Flat, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Set coefficients = Ψᵀ image: c = Uᵀ x U, and the transposed bank of x - Dᵀ c D."""
     count = image.size
     coarse, work = coefficients[: count // 4], coefficients[count // 4 :]
-    _coarsen(coarse, image, plan.high, plan, room)
-    _refine(room.image, coarse, plan.low, plan, room)
+    _coarsen(coarse, image, tables.high, tables, buffers)
+    _refine(buffers.image, coarse, tables.low, tables, buffers)
     for k in range(count):
-        room.image[k] = image[k] - room.image[k]
-    for number in range(len(plan.geometry)):
-        gather(work, room.image, plan.gathers[number])
-        _ladder(work, number, plan, room)
-        if number + 1 < len(plan.geometry):
-            room.image[:] = work
+        buffers.image[k] = image[k] - buffers.image[k]
+    for number in range(len(tables.geometry)):
+        gather(work, buffers.image, tables.gathers[number])
+        _ladder(work, number, tables, buffers)
+        if number + 1 < len(tables.geometry):
+            buffers.image[:] = work
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _ladder(work: Flat, number: int, plan: Plan, room: Room) -> None:
+def _ladder(work: Flat, number: int, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Run the two steps of one level, the same both ways: b ← -(b + F a) / √2, a ← √2 a + Fᵀ b."""
     size = work.size // 2
-    first, second, made = work[:size], work[size:], room.half
+    first, second, made = work[:size], work[size:], buffers.half
     root_two = work.dtype.type(ROOT_TWO)
     root_half = work.dtype.type(ROOT_TWO / 2)
-    _fan(made, first, number, plan, room)
+    _fan(made, first, number, tables, buffers)
     for k in range(size):
         second[k] = -root_half * (second[k] + made[k])
-    _fan_transposed(made, second, number, plan, room)
+    _fan_transposed(made, second, number, tables, buffers)
     for k in range(size):
         first[k] = root_two * first[k] + made[k]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _fan(target: Flat, source: Flat, number: int, plan: Plan, room: Room) -> None:
+def _fan(target: Flat, source: Flat, number: int, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Filter every band: from (columns, rows, bands) to (rows, bands, columns)."""
-    bands, rows, columns, count = plan.geometry[number]
-    long, wide = room.long, room.wide
+    bands, rows, columns, count = tables.geometry[number]
+    long, wide = buffers.long, buffers.wide
     _wrap(wide, source, rows * bands, columns, 5, 12)
-    _filter(target, wide, plan.across, rows * bands, 12)
+    _filter(target, wide, tables.across, rows * bands, 12)
     above = 5 if count == 12 else 0
     middle = long[above * bands * columns : (above + rows) * bands * columns]
-    gather(middle, target, plan.turns[number, 0])
+    gather(middle, target, tables.turns[number, 0])
     _wrap_rows(long, rows, bands * columns, above, count, number == 0)
-    _filter(target, long, plan.along[number, 0], bands * columns, count)
+    _filter(target, long, tables.along[number, 0], bands * columns, count)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _fan_transposed(target: Flat, source: Flat, number: int, plan: Plan, room: Room) -> None:
+def _fan_transposed(
+    target: Flat, source: Flat, number: int, tables: ContourletTables, buffers: ContourletBuffers
+) -> None:
     """Filter every band by the transpose: from (rows, bands, columns) to (columns, rows, bands)."""
-    bands, rows, columns, count = plan.geometry[number]
-    long, wide = room.long, room.wide
+    bands, rows, columns, count = tables.geometry[number]
+    long, wide = buffers.long, buffers.wide
     above = 6 if count == 12 else 0
     _copy(long[above * bands * columns : (above + rows) * bands * columns], source)
     _wrap_rows(long, rows, bands * columns, above, count, number == 0)
-    _filter(target, long, plan.along[number, 1], bands * columns, count)
+    _filter(target, long, tables.along[number, 1], bands * columns, count)
     middle = wide[6 * rows * bands : (6 + columns) * rows * bands]
-    gather(middle, target, plan.turns[number, 1])
+    gather(middle, target, tables.turns[number, 1])
     _wrap_rows(wide, columns, rows * bands, 6, 12, False)
-    _filter(target, wide, plan.across, rows * bands, 12)
+    _filter(target, wide, tables.across, rows * bands, 12)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
@@ -142,47 +147,47 @@ def _filter(target: Flat, source: Flat, taps: Flat, size: int, count: int) -> No
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _coarsen(coarse: Flat, image: Flat, phases: Phases, plan: Plan, room: Room) -> None:
+def _coarsen(coarse: Flat, image: Flat, phases: Phases, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Filter and halve rows, then columns; the result is transposed."""
-    size = plan.size
-    made = room.other[: size * size // 2]
-    _halve(made, image, phases, size, room)
-    turned = room.other[size * size // 2 :]
-    gather(turned, made, plan.flips[0])
-    _halve(coarse, turned, phases, size // 2, room)
+    size = tables.size
+    made = buffers.other[: size * size // 2]
+    _halve(made, image, phases, size, buffers)
+    turned = buffers.other[size * size // 2 :]
+    gather(turned, made, tables.flips[0])
+    _halve(coarse, turned, phases, size // 2, buffers)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _refine(image: Flat, coarse: Flat, phases: Phases, plan: Plan, room: Room) -> None:
+def _refine(image: Flat, coarse: Flat, phases: Phases, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Double columns and filter, then rows, of a transposed coarse image."""
-    size = plan.size
-    made = room.other[: size * size // 2]
-    _double(made, coarse, phases, size // 2, room)
-    turned = room.other[size * size // 2 :]
-    gather(turned, made, plan.flips[1])
-    _double(image, turned, phases, size, room)
+    size = tables.size
+    made = buffers.other[: size * size // 2]
+    _double(made, coarse, phases, size // 2, buffers)
+    turned = buffers.other[size * size // 2 :]
+    gather(turned, made, tables.flips[1])
+    _double(image, turned, phases, size, buffers)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _halve(target: Flat, source: Flat, phases: Phases, width: int, room: Room) -> None:
+def _halve(target: Flat, source: Flat, phases: Phases, width: int, buffers: ContourletBuffers) -> None:
     """Set target[i] = Σ even[k] source[2i + 2k] + Σ odd[k] source[2i + 2k + 1], rows of `width`, even ones first."""
     half = target.size
     rows = half // width
-    _wrap(room.long, source[:half], width, rows, phases.before[0], phases.even.size)
-    _filter(target, room.long, phases.even, width, phases.even.size)
-    _wrap(room.long, source[half:], width, rows, phases.before[1], phases.odd.size)
-    other = room.wide[:half]
-    _filter(other, room.long, phases.odd, width, phases.odd.size)
+    _wrap(buffers.long, source[:half], width, rows, phases.before[0], phases.even.size)
+    _filter(target, buffers.long, phases.even, width, phases.even.size)
+    _wrap(buffers.long, source[half:], width, rows, phases.before[1], phases.odd.size)
+    other = buffers.wide[:half]
+    _filter(other, buffers.long, phases.odd, width, phases.odd.size)
     for k in range(half):
         target[k] += other[k]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _double(target: Flat, source: Flat, phases: Phases, width: int, room: Room) -> None:
+def _double(target: Flat, source: Flat, phases: Phases, width: int, buffers: ContourletBuffers) -> None:
     """Undo the halving's counts, not its filters: the transpose of `_halve`, by the symmetry of the taps."""
     half = source.size
     rows = half // width
-    _wrap(room.long, source, width, rows, phases.before[0], phases.even.size)
-    _filter(target[:half], room.long, phases.even, width, phases.even.size)
-    _wrap(room.long, source, width, rows, phases.before[1] - 1, phases.odd.size)
-    _filter(target[half:], room.long, phases.odd, width, phases.odd.size)
+    _wrap(buffers.long, source, width, rows, phases.before[0], phases.even.size)
+    _filter(target[:half], buffers.long, phases.even, width, phases.even.size)
+    _wrap(buffers.long, source, width, rows, phases.before[1] - 1, phases.odd.size)
+    _filter(target[half:], buffers.long, phases.odd, width, phases.odd.size)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.directional import Level
-from reconstructor.bases.ladder import FAN
+from reconstructor.bases.pkva import FAN
 from reconstructor.kernels.steps import aligned
 from reconstructor.kernels.transforms import Flat
 
@@ -38,7 +38,7 @@ class Phases(NamedTuple):
     before: npt.NDArray[np.int64]
 
 
-class Plan(NamedTuple):
+class ContourletTables(NamedTuple):
     """The transform of one size.
 
     Attributes
@@ -72,7 +72,7 @@ class Plan(NamedTuple):
     size: int
 
 
-class Room(NamedTuple):
+class ContourletBuffers(NamedTuple):
     """Working memory: two images, a half image, and two buffers for filters."""
 
     image: Flat
@@ -82,8 +82,8 @@ class Room(NamedTuple):
     wide: Flat
 
 
-def plan_of(psi: Contourlet, dtype: np.dtype[Any]) -> Plan:
-    """Return the plan of a contourlet."""
+def make_tables(psi: Contourlet, dtype: np.dtype[Any]) -> ContourletTables:
+    """Return the tables of a contourlet."""
     levels, size = psi.levels, psi.image_shape[0]
     places = [np.argsort(image_order(size)), *(_places(level) for level in levels)]
     gathers = np.empty((len(levels), size * size), np.uint16)
@@ -91,7 +91,7 @@ def plan_of(psi: Contourlet, dtype: np.dtype[Any]) -> Plan:
         gathers[number, places[number + 1]] = places[number][level.gather]
     halves = np.arange(size * size // 2)
     flip = halves.reshape(size // 2, size)
-    return Plan(
+    return ContourletTables(
         low=_phases(psi.pair.down[0], dtype),
         high=_phases(psi.pair.up[:, 0], dtype),
         gathers=gathers,
@@ -117,13 +117,15 @@ def coefficient_order(psi: Contourlet) -> npt.NDArray[np.intp]:
     return np.concatenate((coarse, coarse.size + _places(psi.levels[-1])[psi.order]))
 
 
-def room_of(plan: Plan, dtype: np.dtype[Any]) -> Room:
-    """Return working memory for a plan."""
-    count = plan.size * plan.size
-    longest = max(int(bands * (rows + TAPS) * columns) for bands, rows, columns, _ in plan.geometry)
-    widest = max(int(bands * rows * (columns + TAPS)) for bands, rows, columns, _ in plan.geometry)
-    reach = count // 2 + plan.size * max(each.size for each in (plan.low.even, plan.high.even, plan.high.odd))
-    return Room(*(aligned(size, dtype) for size in (count, count, count // 2, max(longest, reach), max(widest, reach))))
+def make_buffers(tables: ContourletTables, dtype: np.dtype[Any]) -> ContourletBuffers:
+    """Return working memory for the tables of one size."""
+    count = tables.size * tables.size
+    longest = max(int(bands * (rows + TAPS) * columns) for bands, rows, columns, _ in tables.geometry)
+    widest = max(int(bands * rows * (columns + TAPS)) for bands, rows, columns, _ in tables.geometry)
+    reach = count // 2 + tables.size * max(each.size for each in (tables.low.even, tables.high.even, tables.high.odd))
+    return ContourletBuffers(
+        *(aligned(size, dtype) for size in (count, count, count // 2, max(longest, reach), max(widest, reach)))
+    )
 
 
 def _places(level: Level) -> npt.NDArray[np.intp]:

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases.separable import haar_tensor
-from reconstructor.checks import LARGEST_N, check_grid_of, check_settings, float_kind
+from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
+from reconstructor.settings import SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe, fast_hadamard
 
@@ -48,13 +49,8 @@ class BatchSolver:
     phi : Sbhe
     rows, columns : int
         Powers of two, 8 to 256.
-    iterations : int
-    penalty_n : float
-        λ, newtons.
-    lipschitz_ratio : float
-        L / B, from 1.
-    nonnegative : bool
-        Lift negative taxels to 0 in every iteration.
+    settings : SolverSettings
+        Of the prior "haar-tensor", without spins, scaled start and temporal filter.
     library : module
         NumPy, CuPy or another of the array API.
     dtype : float32 or float64
@@ -62,7 +58,7 @@ class BatchSolver:
     Raises
     ------
     InputError
-        If the grid or a number does not fit.
+        If the grid or the settings do not fit.
     """
 
     def __init__(
@@ -70,23 +66,24 @@ class BatchSolver:
         phi: Sbhe,
         rows: int,
         columns: int,
+        settings: SolverSettings,
         *,
-        iterations: int,
-        penalty_n: float,
-        lipschitz_ratio: float = 1.0,
-        nonnegative: bool = False,
         library: ModuleType = np,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         check_grid_of(phi, rows, columns)
-        check_settings(iterations, penalty_n, lipschitz_ratio)
+        if settings.prior != "haar-tensor" or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
+            raise InputError(
+                "arrays have a solver for the prior 'haar-tensor' alone, without spins, scaled start and temporal "
+                f"filter: got {settings}"
+            )
         self._xp: Final = library
         self._kind = getattr(library, float_kind(dtype).name)
         self._grid, self._blocks = (rows, columns), (phi.blocks, phi.block_size)
-        self._step = 1 / (lipschitz_ratio * phi.block_size)
-        self._threshold = penalty_n * self._step
-        self._nonnegative = nonnegative
-        self._momentum = [float(weight) for weight in momentum(iterations)]
+        self._step = 1 / (settings.lipschitz_ratio * phi.block_size)
+        self._threshold = settings.penalty_n * self._step
+        self._nonnegative = settings.nonnegative
+        self._momentum = [float(weight) for weight in momentum(settings.iterations)]
         psi = haar_tensor(rows, columns)
         self._down, self._across = (self._send(matrix) for matrix in (psi.rows_matrix, psi.columns_matrix))
         self._hadamard = self._send(fast_hadamard(np.eye(phi.block_size)))
@@ -97,7 +94,7 @@ class BatchSolver:
         self._kept = self._send(phi.kept.reshape(-1))
 
     def solve(self, sums_n: Any, valid: Any, start: Any = None) -> Any:
-        """Return images, shape (frames, rows, columns), negative forces as 0, as an array of the library.
+        """Return estimates, shape (frames, rows, columns), as an array of the library; `deliver` makes them images.
 
         Parameters
         ----------
@@ -106,21 +103,32 @@ class BatchSolver:
         valid : array of bool, shape (frames, m)
             Sums that are not valid are left out exactly.
         start : array, shape (frames, rows, columns), optional
-            Images to start from, zeros without.
+            Estimates to start from, zeros without.
 
         Raises
         ------
         InputError
             If shapes or dtypes do not fit, a valid sum is not finite or above 1e6 N, or the start is not finite.
         """
-        xp = self._xp
         mask, target = self._load(sums_n, valid)
         ahead = estimate = self._begin(start, mask.shape[0])
         for weight in self._momentum:
             previous = estimate
             estimate = self._shrink(ahead - self._slope(ahead, mask, target))
             ahead = estimate + weight * (estimate - previous)
-        return xp.where(estimate > 0, estimate, xp.zeros_like(estimate))
+        return estimate
+
+    def without(self, estimate: Any, kept: npt.NDArray[np.bool_]) -> Any:
+        """Return estimates with those set to zero that are not `kept`, shape (frames,)."""
+        mask = self._xp.reshape(self._xp.asarray(kept), (-1, 1, 1))
+        return self._xp.where(mask, estimate, self._xp.zeros_like(estimate))
+
+    def deliver(self, estimate: Any) -> npt.NDArray[np.float32]:
+        """Return estimates as NumPy images, shape (frames, rows, columns), negative forces as 0."""
+        if hasattr(estimate, "get"):  # CuPy copies from the GPU on demand only
+            estimate = estimate.get()
+        images: npt.NDArray[np.float32] = np.maximum(np.asarray(estimate), 0).astype(np.float32)
+        return images
 
     def _send(self, values: npt.NDArray[Any]) -> Any:
         return self._xp.asarray(values, dtype=self._kind)

@@ -1,6 +1,9 @@
-"""The filters of the contourlet: its ladder, and the two filter pairs of its Laplacian pyramid."""
+"""The filters of the contourlet, all from 'pkva': those of its ladder, and the pair of its Laplacian pyramid.
 
-from typing import Any, Final, Literal, NamedTuple
+PyWavelets has none of them.
+"""
+
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +11,6 @@ import numpy.typing as npt
 from reconstructor.bases.basis import Values
 
 Matrix = npt.NDArray[np.float64]
-PyramidFilter = Literal["pkva", "9-7"]
 
 _HALF = np.array((0.6300, -0.1930, 0.0972, -0.0526, 0.0272, -0.0144))
 #: The 12 taps of Phoong, Kim, Vaidyanathan and Ansari (1995), half a sample from the middle.
@@ -16,9 +18,6 @@ PKVA: Final = np.concatenate((_HALF[::-1], _HALF))
 #: The same modulated for the fan filters of the directional bank.
 FAN: Final = PKVA * np.tile((-1.0, 1.0), 6)
 ROOT_TWO: Final = 2**0.5
-#: Half of the 9 and 7 taps of Cohen, Daubechies and Feauveau (1992), middle first, with sum √2 each.
-_CDF_9: Final = (0.852698679009403, 0.377402855612654, -0.110624404418423, -0.023849465019380, 0.037828455506995)
-_CDF_7: Final = (0.788485616405664, 0.418092273222212, -0.040689417609558, -0.064538882628938)
 
 
 class PyramidPair(NamedTuple):
@@ -36,9 +35,9 @@ class PyramidPair(NamedTuple):
     up: Matrix
 
 
-def pyramid_pair(size: int, name: PyramidFilter) -> PyramidPair:
+def pyramid_pair(size: int) -> PyramidPair:
     """Return the pyramid filters for one side of the image."""
-    low, high = _pkva_pair() if name == "pkva" else (_mirrored(_CDF_9), _mirrored(_CDF_7))
+    low, high = _pkva_pair()
     return PyramidPair(_circulant(low, size)[::2], _circulant(high, size)[:, ::2])
 
 
@@ -82,10 +81,6 @@ def _pkva_pair() -> tuple[Matrix, Matrix]:
     high[22] += 1
     high[1::2] *= -1  # offset 0 is index 22
     return ROOT_TWO * half, ROOT_TWO * high
-
-
-def _mirrored(half: tuple[float, ...]) -> Matrix:
-    return np.array(half[:0:-1] + half)
 
 
 def _circulant(taps: Matrix, size: int) -> Matrix:

@@ -1,0 +1,100 @@
+"""One cycle of the temporal filter as a compiled function; see `reconstructor.temporal_filter`."""
+
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.checks import LARGEST_N
+
+Flat = npt.NDArray[np.floating[Any]]
+
+#: The least gain.
+GAIN_MIN: Final = 0.18
+#: Noise alone gives successive innovations a correlation of -g / 2. The gain rises while the correlation is above
+#: -CORRELATION_RATIO · g / 2, else it falls. A ratio of 0 would allow lag until innovations no longer correlate; lag is
+#: worse than noise, which the prior removes.
+CORRELATION_RATIO: Final = 0.6
+#: An innovation's energy of up to BAND times the energy that noise explains is no sudden change.
+BAND: Final = 1.15
+#: With ε the energy explained by noise over the energy of the innovation, a sudden change takes the gain to
+#: 1 - ε^STEEPNESS.
+STEEPNESS: Final = 4
+#: The noise floor follows the noise power of quiet cycles. A cycle of less noise lowers the floor by FLOOR_FALL of the
+#: difference, and never leaves it above FLOOR_MAX_RATIO times that cycle's noise power. Any other cycle raises the
+#: floor by a factor of 1 + FLOOR_RISE.
+FLOOR_FALL: Final = 0.2
+FLOOR_MAX_RATIO: Final = 1.5
+FLOOR_RISE: Final = 0.002
+#: A missing sum whose weight has faded below this is forgotten.
+LEAST_WEIGHT: Final = 0.01
+#: Places of `FilterState.state`: the gain by the correlation alone, the noise floor (N², 0: unknown), the last gain.
+CORRELATION_GAIN, FLOOR, GAIN = 0, 1, 2
+
+
+class FilterState(NamedTuple):
+    """State of the temporal filter of one stream of measurements.
+
+    Attributes
+    ----------
+    sums, weights, innovation : shape (m,)
+        Averaged sums in newtons, how much each counts (0 to 1), and the last innovations in newtons.
+    state : float64, shape (3,)
+    """
+
+    sums: Flat
+    weights: Flat
+    innovation: Flat
+    state: npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, nogil=True)
+def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_]) -> bool:
+    """Take in one cycle; False, and nothing is changed, if a valid sum is no number of newtons."""
+    energy, before, product, count = 0.0, 0.0, 0.0, 0
+    for k in range(sums.size):
+        if valid[k]:
+            if not abs(sums[k]) <= LARGEST_N:  # so written, NaN fails
+                return False
+            if filtered.weights[k] > 0:
+                innovation = float(sums[k] - filtered.sums[k])
+                energy += innovation * innovation
+                product += innovation * filtered.innovation[k]
+                before += filtered.innovation[k] * filtered.innovation[k]
+                count += 1
+    gain = 1.0
+    if count > 0:
+        gain = _adapt(filtered.state, energy / count, product / max(np.sqrt(energy * before), 1e-30))
+    filtered.state[GAIN] = gain
+    for k in range(sums.size):
+        if valid[k]:
+            innovation = float(sums[k] - filtered.sums[k])
+            filtered.sums[k] += max(gain, 1.0 - filtered.weights[k]) * innovation
+            filtered.innovation[k] = innovation if filtered.weights[k] > 0 else 0.0
+            filtered.weights[k] = 1.0
+        else:
+            left = filtered.weights[k] * (1.0 - gain)
+            filtered.weights[k] = left if left > LEAST_WEIGHT else 0.0
+            filtered.innovation[k] = 0.0
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _adapt(state: npt.NDArray[np.float64], energy: float, correlation: float) -> float:
+    """Return the gain for an innovation of mean square `energy` that correlates so with the one before."""
+    last = state[GAIN]
+    factor = np.exp(correlation + CORRELATION_RATIO * last / 2.0)
+    state[CORRELATION_GAIN] = min(1.0, max(GAIN_MIN, state[CORRELATION_GAIN] * factor))
+    noise = energy * (2.0 - last) / 2.0  # of one cycle's sums; averaged sums have g / (2 - g) of their noise
+    if state[FLOOR] == 0.0:
+        state[FLOOR] = noise
+    explained = BAND * state[FLOOR] * 2.0 / (2.0 - last)
+    gain = float(state[CORRELATION_GAIN])
+    if energy > explained:
+        gain = max(gain, 1.0 - (explained / energy) ** STEEPNESS)
+    if noise < state[FLOOR]:
+        state[FLOOR] = min(state[FLOOR] + FLOOR_FALL * (noise - state[FLOOR]), FLOOR_MAX_RATIO * noise)
+    else:
+        state[FLOOR] *= 1.0 + FLOOR_RISE
+    return gain

@@ -1,0 +1,62 @@
+"""Solvers of one image after the other, and the choice between them."""
+
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.kernels.contourlet import ContourletSolver
+from reconstructor.kernels.fused import FusedSolver
+from reconstructor.settings import SolverSettings
+from skin.measurement import Sbhe
+
+Values = npt.NDArray[np.floating[Any]]
+
+
+class ImageSolver(Protocol):
+    """Improves an estimate by the sums of one cycle: `FusedSolver`, `ContourletSolver`."""
+
+    @property
+    def sums(self) -> int:
+        """Number of sums m."""
+        ...
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the images."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of sums and estimates."""
+        ...
+
+    def new_estimate(self) -> Values:
+        """Return an estimate of zeros."""
+        ...
+
+    def reset(self) -> None:
+        """Forget what is kept besides the estimate."""
+        ...
+
+    def solve(self, estimate: Values, sums_n: Values, weights: Values) -> int:
+        """Improve the estimate in place."""
+        ...
+
+    def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
+        """Return the image."""
+        ...
+
+
+def make_solver(
+    phi: Sbhe, rows: int, columns: int, settings: SolverSettings, *, dtype: npt.DTypeLike = np.float32
+) -> FusedSolver | ContourletSolver:
+    """Return the compiled solver of a prior.
+
+    Raises
+    ------
+    InputError
+        If the grid or the settings do not fit.
+    """
+    solver = ContourletSolver if settings.prior == "contourlet" else FusedSolver
+    return solver(phi, rows, columns, settings, dtype=dtype)
