@@ -1,11 +1,10 @@
 """The wavelet pyramid (Mallat): rows and columns are halved together, and only the low quadrant goes on."""
 
-from collections.abc import Callable
-
 import numpy as np
+import pywt
 
 from reconstructor.bases.basis import Values
-from reconstructor.bases.separable import Matrix, daubechies4_step, haar_step
+from reconstructor.bases.separable import DAUBECHIES_4, HAAR, wavelet_step
 from reconstructor.checks import check_grid, check_values
 
 
@@ -16,8 +15,8 @@ class Pyramid:
     ----------
     rows, columns : int
         Powers of two, 8 to 256.
-    step : callable
-        Makes one orthonormal level of a given size, low half above high half.
+    wavelet : pywt.Wavelet
+        Orthogonal; periodic, with the phase of `reconstructor.bases.separable.wavelet_tensor`.
 
     Raises
     ------
@@ -25,11 +24,11 @@ class Pyramid:
         If a side is not.
     """
 
-    def __init__(self, rows: int, columns: int, step: Callable[[int], Matrix]) -> None:
+    def __init__(self, rows: int, columns: int, wavelet: pywt.Wavelet) -> None:
         check_grid(rows, columns)
         self.image_shape = self.shape = (rows, columns)
         self._sizes = [(rows >> level, columns >> level) for level in range(min(rows, columns).bit_length() - 1)]
-        self._steps = [(step(height), step(width)) for height, width in self._sizes]
+        self._steps = [(wavelet_step(wavelet, height), wavelet_step(wavelet, width)) for height, width in self._sizes]
 
     @property
     def dtype(self) -> np.dtype[np.float64]:
@@ -61,7 +60,7 @@ def haar_pyramid(rows: int, columns: int) -> Pyramid:
     InputError
         If a side is not a power of two, 8 to 256.
     """
-    return Pyramid(rows, columns, haar_step)
+    return Pyramid(rows, columns, HAAR)
 
 
 def daubechies4_pyramid(rows: int, columns: int) -> Pyramid:
@@ -72,4 +71,4 @@ def daubechies4_pyramid(rows: int, columns: int) -> Pyramid:
     InputError
         If a side is not a power of two, 8 to 256.
     """
-    return Pyramid(rows, columns, daubechies4_step)
+    return Pyramid(rows, columns, DAUBECHIES_4)

@@ -1,21 +1,20 @@
 """Tensor bases: a full one-dimensional transform of every row and of every column, S = T X Tᵀ (Table I)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+import pywt
 
 from reconstructor.bases.basis import Values
 from reconstructor.checks import check_grid, check_values
 
 Matrix = npt.NDArray[np.float64]
 
-#: Low-pass taps of D4 (Daubechies 1988): (1 + √3, 3 + √3, 3 - √3, 1 - √3) / (4 √2).
-DAUBECHIES_4: Final = tuple(
-    (whole + sign * 3**0.5) / (4 * 2**0.5) for whole, sign in ((1, 1), (3, 1), (3, -1), (1, -1))
-)
+#: The wavelets of the paper, from PyWavelets. D4 has four taps (Daubechies 1988), which PyWavelets calls db2.
+HAAR: Final = pywt.Wavelet("haar")
+DAUBECHIES_4: Final = pywt.Wavelet("db2")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,56 +58,44 @@ class Separable:
         return result.astype(coefficients.dtype, copy=False)
 
 
-def haar_tensor(rows: int, columns: int) -> Separable:
-    """Return the tensor Haar basis: low[k] = (x[2k] + x[2k+1]) / √2, high[k] = (x[2k] - x[2k+1]) / √2, on all levels.
+def wavelet_tensor(wavelet: pywt.Wavelet, rows: int, columns: int) -> Separable:
+    """Return the tensor basis of an orthogonal wavelet, periodic, down to length 1.
+
+    low[k] = Σ h[i] x[2k+i] and high[k] = Σ g[i] x[2k+i] with the wavelet's h = ``rec_lo`` and g = ``rec_hi``.
 
     Raises
     ------
     InputError
         If a side is not a power of two, 8 to 256; so do the other bases.
     """
-    return _wavelet(rows, columns, haar_step)
+    check_grid(rows, columns)
+    return Separable(_all_levels(rows, wavelet), _all_levels(columns, wavelet))
+
+
+def haar_tensor(rows: int, columns: int) -> Separable:
+    """Return the tensor Haar basis: low[k] = (x[2k] + x[2k+1]) / √2, high[k] = (x[2k] - x[2k+1]) / √2."""
+    return wavelet_tensor(HAAR, rows, columns)
 
 
 def daubechies4_tensor(rows: int, columns: int) -> Separable:
-    """Return the tensor D4 basis, periodic, down to length 2.
+    """Return the tensor D4 basis: h = (1+√3, 3+√3, 3-√3, 1-√3) / (4√2), g[i] = (-1)^i h[3-i]."""
+    return wavelet_tensor(DAUBECHIES_4, rows, columns)
 
-    low[k] = Σ h[i] x[2k+i] with h = (1+√3, 3+√3, 3-√3, 1-√3) / (4√2), and high[k] = Σ (-1)^i h[3-i] x[2k+i].
+
+def wavelet_step(wavelet: pywt.Wavelet, size: int) -> Matrix:
+    """Return one level of an orthogonal wavelet, shape (size, size), low half above high half; the taps wrap round.
+
+    PyWavelets' periodic transform starts half a filter before sample 2k; the phase here is that of `wavelet_tensor`.
     """
-    return _wavelet(rows, columns, daubechies4_step)
+    first = np.roll(np.eye(size), 1 - wavelet.dec_len // 2, axis=0)
+    return np.concatenate(pywt.dwt(first, wavelet, "periodization", axis=0))
 
 
-def haar_step(size: int) -> Matrix:
-    """Return one Haar level, shape (size, size): averages above differences."""
-    root_half = 0.5**0.5
-    return _filter_step(size, (root_half, root_half), (root_half, -root_half))
-
-
-def daubechies4_step(size: int) -> Matrix:
-    """Return one D4 level, shape (size, size), orthonormal at every size from 2: the taps wrap round."""
-    a, b, c, d = DAUBECHIES_4
-    return _filter_step(size, DAUBECHIES_4, (d, -c, b, -a))
-
-
-def _filter_step(size: int, low: tuple[float, ...], high: tuple[float, ...]) -> Matrix:
-    step = np.zeros((size, size))
-    for k in range(size // 2):
-        for i, (one, other) in enumerate(zip(low, high, strict=True)):
-            step[k, (2 * k + i) % size] += one
-            step[size // 2 + k, (2 * k + i) % size] += other
-    return step
-
-
-def _wavelet(rows: int, columns: int, step: Callable[[int], Matrix]) -> Separable:
-    check_grid(rows, columns)
-    return Separable(_all_levels(rows, step), _all_levels(columns, step))
-
-
-def _all_levels(size: int, step: Callable[[int], Matrix]) -> Matrix:
-    """Apply `step` to the low half again and again until one value is left."""
+def _all_levels(size: int, wavelet: pywt.Wavelet) -> Matrix:
+    """Apply one level to the low half again and again until one value is left."""
     transform = np.eye(size)
     length = size
     while length > 1:
-        transform[:length] = step(length) @ transform[:length]
+        transform[:length] = wavelet_step(wavelet, length) @ transform[:length]
         length //= 2
     return transform

@@ -76,7 +76,7 @@ class FusedSolver:
         self._kernel = _KERNELS[settings.prior]
         self._taxel = taxels_in_block_order(phi)
         self._problem = model.problem()
-        self._threshold = settings.penalty_n * model.step
+        self._threshold = model.threshold
         self._scratch = scratch_of(self._kernel.scratch_rows, phi.order.size, self.dtype)
 
     def new_estimate(self) -> Values:

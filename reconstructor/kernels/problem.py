@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.bases.separable import DAUBECHIES_4
+from reconstructor.bases.separable import DAUBECHIES_4, HAAR
 from reconstructor.checks import check_grid_of, float_kind, placed
 from reconstructor.fista import momentum
 from reconstructor.kernels.addresses import (
@@ -63,6 +63,11 @@ class Model:
         """1 / L."""
         return 1 / (self.settings.lipschitz_ratio * self.phi.block_size)
 
+    @property
+    def threshold(self) -> float:
+        """λ / L."""
+        return self.settings.penalty_n * self.step
+
     def problem(self, lanes: int = 1) -> Problem:
         """Return the tables for `lanes` images side by side."""
         kind, phi, taxel = np.dtype(self.dtype), self.phi, taxels_in_block_order(self.phi)
@@ -75,7 +80,9 @@ class Model:
             places=places_of_sums(phi),
             tables=np.stack((np.argsort(to_blocks, axis=1), to_blocks)).astype(np.uint16),
             deliver=np.argsort(taxel).astype(np.uint16),
-            numbers=np.array((self.step, settings.penalty_n * self.step, floor, 0.5**0.5, *DAUBECHIES_4), kind),
+            numbers=np.array(
+                (self.step, settings.penalty_n * self.step, floor, HAAR.rec_lo[0], *DAUBECHIES_4.rec_lo), kind
+            ),
             momentum=momentum(settings.iterations).astype(kind),
             blocks=phi.blocks * lanes,
             rows=self.rows,

@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 from reconstructor.bases import (
     BASES,
     Basis,
+    Pyramid,
     daubechies4_pyramid,
     daubechies4_tensor,
     haar_pyramid,
     haar_tensor,
     make_basis,
 )
+from reconstructor.bases.separable import wavelet_step, wavelet_tensor
 from skin.errors import InputError
 
 MAKERS = {name: make for name, make in BASES.items() if name != "contourlet"}
@@ -69,6 +71,26 @@ def test_tensor_is_rows_then_columns_of_pywavelets() -> None:
     along_rows = np.concatenate(pywt.wavedec(x, "haar", mode="periodization", axis=1), axis=1)
     both = np.concatenate(pywt.wavedec(along_rows, "haar", mode="periodization", axis=0), axis=0)
     np.testing.assert_allclose(haar_tensor(16, 64).forward(x), both, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [2, 4, 8, 64])
+def test_a_level_of_d4_starts_at_sample_2k_and_wraps_round(size: int) -> None:
+    """Against the taps of Daubechies (1988) as they are printed."""
+    root = 3**0.5
+    low = np.array([1 + root, 3 + root, 3 - root, 1 - root]) / (4 * 2**0.5)
+    high = low[::-1] * [1, -1, 1, -1]
+    x = np.random.default_rng(0).normal(size=size)
+    taken = x[(2 * np.arange(size // 2)[:, None] + np.arange(4)) % size]
+    made = wavelet_step(pywt.Wavelet("db2"), size) @ x
+    np.testing.assert_allclose(made, np.concatenate((taken @ low, taken @ high)), atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["db3", "db10", "sym4", "coif2"])
+def test_other_wavelets_of_pywavelets_are_orthonormal_bases_too(name: str) -> None:
+    wavelet, x = pywt.Wavelet(name), np.random.default_rng(0).normal(size=(16, 32))
+    for psi in (wavelet_tensor(wavelet, 16, 32), Pyramid(16, 32, wavelet)):
+        np.testing.assert_allclose(psi.adjoint(psi.forward(x)), x, atol=1e-9)
+        assert np.linalg.norm(psi.forward(x)) == pytest.approx(np.linalg.norm(x))
 
 
 def test_d4_pyramid_starts_like_the_tensor_and_goes_on_with_the_low_quadrant() -> None:
