@@ -75,15 +75,15 @@ class Classifier:
         self._fresh = True
         self._cycle: int | None = None
 
-    def decide(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.uint8], cycle: int | None = None) -> Decision:
+    def decide(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], cycle: int | None = None) -> Decision:
         """Return the settled decision after one more measurement.
 
         Parameters
         ----------
         sums : array of int32, shape (m,)
             ADC counts.
-        valid : array of uint8, shape (blocks,)
-            Sums of blocks that are 0 here are ignored; see `classifier.gathered`.
+        valid : array of bool, shape (blocks,)
+            Sums of blocks that are False here are ignored; see `classifier.gathered`.
         cycle : int, optional
             Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, the past is forgotten.
         """

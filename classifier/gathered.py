@@ -33,7 +33,7 @@ class Gathered:
         """Hold nothing of the past."""
         self._age.fill(HOLD_CYCLES)
 
-    def take(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.uint8], step: int) -> float:
+    def take(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], step: int) -> float:
         """Take the new sums, `step` cycles after the last; return the part of the blocks that is in use."""
         np.not_equal(valid, 0, out=self._came)
         np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")

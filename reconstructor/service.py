@@ -9,15 +9,14 @@ import numpy.typing as npt
 from reconstructor.engine import Reconstructor
 from skin.fabric import Fabric
 from skin.layout import Layout
+from skin.measured import MeasurementReader
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
-from skin.service import StopSignal, be_punctual, say
+from skin.service import StopSignal, be_punctual
 
 #: Measurements kept while one is being solved; with more the image would only be older.
 MAILBOX_DEPTH: Final = 4
 #: How soon a stop is noticed when nothing comes.
 PATIENCE_S: Final = 0.1
-#: The same complaint is not repeated sooner.
-COMPLAINT_PERIOD_S: Final = 10.0
 
 
 class ReconstructorService:
@@ -35,18 +34,23 @@ class ReconstructorService:
 
     Attributes
     ----------
-    images, refused : int
-        Images published and measurements refused, because their Φ or their sizes were not this skin's.
+    images : int
+        Images published.
     """
 
     def __init__(self, layout: Layout, solver: Reconstructor, fabric: Fabric) -> None:
-        self.images = self.refused = 0
+        self.images = 0
         self._phi = layout.phi()
+        self._reader = MeasurementReader(self._phi, "reconstructor")
         self._newton_per_count = np.float32(layout.taxels.newton_per_count)
         self._solver = solver
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, MAILBOX_DEPTH)
-        self._quiet_until_s = 0.0
+
+    @property
+    def refused(self) -> int:
+        """Measurements that did not fit: their Φ or their sizes were not this skin's."""
+        return self._reader.refused
 
     @property
     def overrun(self) -> int:
@@ -63,34 +67,14 @@ class ReconstructorService:
 
     def take(self, measurement: Measurement) -> None:
         """Solve and publish one measurement, or refuse it."""
-        reason = self._objection(measurement)
-        if reason is not None:
-            self._refuse(reason)
+        sums = self._reader.read(measurement)
+        if sums is None:
             return
-        counts = np.frombuffer(measurement.sums, "<i4")
-        valid = self._phi.sums_of_blocks(np.frombuffer(measurement.valid, np.uint8) != 0)
+        valid = self._phi.sums_of_blocks(sums.valid)
         started_s = time.perf_counter()
-        sums_n = np.multiply(counts, self._newton_per_count, dtype=np.float32)
+        sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
         image = self._solver.solve(sums_n, valid)
         self._publish(measurement, image, int(valid.sum()), time.perf_counter() - started_s)
-
-    def _objection(self, measurement: Measurement) -> str | None:
-        """Say why a measurement cannot be solved."""
-        phi = self._phi
-        if measurement.fingerprint != phi.fingerprint:
-            return f"measured with Φ {measurement.fingerprint[:32]!r}, expected {phi.fingerprint}: use one layout"
-        sizes = (4 * phi.shape[0], phi.blocks)
-        came = (len(measurement.sums), len(measurement.valid))
-        if came != sizes:
-            return f"sums and validity of {came[0]} and {came[1]} bytes, expected {sizes[0]} and {sizes[1]}"
-        return None
-
-    def _refuse(self, reason: str) -> None:
-        self.refused += 1
-        now_s = time.monotonic()
-        if now_s >= self._quiet_until_s:
-            self._quiet_until_s = now_s + COMPLAINT_PERIOD_S
-            say("reconstructor", f"measurement refused ({self.refused} so far): {reason}")
 
     def _publish(
         self, measurement: Measurement, image: npt.NDArray[np.float32], valid_sums: int, solve_s: float

@@ -62,7 +62,7 @@ def measure_live(*, names: Sequence[str], touches: int, lost_ratio: float, noise
     phi, rate_hz = layout.phi(), layout.sync.rate_hz
     rng = np.random.default_rng([seed, 7])
     source = objects(rate_hz=rate_hz, names=names, seed=seed + 1000)
-    valid = np.ones(phi.blocks, np.uint8)
+    valid = np.ones(phi.blocks, np.bool_)
     valid[rng.permutation(phi.blocks)[: round(lost_ratio * phi.blocks)]] = 0
     classifier = Classifier(model, phi)
     right, unknown, cycles = 0, 0, 0
