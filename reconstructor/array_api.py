@@ -74,8 +74,8 @@ class BatchSolver:
         check_grid_of(phi, rows, columns)
         if settings.prior != "haar-tensor" or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
             raise InputError(
-                "arrays have a solver for the prior 'haar-tensor' alone, without spins, scaled start and temporal "
-                f"filter: got {settings}"
+                "arrays, and so a GPU, need the prior 'haar-tensor' without spins, scaled start and temporal filter, "
+                f"as the solver 'paper' has them: got {settings}"
             )
         self._xp: Final = library
         self._kind = getattr(library, float_kind(dtype).name)

@@ -24,6 +24,8 @@ from skin.measurement import Sbhe
 RUN_IN: Final = 12
 #: Streams side by side on arrays: a part is long against its run-in, and a batch fills a GPU.
 ARRAY_STREAMS: Final = 256
+#: Images between two words of progress.
+CHUNK: Final = 64
 _LEAST_PART: Final = 4 * RUN_IN
 
 Sums = npt.NDArray[np.floating[Any]]
@@ -125,9 +127,11 @@ class RecordingSolver:
 
     def _one_by_one(self, sums: Sums, valid: Validity, images: Images, advance: Callable[[int], None]) -> None:
         self._engine.restart()
-        for k, each in enumerate(sums):
-            images[k] = self._engine.solve(each, valid[k])
-            advance(1)
+        for first in range(0, len(sums), CHUNK):
+            chunk = range(first, min(first + CHUNK, len(sums)))
+            for k in chunk:
+                images[k] = self._engine.solve(sums[k], valid[k])
+            advance(len(chunk))
 
     def _in_lanes(self, sums: Sums, valid: Validity, images: Images, advance: Callable[[int], None]) -> None:
         solver = self._lanes

@@ -30,6 +30,7 @@ VERBS: Final = {
     "reconstruct": "reconstructor.command:reconstruct",
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",
+    "rebuild": "rebuild.command:rebuild",
     "dbc": "dbc.command:dbc",
     "plan": "bandwidth.plan_command:plan",
     "load": "bandwidth.load_command:load",

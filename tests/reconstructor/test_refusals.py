@@ -247,7 +247,7 @@ def test_dtypes_of_solvers(kind: str, dtype: Any) -> None:
         (FusedSolver, settings("contourlet"), "expected a prior of haar-pyramid"),
         (ContourletSolver, settings("variation"), "expected the prior 'contourlet', got 'variation'"),
         (LaneSolver, settings("variation"), "'variation' has no solver in lanes"),
-        (BatchSolver, settings("haar-pyramid"), "the prior 'haar-tensor' alone"),
+        (BatchSolver, settings("haar-pyramid"), "the prior 'haar-tensor' without spins"),
         (BatchSolver, settings(spins=2), "without spins"),
         (BatchSolver, settings(scaled_start=True), "scaled start"),
         (BatchSolver, settings(temporal_filter=True), "temporal filter"),

@@ -1,0 +1,1 @@
+"""Images of a whole recording or CAN log, made at once."""

@@ -1,0 +1,179 @@
+"""``skin rebuild``: the images of a whole recording or CAN log."""
+
+import time
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+from cyclopts import Parameter
+
+from bandwidth.logs import of_buses, read_log
+from dbc.contract import Contract
+from gateway.collector import Counts
+from rebuild.cycles import Cycles
+from rebuild.output import check_out, save_images
+from rebuild.recording import measure_recording
+from rebuild.replay import replay
+from reconstructor.array_api import array_library
+from reconstructor.batch import RecordingSolver
+from reconstructor.options import SolverOptions
+from skin.errors import InputError, RunError
+from skin.layout import load_layout
+from skin.service import say
+from skin.terminal import progress
+
+#: First words of the logs that python-can writes as .csv.
+_CAN_CSV: Final = b"timestamp,arbitration_id"
+
+
+def rebuild(
+    source: Path,
+    *,
+    out: Path,
+    layout: Path | None = None,
+    device: Literal["cpu", "gpu"] = "cpu",
+    solver: SolverOptions | None = None,
+    channel: Annotated[list[str] | None, Parameter(alias="-c", negative=(), consume_multiple=True)] = None,
+    array: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    full_scale: float | None = None,
+) -> None:
+    """Make the tactile image of every cycle of a recording or a CAN log, and write all images to one file.
+
+    A CAN log is decoded by the rules of the gateway: late, damaged and missing frames make their blocks invalid in
+    that cycle. A recording is measured as the nodes would, one frame in a cycle. Images of ``live``, ``variation`` and
+    ``paper-contourlet`` are those of ``skin reconstruct``; wavelets are solved in eight parts of the recording side by
+    side, and on a GPU ``paper`` in up to 256.
+
+    Parameters
+    ----------
+    source
+        A CAN log (candump -l, .asc, .blf or any other that python-can reads), or a recording: .npz, .npy or .csv of
+        shape (time, rows, columns).
+    out
+        New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
+        blocks), ``time_ns`` int64 (cycles,), ``metadata`` JSON.
+    layout
+        TOML of the skin; without it the default skin.
+    device
+        ``gpu`` needs an NVIDIA GPU, the extra canskin[gpu], and ``--solver paper``.
+    solver
+        What makes the images.
+    channel
+        Channels of the log, one for each bus; without it the buses' names, else all channels in their order.
+    array
+        Name of the array of an .npz; two names are placed side by side.
+    full_scale
+        Value of the recording that stands for the skin's largest force; without it the recording's largest value.
+
+    Examples
+    --------
+    skin rebuild candump-2026-11-20_120000.log --out images.npz
+    skin rebuild mat.npz --array S1 S2 --full-scale 4095 --out images.npz --solver spun
+    """
+    is_recording = _is_recording(source)
+    _check_options(is_recording, channel, array, full_scale)
+    check_out(out)
+    contract = Contract.from_layout(load_layout(layout))
+    taxels = contract.layout.taxels
+    options = solver or SolverOptions()
+    settings = options.settings()
+    library = array_library("cupy") if device == "gpu" else None
+    solve = RecordingSolver(
+        contract.phi, taxels.rows, taxels.columns, settings, noise_n=options.noise_n, library=library
+    )
+    cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
+    say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, {solve.method}, on the {device}")
+    images = _solved(contract, solve, cycles)
+    metadata = {
+        "format": "canskin images 1",
+        "version": version("canskin"),
+        "source": source.name,
+        "layout": contract.layout.name,
+        "fingerprint": contract.phi.fingerprint,
+        "solver": options.solver,
+        "settings": asdict(settings),
+        "noise_n": options.noise_n,
+        "device": device,
+    }
+    save_images(out, images, cycles, metadata)
+    say("rebuild", f"{len(images)} images written to {out}")
+
+
+def _is_recording(source: Path) -> bool:
+    """Tell a recording of forces from a CAN log.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    """
+    if not source.is_file():
+        raise InputError(f"no file '{source}': expected a CAN log, or a recording as .npz, .npy or .csv")
+    suffix = source.suffix.lower()
+    if suffix != ".csv":
+        return suffix in {".npz", ".npy"}
+    try:
+        with source.open("rb") as file:
+            return file.read(len(_CAN_CSV)) != _CAN_CSV
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read: {error.strerror or error}") from error
+
+
+def _check_options(
+    is_recording: bool, channel: list[str] | None, array: list[str] | None, full_scale: float | None
+) -> None:
+    if is_recording and channel:
+        raise InputError("a recording has no CAN channels: leave out --channel")
+    if not is_recording and (array or full_scale is not None):
+        raise InputError("a CAN log has neither arrays nor a full scale: leave out --array and --full-scale")
+
+
+def _measured(contract: Contract, source: Path, array: list[str] | None, full_scale: float | None) -> Cycles:
+    with progress(f"measuring {source.name}", None) as bar:
+        cycles = measure_recording(contract, source, array, full_scale, bar.advance)
+    say("rebuild", f"{len(cycles.valid)} frames of {source.name} measured")
+    return cycles
+
+
+def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycles:
+    """Read and decode a log.
+
+    Raises
+    ------
+    RunError
+        If no block of any cycle is valid.
+    """
+    layout = contract.layout
+    names = channel or [bus.name for bus in layout.bus]
+    if len(names) > len(layout.bus):
+        raise InputError(f"expected up to {len(layout.bus)} channels, one for each bus of the layout, got {len(names)}")
+    with progress(f"reading {source.name}", None) as bar:
+        logged = of_buses(layout, names, read_log(source), source, named_by_user=bool(channel))
+        cycles, counts = replay(contract, logged, bar.advance)
+    if not cycles.valid.any():
+        raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")
+    complete = int(cycles.valid.all(axis=1).sum())
+    say("rebuild", f"{complete} of {len(cycles.valid)} cycles are complete: {_counted(counts)}")
+    return cycles
+
+
+def _counted(counts: Counts) -> str:
+    """Say how frames were counted, in the words of the gateway's counters."""
+    words = ("accepted", "missing", "late", "duplicate", "malformed", "foreign")
+    return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
+
+
+def _solved(contract: Contract, solver: RecordingSolver, cycles: Cycles) -> npt.NDArray[np.float32]:
+    """Return the images, and say how fast they were made."""
+    sums = np.multiply(cycles.counts, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
+    valid = cycles.valid[:, contract.phi.block_of_sum]
+    solver.solve(sums[:1], valid[:1])  # compiles, or loads what was compiled before
+    started_s = time.perf_counter()
+    with progress("solving", len(sums)) as bar:
+        images = solver.solve(sums, valid, bar.advance)
+    elapsed_s = time.perf_counter() - started_s
+    say("rebuild", f"{len(images)} images in {elapsed_s:.2f} s: {len(images) / elapsed_s:.0f} images/s")
+    return images

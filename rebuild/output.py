@@ -1,0 +1,67 @@
+"""The file of images: an ``.npz`` that any NumPy reads without pickle."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from rebuild.cycles import Cycles
+from skin.errors import InputError, RunError
+
+
+def check_out(path: Path) -> None:
+    """Check that a new ``.npz`` can be written at `path`, before the work.
+
+    Raises
+    ------
+    InputError
+        If the name does not end in .npz, something is there already, or no file can be written there.
+    """
+    if path.suffix.lower() != ".npz":
+        raise InputError(f"{path}: expected a file that ends in .npz for the images")
+    if path.exists():
+        raise InputError(f"{path}: is there already; remove it, or choose another name for --out")
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{path}: the folder for the images does not exist")
+    part = _part_of(path)
+    try:
+        part.open("ab").close()
+        part.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the images there: {error.strerror or error}") from error
+
+
+def save_images(path: Path, images: npt.NDArray[np.float32], cycles: Cycles, metadata: Mapping[str, Any]) -> None:
+    """Write images and what belongs to them; the file is there only when it is whole.
+
+    Arrays: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles, blocks), ``time_ns`` int64
+    (cycles,), ``metadata`` a string of JSON.
+
+    Raises
+    ------
+    RunError
+        If it cannot be written.
+    """
+    part = _part_of(path)
+    try:
+        with part.open("wb") as file:
+            np.savez(
+                file,
+                images=images,
+                valid=cycles.valid,
+                time_ns=cycles.time_ns,
+                metadata=np.array(msgspec.json.encode(metadata).decode()),
+            )
+        part.replace(path)
+    except OSError as error:
+        raise RunError(f"{path}: the images cannot be written: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _part_of(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.part")

@@ -1,0 +1,52 @@
+"""A recording of forces, measured as live nodes would: the same taxel, the same Φ, the same packing of the sums."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dbc.contract import Contract
+from nodes.electronics import Electronics
+from rebuild.cycles import Cycles
+from touch.sources import recording
+
+
+def measure_recording(
+    contract: Contract,
+    path: Path,
+    arrays: Sequence[str] | None,
+    full_scale: float | None,
+    advance: Callable[[int], None],
+) -> Cycles:
+    """Measure every frame of a recording in one cycle of the skin; every block is valid.
+
+    Parameters
+    ----------
+    contract : Contract
+    path : pathlib.Path
+        ``.npz``, ``.npy`` or ``.csv``, see `touch.reading`. Its values hold a real sensor's noise; none is added.
+    arrays : sequence of str, optional
+        Arrays of an ``.npz`` to lay side by side.
+    full_scale : float, optional
+        The recorded value that becomes the taxels' largest force; without it the largest value of the recording.
+    advance : callable
+        Called with the number of further frames that are measured.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be used.
+    """
+    layout, phi, packing = contract.layout, contract.phi, contract.packing
+    taxels = layout.taxels
+    source = recording(
+        path, taxels.rows, taxels.columns, full_scale=full_scale, force_max_n=taxels.force_max_n, arrays=arrays
+    )
+    electronics = Electronics(taxels, noise_n=0.0)
+    counts = np.empty((source.frames, phi.shape[0]), np.int32)
+    for step in range(source.frames):
+        sums = phi.forward(electronics.read(source.frame(step).force_n)).astype(np.int32, copy=False)
+        counts[step] = packing.counts(packing.raw(sums))
+        advance(1)
+    time_ns = np.rint(np.arange(source.frames) * (1e9 * layout.sync.period_s)).astype(np.int64)
+    return Cycles(counts, np.ones((source.frames, phi.blocks), np.bool_), time_ns)

@@ -1,0 +1,100 @@
+"""A CAN log, decoded by the rules of the live gateway: what its collector would not have used is not used here."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.canopen import SYNC_COB_ID
+from dbc.contract import SYNC_OVERFLOW, Contract
+from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
+from gateway.collector import Collector, Counts
+from rebuild.cycles import Cycles
+from skin.errors import InputError
+
+#: A late SYNC of one bus may stand in the log behind the next SYNC of another, but not further back.
+_CYCLES_IN_FLIGHT: Final = 2
+
+
+@dataclass
+class _Cycle:
+    """One cycle of the log: its SYNC counter, the time of its first SYNC, and its frames on every bus."""
+
+    counter: int
+    time_ns: int
+    frames: dict[int, Frames] = field(default_factory=dict)
+
+
+def replay(contract: Contract, logged: Mapping[int, Frames], advance: Callable[[int], None]) -> tuple[Cycles, Counts]:
+    """Return the cycles of a log, and how its frames were counted.
+
+    A cycle begins with its SYNC and ends, on each bus, with the next SYNC on that bus. Every node is trusted: a log
+    does not say which Φ its nodes had.
+
+    Parameters
+    ----------
+    contract : Contract
+    logged : mapping of int to Frames
+        Frames by the number of their bus, in the order of the log.
+    advance : callable
+        Called with the number of further cycles that are decoded.
+
+    Raises
+    ------
+    InputError
+        If the log holds no SYNC with a counter.
+    """
+    found = _cycles(logged)
+    if not found:
+        raise InputError(
+            f"the log holds no SYNC with a counter (COB-ID {SYNC_COB_ID:02X}h, 1 byte): it cannot be cut into cycles"
+        )
+    collector = Collector(contract)
+    phi = contract.phi
+    collector.trust(slice(0, phi.blocks), proven=True)
+    counts = np.empty((len(found), phi.shape[0]), np.int32)
+    valid = np.empty((len(found), phi.blocks), np.bool_)
+    for number, cycle in enumerate(found):
+        collector.open(cycle.counter)
+        for bus, arrived in cycle.frames.items():
+            collector.take(bus, arrived)
+        gathered = collector.close(cycle.counter)
+        counts[number], valid[number] = gathered.sums, gathered.valid
+        advance(1)
+    return Cycles(counts, valid, np.array([cycle.time_ns for cycle in found], np.int64)), collector.counts
+
+
+def _cycles(logged: Mapping[int, Frames]) -> list[_Cycle]:
+    """Join the parts of all buses that belong to one SYNC."""
+    parts = [(int(part["time_ns"][0]), bus, part) for bus, seen in logged.items() for part in _parts(seen)]
+    parts.sort(key=lambda part: part[:2])
+    found: list[_Cycle] = []
+    for time_ns, bus, part in parts:
+        counter = int(part["data"][0, 0])
+        for cycle in found[-_CYCLES_IN_FLIGHT:]:
+            if cycle.counter == counter and bus not in cycle.frames:
+                cycle.frames[bus] = part
+                break
+        else:
+            found.append(_Cycle(counter, time_ns, {bus: part}))
+    return found
+
+
+def _parts(seen: Frames) -> list[Frames]:
+    """Cut the frames of a bus before every SYNC; what comes before the first is left out.
+
+    The SYNCs are marked as echoes, as the gateway that sent them saw them.
+    """
+    plain = seen["flags"] & (EXTENDED | REMOTE | ERROR | FD) == 0
+    counter = seen["data"][:, 0]
+    is_sync = plain & (seen["can_id"] == SYNC_COB_ID) & (seen["length"] == 1) & _in_range(counter)
+    marked = seen.copy()
+    marked["flags"][is_sync] |= ECHO
+    places = np.flatnonzero(is_sync)
+    return np.split(marked, places)[1:] if len(places) else []
+
+
+def _in_range(counter: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    return (counter >= 1) & (counter <= SYNC_OVERFLOW)
