@@ -10,19 +10,17 @@ the factor ½; its tables come out with the printed λ = 1 for noiselets in this
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from reconstructor.bases import Basis
-from reconstructor.checks import check_above_zero, check_iterations, check_penalty, check_values
+from reconstructor.checks import Values, check_above_zero, check_iterations, check_penalty, check_values
 from reconstructor.proximal import Proximal, soft
 from skin.errors import InputError
 from skin.operator import Operator
 
-Values = npt.NDArray[np.floating[Any]]
 #: Called with the number of the iteration, from 1, and the estimate after it.
 Observer = Callable[[int, Values], None]
 

@@ -2,15 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from reconstructor.bases import Basis
-from reconstructor.checks import check_iterations
-
-Values = npt.NDArray[np.floating[Any]]
+from reconstructor.checks import Values, check_iterations
 
 
 class Proximal(Protocol):

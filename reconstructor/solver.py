@@ -5,12 +5,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.checks import Values
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
-
-Values = npt.NDArray[np.floating[Any]]
 
 
 class ImageSolver(Protocol):

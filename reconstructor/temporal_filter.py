@@ -12,14 +12,11 @@ A missing sum keeps its average, with a weight that is multiplied by 1 - g in ea
 of the past stays.
 """
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.checks import Values
 from reconstructor.kernels.temporal_filter import CORRELATION_GAIN, FLOOR, GAIN, FilterState, update
-
-Values = npt.NDArray[np.floating[Any]]
 
 
 class TemporalFilter:

@@ -3,9 +3,8 @@
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-Values = npt.NDArray[np.floating[Any]]
+from reconstructor.checks import Values
 
 
 class Basis(Protocol):

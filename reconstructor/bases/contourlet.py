@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from reconstructor.bases.basis import Values
 from reconstructor.bases.directional import Level, bank
 from reconstructor.bases.pkva import ROOT_TWO, fan, pyramid_pair
-from reconstructor.checks import check_values, is_whole
+from reconstructor.checks import Values, check_values, is_whole
 from skin.errors import InputError
 
 #: 2⁵ directions: the toolbox's nlevs = [5].

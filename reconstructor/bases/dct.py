@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from reconstructor.bases.basis import Values
-from reconstructor.checks import check_grid, check_values
+from reconstructor.checks import Values, check_grid, check_values
 
 
 class Dct:

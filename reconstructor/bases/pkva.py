@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.bases.basis import Values
+from reconstructor.checks import Values
 
 Matrix = npt.NDArray[np.float64]
 

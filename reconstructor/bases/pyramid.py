@@ -3,9 +3,8 @@
 import numpy as np
 import pywt
 
-from reconstructor.bases.basis import Values
 from reconstructor.bases.separable import DAUBECHIES_4, HAAR, wavelet_step
-from reconstructor.checks import check_grid, check_values
+from reconstructor.checks import Values, check_grid, check_values
 
 
 class Pyramid:

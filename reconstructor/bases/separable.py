@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pywt
 
-from reconstructor.bases.basis import Values
-from reconstructor.checks import check_grid, check_values
+from reconstructor.checks import Values, check_grid, check_values
 
 Matrix = npt.NDArray[np.float64]
 

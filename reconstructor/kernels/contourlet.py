@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases.contourlet import Contourlet
-from reconstructor.checks import check_estimate, check_sbhe, check_values, float_kind, placed
+from reconstructor.checks import Values, check_estimate, check_sbhe, check_values, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.contourlet_tables import (
     ContourletBuffers,
@@ -19,14 +19,11 @@ from reconstructor.kernels.contourlet_tables import (
 )
 from reconstructor.kernels.contourlet_transform import synthesise, transpose
 from reconstructor.kernels.problem import check_penalty_ratio, checked, places_of_sums, taxels_in_block_order
-from reconstructor.kernels.steps import aligned, deliver, gather, load
+from reconstructor.kernels.steps import Table, aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from reconstructor.settings import SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe
-
-Values = npt.NDArray[np.floating[Any]]
-Table = npt.NDArray[np.uint16]
 
 
 class _Problem(NamedTuple):

@@ -15,10 +15,9 @@ import numpy.typing as npt
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.directional import Level
 from reconstructor.bases.pkva import FAN
-from reconstructor.kernels.steps import aligned
+from reconstructor.kernels.steps import Table, aligned
 from reconstructor.kernels.transforms import Flat
 
-Table = npt.NDArray[np.uint16]
 Taps = npt.NDArray[np.float64]
 TAPS: Final = 12
 

@@ -1,20 +1,18 @@
 """The compiled solver for one Φ and one prior."""
 
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.checks import check_estimate, check_values, placed
+from reconstructor.checks import Values, check_estimate, check_values, placed
 from reconstructor.kernels import daubechies, haar, variation
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.problem import Model, check_penalty_ratio, checked, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, row, scratch_of
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
-
-Values = npt.NDArray[np.floating[Any]]
 
 
 class _Kernel(NamedTuple):

@@ -4,23 +4,21 @@ Taxel k of problem l stands at ``k * LANES + l``. Transforms of the single kerne
 are, and a permutation moves whole vectors instead of single values.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.checks import check_estimate, placed
+from reconstructor.checks import Values, check_estimate, placed
 from reconstructor.kernels import daubechies, haar
 from reconstructor.kernels.problem import Model, checked
-from reconstructor.kernels.steps import Problem, advance, aligned, descend, row, scratch_of, start_scale
+from reconstructor.kernels.steps import Problem, Table, advance, aligned, descend, row, scratch_of, start_scale
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
 from reconstructor.settings import WAVELETS, SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
-Values = npt.NDArray[np.floating[Any]]
-Table = npt.NDArray[np.uint16]
 #: Problems at once: eight of float32 are one vector, and the working memory stays in the L2 cache.
 LANES: Final = 8
 #: Rows of working memory: gain, target, ahead, work, image, other.

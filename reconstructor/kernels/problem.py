@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.bases.separable import DAUBECHIES_4, HAAR
-from reconstructor.checks import check_grid_of, float_kind, placed
+from reconstructor.checks import Values, check_grid_of, float_kind, placed
 from reconstructor.fista import momentum
 from reconstructor.kernels.addresses import (
     Indices,
@@ -24,8 +24,6 @@ from reconstructor.kernels.steps import Problem, Table, usable
 from reconstructor.settings import SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe
-
-Values = npt.NDArray[np.floating[Any]]
 
 ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
     "haar-pyramid": pyramid_addresses,

@@ -1,14 +1,13 @@
 """One cycle of the temporal filter as a compiled function; see `reconstructor.temporal_filter`."""
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from reconstructor.checks import LARGEST_N
-
-Flat = npt.NDArray[np.floating[Any]]
+from reconstructor.kernels.transforms import Flat
 
 #: The least gain.
 GAIN_MIN: Final = 0.18
