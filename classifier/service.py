@@ -4,7 +4,7 @@ import numpy as np
 
 from classifier.decide import Classifier
 from skin.fabric import Fabric
-from skin.measured import MeasurementReader
+from skin.measured_sums import MeasurementReader
 from skin.measurement import Sbhe
 from skin.messages import LABEL, MEASUREMENT, Label, Measurement
 from skin.service import StopSignal

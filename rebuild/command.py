@@ -17,7 +17,7 @@ from rebuild.cycles import Cycles
 from rebuild.output import check_out, save_images
 from rebuild.recording import measure_recording
 from rebuild.replay import replay
-from reconstructor.array_api import array_library
+from reconstructor.array_api import gpu_library
 from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
 from skin.errors import InputError, RunError
@@ -80,7 +80,7 @@ def rebuild(
     taxels = contract.layout.taxels
     options = solver or SolverOptions()
     settings = options.settings()
-    library = array_library("cupy") if device == "gpu" else None
+    library = gpu_library() if device == "gpu" else None
     solve = RecordingSolver(
         contract.phi, taxels.rows, taxels.columns, settings, noise_n=options.noise_n, library=library
     )

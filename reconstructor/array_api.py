@@ -18,22 +18,18 @@ from skin.errors import InputError
 from skin.measurement import Sbhe, fast_hadamard
 
 
-def array_library(name: str) -> ModuleType:
-    """Return NumPy or CuPy by name.
+def gpu_library() -> ModuleType:
+    """Return CuPy.
 
     Raises
     ------
     InputError
-        If the name is unknown, or CuPy is not installed or finds no GPU.
+        If CuPy is not installed or finds no GPU.
     """
-    if name == "numpy":
-        return np
-    if name != "cupy":
-        raise InputError(f"unknown array library '{name}': expected numpy or cupy")
     try:
         import cupy
     except ImportError as error:
-        raise InputError(f"CuPy cannot be loaded ({error}): install canskin[gpu]") from error
+        raise InputError(f'CuPy cannot be loaded ({error}): pip install "canskin[gpu]"') from error
     try:
         cupy.cuda.runtime.getDeviceCount()
     except cupy.cuda.runtime.CUDARuntimeError as error:

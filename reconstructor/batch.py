@@ -53,7 +53,7 @@ class RecordingSolver:
     noise_n : float, optional
         See `Reconstructor`.
     library : module, optional
-        A library of the Python array API, see `reconstructor.array_api.array_library`.
+        A library of the Python array API, for example `reconstructor.array_api.gpu_library`.
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from reconstructor.engine import Reconstructor
 from skin.fabric import Fabric
 from skin.layout import Layout
-from skin.measured import MeasurementReader
+from skin.measured_sums import MeasurementReader
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.service import StopSignal, be_punctual
 

@@ -13,7 +13,7 @@ import msgspec
 class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     """The sums of one SYNC cycle, published by the gateway once per cycle, complete or not.
 
-    `skin.measured` checks and decodes it.
+    `skin.measured_sums` checks and decodes it.
 
     Attributes
     ----------

@@ -202,7 +202,7 @@ def test_the_gpu_path_on_a_cpu(
 ) -> None:
     """NumPy in the place of CuPy: the same images as on the CPU, but for rounding."""
     np.save(tmp_path / "mat.npy", force_n)
-    monkeypatch.setattr(command, "array_library", lambda _: np)
+    monkeypatch.setattr(command, "gpu_library", lambda: np)
     made = []
     for device in ("gpu", "cpu"):
         out = tmp_path / f"{device}.npz"
@@ -223,9 +223,9 @@ def test_without_a_gpu_the_extra_is_named(
 ) -> None:
     np.save(tmp_path / "mat.npy", force_n)
     monkeypatch.setitem(sys.modules, "cupy", None)
-    with pytest.raises(InputError, match=r"install canskin\[gpu\]"):
+    with pytest.raises(InputError, match=r"canskin\[gpu\]"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, device="gpu", solver=SolverOptions("paper"))
-    monkeypatch.setattr(command, "array_library", lambda _: np)
+    monkeypatch.setattr(command, "gpu_library", lambda: np)
     with pytest.raises(InputError, match="as the solver 'paper' has them"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, device="gpu")
     assert not out.exists()

@@ -8,7 +8,7 @@ import array_api_strict
 import numpy as np
 import pytest
 
-from reconstructor.array_api import BatchSolver, array_library
+from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.bases import haar_tensor
 from reconstructor.batch import RecordingSolver
 from reconstructor.engine import Reconstructor
@@ -150,13 +150,10 @@ def test_array_solver_asks_for_nothing_beyond_the_array_standard(dtype: type) ->
     np.testing.assert_array_equal(strict.deliver(made), plain.deliver(wanted))
 
 
-def test_array_libraries_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert array_library("numpy") is np
-    with pytest.raises(InputError, match="expected numpy or cupy"):
-        array_library("torch")
+def test_without_a_gpu_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cupy", None)  # as if it were not installed
-    with pytest.raises(InputError, match=r"CuPy cannot be loaded \(.*\): install canskin\[gpu\]$"):
-        array_library("cupy")
+    with pytest.raises(InputError, match=r'CuPy cannot be loaded \(.*\): pip install "canskin\[gpu\]"$'):
+        gpu_library()
 
     def no_driver() -> int:
         raise RuntimeError("driver too old")
@@ -164,4 +161,4 @@ def test_array_libraries_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     runtime = SimpleNamespace(getDeviceCount=no_driver, CUDARuntimeError=RuntimeError)
     monkeypatch.setitem(sys.modules, "cupy", SimpleNamespace(cuda=SimpleNamespace(runtime=runtime)))
     with pytest.raises(InputError, match="CuPy finds no GPU: driver too old"):
-        array_library("cupy")
+        gpu_library()

@@ -4,9 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from skin import measured
+from skin import measured_sums
 from skin.errors import InputError
-from skin.measured import MeasurementReader, decode_measurement
+from skin.measured_sums import MeasurementReader, decode_measurement
 from skin.measurement import sbhe
 from skin.messages import Measurement
 
@@ -56,7 +56,7 @@ def test_refusals_are_counted_and_named_once_in_a_while(
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     assert said[0].startswith("classifier: measurement refused (1 so far): measured with Φ")
-    now_s = measured.time.monotonic() + measured.COMPLAINT_PERIOD_S
-    monkeypatch.setattr(measured.time, "monotonic", lambda: now_s)
+    now_s = measured_sums.time.monotonic() + measured_sums.COMPLAINT_PERIOD_S
+    monkeypatch.setattr(measured_sums.time, "monotonic", lambda: now_s)
     reader.read(msgspec.structs.replace(GOOD, sums=b""))
     assert f"({len(BAD) + 1} so far)" in capsys.readouterr().err
