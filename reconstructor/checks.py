@@ -77,7 +77,7 @@ def check_grid(rows: int, columns: int) -> None:
 def check_sbhe(phi: object) -> None:
     """Raise InputError unless Φ is an SBHE."""
     if not isinstance(phi, Sbhe):
-        raise InputError(f"a compiled solver needs an SBHE, got {type(phi).__name__}: use NoiseletSolver or fista")
+        raise InputError(f"a compiled solver needs an SBHE, got {type(phi).__name__}: use fista")
 
 
 def check_grid_of(phi: Sbhe, rows: int, columns: int) -> None:

@@ -26,11 +26,20 @@ def print_json(document: Any) -> None:
     Parameters
     ----------
     document : object
-        What `msgspec` encodes: builtins, structs, dataclasses. A number that is not finite becomes ``null``.
+        What `msgspec` encodes (builtins, structs, dataclasses) and NumPy's numbers. A number that is not finite
+        becomes ``null``.
     """
     import msgspec
 
-    print(msgspec.json.encode(document).decode())
+    print(msgspec.json.encode(document, enc_hook=_builtin).decode())
+
+
+def _builtin(value: Any) -> Any:
+    import numpy as np
+
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"no JSON for a {type(value).__name__}")
 
 
 def print_table(headings: Sequence[str], rows: Iterable[Iterable[Any]], *, title: str = "") -> None:

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from cyclopts import App
 
@@ -32,10 +33,12 @@ def test_rows_without_headings(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_json_is_one_line_a_program_reads(capsys: pytest.CaptureFixture[str]) -> None:
-    print_json({"Φ": [1.5, None, float("nan")]})
+    print_json({"Φ": [1.5, None, float("nan"), np.float64(2), np.int16(3), np.bool_(True)]})
     out = capsys.readouterr().out
     assert out.count("\n") == 1
-    assert json.loads(out) == {"Φ": [1.5, None, None]}
+    assert json.loads(out) == {"Φ": [1.5, None, None, 2.0, 3, True]}
+    with pytest.raises(TypeError, match="no JSON for a set_iterator"):
+        print_json(iter({1}))
 
 
 def test_the_flag_is_json_and_has_no_opposite() -> None:
