@@ -12,7 +12,6 @@ from cyclopts import Parameter
 
 from bandwidth.logs import of_buses, read_log
 from dbc.contract import Contract
-from gateway.collector import Counts
 from rebuild.cycles import Cycles
 from rebuild.output import check_out, save_images
 from rebuild.recording import measure_recording
@@ -22,6 +21,7 @@ from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
 from skin.errors import InputError, RunError
 from skin.layout import load_layout
+from skin.messages import FrameCounts
 from skin.service import say
 from skin.terminal import progress
 
@@ -160,7 +160,7 @@ def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycl
     return cycles
 
 
-def _counted(counts: Counts) -> str:
+def _counted(counts: FrameCounts) -> str:
     """Say how frames were counted, in the words of the gateway's counters."""
     words = ("accepted", "missing", "late", "duplicate", "malformed", "foreign")
     return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)

@@ -10,9 +10,10 @@ import numpy.typing as npt
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import SYNC_OVERFLOW, Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
-from gateway.collector import Collector, Counts
+from gateway.collector import Collector
 from rebuild.cycles import Cycles
 from skin.errors import InputError
+from skin.messages import FrameCounts
 
 #: A late SYNC of one bus may stand in the log behind the next SYNC of another, but not further back.
 _CYCLES_IN_FLIGHT: Final = 2
@@ -27,7 +28,9 @@ class _Cycle:
     frames: dict[int, Frames] = field(default_factory=dict)
 
 
-def replay(contract: Contract, logged: Mapping[int, Frames], advance: Callable[[int], None]) -> tuple[Cycles, Counts]:
+def replay(
+    contract: Contract, logged: Mapping[int, Frames], advance: Callable[[int], None]
+) -> tuple[Cycles, FrameCounts]:
     """Return the cycles of a log, and how its frames were counted.
 
     A cycle begins with its SYNC and ends, on each bus, with the next SYNC on that bus. Every node is trusted: a log
