@@ -3,8 +3,7 @@
 After CiA 302-2, boot NMT slave and error control. Time and frames are arguments, so that nothing here waits.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -25,14 +24,15 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import PROOF_ROUNDS, Setting, configuration, proof_period_s
+from dbc.configuration import PROOF_ROUNDS, configuration, proof_period_s
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from gateway.grouped_lines import GroupedLines
+from gateway.node_record import NodeRecord
 from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, SdoDialogue
 from skin.messages import SILENT
-from skin.ranges import ranges_text
 
 #: A node is silent when its heartbeat is missing for this many periods.
 PATIENCE: Final = 1.5
@@ -52,41 +52,8 @@ DIALOGUES: Final = 16
 EXPLAINS_S: Final = 2.0
 #: How often `tick` looks at every node.
 TICK_S: Final = 0.01
-#: Lines about several nodes are put together when they come within this time.
-GATHER_S: Final = 0.2
 
 Send = Callable[[int, bytes], None]
-
-
-@dataclass
-class _Node:
-    """What is known of one node."""
-
-    contract: NodeContract
-    settings: Sequence[Setting]
-    compared: frozenset[int]
-    nmt: int = SILENT
-    heard_s: float = -np.inf
-    emcy: int = 0
-    emcy_s: float = -np.inf
-    trusted: bool = False
-    trusted_s: float = -np.inf
-    proven_s: float = -np.inf
-    refusal: str = ""
-    dialogue: SdoDialogue | None = None
-    began_s: float = -np.inf
-    prove_at_s: float = 0.0
-    #: Transfers that its last proof took.
-    cost: int = 1
-    tries: int = 0
-    asked: bool = False
-    lost_s: float | None = None
-    hint: str = ""
-    #: The gateway itself has reset the node, so that its boot is no sign of a repair.
-    is_own_reset: bool = False
-    #: The download that another master has begun is of an object that is compared.
-    is_sdo_suspect: bool = True
-    foreign_sdo_s: float = -np.inf
 
 
 class NmtMaster:
@@ -123,9 +90,8 @@ class NmtMaster:
         self._write = contract.layout.configure == "write"
         self._send = send
         self._trust = trust
-        self._say = say
         self._nodes = {
-            node.node_id: _Node(node, settings, frozenset(each.index for each in settings))
+            node.node_id: NodeRecord(node, settings, frozenset(each.index for each in settings))
             for node in contract.on_bus(bus)
             for settings in [configuration(contract, node)]
         }
@@ -133,8 +99,7 @@ class NmtMaster:
         self.foreign_nmt = 0
         self._round_s = proof_period_s(contract, bus)
         self._slot_s = self._tick_s = -np.inf
-        self._lines: dict[str, list[int]] = {}
-        self._lines_s = np.inf
+        self._lines = GroupedLines(self._name, say)
         #: Emergencies since the last look: node-ID and error code.
         self.emergencies: list[tuple[int, int]] = []
 
@@ -189,7 +154,7 @@ class NmtMaster:
             elif node is not None:
                 self._take_of(node, identifier & ~HIGHEST_NODE_ID, data, now_s)
 
-    def _take_of(self, node: _Node, base: int, data: bytes, now_s: float) -> None:
+    def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
         if base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
             self._heartbeat(node, data[0] & 0x7F, now_s)
         elif base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
@@ -204,7 +169,7 @@ class NmtMaster:
                 node.emcy_s = now_s
                 self.emergencies.append((node.contract.node_id, node.emcy))
 
-    def _heartbeat(self, node: _Node, state: int, now_s: float) -> None:
+    def _heartbeat(self, node: NodeRecord, state: int, now_s: float) -> None:
         was_silent = node.nmt == SILENT
         node.heard_s = now_s
         if state == NmtState.INITIALISING:
@@ -222,7 +187,7 @@ class NmtMaster:
             node.tries = 0
             node.prove_at_s = min(node.prove_at_s, now_s)
 
-    def _booted(self, node: _Node, now_s: float) -> None:
+    def _booted(self, node: NodeRecord, now_s: float) -> None:
         """Doubt a node that has booted: nothing is known of it until it is proven."""
         node.dialogue = None
         node.refusal = ""
@@ -247,7 +212,7 @@ class NmtMaster:
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
 
-    def _foreign_sdo(self, node: _Node, data: bytes, now_s: float) -> None:
+    def _foreign_sdo(self, node: NodeRecord, data: bytes, now_s: float) -> None:
         """Doubt a node whose configuration somebody else writes, until it is proven again."""
         node.foreign_sdo_s = now_s
         kind = data[0] >> 5
@@ -288,22 +253,14 @@ class NmtMaster:
         for node in [node for node in out if now_s >= node.prove_at_s][: max(0, free)]:
             self._bring_back(node, now_s)
         self._prove_in_turn(now_s)
-        if now_s - self._lines_s >= GATHER_S:
-            self.flush()
-
-    def flush(self) -> None:
-        """Say what has gathered."""
-        for text, node_ids in self._lines.items():
-            self._say(f"node{'s' * (len(node_ids) > 1)} {ranges_text(node_ids)} on {self._name} {text}")
-        self._lines.clear()
-        self._lines_s = np.inf
+        self._lines.tick(now_s)
 
     def stop(self) -> None:
         """Leave all nodes PRE-OPERATIONAL."""
         self._command(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
-        self.flush()
+        self._lines.flush()
 
-    def _check_times(self, node: _Node, limit_s: float, now_s: float) -> None:
+    def _check_times(self, node: NodeRecord, limit_s: float, now_s: float) -> None:
         """Find a heartbeat or a proof that is overdue."""
         if node.nmt != SILENT and now_s - node.heard_s > SILENT_AFTER_S:
             node.nmt = SILENT
@@ -314,7 +271,7 @@ class NmtMaster:
         if node.trusted and now_s - node.proven_s > limit_s:
             self._lose(node, f"not proven for {now_s - node.proven_s:.0f} s: no answer by SDO", now_s)
 
-    def _bring_back(self, node: _Node, now_s: float) -> None:
+    def _bring_back(self, node: NodeRecord, now_s: float) -> None:
         """Begin to prove a node that is out; it is started when the proof is there."""
         if node.nmt == NmtState.STOPPED:  # a stopped node answers no SDO (CiA 301, 7.3.2.2.4)
             self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
@@ -337,7 +294,7 @@ class NmtMaster:
         self._slot_s += (oldest.cost - 1) * share_s
         self._begin(oldest, now_s)
 
-    def _begin(self, node: _Node, now_s: float) -> None:
+    def _begin(self, node: NodeRecord, now_s: float) -> None:
         def doubt() -> None:
             if node.trusted:
                 self._lose(node, "doubted: its configuration is not that of the layout", now_s)
@@ -348,7 +305,7 @@ class NmtMaster:
         attempts = 1 if node.nmt == SILENT else ATTEMPTS
         node.dialogue = SdoDialogue(node.contract.node_id, steps, self._send, now_s, attempts=attempts)
 
-    def _finish(self, node: _Node, now_s: float) -> None:
+    def _finish(self, node: NodeRecord, now_s: float) -> None:
         """Draw the conclusion of a dialogue that has ended."""
         dialogue = node.dialogue
         if dialogue is None or not dialogue.done:
@@ -360,53 +317,51 @@ class NmtMaster:
             return
         node.cost = 1 if proof.signed else dialogue.transfers
         for line in proof.written:
-            self._line(node, f"set right: {line}", now_s)
+            self._lines.add(node.contract.node_id, f"set right: {line}", now_s)
         if proof.refusal:
             if proof.refusal != node.refusal:
-                self._line(node, f"refused: {proof.refusal}", now_s)
+                self._lines.add(node.contract.node_id, f"refused: {proof.refusal}", now_s)
             node.refusal, node.prove_at_s = proof.refusal, now_s + LATER_S
             return
         node.refusal, node.proven_s = "", node.began_s
         if not node.trusted:
             self._let_in(node, now_s)
 
-    def _let_in(self, node: _Node, now_s: float) -> None:
+    def _let_in(self, node: NodeRecord, now_s: float) -> None:
         node.trusted, node.trusted_s = True, now_s
         self._trust(node.contract, True)
         if node.nmt != NmtState.OPERATIONAL:
             self._command(NmtCommand.START, node.contract.node_id)
             node.nmt, node.heard_s = NmtState.OPERATIONAL, now_s
         if node.lost_s is not None:
-            self._line(node, f"back after {now_s - node.lost_s:.1f} s", now_s)
+            self._lines.add(node.contract.node_id, f"back after {now_s - node.lost_s:.1f} s", now_s)
             node.lost_s = None
         else:
             node.tries = 0  # it was not out: it had not been in yet
 
-    def _lose(self, node: _Node, why: str, now_s: float) -> None:
+    def _lose(self, node: NodeRecord, why: str, now_s: float) -> None:
         """Use the sums of a node no longer, and bring it back after a pause."""
         node.trusted = False
         self._trust(node.contract, False)
         if node.lost_s is None:
             node.lost_s = now_s
-        self._line(node, why, now_s)
+        self._lines.add(node.contract.node_id, why, now_s)
         self._pause(node, now_s)
 
-    def _pause(self, node: _Node, now_s: float) -> None:
+    def _pause(self, node: NodeRecord, now_s: float) -> None:
         """Set when a node that is out is asked next."""
         is_over = node.tries >= len(PAUSES_S)
         node.prove_at_s = now_s + (LATER_S if is_over else PAUSES_S[node.tries])
         if node.tries == len(PAUSES_S) and node.nmt != SILENT:
-            self._line(node, f"given up after {len(PAUSES_S)} tries: tried again every {LATER_S:g} s", now_s)
+            self._lines.add(
+                node.contract.node_id, f"given up after {len(PAUSES_S)} tries: tried again every {LATER_S:g} s", now_s
+            )
 
     def _command(self, command: NmtCommand, node_id: int) -> None:
         self._send(NMT_COB_ID, bytes((command, node_id)))
 
-    def _explanation(self, node: _Node, now_s: float) -> str:
+    def _explanation(self, node: NodeRecord, now_s: float) -> str:
         return f" after EMCY {node.emcy:04X}h" if now_s - node.emcy_s < EXPLAINS_S else ""
-
-    def _line(self, node: _Node, text: str, now_s: float) -> None:
-        self._lines.setdefault(text, []).append(node.contract.node_id)
-        self._lines_s = min(self._lines_s, now_s)
 
 
 def _of(can_id: npt.NDArray[np.uint32], base: int) -> npt.NDArray[np.bool_]:
