@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bus.batch_io import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received
 from bus.error_frames import State, state_of_report
 from bus.protocol import Filter, check_frames, pad_lengths
+from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received
 from bus.retry import Backoff
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
 from skin.errors import BusError
