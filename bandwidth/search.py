@@ -144,8 +144,8 @@ class Search:
 def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
     """Search for the first layout that meets a requirement, then for more sums on the same buses and nodes.
 
-    Of `COMPRESSIONS`, the fewest taxels per sum that fit are taken. For them the data phase of CAN FD may become faster,
-    up to `COMMON_DATA_BITRATE`.
+    Of `COMPRESSIONS`, the fewest taxels per sum that fit are taken. For them the data phase of CAN FD may become
+    faster, up to `COMMON_DATA_BITRATE`.
     """
     allowed = allowed or Disturbance()
     candidates: list[Candidate] = []

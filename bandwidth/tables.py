@@ -11,6 +11,8 @@ from skin.terminal import print_table
 
 #: Columns of the lines that list the nodes of a bus.
 _WIDTH: Final = 120
+#: A space at which no line is broken.
+_NO_BREAK: Final = "\N{NO-BREAK SPACE}"
 
 
 def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
@@ -19,7 +21,7 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
     _print_buses(plans)
     print("\nworst response of each node's last TPDO, ms:")
     for line in _node_lines(plans):
-        print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    "))
+        print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    ").replace(_NO_BREAK, " "))
     print()
     _print_alternatives(tried)
     for each in plans:
@@ -113,7 +115,7 @@ def _node_lines(plans: Sequence[BusPlan]) -> list[str]:
     """Return the response times of every bus; buses whose nodes have the same share a line."""
     alike: dict[str, list[str]] = {}
     for each in plans:
-        responses = ", ".join(f"{node.node_id}: {_ms(node.response_ms)}" for node in each.node_plans)
+        responses = ", ".join(f"{node.node_id}:{_NO_BREAK}{_ms(node.response_ms)}" for node in each.node_plans)
         alike.setdefault(responses, []).append(each.name)
     return [f"{', '.join(names)}: {responses}" for responses, names in alike.items()]
 

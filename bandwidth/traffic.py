@@ -11,7 +11,7 @@ from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Nmt
 from dbc.contract import CLASSIC_BYTES, Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
-from dbc.frame_bits import frame_time_ns
+from dbc.frame_bits import frame_time_ns, nominal_ns
 from skin.errors import InputError
 from skin.layout import Bus
 
@@ -105,7 +105,7 @@ class Traffic:
             worst,
             np.rint(self.period_s * 1e9).astype(np.int64),
             np.rint(self.jitter_s * 1e9).astype(np.int64),
-            bit_ns=round(1e9 / self.bus.bitrate),
+            bit_ns=nominal_ns(1, self.bus.bitrate),
             blocked_ns=blocked,
             error_interval_ns=round(1e9 / errors_per_s) if errors_per_s else 0,
         )

@@ -13,7 +13,6 @@ from typing import Final, Self
 
 import msgspec
 
-from bus.core import Bus
 from bus.faults import Fault
 from bus.protocol import (
     MAX_PACKET,
@@ -30,6 +29,7 @@ from bus.protocol import (
     unpack_json,
 )
 from bus.session import Batch, Session
+from bus.simulated_bus import SimulatedBus
 from dbc.frame import frames
 from dbc.frame_bits import frame_time_ns
 from skin.errors import BusError, InputError
@@ -80,7 +80,7 @@ class _Line:
     """One bus, its socket and its clients."""
 
     channel: str
-    bus: Bus
+    bus: SimulatedBus
     listener: socket.socket
     path: Path
     guests: list[socket.socket] = field(default_factory=list)
@@ -129,7 +129,7 @@ class BusServer:
         self.close()
 
     @property
-    def buses(self) -> dict[str, Bus]:
+    def buses(self) -> dict[str, SimulatedBus]:
         """The buses by name."""
         return {line.channel: line.bus for line in self._lines}
 
@@ -196,7 +196,7 @@ class BusServer:
     def _open(self, channel: str, place: int, folder: Path) -> _Line:
         path = socket_path(channel, folder)
         settings = self.settings
-        bus = Bus(
+        bus = SimulatedBus(
             settings.bitrate,
             settings.data_bitrate,
             faults=settings.faults,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bandwidth.departures import departures
 from bandwidth.measured import kind_of, measure, misfits, whole_cycles
 from bandwidth.plan import BusPlan, plan
-from bus.core import Bus
+from bus.simulated_bus import SimulatedBus
 from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from skin.errors import InputError
@@ -34,7 +34,7 @@ def planned(contract: Contract) -> BusPlan:
 @pytest.fixture(scope="module")
 def healthy(contract: Contract) -> Frames:
     """Two seconds of bus 1 with random sums, as its gateway saw them."""
-    wire = Bus(1_000_000)
+    wire = SimulatedBus(1_000_000)
     nodes, gateway = wire.attach("nodes", queue_size=1000), wire.attach("gateway")
     random = np.random.default_rng(1)
     seen = []

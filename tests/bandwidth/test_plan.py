@@ -9,7 +9,7 @@ import pytest
 from bandwidth.alternatives import alternatives, with_bits, with_buses
 from bandwidth.plan import plan
 from bandwidth.traffic import Disturbance
-from bus.core import Bus
+from bus.simulated_bus import SimulatedBus
 from dbc.codec import encode
 from dbc.contract import SYNC_OVERFLOW, Contract
 from dbc.frame import frames
@@ -38,7 +38,7 @@ def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
     taxels = layout.taxels
     source = load_source("objects", rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, seed=5)
     electronics = Electronics(taxels, seed=5)
-    wires = [Bus(each.bitrate, each.data_bitrate) for each in layout.bus]
+    wires = [SimulatedBus(each.bitrate, each.data_bitrate) for each in layout.bus]
     stations = [(wire.attach("nodes", queue_size=1000), wire.attach("gateway")) for wire in wires]
     table = contract.table
     period_ns = round(layout.sync.period_s * 1e9)
