@@ -34,7 +34,8 @@ def load(
     layout
         TOML of the skin; without it the default skin.
     can
-        Live: the CAN interfaces. Of a log: its channels, by default the buses' names, else all in their order.
+        Live: the CAN interfaces. In a log: the channel of each bus. Default: the names of the buses, else all
+        channels in their order.
     seconds
         Live: how long to listen.
     json_

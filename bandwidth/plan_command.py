@@ -43,9 +43,9 @@ def plan(
     layout
         TOML of the skin; without it the default skin.
     check
-        Compare a log of the buses with the plan, and print one line for each way in which they left it.
+        Compare a log of the buses with the plan, and print a line for each way in which the buses left the plan.
     channel
-        Channels of that log, one per bus of the layout; default the buses' names, else all in their order.
+        The channel of each bus in that log. Default: the names of the buses, else all channels in their order.
     taxels
         Search for a layout with this number of taxels, a power of two, instead of planning a layout.
     rate

@@ -1,4 +1,4 @@
-"""How a command says which CAN interfaces to use; python-can's own flags and meanings."""
+"""How a command line names CAN interfaces: with python-can's own flags."""
 
 import re
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ OPEN_WAIT_S = 30.0
 
 
 #: Names of channels as a command line takes them: ``-c can0 can1`` or ``-c can0 -c can1``.
-Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=True)]
+Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=True, show_default=False)]
 
 
 @Parameter(name="*")
