@@ -24,7 +24,7 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
     budget : float
         The part of each bus that frames with the most stuff bits may use.
     allowed : Disturbance, optional
-        What response times make room for.
+        What response times allow for besides the cycle.
 
     Returns
     -------

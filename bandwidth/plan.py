@@ -95,7 +95,7 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusP
     ----------
     contract : Contract
     allowed : Disturbance, optional
-        What response times make room for.
+        What response times allow for besides the cycle.
     """
     allowed = allowed or Disturbance()
     touched = touched_bits(contract)

@@ -1,7 +1,7 @@
-"""Rates of ways to send a skin's values, without regard to what a contract can spell: for comparisons.
+"""Rates of ways to send a skin's values that a layout need not be able to spell: for comparisons.
 
-Values are packed without a gap over as many frames as needed, also across frames, and a bus may have more nodes than
-there are node-IDs; both are told. `bandwidth.alternatives` has what a layout can really be.
+Values are packed without a gap over as many frames as needed, also across frames. A bus may have more nodes than there
+are node-IDs; `Scheme.fits_node_ids` tells. `bandwidth.alternatives` has real layouts.
 """
 
 from collections.abc import Iterator

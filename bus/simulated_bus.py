@@ -228,7 +228,7 @@ class SimulatedBus:
             self._succeed(items, start, odds)
 
     def _succeed(self, items: list[Waiting], start: int, odds: Odds) -> None:
-        """End a frame well: receivers get it, and every controller that sent it is told."""
+        """End a good frame: receivers get it, and every controller that sent it gets its echo."""
         duration = items[0].duration_ns
         self._free_ns = start + duration
         self.counts.busy_ns += duration

@@ -106,7 +106,7 @@ class TransmitQueues:
         self.counts.discarded += len(slots)
 
     def post_copy(self, item: Waiting, time_ns: int) -> None:
-        """Give receivers a frame whose sender has been, or will be, told separately."""
+        """Give receivers a frame whose sender gets its echo at another time."""
         self.outbox.post_copy(time_ns, self.pool.slots[[item.slot]], item.controller.station, OTHERS)
 
     def post_report(self, controller: Controller, time_ns: int, record: Frames) -> None:

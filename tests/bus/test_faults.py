@@ -1,4 +1,4 @@
-"""Faults are applied as often as told, and every frame is accounted for."""
+"""Faults happen as often as their rules say, and every frame is accounted for."""
 
 import numpy as np
 import pytest
