@@ -4,8 +4,9 @@ import re
 import select
 import time
 from collections.abc import Callable, Iterator
+from io import TextIOWrapper
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, Protocol, cast
 
 import can
 import numpy as np
@@ -100,7 +101,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     try:
         with can.LogReader(path) as reader:
             if isinstance(reader, TextIOMessageReader):
-                reader.file.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
+                cast("TextIOWrapper", reader.file).reconfigure(encoding="utf-8", errors="replace")
                 lines = reader.file = _Lines(reader.file)  # type: ignore[assignment]
             for message in reader:
                 if lines is not None and lines.is_error:

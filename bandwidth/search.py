@@ -16,22 +16,23 @@ from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO
 from skin.errors import InputError, LayoutError
-from skin.layout import RATE_MAX_HZ, Bus, Layout, Measuring, Sync, Taxels, validated
+from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, Measuring, Sync, Taxels, validated
 
 CanKind = Literal["any", "classic", "fd"]
 
 #: Widths to try. Rounding to 8 bits is not small beside the sensor noise, so 8 bits are tried after all others.
 SUM_BITS: Final = ((16, 12), (8,))
 BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
-DATA_BITRATES: Final = {
+FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
+DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
     "classic": (None,),
-    "fd": (2_000_000, 5_000_000, 8_000_000),
-    "any": (None, 2_000_000, 5_000_000, 8_000_000),
+    "fd": FD_BITRATES,
+    "any": (None, *FD_BITRATES),
 }
 #: Fastest data phase that every CAN FD transceiver has (ISO 11898-2:2016): no more sums are worth a faster one.
 COMMON_DATA_BITRATE: Final = 5_000_000
 #: Taxels per sum: the first is needed, the others give better images where the same buses carry them.
-COMPRESSIONS: Final = (4, 2, 1)
+COMPRESSIONS: Final = (SUMS_PART, 2, 1)
 TAXELS_MIN, TAXELS_MAX = 64, 65536
 BUSES_MAX: Final = 16
 
@@ -186,9 +187,9 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
 def _denser(least: Layout) -> Iterator[Layout]:
     """Yield layouts of the same buses and nodes with more sums, those with the most first, then slow wires first."""
     first = least.bus[0]
-    slowest = first.data_bitrate
-    faster = DATA_BITRATES["fd"] if slowest is not None else ()
-    rates = [slowest, *(rate for rate in faster if slowest < rate <= COMMON_DATA_BITRATE)]
+    rates = [first.data_bitrate]
+    if first.data_bitrate is not None:
+        rates += [rate for rate in FD_BITRATES if first.data_bitrate < rate <= COMMON_DATA_BITRATE]
     for taxels_per_sum, rate in product(COMPRESSIONS[:0:-1], rates):
         dense = with_sums(least, least.taxels.count // taxels_per_sum)
         yield with_buses(dense, len(least.bus), msgspec.structs.replace(first, data_bitrate=rate))

@@ -24,8 +24,8 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
         print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    ").replace(_NO_BREAK, " "))
     print()
     _print_alternatives(tried)
-    for each in plans:
-        for problem in each.problems:
+    for plan in plans:
+        for problem in plan.problems:
             print(f"does not fit: {problem}")
     for each in tried:
         if each.load_worst is None:
@@ -34,7 +34,7 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
 
 def print_loads(loads: Sequence[BusLoad]) -> None:
     """Print measured loads beside the plan, and every identifier of each bus."""
-    rows = [
+    rows: list[list[object]] = [
         ["measured, s", *(f"{each.seconds:.2f}" for each in loads)],
         ["frames", *(each.frames for each in loads)],
         ["load", *(_percent(each.load_exact) for each in loads)],

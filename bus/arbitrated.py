@@ -81,8 +81,10 @@ class ArbitratedLink(ReconnectingLink):
         """Return all frames that wait, echoes of own ones included, in the order of the wire."""
         arrived: list[Frames] = []
         connection = self._reopened()
+        if connection is None:
+            return frames(0)
         try:
-            while connection is not None and len(arrived) < PACKETS_PER_CALL:
+            while len(arrived) < PACKETS_PER_CALL:
                 size = connection.recv_into(self._buffer)
                 if not size:
                     self._lose(connection)

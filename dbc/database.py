@@ -18,7 +18,7 @@ from dbc.packing import rounding_error_n
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
-    from cantools.database.can.formats.dbc import DbcSpecifics
+    from cantools.database.can.formats.dbc import DbcAttributeDefinitionType, DbcSpecifics
 
 GATEWAY: Final = "Gateway"
 UNIT: Final = "count"
@@ -80,7 +80,7 @@ def _attributes(of_network: Mapping[str, str | float], *, switches_rate: bool) -
     """Return the attributes of the network, and the definitions of those that messages have."""
     from cantools.database.can.formats.dbc import DbcAttribute, DbcAttributeDefinition, DbcSpecifics
 
-    definitions = OrderedDict()
+    definitions: OrderedDict[str, DbcAttributeDefinitionType] = OrderedDict()
     for name, value in of_network.items():
         if isinstance(value, str):
             definitions[name] = DbcAttributeDefinition(name, default_value="", type_name="STRING")
@@ -90,10 +90,10 @@ def _attributes(of_network: Mapping[str, str | float], *, switches_rate: bool) -
             )
         else:
             definitions[name] = DbcAttributeDefinition(
-                name, default_value=0, type_name="FLOAT", minimum=0, maximum=1_000_000
+                name, default_value=0.0, type_name="FLOAT", minimum=0, maximum=1_000_000
             )
     values = OrderedDict((name, DbcAttribute(value, definitions[name])) for name, value in of_network.items())
-    for message in (
+    of_messages: tuple[DbcAttributeDefinitionType, ...] = (
         DbcAttributeDefinition(
             "GenMsgCycleTime", default_value=0, kind="BO_", type_name="INT", minimum=0, maximum=2**16 - 1
         ),
@@ -104,7 +104,8 @@ def _attributes(of_network: Mapping[str, str | float], *, switches_rate: bool) -
         DbcAttributeDefinition(
             "CANFD_BRS", default_value=str(int(switches_rate)), kind="BO_", type_name="ENUM", choices=["0", "1"]
         ),
-    ):
+    )
+    for message in of_messages:
         if message.name != "CANFD_BRS" or of_network["BusType"] == "CAN FD":
             definitions[message.name] = message
     return DbcSpecifics(attributes=values, attribute_definitions=definitions)
@@ -136,7 +137,9 @@ def _signal(
         start,
         bits,
         is_signed=is_signed,
-        conversion=BaseConversion.factory(scale=factor, offset=offset, choices=meanings, is_float=False),
+        conversion=BaseConversion.factory(
+            scale=factor, offset=offset, choices=OrderedDict(meanings) if meanings else None, is_float=False
+        ),
         minimum=low * factor + offset,
         maximum=(low + (1 << bits) - 1) * factor + offset,
         unit=unit,
