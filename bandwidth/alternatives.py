@@ -1,4 +1,4 @@
-"""What a skin's buses would carry if one thing were different: real layouts, each planned like the first."""
+"""What a skin's buses would carry if the layout differed in one thing: real layouts, each planned like the first."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,13 +6,12 @@ from typing import Final
 
 import msgspec
 
-from bandwidth.layout_text import layout_text
 from bandwidth.plan import BusPlan, plan_bus
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
 from skin.errors import SkinError
-from skin.layout import Bus, Layout, parse_layout
+from skin.layout import Bus, Layout, validated
 
 SUM_BITS: Final = (12, 8)
 DATA_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
@@ -32,20 +31,17 @@ class Alternative:
     frames_per_cycle: int | None
     load_random: float | None
     load_worst: float | None
-    max_rate_hz_average: float | None
+    max_rate_hz_random: float | None
     max_rate_hz_worst: float | None
     window_needed_ms: float | None
     problem: str | None
 
 
 def alternatives(layout: Layout, allowed: Disturbance | None = None) -> Iterator[Alternative]:
-    """Yield the layout as it is and its neighbours: buses, width of sums, blocks per node, CAN FD.
-
-    Averages are those of random sums.
-    """
-    wish = allowed or Disturbance()
+    """Yield the layout as it is, and with other buses, widths and numbers of sums, blocks per node, or CAN FD."""
+    allowed = allowed or Disturbance()
     for change, changed in _changes(layout):
-        yield _judge(change, changed, wish)
+        yield _judge(change, changed, allowed)
 
 
 def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
@@ -55,6 +51,11 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
     for bits in SUM_BITS:
         if bits < layout.encoding.sum_bits:
             yield f"{bits}-bit sums", with_bits(layout, bits)
+    sums = layout.measurement.sums
+    if 2 * sums <= layout.taxels.count:
+        yield f"{2 * sums} sums", with_sums(layout, 2 * sums)
+    if sums % (2 * layout.blocks) == 0:
+        yield f"{sums // 2} sums", with_sums(layout, sums // 2)
     for per_node in (2, 4, 8):
         if per_node > first.blocks_per_node:
             changed = with_buses(layout, buses, msgspec.structs.replace(first, blocks_per_node=per_node))
@@ -71,8 +72,13 @@ def with_bits(layout: Layout, bits: int) -> Layout:
     return msgspec.structs.replace(layout, encoding=msgspec.structs.replace(layout.encoding, sum_bits=bits))
 
 
+def with_sums(layout: Layout, sums: int) -> Layout:
+    """Return the layout with another number of sums."""
+    return msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=sums))
+
+
 def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
-    """Return the layout with its blocks spread evenly over `buses` buses like one."""
+    """Return the layout with its blocks spread evenly over `buses` buses that are as `like`."""
     nodes = -(-layout.blocks // like.blocks_per_node)
     share = [nodes // buses + (each < nodes % buses) for each in range(buses)]
     lines = [
@@ -82,14 +88,14 @@ def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
 
 
 def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:
-    """Plan a layout that may be none, with random sums.
+    """Plan a layout that a program has put together, without touches.
 
     Raises
     ------
     LayoutError
-        If it is none; the message says what is missing.
+        If the layout is not valid; the message says why.
     """
-    contract = Contract.from_layout(parse_layout(layout_text(layout).encode(), layout.name))
+    contract = Contract.from_layout(validated(layout))
     return [plan_bus(contract, bus, None, allowed) for bus in range(len(layout.bus))]
 
 
@@ -110,7 +116,7 @@ def _judge(change: str, layout: Layout, allowed: Disturbance) -> Alternative:
         frames_per_cycle=sum(each.frames_per_cycle for each in plans),
         load_random=fullest.load_random,
         load_worst=fullest.load_worst,
-        max_rate_hz_average=fullest.max_rate_hz_average,
+        max_rate_hz_random=fullest.max_rate_hz_random,
         max_rate_hz_worst=fullest.max_rate_hz_worst,
         window_needed_ms=fullest.window_needed_ms,
         problem="; ".join(problem for each in plans for problem in each.problems) or None,

@@ -4,14 +4,23 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from bandwidth.measured import FOREIGN, BusLoad, cycles_of, kind_of, whole_cycles
+from bandwidth.measured import (
+    FOREIGN,
+    BusLoad,
+    cycles_of,
+    is_due,
+    is_plain,
+    is_sync,
+    kind_of,
+    tpdo_rows,
+    whole_cycles,
+)
 from bandwidth.plan import BusPlan
-from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
+from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract, next_counter, phase_of
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
+from dbc.frame import ERROR, Frames
 
 #: How far the mean period of SYNC may be from the layout's.
 PERIOD_TOLERANCE = 0.01
@@ -33,14 +42,15 @@ def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, loa
     """
     taken, seconds = whole_cycles(seen)
     lines = [*_load(planned, load), *_foreign(contract, bus, load), *_errors(seen)]
-    if (taken["can_id"] == SYNC_COB_ID).any():
+    syncs = int(is_sync(seen).sum())
+    if syncs > 1:
         lines += [
             *_sync(contract, taken, seconds),
             *_cycles(contract, bus, taken),
             *_late(contract, bus, taken, planned),
         ]
     else:
-        lines.append("no SYNC: cycles cannot be told apart")
+        lines.append(f"{'one' if syncs else 'no'} SYNC: cycles cannot be told apart")
     lines += [*_heartbeats(contract, bus, taken, seconds)]
     return [f"{planned.name}: {line}" for line in lines]
 
@@ -52,9 +62,8 @@ def _load(planned: BusPlan, load: BusLoad) -> Iterator[str]:
 
 def _foreign(contract: Contract, bus: int, load: BusLoad) -> Iterator[str]:
     for each in load.identifiers:
-        name = f"{each.cob_id:0{8 if each.is_extended else 3}X}h"
         if each.kind == FOREIGN:
-            yield f"{name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
+            yield f"{each.name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
         elif each.kind == "EMCY":
             yield f"node {kind_of(contract, bus, each.cob_id)[1]} sent {each.frames} emergencies"
 
@@ -66,7 +75,7 @@ def _errors(seen: Frames) -> Iterator[str]:
 
 
 def _sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
-    syncs = taken[_is_sync(taken)]
+    syncs = taken[is_sync(taken)]
     period_s = seconds / len(syncs)
     if abs(period_s / contract.layout.sync.period_s - 1) > PERIOD_TOLERANCE:
         yield f"SYNC every {period_s * 1e3:.3f} ms, {contract.layout.sync.period_s * 1e3:.3f} ms were planned"
@@ -79,9 +88,8 @@ def _sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
 def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     """Compare the TPDOs of each cycle with those of its phase."""
     table = contract.table
-    plain = taken["flags"] & (EXTENDED | REMOTE) == 0
-    row = np.where(plain & (taken["can_id"] <= 0x7FF), table.row_of[bus, taken["can_id"] & 0x7FF], -1)
-    counters = taken["data"][_is_sync(taken), 0]
+    row = tpdo_rows(contract, bus, taken)
+    counters = taken["data"][is_sync(taken), 0]
     phases = np.array([phase_of(int(counter)) for counter in counters])
     is_tpdo = row >= 0
     rows, cycle = row[is_tpdo], cycles_of(taken)[is_tpdo]
@@ -89,15 +97,13 @@ def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     came = np.zeros((len(counters), len(table.cob_id)), np.intp)
     np.add.at(came, (cycle, rows), 1)
     due = (table.bus == bus) & (table.phase == phases[:, None])
-    shape = (taken["length"][is_tpdo] != table.length[rows]) | (
-        taken["flags"][is_tpdo] & (FD | BRS) != table.flags[rows] & (FD | BRS)
-    )
+    misshapen = ~is_due(contract, bus, taken)[is_tpdo]
     of_node = [node.node_id for node in contract.nodes]
     for what, per_row in (
         ("TPDOs missing", (due & (came == 0)).sum(axis=0)),
         ("TPDOs came again in the same cycle", np.maximum(came - 1, 0).sum(axis=0)),
         ("TPDOs came in cycles of the other phase", np.bincount(rows[~right], minlength=len(table.cob_id))),
-        ("TPDOs have another length or format", np.bincount(rows[shape], minlength=len(table.cob_id))),
+        ("TPDOs have another length or format", np.bincount(rows[misshapen], minlength=len(table.cob_id))),
     ):
         for node in np.unique(table.node[per_row > 0]).tolist():
             yield f"node {of_node[node]}: {int(per_row[table.node == node].sum())} {what}"
@@ -105,9 +111,9 @@ def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
 
 def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
     """Compare the time from SYNC to the end of each node's TPDOs with its bound."""
-    syncs = taken["time_ns"][_is_sync(taken)]
+    syncs = taken["time_ns"][is_sync(taken)]
     after_ms = (taken["time_ns"] - syncs[cycles_of(taken)]) * 1e-6
-    plain = taken["flags"] & (EXTENDED | REMOTE) == 0
+    plain = is_plain(taken)
     late: dict[int, str] = {}
     for node, plan in zip(contract.on_bus(bus), planned.node_plans, strict=True):
         mine = plain & np.isin(taken["can_id"], [tpdo.cob_id for tpdo in node.tpdos])
@@ -142,12 +148,7 @@ def _heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> 
         return
     ends = taken["time_ns"][0], taken["time_ns"][0] + round(seconds * 1e9)
     for node in contract.on_bus(bus):
-        beats = taken["time_ns"][taken["can_id"] == HEARTBEAT_BASE + node.node_id]
+        beats = taken["time_ns"][is_plain(taken) & (taken["can_id"] == HEARTBEAT_BASE + node.node_id)]
         longest_s = float(np.diff(np.concatenate([ends[:1], beats, ends[1:]])).max()) * 1e-9
         if longest_s > patience_s:
             yield f"node {node.node_id}: no heartbeat for {longest_s:.1f} s, one every {HEARTBEAT_MS} ms was planned"
-
-
-def _is_sync(taken: Frames) -> npt.NDArray[np.bool_]:
-    found: npt.NDArray[np.bool_] = (taken["can_id"] == SYNC_COB_ID) & (taken["flags"] & EXTENDED == 0)
-    return found

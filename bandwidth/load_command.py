@@ -1,19 +1,17 @@
 """``skin load``: the load that was measured, beside the one that was planned."""
 
 from pathlib import Path
-from typing import Annotated
-
-import msgspec
-from cyclopts import Parameter
 
 from bandwidth.logs import listen, of_buses, read_log
-from bandwidth.measured import BusLoad, measure
+from bandwidth.measured import measure, misfits
 from bandwidth.plan import plan
 from bus.options import BusOptions, channels, open_links
 from dbc.contract import Contract
+from dbc.frame import Frames
 from skin.errors import InputError, RunError
-from skin.layout import load_layout
+from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
+from skin.terminal import Json, print_json
 
 
 def load(
@@ -22,20 +20,22 @@ def load(
     layout: Path | None = None,
     can: BusOptions | None = None,
     seconds: float = 5.0,
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json_: Json = False,
 ) -> None:
     """Measure the load of the buses of a skin, per node and identifier, from a log or live.
 
-    Counts the real stuff bits of every frame of whole cycles, CAN FD included, and the most there could be.
+    Counts the real stuff bits of every frame of whole cycles, CAN FD included, and the most stuff bits there could be.
+    Says when the frames do not fit the layout.
 
     Parameters
     ----------
     log
-        Log of candump (-l), ASC, BLF, MF4 or any other that python-can reads; without it the buses are listened to.
+        Log of candump (-l), ASC, BLF, MF4 or any other that python-can reads; without it, listen to the live buses.
     layout
         TOML of the skin; without it the default skin.
     can
-        Live: the CAN interfaces. Of a log: its channels, by default the buses' names, else all in their order.
+        Live: the CAN interfaces. In a log: the channel of each bus. Default: the names of the buses, else all
+        channels in their order.
     seconds
         Live: how long to listen.
     json_
@@ -48,33 +48,45 @@ def load(
     """
     if not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
-    contract = Contract.from_layout(load_layout(layout))
+    skin = load_layout(layout)
     options = can or BusOptions()
-    if log is not None:
-        seen = of_buses(
-            contract.layout, channels(contract.layout, options), read_log(log), log, named_by_user=bool(options.channel)
-        )
+    if log is None:
+        seen = _listen(skin, options, seconds)
     else:
-        stop = StopSignal().install()
-        links = open_links(contract.layout, options, name="load")
-        try:
-            say("load", f"listening for {seconds:g} s")
-            seen = listen(links, seconds, stop.is_set)
-            dropped = sum(link.dropped for link in links.values())
-        finally:
-            for link in links.values():
-                link.close()
-        if dropped:
-            raise RunError(f"{dropped} frames were lost on the way to this program: the load would be too low")
+        names = channels(skin, options)
+        logged = read_log(log, lambda line: say("load", line))
+        seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
+    contract = Contract.from_layout(skin)
     plans = plan(contract)
-    loads = [measure(contract, number, frames, plans[number]) for number, frames in seen.items()]
-    _show(loads, as_json=json_)
-
-
-def _show(loads: list[BusLoad], *, as_json: bool) -> None:
-    if as_json:
-        print(msgspec.json.encode({"buses": loads}).decode())
+    loads = {number: measure(contract, number, frames, plans[number]) for number, frames in seen.items()}
+    for number, frames in seen.items():
+        for line in misfits(contract, number, frames, loads[number]):
+            say("load", line)
+    if json_:
+        print_json({"buses": list(loads.values())})
         return
-    from bandwidth.tables import load_table, shown
+    from bandwidth.tables import print_loads
 
-    print(shown(load_table(loads)))
+    print_loads(list(loads.values()))
+
+
+def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:
+    """Return what the live buses carry; Ctrl-C and SIGTERM end the program while a bus is awaited, later the listening.
+
+    Raises
+    ------
+    RunError
+        If frames were lost between bus and program.
+    """
+    links = open_links(layout, options, name="load")
+    stop = StopSignal().install()
+    try:
+        say("load", f"listening for {seconds:g} s")
+        seen = listen(links, seconds, stop.is_set)
+        dropped = sum(link.dropped for link in links.values())
+    finally:
+        for link in links.values():
+            link.close()
+    if dropped:
+        raise RunError(f"{dropped} frames were lost on the way to this program: the load would be too low")
+    return seen

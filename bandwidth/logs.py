@@ -2,15 +2,15 @@
 
 import re
 import select
-import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from io import TextIOWrapper
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol, cast
 
 import can
 import numpy as np
-from can.io.blf import BLFParseError
+from can.io.generic import TextIOMessageReader
 
 from bus.link import DISCARDED, Link
 from bus.messages import to_logged_frames
@@ -18,52 +18,127 @@ from dbc.frame import Frames, frames
 from skin.errors import InputError
 from skin.layout import Layout
 
-#: What damaged logs raise in python-can's readers.
-_UNREADABLE: Final = (
-    OSError,
-    EOFError,
-    OverflowError,
-    ValueError,
-    TypeError,
-    IndexError,
-    KeyError,
-    AttributeError,
-    ImportError,
-    NotImplementedError,
-    struct.error,
-    can.CanError,
-    BLFParseError,
-)
+#: Latest time stamp in seconds since the epoch: the year 2262, where nanoseconds no longer fit 64 bits.
+_LATEST_S: Final = 9.2e9
+_HIGHEST_ID: Final = 0x1FFFFFFF
+#: An error frame of SocketCAN in a log of candump: CAN_ERR_FLAG stands in the identifier.
+_ERROR_FRAME: Final = re.compile(r"(\s*\(\S+\)\s+\S+\s+)([23][0-9A-Fa-f]{7})(#.*)", re.DOTALL)
+_ERROR_FLAG: Final = 0x20000000
+#: What candump prints on a terminal: data behind the length in brackets.
+_PRINTED: Final = re.compile(r"\s*(\(\S+( \S+)?\)\s+)?\S+\s+([TR]X\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
+#: How often a live bus is looked at whether to end.
 _TURN_S: Final = 0.2
 
 
-def read_log(path: Path) -> dict[str, Frames]:
+class _TextFile(Protocol):
+    def __next__(self) -> str: ...
+    def close(self) -> None: ...
+
+
+class _Lines:
+    """The lines of a log as python-can's readers take them, with the number of the last line.
+
+    A last line without its end is not handed out: what was cut off may read as a shorter frame.
+
+    Attributes
+    ----------
+    number : int
+        Of the line that was handed out last, from 1.
+    is_cut : bool
+        Whether the file ends inside the line behind it.
+    is_error : bool
+        Whether that line is an error frame of SocketCAN, which python-can takes for a frame of the bus.
+    """
+
+    def __init__(self, file: _TextFile) -> None:
+        self._file = file
+        self.text = ""
+        self.number = 0
+        self.is_cut = self.is_error = False
+
+    def __iter__(self) -> Iterator[str]:
+        return self
+
+    def __next__(self) -> str:
+        try:
+            line = next(self._file)
+        except EOFError:  # a compressed file that was cut
+            line = "cut"
+        if not line.endswith("\n"):
+            self.is_cut = not re.match(r"\s*(//|End\b|$)", line, re.IGNORECASE)
+            raise StopIteration
+        self.number += 1
+        self.text = line
+        error = _ERROR_FRAME.match(line)
+        self.is_error = error is not None
+        return line if error is None else f"{error[1]}{int(error[2], 16) & ~_ERROR_FLAG:08X}{error[3]}"
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """Return the frames of a log by channel, in its order, with times in nanoseconds.
+
+    A log that ends inside a line, as after a power failure, is read up to that line.
 
     Parameters
     ----------
     path : pathlib.Path
         ``.log`` (candump -l), ``.asc``, ``.blf``, ``.trc``, ``.csv``, ``.db`` or, with asammdf installed, ``.mf4``.
+    warn : callable
+        Takes one line when the log is cut.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no frame.
+        If the file cannot be read, or holds no frame; the message names the line.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such log")
     of_channel: dict[str, list[can.Message]] = {}
+    lines: _Lines | None = None
     try:
         with can.LogReader(path) as reader:
+            if isinstance(reader, TextIOMessageReader):
+                cast("TextIOWrapper", reader.file).reconfigure(encoding="utf-8", errors="replace")
+                lines = reader.file = _Lines(reader.file)  # type: ignore[assignment]
             for message in reader:
+                if lines is not None and lines.is_error:
+                    message.is_error_frame, message.is_extended_id = True, False
+                _check(message)
                 of_channel.setdefault(str(message.channel), []).append(message)
-        logged = {channel: to_logged_frames(messages) for channel, messages in of_channel.items()}
-    except _UNREADABLE as error:
+    except Exception as error:  # the readers raise anything on a damaged file
+        if lines is not None and _PRINTED.match(lines.text):
+            raise InputError(
+                f"{path}, line {lines.number}: expected a log, got what candump shows: record it with 'candump -l'"
+            ) from error
+        where = f"{path}, line {lines.number}" if lines is not None and lines.number else f"{path}"
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a log of CAN frames: {reason}") from error
-    if not logged:
+        raise InputError(f"{where}: cannot be read as a log of CAN frames: {reason}") from error
+    if lines is not None and lines.is_cut:
+        warn(f"{path}: line {lines.number + 1} is cut off: read up to line {lines.number}")
+    if not of_channel:
         raise InputError(f"{path}: holds no CAN frame")
-    return logged
+    return {channel: to_logged_frames(messages) for channel, messages in of_channel.items()}
+
+
+def _check(message: can.Message) -> None:
+    """Refuse what no frame can be, and give a classic frame whose DLC is above 8 its length.
+
+    Raises
+    ------
+    ValueError
+        Naming what is wrong.
+    """
+    longest = 64 if message.is_fd else 8
+    if not 0 <= message.timestamp <= _LATEST_S:
+        raise ValueError(f"a time of {message.timestamp:g} s")
+    if not 0 <= message.arbitration_id <= _HIGHEST_ID:
+        raise ValueError(f"an identifier of {message.arbitration_id:X}h")
+    if message.dlc < 0 or len(message.data) > longest:
+        raise ValueError(f"a frame of {max(message.dlc, len(message.data))} bytes")
+    message.dlc = min(message.dlc, longest)
 
 
 def listen(links: dict[int, Link], seconds: float, stopped: Callable[[], bool]) -> dict[int, Frames]:

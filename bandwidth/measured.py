@@ -18,11 +18,14 @@ from dbc.canopen import (
 )
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import ERROR, EXTENDED, Frames
+from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
 from skin.errors import InputError
+from skin.layout import Bus
 
 FOREIGN: Final = "foreign"
+#: With more than this part of its frames unknown, a bus is taken for one of another layout.
+MISFIT_RATIO: Final = 0.2
 _SERVICES: Final = (
     (HEARTBEAT_BASE, "heartbeat"),
     (SDO_REQUEST_BASE, "SDO request"),
@@ -48,6 +51,11 @@ class IdentifierLoad:
     load_exact: float
     load_worst: float
 
+    @property
+    def name(self) -> str:
+        """The identifier in hexadecimal digits, three or eight as in logs."""
+        return f"{self.cob_id:0{8 if self.is_extended else 3}X}h"
+
 
 @dataclass(frozen=True)
 class NodeLoad:
@@ -69,7 +77,7 @@ class BusLoad:
     errors: int
     load_exact: float
     load_worst: float
-    plan_average: float
+    plan_touched: float | None
     plan_worst: float
     nodes: list[NodeLoad]
     identifiers: list[IdentifierLoad]
@@ -86,7 +94,7 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     real = seen[seen["flags"] & ERROR == 0]
     if len(real) < 2:
         raise InputError(f"expected two frames or more to measure a load, got {len(real)}")
-    syncs = np.flatnonzero((real["can_id"] == SYNC_COB_ID) & (real["flags"] & EXTENDED == 0))
+    syncs = np.flatnonzero(is_sync(real))
     first, last = (int(syncs[0]), int(syncs[-1])) if len(syncs) > 1 else (0, len(real) - 1)
     seconds = (int(real["time_ns"][last]) - int(real["time_ns"][first])) * 1e-9
     if seconds <= 0:
@@ -106,10 +114,14 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan) -> Bus
     Raises
     ------
     InputError
-        If there is nothing to measure.
+        If there is nothing to measure, or the bus carries CAN FD frames and the layout has no bit rate for them.
     """
-    taken, seconds = whole_cycles(seen)
     line = contract.layout.bus[bus]
+    _check_format(line, seen)
+    try:
+        taken, seconds = whole_cycles(seen)
+    except InputError as error:
+        raise InputError(f"{line.name}: {error}") from error
     exact, worst = (
         frame_time_ns(taken, line.bitrate, line.data_bitrate, how) * (1e-9 / seconds) for how in ("exact", "worst")
     )
@@ -140,7 +152,7 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan) -> Bus
         errors=int((seen["flags"] & ERROR != 0).sum()),
         load_exact=float(exact.sum()),
         load_worst=float(worst.sum()),
-        plan_average=planned.load_average,
+        plan_touched=planned.load_touched,
         plan_worst=planned.load_worst,
         nodes=_by_node(identifiers),
         identifiers=identifiers,
@@ -191,5 +203,73 @@ def _by_node(identifiers: list[IdentifierLoad]) -> list[NodeLoad]:
 
 def cycles_of(taken: Frames) -> npt.NDArray[np.intp]:
     """Return which cycle, from 0, each frame of `whole_cycles` belongs to; -1 without any SYNC."""
-    number: npt.NDArray[np.intp] = np.cumsum((taken["can_id"] == SYNC_COB_ID) & (taken["flags"] & EXTENDED == 0)) - 1
+    number: npt.NDArray[np.intp] = np.cumsum(is_sync(taken)) - 1
     return number
+
+
+def is_sync(seen: Frames) -> npt.NDArray[np.bool_]:
+    """Tell which frames are SYNC; an extended identifier 80h is not."""
+    found: npt.NDArray[np.bool_] = (seen["can_id"] == SYNC_COB_ID) & is_plain(seen)
+    return found
+
+
+def is_plain(seen: Frames) -> npt.NDArray[np.bool_]:
+    """Tell which frames have an 11-bit identifier and data, as all of CANopen's have."""
+    plain: npt.NDArray[np.bool_] = seen["flags"] & (EXTENDED | REMOTE | ERROR) == 0
+    return plain
+
+
+def is_due(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
+    """Tell which frames have the identifier of a TPDO on bus number `bus`, and its length and format."""
+    table = contract.table
+    row = tpdo_rows(contract, bus, taken)
+    shape = (taken["length"] == table.length[row]) & (taken["flags"] & (FD | BRS) == table.flags[row] & (FD | BRS))
+    due: npt.NDArray[np.bool_] = (row >= 0) & shape
+    return due
+
+
+def tpdo_rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
+    """Return the row of each frame in the contract's table of TPDOs, -1 for every other frame."""
+    known = is_plain(taken) & (taken["can_id"] <= 0x7FF)
+    row: npt.NDArray[np.intp] = np.where(known, contract.table.row_of[bus, taken["can_id"] & 0x7FF], -1)
+    return row
+
+
+def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[str]:
+    """Return one line for each sign that the frames of a bus are not those of this layout.
+
+    Parameters
+    ----------
+    seen : array of FRAME
+        What was measured.
+    load : BusLoad
+        What `measure` says of it.
+    """
+    hint = f"is '{contract.layout.name}' the layout of this skin? Give the right one with --layout"
+    lines = []
+    foreign = sum(each.frames for each in load.identifiers if each.kind == FOREIGN)
+    if foreign > MISFIT_RATIO * load.frames:
+        lines.append(f"{foreign} of {load.frames} frames have identifiers that the layout does not plan; {hint}")
+    taken, _ = whole_cycles(seen)
+    tpdos = int((tpdo_rows(contract, bus, taken) >= 0).sum())
+    wrong = tpdos - int(is_due(contract, bus, taken).sum())
+    if wrong > MISFIT_RATIO * tpdos:
+        lines.append(f"{wrong} of {tpdos} TPDOs have another length or format than the layout plans; {hint}")
+    if load.load_exact > 1:
+        rate = contract.layout.bus[bus].bitrate
+        lines.append(f"{load.load_exact:.1%} is more than a bus carries: its bit rate is not the layout's {rate}")
+    return [f"{load.name}: {line}" for line in lines]
+
+
+def _check_format(line: Bus, seen: Frames) -> None:
+    """Refuse CAN FD frames whose bit rate the layout does not tell: their load would be wrong."""
+    switched = seen["flags"] & BRS != 0
+    if not line.fd and (fd := int((seen["flags"] & FD != 0).sum())):
+        wanted, has = "classic CAN", f"{fd} of {len(seen)} frames are CAN FD"
+    elif line.data_bitrate is None and switched.any():
+        wanted, has = "CAN FD without a data bit rate", f"{int(switched.sum())} of {len(seen)} frames have one"
+    else:
+        return
+    raise InputError(
+        f"{line.name}: the layout has {wanted} there, but {has}: give the layout of this skin with --layout"
+    )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.response import UNBOUNDED
-from bandwidth.touched import touched_bits
+from bandwidth.touched_bits import touched_bits
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import PHASES, SYNC_OVERFLOW, Contract
@@ -39,10 +39,10 @@ class NodePlan:
 class BusPlan:
     """One bus at the layout's SYNC rate.
 
-    Bits are those of one cycle, SYNC included. `average` without a further word takes the sums of a touched skin for
-    the load, and random bits for the highest rate, as published tables do; `worst` the most stuff bits there can be.
-    Loads and rates leave heartbeats their time; a rate ending in ``_80`` leaves a fifth of the bus free. Times are
-    bounds; None means that there is none because the bus is asked for more than it has.
+    The names say which payloads are counted: ``touched`` the sums of a simulated skin that is touched, None where no
+    touch was simulated; ``random`` random bits, as published tables do; ``worst`` the most stuff bits there can be.
+    Bits are those of one cycle with its SYNC. Loads and rates include SYNC and heartbeats; a rate that ends in ``_80``
+    uses 80 % of the bus. Times are upper bounds, None where the bus has too little time for any bound.
     """
 
     name: str
@@ -50,16 +50,16 @@ class BusPlan:
     bitrate: int
     data_bitrate: int | None
     frames_per_cycle: int
-    bits_per_cycle_average: float
+    bits_per_cycle_touched: float | None
     bits_per_cycle_random: float
     bits_per_cycle_worst: int
-    load_average: float
+    load_touched: float | None
     load_random: float
     load_worst: float
-    max_rate_hz_average: float
-    max_rate_hz_touched: float
+    max_rate_hz_random: float
+    max_rate_hz_touched: float | None
     max_rate_hz_worst: float
-    max_rate_hz_average_80: float
+    max_rate_hz_random_80: float
     max_rate_hz_worst_80: float
     window_ms: float
     window_needed_ms: float | None
@@ -72,8 +72,8 @@ class BusPlan:
 
 
 @dataclass(frozen=True)
-class Wire:
-    """Seconds and bits of one cycle on one bus, and of one second of heartbeats."""
+class BusTime:
+    """Seconds and bits that one cycle takes on a bus, and seconds that the heartbeats of one second take."""
 
     cycle_s: float
     cycle_bits: float
@@ -95,20 +95,20 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusP
     ----------
     contract : Contract
     allowed : Disturbance, optional
-        What response times make room for.
+        What response times allow for besides the cycle.
     """
-    wish = allowed or Disturbance()
+    allowed = allowed or Disturbance()
     touched = touched_bits(contract)
-    return [plan_bus(contract, bus, touched[bus].mean(axis=0), wish) for bus in range(len(contract.layout.bus))]
+    return [plan_bus(contract, bus, touched[bus].mean(axis=0), allowed) for bus in range(len(contract.layout.bus))]
 
 
 def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | None, allowed: Disturbance) -> BusPlan:
-    """Plan one bus; `touched` are the mean nominal and data bits of a cycle's TPDOs, random ones if None."""
+    """Plan one bus; `touched` are the mean nominal and data bits of a cycle's TPDOs of a touched skin, if simulated."""
     layout, line = contract.layout, contract.layout.bus[bus]
     phases = [traffic(contract, bus, phase, allowed) for phase in range(PHASES)]
-    random = [mean_wire(each) for each in phases]
-    worst = counted_wire(phases[0], "worst")
-    average = random if touched is None else [_touched_wire(phases[0], touched)]
+    random = [random_bus_time(each) for each in phases]
+    worst = bus_time(phases[0], "worst")
+    felt = None if touched is None else _mean_bus_time(phases[0], touched)
     rate_hz = layout.sync.rate_hz
     responses = np.max([each.responses_ns(allowed.errors_per_s) for each in phases], axis=0)
     nodes = _node_plans(phases[0], responses)
@@ -123,16 +123,16 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
         bitrate=line.bitrate,
         data_bitrate=line.data_bitrate,
         frames_per_cycle=per_cycle,
-        bits_per_cycle_average=_mean([each.cycle_bits for each in average]),
+        bits_per_cycle_touched=None if felt is None else felt.cycle_bits,
         bits_per_cycle_random=_mean([each.cycle_bits for each in random]),
         bits_per_cycle_worst=round(worst.cycle_bits),
-        load_average=_mean([each.load(rate_hz) for each in average]),
+        load_touched=None if felt is None else felt.load(rate_hz),
         load_random=_mean([each.load(rate_hz) for each in random]),
         load_worst=worst.load(rate_hz),
-        max_rate_hz_average=_mean([each.rate_hz() for each in random]),
-        max_rate_hz_touched=_mean([each.rate_hz() for each in average]),
+        max_rate_hz_random=_mean([each.rate_hz() for each in random]),
+        max_rate_hz_touched=None if felt is None else felt.rate_hz(),
         max_rate_hz_worst=worst.rate_hz(),
-        max_rate_hz_average_80=_mean([each.rate_hz(CAUTION) for each in random]),
+        max_rate_hz_random_80=_mean([each.rate_hz(CAUTION) for each in random]),
         max_rate_hz_worst_80=worst.rate_hz(CAUTION),
         window_ms=window_s * 1e3,
         window_needed_ms=needed,
@@ -145,19 +145,19 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     )
 
 
-def counted_wire(streams: Traffic, stuffing: Stuffing) -> Wire:
-    """Return what `streams` take on the wire, with the least or the most stuff bits there can be."""
+def bus_time(streams: Traffic, stuffing: Stuffing) -> BusTime:
+    """Return the time that `streams` take on the bus, with no or with the most stuff bits."""
     cyclic = streams.frames[streams.is_cyclic]
     nominal, data = wire_bits(cyclic, stuffing)
-    return _wire(streams, float(nominal.sum()), float(data.sum()), stuffing)
+    return _bus_time(streams, float(nominal.sum()), float(data.sum()), stuffing)
 
 
-def mean_wire(streams: Traffic) -> Wire:
-    """Return what `streams` take on average when all data bits of TPDOs are random."""
+def random_bus_time(streams: Traffic) -> BusTime:
+    """Return the mean time that `streams` take on the bus when all data bits of TPDOs are random."""
     tpdos = streams.frames[streams.is_tpdo]
     shapes = zip(tpdos["length"].tolist(), tpdos["flags"].tolist(), tpdos["can_id"].tolist(), strict=True)
     bits = np.sum([mean_wire_bits(*shape) for shape in shapes], axis=0)
-    return _touched_wire(streams, bits)
+    return _mean_bus_time(streams, bits)
 
 
 def sync_frames() -> Frames:
@@ -168,17 +168,17 @@ def sync_frames() -> Frames:
     return syncs
 
 
-def _touched_wire(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> Wire:
+def _mean_bus_time(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> BusTime:
     """Add SYNC, of all its counter values, and heartbeats to the mean bits of the TPDOs."""
     sync = float(wire_bits(sync_frames())[0].mean())
-    return _wire(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
+    return _bus_time(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
 
 
-def _wire(streams: Traffic, nominal: float, data: float, stuffing: Stuffing) -> Wire:
+def _bus_time(streams: Traffic, nominal: float, data: float, stuffing: Stuffing) -> BusTime:
     bus = streams.bus
     beats = streams.is_heartbeat
     beat_bits = wire_bits(streams.frames[beats], stuffing)[0]
-    return Wire(
+    return BusTime(
         cycle_s=nominal / bus.bitrate + data / (bus.data_bitrate or bus.bitrate),
         cycle_bits=nominal + data,
         beats_s=float((beat_bits / streams.period_s[beats]).sum()) / bus.bitrate,
@@ -193,7 +193,7 @@ def _node_plans(streams: Traffic, responses: npt.NDArray[np.int64]) -> list[Node
     return plans
 
 
-def _problems(bus: Bus, worst: Wire, rate_hz: float, needed_ms: float | None, window_ms: float) -> list[str]:
+def _problems(bus: Bus, worst: BusTime, rate_hz: float, needed_ms: float | None, window_ms: float) -> list[str]:
     load = worst.load(rate_hz)
     found = []
     if load > 1:

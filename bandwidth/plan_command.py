@@ -1,75 +1,71 @@
-"""``skin plan``: what a layout asks of its buses, and the layout that meets a wish."""
+"""``skin plan``: what a layout asks of its buses, and a search for the layout that meets a requirement."""
 
 from pathlib import Path
-from typing import Annotated
-
-import msgspec
-from cyclopts import Parameter
 
 from bandwidth.alternatives import alternatives
-from bandwidth.layout_text import layout_text
 from bandwidth.plan import BusPlan
 from bandwidth.plan import plan as plan_buses
-from bandwidth.schemes import schemes
-from bandwidth.search import Kind, Wish, search, what_is_missing
+from bandwidth.scheme_rates import schemes
+from bandwidth.search import CanKind, Requirement, search
 from bandwidth.traffic import Disturbance
-from bus.options import BusOptions, channels
+from bus.options import BusOptions, Channels, channels
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
 from skin.errors import InputError, RunError
-from skin.layout import load_layout
+from skin.layout import layout_text, load_layout
 from skin.service import say
+from skin.terminal import Json, print_json
 
 
 def plan(
     layout: Path | None = None,
     *,
     check: Path | None = None,
-    channel: Annotated[list[str] | None, Parameter(alias="-c", negative=())] = None,
+    channel: Channels | None = None,
     taxels: int | None = None,
     rate: float | None = None,
     buses: int | None = None,
     budget: float | None = None,
-    can: Kind | None = None,
+    can: CanKind | None = None,
     out: Path | None = None,
     plot: Path | None = None,
     jitter_s: float = 100e-6,
     sdo_per_s: float = 20.0,
     errors_per_s: float = 0.0,
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json_: Json = False,
 ) -> int:
-    """Say what the buses of a skin carry before any hardware is bought, or find the layout that meets a wish.
+    """Say what the buses of a skin carry before any hardware is bought, or search for a layout.
 
-    Ends with 1 when something does not fit, or a log left the plan.
+    Ends with 1 when something does not fit, no layout is found, or a log left the plan.
 
     Parameters
     ----------
     layout
         TOML of the skin; without it the default skin.
     check
-        Compare a log of the buses with the plan, and print one line for each way in which they left it.
+        Compare a log of the buses with the plan, and print a line for each way in which the buses left the plan.
     channel
-        Channels of that log, one per bus of the layout; default the buses' names, else all in their order.
+        The channel of each bus in that log. Default: the names of the buses, else all channels in their order.
     taxels
-        Search for a layout of so many taxels instead of planning one.
+        Search for a layout with this number of taxels, a power of two, instead of planning a layout.
     rate
-        Of the search: measurements a second. Default: 100.
+        Search: measurements a second. Default: 100.
     buses
-        Of the search: how many buses there may be. Default: 4.
+        Search: the most buses. Default: 4.
     budget
-        Of the search: the part of each bus that may be used at worst. Default: 0.8.
+        Search: the highest load of a bus, with the most stuff bits, as a part of 1. Default: 0.8.
     can
-        Of the search: which kind of CAN; default any.
+        Search: the kind of CAN. Default: any.
     out
-        Of the search: file for the TOML of the layout, else it is printed.
+        Search: file for the TOML of the layout. Default: print the layout.
     plot
         Folder for pictures: rates against buses and widths, the time line of one cycle.
     jitter_s
-        How long after SYNC the slowest node has its TPDOs queued.
+        Response times: seconds from SYNC until the slowest node has queued its TPDOs.
     sdo_per_s
-        SDO transfers a second that response times allow for.
+        Response times: SDO transfers a second.
     errors_per_s
-        Disturbed frames a second that response times allow for.
+        Response times: disturbed frames a second.
     json_
         Print one JSON object.
 
@@ -82,16 +78,16 @@ def plan(
     if taxels is not None:
         if layout is not None or check is not None or plot is not None:
             raise InputError("expected --taxels or a layout, not both: a search makes its own")
-        wish = Wish(
+        required = Requirement(
             taxels,
             rate_hz=100.0 if rate is None else rate,
             buses=4 if buses is None else buses,
             budget=0.8 if budget is None else budget,
             can=can or "any",
         )
-        return _search(wish, allowed, out, as_json=json_)
-    wished = {"--rate": rate, "--buses": buses, "--budget": budget, "--can": can, "--out": out}
-    idle = [name for name, value in wished.items() if value is not None]
+        return _search(required, allowed, out, as_json=json_)
+    only_search = {"--rate": rate, "--buses": buses, "--budget": budget, "--can": can, "--out": out}
+    idle = [name for name, value in only_search.items() if value is not None]
     if idle:
         raise InputError(f"{' and '.join(idle)}: only for the search of a layout: give --taxels as well")
     contract = Contract.from_layout(load_layout(layout))
@@ -104,11 +100,11 @@ def plan(
         for path in write_plots(contract, plot):
             say("plan", f"wrote {path}")
     if json_:
-        print(msgspec.json.encode(_document(contract, plans, allowed)).decode())
+        print_json(_document(contract, plans, allowed))
     else:
-        from bandwidth.tables import plan_tables, shown
+        from bandwidth.tables import print_plan
 
-        print(shown(plan_tables(plans, alternatives(contract.layout, allowed))))
+        print_plan(plans, alternatives(contract.layout, allowed))
     return int(any(each.problems for each in plans))
 
 
@@ -129,25 +125,31 @@ def _document(contract: Contract, plans: list[BusPlan], allowed: Disturbance) ->
     }
 
 
-def _search(wish: Wish, allowed: Disturbance, out: Path | None, *, as_json: bool) -> int:
-    found, seen = search(wish, allowed)
-    text = layout_text(found) if found is not None else None
+def _search(required: Requirement, allowed: Disturbance, out: Path | None, *, as_json: bool) -> int:
+    found = search(required, allowed)
+    text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
         try:
             out.write_text(text, encoding="utf-8")
         except OSError as error:
             raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
     if as_json:
-        missing = None if text is not None else what_is_missing(wish, seen, allowed)
-        document = {"wish": wish, "fits": text is not None, "layout": text, "missing": missing, "candidates": seen}
-        print(msgspec.json.encode(document).decode())
+        print_json(
+            {
+                "required": required,
+                "fits": text is not None,
+                "layout": text,
+                "missing": found.missing(),
+                "candidates": found.candidates,
+            }
+        )
         return int(text is None)
-    if text is None:
-        raise RunError(what_is_missing(wish, seen, allowed))
-    chosen = seen[-1]
+    if text is None or found.chosen is None:
+        raise RunError(found.missing() or "")
+    unfit = sum(not each.fits for each in found.candidates)
     say(
         "plan",
-        f"{chosen.words}: each bus {chosen.load_worst or 0:.1%} full at worst; {len(seen) - 1} others did not do",
+        f"{found.chosen.words}: each bus {found.chosen.load_worst or 0:.1%} full at worst; {unfit} others do not fit",
     )
     print(str(out) if out is not None else text, end="\n" if out is not None else "")
     return 0
@@ -156,16 +158,22 @@ def _search(wish: Wish, allowed: Disturbance, out: Path | None, *, as_json: bool
 def _check(contract: Contract, plans: list[BusPlan], log: Path, names: list[str], *, as_json: bool) -> int:
     from bandwidth.departures import departures
     from bandwidth.logs import of_buses, read_log
-    from bandwidth.measured import measure
+    from bandwidth.measured import measure, misfits
 
     wanted = channels(contract.layout, BusOptions(channel=names))
+    logged = read_log(log, lambda line: say("plan", line))
     lines = []
-    for number, seen in of_buses(contract.layout, wanted, read_log(log), log, named_by_user=bool(names)).items():
+    for number, seen in of_buses(contract.layout, wanted, logged, log, named_by_user=bool(names)).items():
         load = measure(contract, number, seen, plans[number])
-        say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full, {load.plan_average:.1%} planned")
+        say(
+            "plan",
+            f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full, {load.plan_touched or 0:.1%} planned",
+        )
+        for line in misfits(contract, number, seen, load):
+            say("plan", line)
         lines += departures(contract, number, seen, plans[number], load)
     if as_json:
-        print(msgspec.json.encode(lines).decode())
+        print_json(lines)
     elif lines:
         print("\n".join(lines))
     return int(bool(lines))

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from bandwidth.schemes import schemes
+from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import traffic
 from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO

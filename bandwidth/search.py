@@ -1,4 +1,4 @@
-"""Search for the layout that meets a wish with the least: few buses, slow wires, wide sums, small nodes."""
+"""Search for a layout that meets a requirement: with few buses first, then slow wires, wide sums, small nodes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,56 +7,69 @@ from typing import Final, Literal
 
 import msgspec
 
-from bandwidth.alternatives import with_bits, with_buses
-from bandwidth.highest import highest_rate_hz
-from bandwidth.layout_text import layout_text
-from bandwidth.plan import counted_wire
+from bandwidth.alternatives import with_bits, with_buses, with_sums
+from bandwidth.highest_rate import highest_rate_hz
+from bandwidth.plan import bus_time
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance, traffic
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO
 from skin.errors import InputError, LayoutError
-from skin.layout import Bus, Layout, Measuring, Sync, Taxels, parse_layout
+from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, Measuring, Sync, Taxels, validated
 
-Kind = Literal["any", "classic", "fd"]
+CanKind = Literal["any", "classic", "fd"]
 
-#: Widths to try: rounding to 8 bits is no longer small beside the sensor noise, so that all else is tried first.
+#: Widths to try. Rounding to 8 bits is not small beside the sensor noise, so 8 bits are tried after all others.
 SUM_BITS: Final = ((16, 12), (8,))
 BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
-DATA_BITRATES: Final = {
+FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
+DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
     "classic": (None,),
-    "fd": (2_000_000, 5_000_000, 8_000_000),
-    "any": (None, 2_000_000, 5_000_000, 8_000_000),
+    "fd": FD_BITRATES,
+    "any": (None, *FD_BITRATES),
 }
-#: One sum for so many taxels.
-COMPRESSION: Final = 4
+#: Fastest data phase that every CAN FD transceiver has (ISO 11898-2:2016): no more sums are worth a faster one.
+COMMON_DATA_BITRATE: Final = 5_000_000
+#: Taxels per sum: the first is needed, the others give better images where the same buses carry them.
+COMPRESSIONS: Final = (SUMS_PART, 2, 1)
 TAXELS_MIN, TAXELS_MAX = 64, 65536
 BUSES_MAX: Final = 16
 
 
 @dataclass(frozen=True)
-class Wish:
-    """So many taxels, `rate_hz` times a second, over at most `buses`, each at most `budget` full at worst."""
+class Requirement:
+    """What is asked of a layout.
+
+    Attributes
+    ----------
+    taxels : int
+        A power of two.
+    rate_hz : float
+        Measurements a second.
+    buses : int
+        The most buses.
+    budget : float
+        The highest load of a bus, with the most stuff bits.
+    can : {"any", "classic", "fd"}
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
 
     taxels: int
     rate_hz: float
     buses: int = 4
     budget: float = 0.8
-    can: Kind = "any"
+    can: CanKind = "any"
 
-    def check(self) -> None:
-        """Refuse what no layout can be.
-
-        Raises
-        ------
-        InputError
-            If a number is out of range.
-        """
+    def __post_init__(self) -> None:
         if not TAXELS_MIN <= self.taxels <= TAXELS_MAX or self.taxels & self.taxels - 1:
             raise InputError(f"expected a power of two from {TAXELS_MIN} to {TAXELS_MAX} taxels, got {self.taxels}")
-        if not 0 < self.rate_hz <= 2000:
-            raise InputError(f"expected a rate above 0 and up to 2000 Hz, got {self.rate_hz:g}")
+        if not 0 < self.rate_hz <= RATE_MAX_HZ:
+            raise InputError(f"expected a rate above 0 and up to {RATE_MAX_HZ:g} Hz, got {self.rate_hz:g}")
         if not 1 <= self.buses <= BUSES_MAX:
             raise InputError(f"expected 1 to {BUSES_MAX} buses, got {self.buses}")
         if not 0 < self.budget <= 1:
@@ -65,11 +78,12 @@ class Wish:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A layout that was looked at; missing is what it lacks, 0 for nothing, None when that cannot be said."""
+    """A layout that was looked at; ``missing`` is what it lacks, 0 for nothing, None where that is unknown."""
 
     buses: int
     nodes: int
     blocks_per_node: int
+    sums: int
     sum_bits: int
     data_bitrate: int | None
     load_worst: float | None
@@ -81,67 +95,87 @@ class Candidate:
 
     @property
     def fits(self) -> bool:
-        """Whether it meets the wish."""
+        """Whether it meets the requirement."""
         return self.problem is None
 
     @property
     def words(self) -> str:
-        """What it is, in words."""
+        """Its buses, nodes and sums in words."""
         wire = "classic CAN" if self.data_bitrate is None else f"CAN FD {self.data_bitrate // 1_000_000} Mbit/s"
         buses = f"{self.buses} bus{'es' * (self.buses > 1)}"
         each = f"{self.blocks_per_node} block{'s' * (self.blocks_per_node > 1)}"
-        return f"{buses} of {wire}, {self.nodes} nodes of {each}, {self.sum_bits}-bit sums"
+        return f"{buses} of {wire}, {self.nodes} nodes of {each}, {self.sums} sums of {self.sum_bits} bits"
 
 
-def search(wish: Wish, allowed: Disturbance | None = None) -> tuple[Layout | None, list[Candidate]]:
-    """Return the first layout that meets a wish, and all that were looked at until then.
+@dataclass(frozen=True)
+class Search:
+    """What a search found: all layouts it looked at and, where one fits, the chosen one."""
 
-    Raises
-    ------
-    InputError
-        If the wish is out of range.
+    required: Requirement
+    allowed: Disturbance
+    candidates: list[Candidate]
+    chosen: Candidate | None
+    layout: Layout | None
+
+    def missing(self) -> str | None:
+        """Say what the nearest layout lacks, at which rate it fits, and how many lack node-IDs; None when one fits."""
+        if self.layout is not None:
+            return None
+        required, seen = self.required, self.candidates
+        most = "1 bus" if required.buses == 1 else f"up to {required.buses} buses"
+        kind = {"any": "CAN or CAN FD", "classic": "classic CAN", "fd": "CAN FD"}[required.can]
+        asked = f"{required.taxels} taxels {required.rate_hz:g} times a second"
+        lines = [f"no layout carries {asked} over {most} of {kind}, each at most {required.budget:.0%} full"]
+        judged = [each for each in seen if each.load_worst is not None]
+        if judged:
+            nearest = min(judged, key=lambda each: each.load_worst or 0.0)
+            layout = next(layout for layout, each in zip(_layouts(required), seen, strict=False) if each is nearest)
+            rate_hz = highest_rate_hz(layout, required.budget, self.allowed)
+            would = f"; it fits at up to {rate_hz:g} Hz" if rate_hz else "; it fits at no rate"
+            lines.append(f"the nearest, {nearest.words}, lacks: {nearest.problem}{would}")
+        short = [each for each in seen if each.missing_node_ids]
+        if short:
+            least = min(short, key=lambda each: each.missing_node_ids)
+            lines.append(
+                f"{len(short)} of {len(seen)} lack node-IDs, {least.missing_node_ids} of them or more on a bus"
+            )
+        return "; ".join(lines)
+
+
+def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
+    """Search for the first layout that meets a requirement, then for more sums on the same buses and nodes.
+
+    Of `COMPRESSIONS`, the fewest taxels per sum that fit are taken. For them the data phase of CAN FD may become
+    faster, up to `COMMON_DATA_BITRATE`.
     """
-    wish.check()
-    seen = []
-    for layout in _layouts(wish):
-        candidate = _judge(layout, wish, allowed or Disturbance())
-        seen.append(candidate)
-        if candidate.fits:
-            return layout, seen
-    return None, seen
+    allowed = allowed or Disturbance()
+    candidates: list[Candidate] = []
+
+    def fits(layout: Layout) -> bool:
+        candidates.append(_judge(layout, required, allowed))
+        return candidates[-1].fits
+
+    least = next(filter(fits, _layouts(required)), None)
+    if least is None:
+        return Search(required, allowed, candidates, None, None)
+    chosen = candidates[-1]
+    denser = next(filter(fits, _denser(least)), None)
+    return Search(required, allowed, candidates, chosen if denser is None else candidates[-1], denser or least)
 
 
-def what_is_missing(wish: Wish, seen: list[Candidate], allowed: Disturbance | None = None) -> str:
-    """Say why no layout met a wish: what the nearest one lacks, at which rate it fits, and how many lacked node-IDs."""
-    judged = [each for each in seen if each.load_worst is not None]
-    most = "1 bus" if wish.buses == 1 else f"up to {wish.buses} buses"
-    kind = "CAN or CAN FD" if wish.can == "any" else f"{wish.can} CAN" if wish.can == "classic" else "CAN FD"
-    asked = f"{wish.taxels} taxels {wish.rate_hz:g} times a second"
-    lines = [f"no layout carries {asked} over {most} of {kind}, each at most {wish.budget:.0%} full"]
-    if judged:
-        nearest = min(judged, key=lambda each: each.load_worst or 0.0)
-        layout = next(layout for layout, each in zip(_layouts(wish), seen, strict=False) if each is nearest)
-        rate_hz = highest_rate_hz(layout, wish.budget, allowed)
-        would = f"; it fits at up to {rate_hz:g} Hz" if rate_hz else "; it fits at no rate"
-        lines.append(f"the nearest, {nearest.words}, lacks: {nearest.problem}{would}")
-    short = [each for each in seen if each.missing_node_ids]
-    if short:
-        least = min(short, key=lambda each: each.missing_node_ids)
-        lines.append(f"{len(short)} of {len(seen)} lack node-IDs, {least.missing_node_ids} of them or more on a bus")
-    return "; ".join(lines)
-
-
-def _layouts(wish: Wish) -> Iterator[Layout]:
-    """Yield what is worth looking at, the least first."""
-    power = wish.taxels.bit_length() - 1
+def _layouts(required: Requirement) -> Iterator[Layout]:
+    """Yield the layouts to look at, those with the least hardware first."""
+    power = required.taxels.bit_length() - 1
     rows, columns = 1 << (power + 1) // 2, 1 << power // 2
     start = Layout(
         taxels=Taxels(rows=rows, columns=columns),
-        measurement=Measuring(sums=wish.taxels // COMPRESSION),
-        sync=Sync(rate_hz=wish.rate_hz),
+        measurement=Measuring(sums=required.taxels // COMPRESSIONS[0]),
+        sync=Sync(rate_hz=required.rate_hz),
         bus=[Bus(name="bus0", nodes=1)],
     )
-    ways = (product(range(1, wish.buses + 1), DATA_BITRATES[wish.can], bits, BLOCKS_PER_NODE) for bits in SUM_BITS)
+    ways = (
+        product(range(1, required.buses + 1), DATA_BITRATES[required.can], bits, BLOCKS_PER_NODE) for bits in SUM_BITS
+    )
     for buses, rate, bits, per_node in chain.from_iterable(ways):
         if start.blocks % per_node == 0 and start.blocks // per_node >= buses:
             like = msgspec.structs.replace(
@@ -150,7 +184,18 @@ def _layouts(wish: Wish) -> Iterator[Layout]:
             yield with_bits(with_buses(start, buses, like), bits)
 
 
-def _judge(layout: Layout, wish: Wish, allowed: Disturbance) -> Candidate:
+def _denser(least: Layout) -> Iterator[Layout]:
+    """Yield layouts of the same buses and nodes with more sums, those with the most first, then slow wires first."""
+    first = least.bus[0]
+    rates = [first.data_bitrate]
+    if first.data_bitrate is not None:
+        rates += [rate for rate in FD_BITRATES if first.data_bitrate < rate <= COMMON_DATA_BITRATE]
+    for taxels_per_sum, rate in product(COMPRESSIONS[:0:-1], rates):
+        dense = with_sums(least, least.taxels.count // taxels_per_sum)
+        yield with_buses(dense, len(least.bus), msgspec.structs.replace(first, data_bitrate=rate))
+
+
+def _judge(layout: Layout, required: Requirement, allowed: Disturbance) -> Candidate:
     first = layout.bus[0]  # no other has more nodes
     window_ms = WINDOW_RATIO * layout.sync.period_s * 1e3
     load = needed_ms = missing_bits = missing_ms = None
@@ -160,21 +205,22 @@ def _judge(layout: Layout, wish: Wish, allowed: Disturbance) -> Candidate:
         problems.append(f"{missing_ids} node-IDs ({first.nodes} nodes on a bus of {HIGHEST_NODE_ID})")
     else:
         try:
-            contract = Contract.from_layout(parse_layout(layout_text(layout).encode(), "wish"))
+            contract = Contract.from_layout(validated(layout))
         except LayoutError as error:
             problems.append(str(error))
         else:
             streams = traffic(contract, 0, allowed=allowed)
-            load = counted_wire(streams, "worst").load(wish.rate_hz)
+            load = bus_time(streams, "worst").load(required.rate_hz)
             response = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
             needed_ms = response * 1e-6 if response < UNBOUNDED else None
-            missing_bits = max(0.0, (load - wish.budget) * first.bitrate)
+            missing_bits = max(0.0, (load - required.budget) * first.bitrate)
             missing_ms = max(0.0, needed_ms - window_ms) if needed_ms is not None else None
             problems += _lacks(missing_bits, load, missing_ms, window_ms)
     return Candidate(
         buses=len(layout.bus),
         nodes=sum(bus.nodes for bus in layout.bus),
         blocks_per_node=first.blocks_per_node,
+        sums=layout.measurement.sums,
         sum_bits=layout.encoding.sum_bits,
         data_bitrate=first.data_bitrate,
         load_worst=load,

@@ -11,7 +11,7 @@ from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Nmt
 from dbc.contract import CLASSIC_BYTES, Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
-from dbc.frame_bits import frame_time_ns
+from dbc.frame_bits import frame_time_ns, nominal_ns
 from skin.errors import InputError
 from skin.layout import Bus
 
@@ -105,7 +105,7 @@ class Traffic:
             worst,
             np.rint(self.period_s * 1e9).astype(np.int64),
             np.rint(self.jitter_s * 1e9).astype(np.int64),
-            bit_ns=round(1e9 / self.bus.bitrate),
+            bit_ns=nominal_ns(1, self.bus.bitrate),
             blocked_ns=blocked,
             error_interval_ns=round(1e9 / errors_per_s) if errors_per_s else 0,
         )
@@ -113,7 +113,7 @@ class Traffic:
 
 def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance | None = None) -> Traffic:
     """Return the streams of bus number `bus` in cycles of `phase`; SDO goes to the node with the highest node-ID."""
-    wish = allowed or Disturbance()
+    allowed = allowed or Disturbance()
     nodes = contract.on_bus(bus)
     cycle = contract.cycle(bus, phase)
     owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
@@ -121,12 +121,12 @@ def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance |
     beats["can_id"] = [HEARTBEAT_BASE + node.node_id for node in nodes]
     beats["length"], beats["data"][:, 0] = 1, NmtState.OPERATIONAL
     last = nodes[-1].node_id
-    transfers = frames(2 if wish.sdo_per_s else 0)
+    transfers = frames(2 if allowed.sdo_per_s else 0)
     transfers["can_id"] = [SDO_RESPONSE_BASE + last, SDO_REQUEST_BASE + last][: len(transfers)]
     transfers["length"] = CLASSIC_BYTES
     streams = np.concatenate([cycle, transfers, beats])
     sizes = len(cycle), len(transfers), len(beats)
-    periods = contract.layout.sync.period_s, 1 / wish.sdo_per_s if wish.sdo_per_s else 1.0, HEARTBEAT_MS * 1e-3
+    periods = contract.layout.sync.period_s, 1 / allowed.sdo_per_s if allowed.sdo_per_s else 1.0, HEARTBEAT_MS * 1e-3
     cyclic = np.repeat([True, False, False], sizes)
     senders = [owner.get(int(can_id), 0) for can_id in cycle["can_id"]]
     node = np.array([*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes)], np.intp)
@@ -136,7 +136,7 @@ def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance |
         bus=contract.layout.bus[bus],
         frames=streams[order],
         period_s=np.repeat(periods, sizes)[order],
-        jitter_s=np.where(is_tpdo, wish.jitter_s, 0.0)[order],
+        jitter_s=np.where(is_tpdo, allowed.jitter_s, 0.0)[order],
         node=node[order],
         is_cyclic=cyclic[order],
         is_tpdo=is_tpdo[order],

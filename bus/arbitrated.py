@@ -1,8 +1,6 @@
 """The link to a bus of `skin bus`: packets of FRAME records on a local socket."""
 
-import select
 import socket
-import threading
 import time
 from collections.abc import Sequence
 from os import fspath
@@ -29,7 +27,7 @@ from bus.protocol import (
     unpack_frames,
     unpack_json,
 )
-from bus.retry import Backoff
+from bus.reconnecting import ReconnectingLink
 from dbc.frame import ECHO, FD, Frames, frames
 from skin.errors import BusError
 from skin.service import Stopped, StopSignal, say
@@ -42,7 +40,7 @@ SILENT_S: Final = 1.0
 PACKETS_PER_CALL: Final = 256
 
 
-class ArbitratedLink:
+class ArbitratedLink(ReconnectingLink):
     """A connection to one bus of `skin bus`, which comes back by itself when that process does.
 
     `send` may be called from several threads, `receive` from one.
@@ -65,42 +63,28 @@ class ArbitratedLink:
     """
 
     def __init__(self, channel: str, hello: Hello, *, wait_s: float = 0.0, stop: StopSignal | None = None) -> None:
+        super().__init__()
         self.channel = channel
         self._hello = hello
         self._path = socket_path(channel)
-        self._lock = threading.RLock()
-        self._backoff = Backoff()
         self._buffer = bytearray(MAX_PACKET)
-        self._state = State.ACTIVE
-        self._dropped = self._dropped_before = 0
         # Each is written by one thread only: what was sent, and what the bus has reported back.
         self._sent = np.zeros(MAX_PORTS, np.int64)
         self._returned = np.zeros(MAX_PORTS, np.int64)
-        self._socket: socket.socket | None
-        self._socket, self.welcome = self._connect_within(wait_s, stop or StopSignal())
-        self._epoll = select.epoll()  # one descriptor for select, whatever happens to the socket
-        self._epoll.register(self._socket, select.EPOLLIN)
-
-    def fileno(self) -> int:
-        """Return a descriptor that is readable when frames wait."""
-        return self._epoll.fileno()
-
-    @property
-    def state(self) -> State:
-        """The worst state of this link's controllers, or LOST while the bus's process is gone."""
-        return State.LOST if self._socket is None else self._state
-
-    @property
-    def dropped(self) -> int:
-        """Frames that were lost because `receive` was not called in time."""
-        return self._dropped_before + self._dropped
+        try:
+            self._use(self._connect_within(wait_s, stop or StopSignal()))
+        except BaseException:
+            self._epoll.close()
+            raise
 
     def receive(self) -> Frames:
         """Return all frames that wait, echoes of own ones included, in the order of the wire."""
         arrived: list[Frames] = []
         connection = self._reopened()
+        if connection is None:
+            return frames(0)
         try:
-            while connection is not None and len(arrived) < PACKETS_PER_CALL:
+            while len(arrived) < PACKETS_PER_CALL:
                 size = connection.recv_into(self._buffer)
                 if not size:
                     self._lose(connection)
@@ -158,24 +142,15 @@ class ArbitratedLink:
                 return False
             return self._send(connection, pack(Kind.FAULTS, msgspec.json.encode(list(faults))))
 
-    def close(self) -> None:
-        """Leave the bus."""
-        with self._lock:
-            if self._socket is not None:
-                self._socket.close()
-            self._socket = None
-            self._backoff.give_up()
-            self._epoll.close()
-
     def _fitting(self, burst: Frames) -> int:
-        """Count the leading frames for which there is room."""
-        room = self.welcome.queue_size - (self._sent - self._returned)
-        if (np.bincount(burst["port"], minlength=MAX_PORTS) <= room).all():
+        """Count the leading frames that fit their transmit queues."""
+        left = self.welcome.queue_size - (self._sent - self._returned)
+        if (np.bincount(burst["port"], minlength=MAX_PORTS) <= left).all():
             return len(burst)
         for place, port in enumerate(burst["port"].tolist()):
-            if room[port] <= 0:
+            if left[port] <= 0:
                 return place
-            room[port] -= 1
+            left[port] -= 1
         return len(burst)
 
     def _send(self, connection: socket.socket, packet: bytes) -> bool:
@@ -200,36 +175,8 @@ class ArbitratedLink:
         self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)
         return arrived
 
-    def _lose(self, connection: socket.socket | None) -> None:
-        """Let go of a connection that has ended."""
-        with self._lock:
-            if connection is None or connection is not self._socket:
-                return
-            self._epoll.unregister(connection)
-            connection.close()
-            self._socket = None
-            self._backoff.failed()
-
-    def _reopened(self) -> socket.socket | None:
-        """Return the connection; when it is lost, try to get a new one, but not too often."""
-        if self._socket is not None or not self._backoff.due:
-            return self._socket
-        with self._lock:
-            if self._socket is None and self._backoff.due:
-                try:
-                    self._socket, self.welcome = self._connect()
-                except (BusError, OSError):
-                    self._backoff.failed()
-                else:
-                    self._backoff.worked()
-                    self._epoll.register(self._socket, select.EPOLLIN)
-                    self._dropped_before, self._dropped = self.dropped, 0
-                    self._state = State.ACTIVE
-                    self._sent[:] = self._returned[:] = 0
-            return self._socket
-
-    def _connect_within(self, wait_s: float, stop: StopSignal) -> tuple[socket.socket, Welcome]:
-        since_s, told = time.monotonic(), False
+    def _connect_within(self, wait_s: float, stop: StopSignal) -> socket.socket:
+        since_s, said = time.monotonic(), False
         while True:
             try:
                 return self._connect()
@@ -240,13 +187,13 @@ class ArbitratedLink:
                         f"no bus '{self.channel}' at {self._path} ({error.strerror or error}): "
                         f"start it with 'skin bus {self.channel}'"
                     ) from error
-            if waited_s > SILENT_S and not told:
+            if waited_s > SILENT_S and not said:
                 say(self._hello.name, f"waits for bus '{self.channel}'")
-                told = True
+                said = True
             if stop.wait(0.02):
                 raise Stopped
 
-    def _connect(self) -> tuple[socket.socket, Welcome]:
+    def _connect(self) -> socket.socket:
         """Connect and greet.
 
         Raises
@@ -261,7 +208,7 @@ class ArbitratedLink:
             connection.settimeout(GREETING_S)
             connection.connect(fspath(self._path))
             connection.send(pack(Kind.HELLO, msgspec.json.encode(self._hello)))
-            welcome = self._read_welcome(connection.recv(MAX_PACKET))
+            self.welcome = self._read_welcome(connection.recv(MAX_PACKET))
             connection.setblocking(False)
         except ProtocolError as error:
             connection.close()
@@ -269,7 +216,8 @@ class ArbitratedLink:
         except BaseException:
             connection.close()
             raise
-        return connection, welcome
+        self._sent[:] = self._returned[:] = 0
+        return connection
 
     def _read_welcome(self, packet: bytes) -> Welcome:
         header, payload = unpack(packet)

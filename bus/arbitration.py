@@ -1,4 +1,4 @@
-"""Who wins the bus when several begin at once."""
+"""Who wins the bus when several begin at once, and when frames with one identifier collide."""
 
 import numpy as np
 import numpy.typing as npt
@@ -18,3 +18,12 @@ def arbitration_keys(burst: Frames) -> npt.NDArray[np.int64]:
     extended = (can_id >> 18 & 0x7FF) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1 | remote
     keys: npt.NDArray[np.int64] = np.where(burst["flags"] & EXTENDED != 0, extended, standard)
     return keys
+
+
+def clash_bits(same: Frames) -> int | None:
+    """Return after how many bits frames with one identifier differ, roughly, or None when they never do."""
+    first = same[0]
+    if (same["length"] != first["length"]).any() or (same["flags"] != first["flags"]).any():
+        return 19
+    differs = (same["data"] != first["data"]).any(axis=0)
+    return 19 + 8 * int(differs.argmax()) if differs.any() else None

@@ -1,8 +1,5 @@
 """``skin bus``: the arbitrated virtual buses."""
 
-import json
-import sys
-from dataclasses import asdict
 from typing import Final, Literal
 
 from bus.faults import parse_fault
@@ -10,6 +7,7 @@ from bus.server import BusServer, BusSettings
 from skin.errors import InputError
 from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
 from skin.service import StopSignal, be_punctual, say
+from skin.terminal import Json, print_json
 
 #: Far longer than any device waits, and far from where times no longer fit 64 bits.
 RESTART_MAX_S: Final = 3600.0
@@ -25,7 +23,7 @@ def bus(
     seed: int = 0,
     restart_s: float = 0.1,
     queue_size: int = 256,
-    json_: bool = False,
+    json_: Json = False,
 ) -> None:
     """Serve virtual CAN buses with bit rate, arbitration, error states and, when wanted, faults.
 
@@ -35,24 +33,25 @@ def bus(
     Parameters
     ----------
     channels
-        Names of the buses; default bus0 to bus3.
+        Names of the buses. Default: bus0 to bus3.
     bitrate
         Bits per second, 10000 to 1000000.
     data_bitrate
         Bits per second in the data phase of CAN FD frames, up to 8000000; 0 for buses without CAN FD.
     clock
-        ``real``: frames take as long as on a real bus. ``virtual``: as fast as possible, time is counted only.
+        ``real``: frames take as long as on a real bus. ``virtual``: frames are sent as fast as possible, and the
+        time on the bus is only counted.
     fault
-        What shall go wrong, ``KEY=VALUE,…`` with the keys controller, can_id, mask, loss_ratio,
-        duplicate_ratio, delay_ratio, delay_s, bit_error_rate, off. May be given several times.
+        A rule of what goes wrong, ``KEY=VALUE,…`` with the keys controller, can_id, mask, loss_ratio,
+        duplicate_ratio, delay_ratio, delay_s, bit_error_rate, off. Repeat the option for more rules.
     seed
-        Of the faults: same seed, same faults.
+        Seed of the faults: the same seed and the same frames give the same faults.
     restart_s
-        How long a bus-off controller waits before it begins to recover.
+        Seconds that a bus-off controller waits before its recovery begins.
     queue_size
-        Frames in the transmit queue of each controller.
+        Frames that the transmit queue of each controller holds.
     json_
-        Print the counters of every bus as JSON at the end.
+        Print the counters of every bus as one JSON object at the end.
 
     Examples
     --------
@@ -83,5 +82,4 @@ def bus(
         say("bus", f"ready: {', '.join(names)} at {bitrate} bit/s")
         server.serve(stop.is_set)
         if json_:
-            json.dump({name: asdict(one.counts) for name, one in server.buses.items()}, sys.stdout)
-            print()
+            print_json({name: one.counts for name, one in server.buses.items()})

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from random import Random
 from typing import Annotated, Final, NamedTuple
 
 import msgspec
@@ -58,9 +59,22 @@ class Odds(NamedTuple):
 
 
 class FaultBook:
-    """The rules in force, looked up once per controller and identifier."""
+    """The rules in force, looked up once per controller and identifier, and the chances that they leave.
 
-    def __init__(self, faults: Sequence[Fault] = ()) -> None:
+    Parameters
+    ----------
+    faults : sequence of Fault
+    seed : int
+        Of the chances: the same seed and the same frames, the same faults.
+    """
+
+    def __init__(self, faults: Sequence[Fault] = (), seed: int = 0) -> None:
+        self._random = Random(seed)
+        self._duplicated: set[int] = set()
+        self.replace(faults)
+
+    def replace(self, faults: Sequence[Fault]) -> None:
+        """Replace the rules; the series of chances goes on."""
         self._faults = tuple(faults)
         self._known: dict[tuple[str, int], Odds] = {}
 
@@ -79,6 +93,25 @@ class FaultBook:
                 self._known.clear()
             odds = self._known[controller, can_id] = self._combine(controller, can_id)
         return odds
+
+    def draw(self, probability: float) -> bool:
+        """Tell whether something of this probability happens."""
+        return probability > 0 and self._random.random() < probability
+
+    def draw_error_ns(self, odds: Odds, duration_ns: int, bitrate: int) -> int | None:
+        """Return when a bit of a frame is disturbed, counted from its start; None when none is."""
+        intact = (1 - odds.bit_error) ** (duration_ns * bitrate / 1e9)
+        if intact < 1 and self._random.random() >= intact:
+            return self._random.randrange(duration_ns)
+        return None
+
+    def draw_duplicate(self, odds: Odds, sequence: int) -> bool:
+        """Tell whether frame number `sequence` is sent twice, which happens to each frame once at most."""
+        if sequence not in self._duplicated and self.draw(odds.duplicate):
+            self._duplicated.add(sequence)
+            return True
+        self._duplicated.discard(sequence)
+        return False
 
     def _combine(self, controller: str, can_id: int) -> Odds:
         rules = [

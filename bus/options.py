@@ -1,4 +1,4 @@
-"""How a command says which CAN interfaces to use; python-can's own flags and meanings."""
+"""How a command line names CAN interfaces: with python-can's own flags."""
 
 import re
 from collections.abc import Iterable
@@ -16,6 +16,10 @@ from skin.service import StopSignal
 OPEN_WAIT_S = 30.0
 
 
+#: Names of channels as a command line takes them: ``-c can0 can1`` or ``-c can0 -c can1``.
+Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=True, show_default=False)]
+
+
 @Parameter(name="*")
 @dataclass(frozen=True)
 class BusOptions:
@@ -26,12 +30,12 @@ class BusOptions:
     interface : str
         python-can interface; ``canskin`` is the arbitrated virtual bus of ``skin bus``.
     channel : list of str
-        One per bus in the layout's order; one that ends in a number counts on (``-c vcan0`` is
-        vcan0 to vcan3). Default: the names of the layout's buses.
+        The channel of each bus, in the order of the layout. A single channel with a number is the first of
+        several: ``-c can0`` is can0 to can3 for four buses. Default: the names of the buses.
     """
 
     interface: Annotated[str, Parameter(alias="-i")] = "canskin"
-    channel: Annotated[list[str], Parameter(alias="-c", negative=())] = field(default_factory=list)
+    channel: Channels = field(default_factory=list)
 
 
 def channels(layout: Layout, options: BusOptions) -> list[str]:

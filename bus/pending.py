@@ -68,19 +68,19 @@ class Pending:
         """Tell whether a frame with the same identifier is ready, too."""
         return bool(self._ready) and self._ready[0].key == item.key
 
-    def rivals(self, item: Waiting) -> list[Waiting]:
+    def equals(self, item: Waiting) -> list[Waiting]:
         """Take the frames of other controllers that cannot lose against `item`: they have its identifier."""
-        rivals: dict[Controller, Waiting] = {}
+        equals: dict[Controller, Waiting] = {}
         kept: list[Waiting] = []
         while self.contests(item):
             other = heapq.heappop(self._ready)
-            if other.controller is item.controller or other.controller in rivals:
+            if other.controller is item.controller or other.controller in equals:
                 kept.append(other)
             else:
-                rivals[other.controller] = other
+                equals[other.controller] = other
         for other in kept:
             heapq.heappush(self._ready, other)
-        return list(rivals.values())
+        return list(equals.values())
 
     def withdraw(self, controller: Controller) -> list[Waiting]:
         """Take all frames of `controller` back, oldest first."""

@@ -18,7 +18,7 @@ from bus.protocol import Hello, runtime_folder
 from dbc.frame import ECHO, ERROR
 from skin.errors import SkinError
 
-#: How often a sender that waits for room looks again; whoever receives meanwhile makes the room.
+#: How often a sender looks again whether the transmit queue has space; whoever receives meanwhile makes space.
 _ROOM_POLL_S: Final = 0.001
 _STATE_OF: Final = {
     State.ACTIVE: can.BusState.ACTIVE,
@@ -96,12 +96,12 @@ class ArbitratedBus(can.BusABC):
         ----------
         msg : can.Message
         timeout : float, optional
-            Seconds to wait for room in the transmit queue, default none.
+            Seconds to wait for space in the transmit queue, default none.
 
         Raises
         ------
         can.CanOperationError
-            If there is no room, the controller is bus-off, or the bus is gone.
+            If there is no space, the controller is bus-off, or the bus is gone.
         """
         frame = to_frame(msg)
         frame["time_ns"] = 0

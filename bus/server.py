@@ -13,7 +13,6 @@ from typing import Final, Self
 
 import msgspec
 
-from bus.core import Bus
 from bus.faults import Fault
 from bus.protocol import (
     MAX_PACKET,
@@ -30,6 +29,7 @@ from bus.protocol import (
     unpack_json,
 )
 from bus.session import Batch, Session
+from bus.simulated_bus import SimulatedBus
 from dbc.frame import frames
 from dbc.frame_bits import frame_time_ns
 from skin.errors import BusError, InputError
@@ -80,10 +80,10 @@ class _Line:
     """One bus, its socket and its clients."""
 
     channel: str
-    bus: Bus
+    bus: SimulatedBus
     listener: socket.socket
     path: Path
-    guests: list[socket.socket] = field(default_factory=list)
+    pending: list[socket.socket] = field(default_factory=list)
     sessions: list[Session] = field(default_factory=list)
     delivered_ns: int = 0
 
@@ -129,7 +129,7 @@ class BusServer:
         self.close()
 
     @property
-    def buses(self) -> dict[str, Bus]:
+    def buses(self) -> dict[str, SimulatedBus]:
         """The buses by name."""
         return {line.channel: line.bus for line in self._lines}
 
@@ -142,7 +142,7 @@ class BusServer:
         """Sleep until a client or a frame wants something, and do it."""
         readers: list[_Line | socket.socket | Session] = [*self._lines]
         for line in self._lines:
-            readers += [*line.guests, *line.sessions]
+            readers += [*line.pending, *line.sessions]
         writers = [session for line in self._lines for session in line.sessions if session.blocked]
         readable, writable, _ = select.select(readers, writers, [], self._sleep_s())
         self._now_ns = time.monotonic_ns()  # what comes in one turn arbitrates together
@@ -158,8 +158,8 @@ class BusServer:
         for line in self._lines:
             if line in ready:
                 self._accept(line)
-            for guest in [guest for guest in line.guests if guest in ready]:
-                self._greet(line, guest)
+            for connection in [connection for connection in line.pending if connection in ready]:
+                self._greet(line, connection)
             for session in [session for session in line.sessions if session in ready]:
                 self._read(line, session)
 
@@ -167,12 +167,12 @@ class BusServer:
         """Disconnect everybody and remove the sockets."""
         for line in self._lines:
             line.path.unlink(missing_ok=True)
-            for one in (line.listener, *line.guests, *(session.connection for session in line.sessions)):
+            for one in (line.listener, *line.pending, *(session.connection for session in line.sessions)):
                 one.close()
         self._lines.clear()
 
     def _sleep_s(self) -> float:
-        """Return how long nothing can happen but a client's wish."""
+        """Return how long nothing can happen but a request of a client."""
         wakes = [wake for line in self._lines if (wake := self._wake_ns(line)) is not None]
         if not wakes:
             return IDLE_S
@@ -196,7 +196,7 @@ class BusServer:
     def _open(self, channel: str, place: int, folder: Path) -> _Line:
         path = socket_path(channel, folder)
         settings = self.settings
-        bus = Bus(
+        bus = SimulatedBus(
             settings.bitrate,
             settings.data_bitrate,
             faults=settings.faults,
@@ -211,30 +211,30 @@ class BusServer:
         except OSError:  # it left again, or descriptors ran out
             return
         connection.setblocking(False)
-        line.guests.append(connection)
-        if sum(len(one.guests) + len(one.sessions) for one in self._lines) > MAX_CLIENTS:
+        line.pending.append(connection)
+        if sum(len(one.pending) + len(one.sessions) for one in self._lines) > MAX_CLIENTS:
             self._refuse(line, connection, f"more than {MAX_CLIENTS} clients")
 
-    def _greet(self, line: _Line, guest: socket.socket) -> None:
+    def _greet(self, line: _Line, connection: socket.socket) -> None:
         """Let a client in that has said what it wants."""
         try:
-            hello = _read_hello(guest)
+            hello = _read_hello(connection)
         except BlockingIOError:
             return
         except (OSError, ProtocolError) as error:
-            self._refuse(line, guest, f"not understood: {error}")
+            self._refuse(line, connection, f"not understood: {error}")
             return
         settings = self.settings
         if hello.bitrate not in (None, settings.bitrate):
-            self._refuse(line, guest, f"it runs at {settings.bitrate} bit/s, not {hello.bitrate}")
+            self._refuse(line, connection, f"it runs at {settings.bitrate} bit/s, not {hello.bitrate}")
         elif hello.fd and settings.data_bitrate is None:
-            self._refuse(line, guest, "it has no CAN FD: start it with --data-bitrate")
+            self._refuse(line, connection, "it has no CAN FD: start it with --data-bitrate")
         elif hello.fd and hello.data_bitrate not in (None, settings.data_bitrate):
-            self._refuse(line, guest, f"its data rate is {settings.data_bitrate} bit/s, not {hello.data_bitrate}")
+            self._refuse(line, connection, f"its data rate is {settings.data_bitrate} bit/s, not {hello.data_bitrate}")
         else:
-            self._welcome(line, guest, hello)
+            self._welcome(line, connection, hello)
 
-    def _welcome(self, line: _Line, guest: socket.socket, hello: Hello) -> None:
+    def _welcome(self, line: _Line, connection: socket.socket, hello: Hello) -> None:
         settings = self.settings
         welcome = Welcome(
             bitrate=settings.bitrate,
@@ -243,20 +243,20 @@ class BusServer:
             queue_size=settings.queue_size,
         )
         try:
-            guest.send(pack(Kind.WELCOME, msgspec.json.encode(welcome)))
+            connection.send(pack(Kind.WELCOME, msgspec.json.encode(welcome)))
         except OSError:
-            self._refuse(line, guest, "")
+            self._refuse(line, connection, "")
             return
-        line.guests.remove(guest)
+        line.pending.remove(connection)
         station = line.bus.attach(hello.name, settings.queue_size, listen_only=hello.listen_only)
-        line.sessions.append(Session(guest, station, hello.filters))
+        line.sessions.append(Session(connection, station, hello.filters))
 
     @staticmethod
-    def _refuse(line: _Line, guest: socket.socket, reason: str) -> None:
+    def _refuse(line: _Line, connection: socket.socket, reason: str) -> None:
         with contextlib.suppress(OSError):
-            guest.send(pack(Kind.REFUSED, reason.encode()))
-        guest.close()
-        line.guests.remove(guest)
+            connection.send(pack(Kind.REFUSED, reason.encode()))
+        connection.close()
+        line.pending.remove(connection)
 
     def _read(self, line: _Line, session: Session) -> None:
         """Take what a client sends; whoever sends garbage is disconnected, and nobody else notices."""
@@ -368,8 +368,8 @@ def _own_folder(folder: Path) -> None:
         raise BusError(f"{folder} can be written by others: set SKIN_BUS_DIR to a folder of your own")
 
 
-def _read_hello(guest: socket.socket) -> Hello:
-    header, payload = unpack(guest.recv(MAX_PACKET))
+def _read_hello(connection: socket.socket) -> Hello:
+    header, payload = unpack(connection.recv(MAX_PACKET))
     if header.kind != Kind.HELLO:
         raise ProtocolError(f"expected a greeting, got a packet of kind {header.kind}")
     return unpack_json(payload, Hello)

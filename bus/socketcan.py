@@ -2,10 +2,8 @@
 
 import contextlib
 import errno
-import select
 import socket
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,10 +12,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bus.batch_io import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received
-from bus.error_frames import State, state_of_report
+from bus.error_frames import state_of_report
 from bus.protocol import Filter, check_frames, pad_lengths
-from bus.retry import Backoff
+from bus.reconnecting import ReconnectingLink
+from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
 from skin.errors import BusError
 
@@ -82,7 +80,7 @@ def decode(batch: Received, offset_ns: int) -> Frames:
     return arrived
 
 
-class SocketCanLink:
+class SocketCanLink(ReconnectingLink):
     """A raw CAN socket; when the interface goes, it is opened again as soon as it is back.
 
     Raises
@@ -92,36 +90,15 @@ class SocketCanLink:
     """
 
     def __init__(self, channel: str, *, fd: bool = False, filters: Sequence[Filter] = ()) -> None:
+        super().__init__()
         self._channel = channel
         self._fd = fd
         self._filters = tuple(filters)
-        self._lock = threading.RLock()
-        self._backoff = Backoff()
-        self._state = State.ACTIVE
-        self._dropped = self._dropped_before = 0
-        self._epoll = select.epoll()
-        self._socket: socket.socket | None = None
-        self._batch: BatchSocket | None = None
-        self._sender: BatchSocket | None = None
         try:
-            self._open()
+            self._use(self._connect())
         except OSError as error:
             self._epoll.close()
             raise BusError(_why(channel, error)) from error
-
-    def fileno(self) -> int:
-        """Return a descriptor that is readable when frames wait."""
-        return self._epoll.fileno()
-
-    @property
-    def state(self) -> State:
-        """What the controller's error frames said last; LOST while the interface is down or gone."""
-        return State.LOST if self._socket is None else self._state
-
-    @property
-    def dropped(self) -> int:
-        """Frames the kernel dropped because `receive` was not called in time."""
-        return self._dropped_before + self._dropped
 
     def receive(self) -> Frames:
         """Return all frames that wait, own ones as echoes."""
@@ -155,59 +132,28 @@ class SocketCanLink:
         rows, lengths = encode(burst)
         sent = 0
         with self._lock:
-            while sent < len(rows) and self._reopened() is not None and self._sender is not None:
+            while sent < len(rows) and (connection := self._reopened()) is not None:
                 try:
                     done = self._sender.send(rows[sent:], lengths[sent:])
                 except OSError:
-                    self._lose()
+                    self._lose(connection)
                     break
                 if not done:
                     break
                 sent += done
         return sent
 
-    def close(self) -> None:
-        """Close the socket."""
-        with self._lock:
-            self._backoff.give_up()
-            if self._socket is not None:
-                self._socket.close()
-                self._socket = None
-            self._epoll.close()
-
     def _receive_batch(self) -> Received | None:
-        if self._reopened() is None or self._batch is None:
+        connection = self._reopened()
+        if connection is None:
             return None
         try:
             return self._batch.receive()
         except OSError:  # ENETDOWN, ENODEV: the interface is down or gone
-            self._lose()
+            self._lose(connection)
             return None
 
-    def _reopened(self) -> socket.socket | None:
-        """Return the socket; when it is lost, try again, but not too often."""
-        if self._socket is None and self._backoff.due:
-            with self._lock:
-                self._try_open()
-        return self._socket
-
-    def _try_open(self) -> None:
-        if self._socket is None:
-            try:
-                self._open()
-            except OSError:
-                self._backoff.failed()
-
-    def _lose(self) -> None:
-        with self._lock:
-            if self._socket is not None:
-                self._epoll.unregister(self._socket)
-                self._socket.close()
-                self._socket = None
-                self._dropped_before, self._dropped = self.dropped, 0
-            self._backoff.failed()
-
-    def _open(self) -> None:
+    def _connect(self) -> socket.socket:
         """Open and bind a new socket.
 
         Raises
@@ -227,10 +173,7 @@ class SocketCanLink:
             raise
         self._batch = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
         self._sender = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
-        self._epoll.register(connection, select.EPOLLIN)
-        self._state = State.ACTIVE
-        self._backoff.worked()
-        self._socket = connection
+        return connection
 
     def _configure(self, connection: socket.socket) -> None:
         raw, level = socket.SOL_CAN_RAW, socket.SOL_SOCKET

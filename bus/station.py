@@ -1,6 +1,8 @@
 """Who is on a bus, and what has happened there."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import count
 
 from bus.controller import Controller
 from bus.error_frames import State
@@ -29,6 +31,42 @@ class Station:
         """Derive `state` and `off` anew, after a controller came or changed."""
         self.state = max((one.state for one in self.controllers.values()), default=State.ACTIVE)
         self.off = bool(self.controllers) and all(one.off for one in self.controllers.values())
+
+
+class Stations:
+    """Everybody on a bus.
+
+    Attributes
+    ----------
+    by_number : dict of int to Station
+    takers : int
+        How many controllers take part: a frame needs two, its sender and one that acknowledges.
+    """
+
+    def __init__(self) -> None:
+        self.by_number: dict[int, Station] = {}
+        self.takers = 0
+        self._numbers = count()
+
+    def add(self, name: str, queue_size: int) -> Station:
+        """Let a station in, as yet without controllers."""
+        station = Station(next(self._numbers), name, queue_size)
+        self.by_number[station.number] = station
+        return station
+
+    def remove(self, station: Station) -> None:
+        """Let a station go."""
+        del self.by_number[station.number]
+
+    def controllers(self) -> Iterator[Controller]:
+        """Yield the controllers of all stations."""
+        return (controller for station in self.by_number.values() for controller in station.controllers.values())
+
+    def refresh(self) -> None:
+        """Derive the takers and each station's state anew, after a controller came, went or changed."""
+        self.takers = sum(controller.takes_part for controller in self.controllers())
+        for station in self.by_number.values():
+            station.refresh()
 
 
 @dataclass(slots=True)

@@ -2,20 +2,25 @@
 
 Sums are given in ADC counts: the factor is the packing's scale, so that every value is an exact integer. Their
 newtons are a factor away which no decimal fraction gives exactly; it is the attribute ``NewtonPerCount``.
+
+cantools writes the text, so the committed files change with its version: its bounds in ``pyproject.toml`` are narrow.
 """
 
-from typing import Final
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final
 
 from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD
-from dbc.notation import Message, Signal, dbc_text
 from dbc.packing import rounding_error_n
 
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
+    from cantools.database.can.formats.dbc import DbcAttributeDefinitionType, DbcSpecifics
+
 GATEWAY: Final = "Gateway"
-#: Receiver of a message that concerns everybody.
-EVERYBODY: Final = "Vector__XXX"
 UNIT: Final = "count"
 
 NMT_COMMANDS: Final = {
@@ -28,26 +33,42 @@ NMT_COMMANDS: Final = {
 NMT_STATES: Final = {0: "Boot-up", 4: "Stopped", 5: "Operational", 127: "Pre-operational"}
 
 
+#: What a frame can be, by the number that the attribute VFrameFormat has.
+FRAME_FORMATS: Final = (
+    *("StandardCAN", "ExtendedCAN", "reserved", "J1939PG"),
+    *["reserved"] * 10,
+    *("StandardCAN_FD", "ExtendedCAN_FD"),
+)
+
+
 def database(contract: Contract, bus: int) -> str:
     """Return the DBC of bus number `bus`."""
-    layout, wires = contract.layout, contract.layout.bus[bus]
+    from cantools.database.can import Bus, Database, Node
+
+    layout, line = contract.layout, contract.layout.bus[bus]
     nodes = contract.on_bus(bus)
     messages = _network(contract) + [message for node in nodes for message in _node(contract, node)]
     scale, error_n = contract.packing.scale, rounding_error_n(layout)
     comment = (
-        f"Bus {wires.name} of skin {layout.name}: blocks {nodes[0].block} to {nodes[-1].block + nodes[-1].blocks - 1}"
+        f"Bus {line.name} of skin {layout.name}: blocks {nodes[0].block} to {nodes[-1].block + nodes[-1].blocks - 1}"
         f" of Phi {contract.phi.fingerprint}. Sums are in ADC counts, {layout.taxels.newton_per_count:.6g} N each;"
         + (f" rounded to {scale}, which adds at most {error_n:.3g} N to a sum." if scale > 1 else " they are exact.")
     )
     attributes: dict[str, str | int | float] = {
-        "DBName": wires.name,
-        "BusType": "CAN FD" if wires.fd else "CAN",
-        "Baudrate": wires.bitrate,
-        **({"BaudrateCANFD": wires.data_bitrate or wires.bitrate} if wires.fd else {}),
+        "DBName": line.name,
+        "BusType": "CAN FD" if line.fd else "CAN",
+        "Baudrate": line.bitrate,
+        **({"BaudrateCANFD": line.data_bitrate or line.bitrate} if line.fd else {}),
         "NewtonPerCount": layout.taxels.newton_per_count,
         "PhiFingerprint": contract.phi.fingerprint,
     }
-    return dbc_text([GATEWAY, *(_name(node) for node in nodes)], messages, comment, attributes)
+    described = Database(
+        messages=sorted(messages, key=lambda message: message.frame_id),
+        nodes=[Node(GATEWAY), *(Node(_name(node)) for node in nodes)],
+        buses=[Bus(line.name, comment=comment, baudrate=line.bitrate)],
+        dbc_specifics=_attributes(attributes, switches_rate=line.data_bitrate is not None),
+    )
+    return str(described.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
 
 
 def signal_name(contract: Contract, number: int) -> str:
@@ -55,68 +76,164 @@ def signal_name(contract: Contract, number: int) -> str:
     return f"Block{contract.phi.block_of_sum[number]:03}_Row{contract.phi.row_of_sum[number]:02}"
 
 
+def _attributes(of_network: Mapping[str, str | float], *, switches_rate: bool) -> "DbcSpecifics":
+    """Return the attributes of the network, and the definitions of those that messages have."""
+    from cantools.database.can.formats.dbc import DbcAttribute, DbcAttributeDefinition, DbcSpecifics
+
+    definitions: OrderedDict[str, DbcAttributeDefinitionType] = OrderedDict()
+    for name, value in of_network.items():
+        if isinstance(value, str):
+            definitions[name] = DbcAttributeDefinition(name, default_value="", type_name="STRING")
+        elif isinstance(value, int):
+            definitions[name] = DbcAttributeDefinition(
+                name, default_value=0, type_name="INT", minimum=0, maximum=2**31 - 1
+            )
+        else:
+            definitions[name] = DbcAttributeDefinition(
+                name, default_value=0.0, type_name="FLOAT", minimum=0, maximum=1_000_000
+            )
+    values = OrderedDict((name, DbcAttribute(value, definitions[name])) for name, value in of_network.items())
+    of_messages: tuple[DbcAttributeDefinitionType, ...] = (
+        DbcAttributeDefinition(
+            "GenMsgCycleTime", default_value=0, kind="BO_", type_name="INT", minimum=0, maximum=2**16 - 1
+        ),
+        DbcAttributeDefinition(
+            "VFrameFormat", default_value=FRAME_FORMATS[0], kind="BO_", type_name="ENUM", choices=list(FRAME_FORMATS)
+        ),
+        # Of the CAN FD frames; cantools adds this definition to every CAN FD bus, with the default 1.
+        DbcAttributeDefinition(
+            "CANFD_BRS", default_value=str(int(switches_rate)), kind="BO_", type_name="ENUM", choices=["0", "1"]
+        ),
+    )
+    for message in of_messages:
+        if message.name != "CANFD_BRS" or of_network["BusType"] == "CAN FD":
+            definitions[message.name] = message
+    return DbcSpecifics(attributes=values, attribute_definitions=definitions)
+
+
 def _name(node: NodeContract) -> str:
     return f"Node{node.node_id}"
 
 
-def _network(contract: Contract) -> list[Message]:
+def _signal(
+    name: str,
+    start: int,
+    bits: int,
+    *,
+    receiver: str | None,
+    is_signed: bool = False,
+    factor: int = 1,
+    offset: int = 0,
+    unit: str | None = None,
+    meanings: Mapping[int, str] | None = None,
+) -> "Signal":
+    """Return an integer of `bits` from bit `start` on: ``physical = raw * factor + offset``."""
+    from cantools.database.can import Signal
+    from cantools.database.conversion import BaseConversion
+
+    low = -(1 << bits - 1) if is_signed else 0
+    return Signal(
+        name,
+        start,
+        bits,
+        is_signed=is_signed,
+        conversion=BaseConversion.factory(
+            scale=factor, offset=offset, choices=OrderedDict(meanings) if meanings else None, is_float=False
+        ),
+        minimum=low * factor + offset,
+        maximum=(low + (1 << bits) - 1) * factor + offset,
+        unit=unit,
+        receivers=[] if receiver is None else [receiver],
+    )
+
+
+def _message(
+    name: str,
+    can_id: int,
+    length: int,
+    sender: str,
+    signals: Sequence["Signal"],
+    *,
+    comment: str | None = None,
+    cycle_ms: int | None = None,
+    is_fd: bool = False,
+) -> "Message":
+    from cantools.database.can import Message
+
+    return Message(
+        can_id, name, length, list(signals), senders=[sender], comment=comment, cycle_time=cycle_ms, is_fd=is_fd
+    )
+
+
+def _network(contract: Contract) -> list["Message"]:
     """Return what the gateway sends to all nodes."""
-    command = (Signal("Command", 0, 8, meanings=NMT_COMMANDS), Signal("NodeId", 8, 8))
+    command = _signal("Command", 0, 8, receiver=None, meanings=NMT_COMMANDS)
+    node_id, counter = _signal("NodeId", 8, 8, receiver=None), _signal("Counter", 0, 8, receiver=None)
     return [
-        Message("NMT", NMT_COB_ID, 2, GATEWAY, EVERYBODY, command, "NMT command; node-ID 0 is all nodes"),
-        Message(
+        _message("NMT", NMT_COB_ID, 2, GATEWAY, [command, node_id], comment="NMT command; node-ID 0 is all nodes"),
+        _message(
             "SYNC",
             SYNC_COB_ID,
             1,
             GATEWAY,
-            EVERYBODY,
-            (Signal("Counter", 0, 8),),
-            f"All blocks measure now; the counter goes from 1 to {SYNC_OVERFLOW}",
-            _milliseconds(contract.layout.sync.period_s),
+            [counter],
+            comment=f"All blocks measure now; the counter goes from 1 to {SYNC_OVERFLOW}",
+            cycle_ms=_milliseconds(contract.layout.sync.period_s),
         ),
     ]
 
 
-def _node(contract: Contract, node: NodeContract) -> list[Message]:
+def _node(contract: Contract, node: NodeContract) -> list["Message"]:
     """Return what one node sends, and what is sent to it alone."""
     name, node_id = _name(node), node.node_id
-    emergency = (Signal("ErrorCode", 0, 16), Signal("ErrorRegister", 16, 8), Signal("ManufacturerField", 24, 40))
-    state = (Signal("State", 0, 8, meanings=NMT_STATES),)
-    transfer = (Signal("Command", 0, 8), Signal("Index", 8, 16), Signal("Subindex", 24, 8), Signal("Data", 32, 32))
+    emergency = [
+        _signal("ErrorCode", 0, 16, receiver=GATEWAY),
+        _signal("ErrorRegister", 16, 8, receiver=GATEWAY),
+        _signal("ManufacturerField", 24, 40, receiver=GATEWAY),
+    ]
+    state = [_signal("State", 0, 8, receiver=GATEWAY, meanings=NMT_STATES)]
+    beats = _message(f"{name}_Heartbeat", HEARTBEAT_BASE + node_id, 1, name, state, cycle_ms=HEARTBEAT_MS)
     return [
         *(_sums(contract, node, tpdo) for tpdo in node.tpdos),
-        Message(f"{name}_EMCY", EMCY_BASE + node_id, 8, name, GATEWAY, emergency),
-        Message(f"{name}_Heartbeat", HEARTBEAT_BASE + node_id, 1, name, GATEWAY, state, cycle_ms=HEARTBEAT_MS),
-        Message(f"{name}_SDO_Request", SDO_REQUEST_BASE + node_id, 8, GATEWAY, name, transfer),
-        Message(f"{name}_SDO_Response", SDO_RESPONSE_BASE + node_id, 8, name, GATEWAY, transfer),
+        _message(f"{name}_EMCY", EMCY_BASE + node_id, 8, name, emergency),
+        beats,
+        _message(f"{name}_SDO_Request", SDO_REQUEST_BASE + node_id, 8, GATEWAY, _transfer(name)),
+        _message(f"{name}_SDO_Response", SDO_RESPONSE_BASE + node_id, 8, name, _transfer(GATEWAY)),
     ]
 
 
-def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> Message:
+def _transfer(receiver: str) -> list["Signal"]:
+    """Return the parts of an SDO frame."""
+    parts = (("Command", 0, 8), ("Index", 8, 16), ("Subindex", 24, 8), ("Data", 32, 32))
+    return [_signal(name, start, bits, receiver=receiver) for name, start, bits in parts]
+
+
+def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
     """Return a TPDO with its sums."""
     pack, name, sums = contract.packing, _name(node), range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
     counters = ", ".join(str(tpdo.phase + 1 + turn * PHASES) for turn in range(3))
-    signals = tuple(
-        Signal(
+    when = f"phase {tpdo.phase + 1} of {PHASES}: after SYNC counters {counters}, ..."
+    signals = [
+        _signal(
             signal_name(contract, number),
             place * pack.bits,
             pack.bits,
+            receiver=GATEWAY,
             is_signed=pack.is_signed,
             factor=pack.scale,
             offset=-pack.offset * pack.scale,
             unit=UNIT,
         )
         for place, number in enumerate(sums)
-    )
-    return Message(
+    ]
+    return _message(
         f"{name}_TPDO{tpdo.number}_Phase{tpdo.phase + 1}",
         tpdo.cob_id,
         tpdo.length,
         name,
-        GATEWAY,
         signals,
-        f"Sums {sums[0]} to {sums[-1]} in phase {tpdo.phase + 1} of {PHASES}: after SYNC counters {counters}, ...",
-        _milliseconds(PHASES * contract.layout.sync.period_s),
+        comment=f"Sums {sums[0]} to {sums[-1]} in {when}",
+        cycle_ms=_milliseconds(PHASES * contract.layout.sync.period_s),
         is_fd=bool(node.flags & FD),
     )
 

@@ -102,6 +102,11 @@ def frame_time_ns(
     return np.rint(seconds * 1e9).astype(np.int64)
 
 
+def nominal_ns(bits: int, bitrate: int) -> int:
+    """Return how long `bits` take at the nominal bit rate, in nanoseconds, rounded to the nearest."""
+    return round(bits * 1e9 / bitrate)
+
+
 def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
     """Count all bits but the dynamic stuff bits."""
     flags, length = frames["flags"], frames["length"]

@@ -26,8 +26,8 @@ def nodes(
     bus: BusOptions | None = None,
     connect: str = DEFAULT_ENDPOINT,
     fabric: bool = True,
-    only: Annotated[list[str] | None, Parameter(negative=())] = None,
-    without: Annotated[list[str] | None, Parameter(negative=())] = None,
+    only: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    without: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     objects: str = "",
     input: Path | None = None,  # noqa: A002 - the flag's name
     full_scale: float | None = None,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
+import tomli_w
 
 from skin.errors import LayoutError
 from skin.measurement import Sbhe, sbhe
@@ -154,7 +155,7 @@ def load_layout(path: Path | None = None) -> Layout:
         If the file cannot be read, or a key is wrong, missing or unknown; the message names its path.
     """
     name = "default" if path is None else str(path)
-    if path is None or (name in SHIPPED and not path.exists()):
+    if path is None or (name in SHIPPED and not path.is_file()):
         return parse_layout(files("skin.layouts").joinpath(f"{name}.toml").read_bytes(), f"{name}.toml")
     try:
         content = path.read_bytes()
@@ -189,6 +190,30 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     if "taxels" in tables:  # an empty file is a mistake, no skin
         tables.setdefault("bus", [{"name": f"bus{each}", "nodes": blocks // buses} for each in range(buses)])
     return tables
+
+
+def validated(layout: Layout) -> Layout:
+    """Return a layout that a program has put together, with every value of the type of its key.
+
+    Raises
+    ------
+    LayoutError
+        If a value is none that a file could have; the message names the path of its key.
+    """
+    try:
+        checked = msgspec.convert(msgspec.to_builtins(layout), Layout)
+    except msgspec.ValidationError as error:
+        raise LayoutError(_with_choices(str(error))) from error
+    _check(checked)
+    return checked
+
+
+def layout_text(layout: Layout) -> str:
+    """Return TOML that `parse_layout` reads as the same layout."""
+    tables = msgspec.to_builtins(layout)
+    # TOML has no null, so such keys are left out. tomli-w would write short tables of buses inline.
+    buses = [{key: value for key, value in bus.items() if value is not None} for bus in tables.pop("bus")]
+    return "\n[[bus]]\n".join(map(tomli_w.dumps, [tables, *buses]))
 
 
 def _with_choices(text: str) -> str:

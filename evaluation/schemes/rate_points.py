@@ -7,10 +7,9 @@ from typing import Final
 import msgspec
 
 from bandwidth.alternatives import with_bits, with_buses
-from bandwidth.highest import highest_rate_hz
-from bandwidth.layout_text import layout_text
+from bandwidth.highest_rate import highest_rate_hz
 from skin.errors import LayoutError
-from skin.layout import Bus, Layout, load_layout, parse_layout
+from skin.layout import Bus, Layout, layout_text, load_layout, parse_layout
 
 #: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
 BUDGET: Final = 0.9

@@ -1,6 +1,9 @@
 """``skin plan`` and ``skin load`` as a person and as a program use them."""
 
 import json
+import os
+import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bandwidth.schemes import schemes
+from bandwidth.scheme_rates import schemes
 from dbc.contract import Contract
 from skin.command import main
 from skin.layout import load_layout, parse_layout
@@ -64,9 +67,9 @@ def test_json_plan_has_buses_alternatives_and_schemes(skin: Skin) -> None:
     assert document["fits"] is True
     bus = document["buses"][3]
     assert bus["name"] == "bus3"
-    assert bus["max_rate_hz_average"] == pytest.approx(135.6, rel=0.01)
+    assert bus["max_rate_hz_random"] == pytest.approx(135.6, rel=0.01)
     assert bus["max_rate_hz_worst"] == pytest.approx(114.6, rel=0.01)
-    assert bus["load_average"] == pytest.approx(0.761, rel=0.01)
+    assert bus["load_touched"] == pytest.approx(0.761, rel=0.01)
     assert bus["load_worst"] == pytest.approx(0.8726, rel=0.001)
     assert [node["node_id"] for node in bus["node_plans"]] == list(range(1, 33))
     assert {"as it is", "8 buses", "12-bit sums", "CAN FD 8 Mbit/s, 4 per node"} <= {
@@ -80,7 +83,7 @@ def test_json_plan_has_buses_alternatives_and_schemes(skin: Skin) -> None:
 def test_a_person_gets_a_table(skin: Skin) -> None:
     status, out, _ = skin("plan", "fd")
     assert status == 0
-    assert "load, average / worst" in out
+    assert "load, touched / worst" in out
     assert "183.8" in out
     assert "bus0: 1: " in out
 
@@ -94,24 +97,24 @@ def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_pat
 
 
 def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
-    path = tmp_path / "wish.toml"
+    path = tmp_path / "palm.toml"
     status, out, said = skin("plan", "--taxels", 1024, "--rate", 100, "--buses", 1, "--out", path)
     assert (status, out) == (0, f"{path}\n")
     assert "at worst" in said
-    layout = parse_layout(path.read_bytes(), "wish")
+    layout = parse_layout(path.read_bytes(), "palm")
     assert (layout.taxels.count, len(layout.bus), layout.sync.rate_hz) == (1024, 1, 100.0)
     status, text, _ = skin("plan", "--taxels", 1024, "--rate", 100, "--buses", 1)
     assert parse_layout(text.encode(), "printed") == layout
 
 
-def test_a_wish_that_cannot_be_met_says_what_is_missing(skin: Skin) -> None:
-    wish = ("plan", "--taxels", 4096, "--rate", 100, "--buses", 1, "--can", "classic")
-    status, out, said = skin(*wish)
+def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
+    arguments = ("plan", "--taxels", 4096, "--rate", 100, "--buses", 1, "--can", "classic")
+    status, out, said = skin(*arguments)
     assert (status, out) == (1, "")
     assert "bits a second" in said
     assert "node-IDs" in said
     assert "it fits at up to 46 Hz" in said
-    status, out, _ = skin(*wish, "--json")
+    status, out, _ = skin(*arguments, "--json")
     document = json.loads(out)
     assert (status, document["fits"], document["layout"]) == (1, False, None)
     assert "bits a second" in document["missing"]
@@ -155,7 +158,7 @@ def test_load_of_a_log(skin: Skin, log: Path) -> None:
         assert each["load_exact"] == pytest.approx(0.7362, rel=0.005)  # random sums, no heartbeats
         assert each["load_worst"] == pytest.approx(0.8705, rel=0.001)
     table = skin("load", log)[1]
-    assert "load planned" in table
+    assert "load planned, touched" in table
     assert "4A0h" in table
 
 
@@ -170,3 +173,40 @@ def test_check_of_a_log(skin: Skin, log: Path, tmp_path: Path) -> None:
     status, out, _ = skin("plan", "--check", broken, "--json")
     assert (status, json.loads(out)) == (1, ["bus2: node 7: 50 TPDOs missing"])
     assert skin("plan", "--check", broken, "-c", "vcan2", "-c", "vcan1", "-c", "none", "-c", "vcan3")[0] == 1
+
+
+def test_a_log_of_another_layout_is_refused_or_noticed(skin: Skin, log: Path, tmp_path: Path) -> None:
+    status, out, said = skin("load", log, "--layout", "one-bus-12bit", "-c", "vcan0")
+    assert (status, said.count("Give the right one with --layout")) == (0, 1)
+    fd = tmp_path / "fd.log"
+    fd.write_text("(1.0) bus0 181##1" + "00" * 32 + "\n(1.1) bus0 182##1" + "00" * 32 + "\n")
+    status, out, said = skin("load", fd)
+    assert (status, out) == (2, "")
+    assert "the layout has classic CAN there, but 2 of 2 frames are CAN FD" in said
+
+
+def test_channels_are_a_list(skin: Skin, log: Path) -> None:
+    loads = json.loads(skin("load", log, "--json", "-c", "vcan3", "x", "vcan1", "y")[1])["buses"]
+    assert [each["name"] for each in loads] == ["bus0", "bus2"]
+
+
+def test_a_cut_log_is_checked_up_to_the_cut(skin: Skin, log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.log"
+    cut.write_text(log.read_text()[:-20])
+    assert "is cut off: read up to line" in skin("plan", "--check", cut)[2]
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_waiting_for_a_bus_ends_with_a_signal(number: int, status: int, tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "skin", "load"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "SKIN_BUS_DIR": str(tmp_path)},
+    ) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline() == "load: waits for bus 'bus0'\n"
+        process.send_signal(number)
+        out, said = process.communicate(timeout=60)
+    assert (process.returncode, out, said) == (status, "", "")

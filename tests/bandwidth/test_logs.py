@@ -1,16 +1,24 @@
 """Logs of every format that needs no further package, written by python-can and read back."""
 
+import gzip
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from bandwidth.logs import listen, of_buses, read_log
-from dbc.frame import BRS, EXTENDED, FD, Frames, frames
+from dbc.frame import BRS, ERROR, EXTENDED, FD, Frames, frames
+from dbc.frame_bits import frame_time_ns
 from skin.errors import InputError
 from skin.layout import load_layout
 from tests.bus.harness import burst, frame, linked, serving
+
+
+def refuse_warning(line: str) -> None:
+    raise AssertionError(line)
 
 
 def messages() -> list[can.Message]:
@@ -34,7 +42,7 @@ def test_formats(tmp_path: Path, suffix: str) -> None:
     with can.Logger(path) as logger:
         for message in messages():
             logger(message)
-    found = seen(read_log(path))
+    found = seen(read_log(path, refuse_warning))
     assert list(found["can_id"]) == [0x181, 0x1ABCDEF, 0x182, 0x80]
     assert list(found["length"]) == [8, 1, 12, 0]
     assert list(found["flags"]) == [0, EXTENDED, FD | BRS, 0]
@@ -52,8 +60,16 @@ def test_formats(tmp_path: Path, suffix: str) -> None:
         ("words.log", b"these are words\n", "cannot be read"),
         ("bytes.blf", bytes(200), "cannot be read"),
         ("what.pdf", b"%PDF", "cannot be read"),
-        ("never.log", b"(1e400) can0 181#01\n", "cannot be read"),
-        ("half.log", b"(1.0) can0 181#01G0\n", "cannot be read"),
+        ("never.log", b"(1e400) can0 181#01\n", "line 1: cannot be read"),
+        ("half.log", b"(1.0) can0 181#0100\n(1.1) can0 181#01G0\n(1.2) can0 181#01\n", "line 2: cannot be read"),
+        ("long.log", b"(1.0) can0 181#112233445566778899\n", "line 1: .* a frame of 9 bytes"),
+        ("latin.log", b"(1.0) can0 181#01\n(1.1) \xe4 181\n", "line 2: cannot be read"),
+        ("id.csv", b"head\n1.0,FFFFFFFFFF,1,0,0,0,\n", "line 2: .* an identifier of FFFFFFFFFFh"),
+        ("damaged.db", b"no database", "cannot be read"),
+        ("damaged.log.gz", b"\x1f\x8b\x08" + bytes(7) + b"\xff" * 40, "cannot be read"),
+        ("printed.log", b"  can0  181   [3]  01 02 03\n", "line 1: .*'candump -l'"),
+        ("timed.log", b" (1.000000)  can0  1ABCDEF0   [0] \n", "line 1: .*'candump -l'"),
+        ("extra.log", b" (1.000000)  can0  RX - -  181   [1]  01\n", "line 1: .*'candump -l'"),
     ],
 )
 def test_bad_logs_are_one_clear_error(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
@@ -61,7 +77,7 @@ def test_bad_logs_are_one_clear_error(tmp_path: Path, name: str, content: bytes 
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(InputError, match=said):
-        read_log(path)
+        read_log(path, refuse_warning)
 
 
 def test_channels_are_assigned_by_name_or_in_their_natural_order() -> None:
@@ -84,3 +100,82 @@ def test_a_live_bus_is_listened_to() -> None:
         turns = iter([False] * 3)
         heard = listen({7: listener}, 5.0, lambda: next(turns, True))
         assert list(heard[7]["can_id"]) == list(range(20))
+
+
+LINES = b"(1.0) can0 181#0102030405060708\n(1.1) can0 182#0102030405060708\n"
+
+
+@pytest.mark.parametrize("rest", [b"(1.2) can0 183#0102", b"(1.", b"(1.2) can0 183#01020304050607G", bytes(100)])
+def test_a_log_that_was_cut_is_read_up_to_there(tmp_path: Path, rest: bytes) -> None:
+    path = tmp_path / "cut.log"
+    path.write_bytes(LINES + rest)
+    said: list[str] = []
+    assert list(seen(read_log(path, said.append))["can_id"]) == [0x181, 0x182]
+    assert said == [f"{path}: line 3 is cut off: read up to line 2"]
+
+
+def test_a_compressed_log_that_was_cut_is_read_up_to_there(tmp_path: Path) -> None:
+    path = tmp_path / "cut.log.gz"
+    whole = gzip.compress(LINES * 10_000)
+    path.write_bytes(whole[: len(whole) // 2])
+    said: list[str] = []
+    assert 0 < len(seen(read_log(path, said.append))) < 20_000
+    assert len(said) == 1
+
+
+def test_error_frames_of_candump_are_errors(tmp_path: Path) -> None:
+    path = tmp_path / "errors.log"
+    path.write_text("(1.0) can0 181#01\n(1.1) can0 20000004#0008000000000000\n(1.2) can0 200000A8#0000001900000000 R\n")
+    found = seen(read_log(path, refuse_warning))
+    assert list(found["can_id"]) == [0x181, 0x004, 0x0A8]
+    assert list(found["flags"]) == [0, ERROR, ERROR]
+    assert found["data"][1, 1] == 0x08
+
+
+FRAME_LINES = st.builds(
+    "({}) {} {}#{}{}".format,
+    st.floats(allow_nan=True).map(str) | st.integers().map(str),
+    st.sampled_from(["can0", "vcan1", "7", ""]),
+    st.integers(0, 2**33).map("{:X}".format) | st.integers(0, 0x7FF).map("{:03X}".format),
+    st.binary(max_size=70).map(bytes.hex) | st.sampled_from(["", "R", "R8", "R99", "#1", "#1" + "00" * 64, "##"]),
+    st.sampled_from(["", " R", " T", "0", "G"]),
+)
+ASC_LINES = st.builds(
+    "{} {} {} Rx d {} {}".format,
+    st.floats(0, 1e300).map(str),
+    st.sampled_from(["1", "CANFD", "2 Statistic:", "CANFD 1 Rx"]),
+    st.integers(0, 2**30).map("{:X}x".format) | st.just("ErrorFrame"),
+    st.integers(-1, 70),
+    st.binary(max_size=9).map(lambda data: data.hex(" ")),
+)
+CSV_LINES = st.builds(
+    "{},{:x},{},0,{},{},{}".format,
+    st.floats(),
+    st.integers(-1, 2**33),
+    *[st.sampled_from("01")] * 2,
+    st.integers(-5, 300),
+    st.sampled_from(["", "AQ==", "AQIDBAUGBwgJ", "A"]),
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@given(
+    lines=st.lists(st.text(max_size=60) | FRAME_LINES | ASC_LINES | CSV_LINES, max_size=8),
+    suffix=st.sampled_from([".log", ".csv", ".asc", ".trc"]),
+    end=st.sampled_from(["", "\n"]),
+)
+@example(["date Sat Nov 21", "base hex  timestamps absolute", "0.0 1 1FFFFFFFFFx Rx d 8"], ".asc", "\n")
+@example([";$FILEVERSION=1.1", "1) 1.0 Rx 0181 300 01"], ".trc", "\n")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_any_text_is_read_or_refused(tmp_path: Path, lines: list[str], suffix: str, end: str) -> None:
+    path = tmp_path / f"any{suffix}"
+    path.write_text("\n".join(lines) + end, encoding="utf-8", errors="surrogatepass")
+    logged, refusal = {}, f"{path}"
+    try:
+        logged = read_log(path, lambda _: None)
+    except InputError as error:
+        refusal = str(error)
+    assert refusal.startswith(str(path))
+    assert "\n" not in refusal
+    for found in logged.values():
+        assert (frame_time_ns(found, 1_000_000, 2_000_000) >= 0).all()

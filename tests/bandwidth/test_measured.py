@@ -1,18 +1,21 @@
 """Measured loads and departures, of a bus simulated frame by frame and then disturbed on purpose."""
 
+import contextlib
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from bandwidth.departures import departures
-from bandwidth.measured import kind_of, measure, whole_cycles
+from bandwidth.measured import kind_of, measure, misfits, whole_cycles
 from bandwidth.plan import BusPlan, plan
-from bus.core import Bus
+from bus.simulated_bus import SimulatedBus
 from dbc.contract import Contract
-from dbc.frame import ERROR, EXTENDED, Frames, frames
+from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from skin.errors import InputError
-from skin.layout import load_layout
+from skin.layout import load_layout, parse_layout
 
 CYCLES = 200
 PERIOD_NS = 10_000_000
@@ -31,7 +34,7 @@ def planned(contract: Contract) -> BusPlan:
 @pytest.fixture(scope="module")
 def healthy(contract: Contract) -> Frames:
     """Two seconds of bus 1 with random sums, as its gateway saw them."""
-    wire = Bus(1_000_000)
+    wire = SimulatedBus(1_000_000)
     nodes, gateway = wire.attach("nodes", queue_size=1000), wire.attach("gateway")
     random = np.random.default_rng(1)
     seen = []
@@ -148,6 +151,64 @@ def test_a_missing_sync_is_named(contract: Contract, planned: BusPlan, healthy: 
     found = left(contract, planned, np.delete(healthy, places[20]))
     assert "bus1: 1 SYNC counters do not follow each other" in found
     assert left(contract, planned, drop(0x80)(healthy)) == ["bus1: no SYNC: cycles cannot be told apart"]
+    only = left(contract, planned, np.delete(healthy, places[1:]))
+    assert only == ["bus1: one SYNC: cycles cannot be told apart"]
+
+
+def test_an_extended_identifier_is_no_sync(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
+    found = left(contract, planned, put(700, 0x80, EXTENDED)(drop(0x80)(healthy)))
+    assert "bus1: no SYNC: cycles cannot be told apart" in found
+    assert any(line.startswith("bus1: 00000080h is not planned") for line in found)
+
+
+RECORDS = st.lists(
+    st.tuples(
+        st.integers(0, 2**40),
+        st.sampled_from([0x80, 0x181, 0x281, 0x381, 0x701, 0x585, 0x7FF, 0x1ABCDEF]),
+        st.integers(0, 8),
+        st.sampled_from([0, 0, EXTENDED, REMOTE, ERROR, EXTENDED | ERROR]),
+        st.integers(0, 255),
+    ),
+    max_size=30,
+)
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(records=RECORDS)
+def test_any_frames_are_compared_or_refused(
+    contract: Contract, planned: BusPlan, records: list[tuple[int, ...]]
+) -> None:
+    seen = frames(len(records))
+    for place, (time_ns, can_id, length, flags, counter) in enumerate(sorted(records)):
+        seen["time_ns"][place], seen["can_id"][place], seen["length"][place] = time_ns, can_id, length
+        seen["flags"][place] = flags | (EXTENDED if can_id > 0x7FF else 0)
+        seen["data"][place, 0] = counter
+    with contextlib.suppress(InputError):
+        load = measure(contract, 1, seen, planned)
+        assert all(line.startswith("bus1: ") for line in departures(contract, 1, seen, planned, load))
+        assert load.load_exact <= load.load_worst
+
+
+def test_can_fd_frames_on_a_classic_bus_are_refused(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
+    with pytest.raises(InputError, match=r"bus1: the layout has classic CAN there, but 1 of \d+ frames are CAN FD"):
+        measure(contract, 1, put(700, 0x181, FD)(healthy), planned)
+    slow = Contract.from_layout(parse_layout(b'[[bus]]\nname = "a"\nnodes = 32\nblocks_per_node = 4\nfd = true', "x"))
+    with pytest.raises(InputError, match="a: the layout has CAN FD without a data bit rate there"):
+        measure(slow, 0, put(700, 0x181, FD | BRS)(healthy), planned)
+
+
+def test_frames_of_another_layout_are_noticed(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
+    def said(layout: str, seen: Frames) -> str:
+        other = Contract.from_layout(parse_layout(layout.encode(), "x"))
+        return " ".join(misfits(other, 0, seen, measure(other, 0, seen, planned)))
+
+    assert misfits(contract, 1, healthy, measure(contract, 1, healthy, planned)) == []
+    few = '[taxels]\nrows = 16\ncolumns = 16\n[measurement]\nsums = 64\n[[bus]]\nname = "a"\nnodes = 8\n'
+    assert "identifiers that the layout does not plan; is 'skin' the layout of this skin?" in said(few, healthy)
+    narrow = "[encoding]\nsum_bits = 12\n" + "".join(f'[[bus]]\nname = "b{n}"\nnodes = 32\n' for n in range(4))
+    assert "TPDOs have another length or format" in said(narrow, healthy)
+    slow = "".join(f'[[bus]]\nname = "b{n}"\nnodes = 32\nbitrate = 500000\n' for n in range(4))
+    assert "more than a bus carries: its bit rate is not the layout's 500000" in said(slow, healthy)
 
 
 def test_overload_is_named(contract: Contract, planned: BusPlan, healthy: Frames) -> None:

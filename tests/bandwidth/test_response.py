@@ -17,7 +17,7 @@ from response_time_analysis.model import (
 )
 
 from bandwidth.response import UNBOUNDED, blocking_ns, response_times_ns
-from bus.core import Bus
+from bus.simulated_bus import SimulatedBus
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
 from skin.errors import InputError
@@ -156,7 +156,7 @@ class TaskSet:
     def simulate(self, horizon_ns: int) -> Times:
         """Return the longest response of each message on the arbitrated bus; -1 where none was sent."""
         released, events = self.released(horizon_ns)
-        bus = Bus(*self.bitrates)
+        bus = SimulatedBus(*self.bitrates)
         sender = bus.attach("sender", queue_size=len(released))
         bus.submit(bus.attach("listener"), frames(0))
         assert bus.submit(sender, released) == len(released)

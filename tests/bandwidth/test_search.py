@@ -1,42 +1,57 @@
-"""Wishes: what is chosen, that it holds, and what is said when nothing will do."""
+"""Searches: what is chosen, that it fits, and what is said when no layout does."""
+
+from typing import Any
 
 import pytest
 
 from bandwidth.alternatives import planned
-from bandwidth.search import Candidate, Wish, search, what_is_missing
+from bandwidth.search import Requirement, Search, search
 from bandwidth.traffic import Disturbance
 from skin.errors import InputError
 
 
 @pytest.mark.parametrize(
-    ("wish", "words"),
+    ("required", "words"),
     [
-        (Wish(4096, 20, buses=1), "1 bus of classic CAN, 64 nodes of 2 blocks, 16-bit sums"),
-        (Wish(4096, 100, buses=8, can="classic"), "4 buses of classic CAN, 128 nodes of 1 block, 12-bit sums"),
-        (Wish(4096, 100), "1 bus of CAN FD 5 Mbit/s, 64 nodes of 2 blocks, 16-bit sums"),
-        (Wish(1024, 100), "1 bus of classic CAN, 32 nodes of 1 block, 12-bit sums"),
+        (Requirement(4096, 20, buses=1), "1 bus of classic CAN, 64 nodes of 2 blocks, 1024 sums of 16 bits"),
+        (
+            Requirement(4096, 100, buses=8, can="classic"),
+            "4 buses of classic CAN, 128 nodes of 1 block, 1024 sums of 12 bits",
+        ),
+        (Requirement(4096, 100), "1 bus of CAN FD 5 Mbit/s, 64 nodes of 2 blocks, 1024 sums of 16 bits"),
+        (Requirement(1024, 100), "1 bus of classic CAN, 32 nodes of 1 block, 256 sums of 12 bits"),
     ],
 )
-def test_what_is_chosen_meets_the_wish(wish: Wish, words: str) -> None:
-    layout, seen = search(wish)
-    assert layout is not None
-    plans = planned(layout, Disturbance())
-    assert all(each.load_worst <= wish.budget for each in plans)
+def test_what_is_chosen_meets_the_requirement(required: Requirement, words: str) -> None:
+    found = search(required)
+    assert found.layout is not None
+    assert found.chosen is not None
+    assert found.missing() is None
+    plans = planned(found.layout, Disturbance())
+    assert all(each.load_worst <= required.budget for each in plans)
     assert not any(each.problems for each in plans)
-    assert (layout.taxels.count, layout.sync.rate_hz) == (wish.taxels, wish.rate_hz)
-    assert not any(each.fits for each in seen[:-1])
-    assert seen[-1].words == words
+    assert (found.layout.taxels.count, found.layout.sync.rate_hz) == (required.taxels, required.rate_hz)
+    assert all(each.sums < found.chosen.sums for each in found.candidates if each.fits and each is not found.chosen)
+    assert found.chosen.words == words
 
 
-def failed(wish: Wish) -> tuple[str, list[Candidate]]:
-    layout, seen = search(wish)
-    assert layout is None
-    return what_is_missing(wish, seen), seen
+def test_as_many_sums_are_sent_as_the_buses_carry() -> None:
+    found = search(Requirement(512, 200, buses=1, can="fd"))
+    assert found.chosen is not None
+    assert found.chosen.words == "1 bus of CAN FD 5 Mbit/s, 16 nodes of 1 block, 512 sums of 16 bits"
+    assert [(each.sums, each.fits) for each in found.candidates] == [(128, True), (512, False), (512, True)]
+    assert found.chosen.load_worst == pytest.approx(0.55, abs=0.001)
+
+
+def failed(required: Requirement) -> tuple[str, Search]:
+    found = search(required)
+    assert (found.layout, found.chosen) == (None, None)
+    return found.missing() or "", found
 
 
 def test_missing_bits_and_node_ids_are_named() -> None:
-    text, seen = failed(Wish(4096, 100, buses=1, can="classic"))
-    nearest = min((each for each in seen if each.load_worst), key=lambda each: each.load_worst or 0)
+    text, found = failed(Requirement(4096, 100, buses=1, can="classic"))
+    nearest = min((each for each in found.candidates if each.load_worst), key=lambda each: each.load_worst or 0)
     assert nearest.missing_bits_per_s == pytest.approx((nearest.load_worst or 0) * 1e6 - 0.8e6)
     assert f"{nearest.missing_bits_per_s:.0f} bits a second" in text
     assert "3 of 12 lack node-IDs, 1 of them or more on a bus" in text
@@ -44,38 +59,38 @@ def test_missing_bits_and_node_ids_are_named() -> None:
 
 
 def test_the_rate_that_is_named_fits_and_a_higher_one_does_not() -> None:
-    text, _ = failed(Wish(4096, 100, buses=1, can="classic"))
+    text, _ = failed(Requirement(4096, 100, buses=1, can="classic"))
     assert "it fits at up to 46 Hz" in text
-    assert search(Wish(4096, 46, buses=1, can="classic"))[0] is not None
-    assert search(Wish(4096, 46.5, buses=1, can="classic"))[0] is None
+    assert search(Requirement(4096, 46, buses=1, can="classic")).layout is not None
+    assert search(Requirement(4096, 46.5, buses=1, can="classic")).layout is None
 
 
 def test_a_skin_of_too_many_nodes_lacks_node_ids_alone() -> None:
-    text, seen = failed(Wish(65536, 1, buses=1, can="classic"))
+    text, found = failed(Requirement(65536, 1, buses=1, can="classic"))
     # 2048 blocks, eight to a node, are 256 nodes: 129 more than node-IDs.
     assert "12 of 12 lack node-IDs, 129 of them or more on a bus" in text
-    assert all(each.load_worst is None for each in seen)
+    assert all(each.load_worst is None for each in found.candidates)
 
 
 def test_a_missing_window_is_named() -> None:
-    text, _ = failed(Wish(4096, 172, buses=1, budget=1.0, can="classic"))
+    text, _ = failed(Requirement(4096, 172, buses=1, budget=1.0, can="classic"))
     assert "window" in text
-    whole = Wish(1024, 218, buses=1, budget=1.0, can="classic")
-    tight = [each for each in search(whole)[1] if each.missing_window_ms]
+    whole = Requirement(1024, 218, buses=1, budget=1.0, can="classic")
+    tight = [each for each in search(whole).candidates if each.missing_window_ms]
     assert tight
     assert all("ms of window (1007h" in str(each.problem) for each in tight)
 
 
 @pytest.mark.parametrize(
-    ("wish", "said"),
+    ("required", "said"),
     [
-        (Wish(1000, 100), "power of two"),
-        (Wish(32, 100), "64 to 65536"),
-        (Wish(1024, 0), "rate above 0"),
-        (Wish(1024, 10, buses=0), "1 to 16 buses"),
-        (Wish(1024, 10, budget=1.5), "budget above 0"),
+        ({"taxels": 1000, "rate_hz": 100}, "power of two"),
+        ({"taxels": 32, "rate_hz": 100}, "64 to 65536"),
+        ({"taxels": 1024, "rate_hz": 0}, "rate above 0"),
+        ({"taxels": 1024, "rate_hz": 10, "buses": 0}, "1 to 16 buses"),
+        ({"taxels": 1024, "rate_hz": 10, "budget": 1.5}, "budget above 0"),
     ],
 )
-def test_wishes_out_of_range(wish: Wish, said: str) -> None:
+def test_a_requirement_out_of_range_is_refused(required: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        search(wish)
+        Requirement(**required)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from bus.core import Bus
+from bus.simulated_bus import SimulatedBus
 from dbc.contract import PHASES, Contract
 from dbc.frame import frames
 from skin.layout import load_layout, parse_layout
@@ -60,7 +60,7 @@ def test_a_simulated_bus_stays_below_every_bound(name: str) -> None:
     phases = [traffic(contract, 0, phase) for phase in range(PHASES)]
     bound = {int(f["can_id"]): int(r) for each in phases for f, r in zip(each.frames, each.responses_ns(), strict=True)}
     random = np.random.default_rng(3)
-    bus = Bus(layout.bus[0].bitrate, layout.bus[0].data_bitrate)
+    bus = SimulatedBus(layout.bus[0].bitrate, layout.bus[0].data_bitrate)
     sender, listener = bus.attach("sender", queue_size=10_000), bus.attach("listener")
     bus.submit(listener, frames(0))
     period_ns = round(layout.sync.period_s * 1e9)

@@ -14,7 +14,7 @@ from bus.server import BusServer, BusSettings
 from dbc.frame import Frames, frames
 
 #: Nothing in these tests takes longer unless it hangs.
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 def frame(can_id: int, data: bytes = b"", flags: int = 0, *, port: int = 0, time_ns: int = 0) -> Frames:

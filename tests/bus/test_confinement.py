@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from bus.confinement import RECOVERY_BITS
 from bus.controller import Controller
-from bus.core import RECOVERY_BITS, Bus
 from bus.error_frames import ErrorClass, State, state_of_report, state_report
 from bus.faults import Fault
 from bus.outbox import DISCARDED, Events
+from bus.simulated_bus import SimulatedBus
 from dbc.frame import ERROR
 from tests.bus.harness import burst, frame
 
@@ -20,7 +21,7 @@ def reports(events: Events) -> list[ErrorClass]:
 
 
 def test_alone_on_the_bus_a_frame_is_repeated_until_somebody_acknowledges() -> None:
-    bus = Bus()
+    bus = SimulatedBus()
     alone = bus.attach("alone")
     bus.submit(alone, burst([0x181]), 0)
     events = bus.run_until(100_000_000)
@@ -38,7 +39,7 @@ def test_alone_on_the_bus_a_frame_is_repeated_until_somebody_acknowledges() -> N
 
 
 def test_a_listener_without_controllers_acknowledges_nothing() -> None:
-    bus = Bus()
+    bus = SimulatedBus()
     alone = bus.attach("alone")
     bus.attach("monitor", listen_only=True)
     bus.submit(alone, burst([0x181]), 0)
@@ -47,7 +48,7 @@ def test_a_listener_without_controllers_acknowledges_nothing() -> None:
 
 
 def test_bus_off_after_32_errors_and_recovery_after_restart_and_128_times_11_bits() -> None:
-    bus = Bus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)], restart_s=0.1)
+    bus = SimulatedBus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)], restart_s=0.1)
     bad, good = bus.attach("bad"), bus.attach("good")
     bus.submit(bad, burst([0x100, 0x101]), 0)
     events = bus.run_until(90_000_000)
@@ -72,7 +73,7 @@ def test_traffic_of_others_makes_recovery_longer() -> None:
     """A frame holds one of the 128 occurrences, however long it is."""
 
     def recovery_ns(frames_sent: int) -> int:
-        bus = Bus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)], restart_s=0.0)
+        bus = SimulatedBus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)], restart_s=0.0)
         bad, good = bus.attach("bad"), bus.attach("good")
         bus.attach("third")
         bus.submit(bad, burst([0x100]), 0)
@@ -88,7 +89,7 @@ def test_traffic_of_others_makes_recovery_longer() -> None:
 
 
 def test_good_frames_heal_sender_and_receivers() -> None:
-    bus = Bus(faults=[Fault(controller="one:0", bit_error_rate=0.01)], seed=3)
+    bus = SimulatedBus(faults=[Fault(controller="one:0", bit_error_rate=0.01)], seed=3)
     one, two = bus.attach("one"), bus.attach("two")
     bus.submit(one, burst(range(5)), 0)
     bus.run_until()
@@ -102,7 +103,7 @@ def test_good_frames_heal_sender_and_receivers() -> None:
 
 
 def test_two_controllers_with_one_identifier_and_different_data_destroy_each_other() -> None:
-    bus = Bus(restart_s=1.0)
+    bus = SimulatedBus(restart_s=1.0)
     one, two = bus.attach("one"), bus.attach("two")
     bus.attach("third")
     bus.submit(one, frame(0x181, b"\x01\x02"), 5)
@@ -113,7 +114,7 @@ def test_two_controllers_with_one_identifier_and_different_data_destroy_each_oth
 
 
 def test_two_controllers_with_equal_frames_do_not_notice_each_other() -> None:
-    bus = Bus()
+    bus = SimulatedBus()
     one, two = bus.attach("one"), bus.attach("two")
     bus.submit(one, frame(0x000, b"\x01\x00"), 5)
     bus.submit(two, frame(0x000, b"\x01\x00"), 5)
@@ -124,10 +125,10 @@ def test_two_controllers_with_equal_frames_do_not_notice_each_other() -> None:
 
 
 def test_a_passive_transmitter_lets_others_go_first() -> None:
-    bus = Bus()
+    bus = SimulatedBus()
     weak, other = bus.attach("weak"), bus.attach("other")
     weak.controllers[0].transmit_errors = 130
-    bus._settle(weak.controllers.values(), 0)
+    bus._confinement.judge(weak.controllers.values(), 0, 0)
     bus.submit(weak, burst([0x001, 0x002]), 0)
     bus.run_until(20_000)  # the first is on the wire
     bus.submit(other, burst([0x7FF]), 20_000)
@@ -155,7 +156,7 @@ def test_a_passive_receiver_falls_back_below_the_limit() -> None:
 
 
 def test_a_controller_without_power_neither_sends_nor_acknowledges() -> None:
-    bus = Bus(faults=[Fault(controller="dead:*", off=True)])
+    bus = SimulatedBus(faults=[Fault(controller="dead:*", off=True)])
     alive, dead = bus.attach("alive"), bus.attach("dead")
     bus.submit(dead, burst([0x100]), 0)
     bus.submit(alive, burst([0x200]), 0)
@@ -171,7 +172,7 @@ def test_a_controller_without_power_neither_sends_nor_acknowledges() -> None:
 def test_same_seed_same_events() -> None:
     def run(seed: int) -> bytes:
         faults = [Fault(bit_error_rate=2e-4, loss_ratio=0.1, duplicate_ratio=0.05, delay_ratio=0.1, delay_s=1e-3)]
-        bus = Bus(faults=faults, seed=seed)
+        bus = SimulatedBus(faults=faults, seed=seed)
         one, two = bus.attach("one"), bus.attach("two")
         parts = []
         for cycle in range(20):

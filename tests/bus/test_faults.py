@@ -1,13 +1,13 @@
-"""Faults are applied as often as told, and every frame is accounted for."""
+"""Faults happen as often as their rules say, and every frame is accounted for."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.core import Bus
 from bus.faults import Fault, FaultBook, parse_fault
 from bus.outbox import DISCARDED, OTHERS, OWNER
+from bus.simulated_bus import SimulatedBus
 from dbc.frame import ERROR
 from dbc.frame_bits import wire_bits
 from skin.errors import InputError
@@ -20,7 +20,7 @@ ratios = st.floats(0, 0.4)
 @given(ratios, ratios, ratios, st.sampled_from([0.0, 1e-4, 1e-3]), st.integers(0, 9))
 def test_sent_is_delivered_plus_lost(loss: float, again: float, delay: float, bit_error: float, seed: int) -> None:
     rule = Fault(loss_ratio=loss, duplicate_ratio=again, delay_ratio=delay, delay_s=2e-3, bit_error_rate=bit_error)
-    bus = Bus(faults=[rule], seed=seed, restart_s=0.0)
+    bus = SimulatedBus(faults=[rule], seed=seed, restart_s=0.0)
     one, two = bus.attach("one"), bus.attach("two")
     delivered = echoed = discarded = 0
     for _ in range(5):
@@ -41,7 +41,7 @@ def test_sent_is_delivered_plus_lost(loss: float, again: float, delay: float, bi
 
 def test_bit_errors_come_as_often_as_the_rate_says() -> None:
     rate = 1e-4
-    bus = Bus(faults=[Fault(bit_error_rate=rate)], seed=1)
+    bus = SimulatedBus(faults=[Fault(bit_error_rate=rate)], seed=1)
     one, _ = bus.attach("one"), bus.attach("two")
     sent = burst(range(0x100, 0x1C0))
     bits = int(wire_bits(sent)[0].sum())
@@ -56,7 +56,7 @@ def test_bit_errors_come_as_often_as_the_rate_says() -> None:
 
 def test_rules_aim_at_controllers_and_identifiers() -> None:
     rules = [Fault(controller="nodes:3", loss_ratio=1.0), Fault(can_id=0x080, mask=0x7FF, loss_ratio=1.0)]
-    bus = Bus(faults=rules)
+    bus = SimulatedBus(faults=rules)
     nodes, gateway = bus.attach("nodes"), bus.attach("gateway")
     bus.submit(nodes, np.concatenate([frame(0x183, port=3), frame(0x184, port=4)]), 0)
     bus.submit(gateway, np.concatenate([frame(0x080), frame(0x000)]), 0)
@@ -67,7 +67,7 @@ def test_rules_aim_at_controllers_and_identifiers() -> None:
 
 
 def test_a_duplicate_costs_the_wire_and_is_echoed_once() -> None:
-    bus = Bus(faults=[Fault(duplicate_ratio=1.0)])
+    bus = SimulatedBus(faults=[Fault(duplicate_ratio=1.0)])
     one, _ = bus.attach("one"), bus.attach("two")
     bus.submit(one, burst([0x100]), 0)
     events = bus.run_until()
@@ -78,7 +78,7 @@ def test_a_duplicate_costs_the_wire_and_is_echoed_once() -> None:
 
 
 def test_a_delayed_frame_is_overtaken() -> None:
-    bus = Bus(faults=[Fault(can_id=0x100, mask=0x7FF, delay_ratio=1.0, delay_s=1e-3)])
+    bus = SimulatedBus(faults=[Fault(can_id=0x100, mask=0x7FF, delay_ratio=1.0, delay_s=1e-3)])
     one, _ = bus.attach("one"), bus.attach("two")
     bus.submit(one, burst([0x100, 0x101]), 0)
     events = bus.run_until()

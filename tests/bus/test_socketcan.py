@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.batch_io import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
 from bus.link import Filter, open_link
+from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
 from bus.socketcan import FD_BYTES, _kernel_filters, decode, encode
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames
 from skin.errors import BusError

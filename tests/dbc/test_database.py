@@ -1,4 +1,4 @@
-"""The DBC files, read by cantools: every frame decodes to exactly the sums that were packed."""
+"""The DBC files, read back: every frame decodes to exactly the sums that were packed."""
 
 from pathlib import Path
 from typing import Any
@@ -91,3 +91,13 @@ def test_every_frame_on_a_bus_is_described() -> None:
     assert described.get_message_by_frame_id(SYNC_COB_ID).cycle_time == 10
     assert described.decode_message("Node7_Heartbeat", b"\x05") == {"State": "Operational"}
     assert described.decode_message("NMT", b"\x81\x00") == {"Command": "Reset node", "NodeId": 0}
+
+
+@pytest.mark.parametrize(("rate", "switches"), [(5_000_000, "1"), (None, "0")])
+def test_can_fd_frames_say_whether_they_switch_the_bit_rate(rate: int | None, switches: str) -> None:
+    layout = load_layout(Path("fd"))
+    buses = [msgspec.structs.replace(layout.bus[0], data_bitrate=rate)]
+    described = read(Contract.from_layout(msgspec.structs.replace(layout, bus=buses)), 0)
+    assert described.dbc.attribute_definitions["CANFD_BRS"].default_value == switches
+    assert {message.is_fd for message in described.messages if "TPDO" in message.name} == {True}
+    assert not described.get_message_by_name("SYNC").is_fd

@@ -15,8 +15,10 @@ from skin.layout import (
     Measuring,
     Sync,
     Taxels,
+    layout_text,
     load_layout,
     parse_layout,
+    validated,
 )
 
 DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
@@ -140,3 +142,23 @@ def test_sums_and_buses_follow_the_size_of_the_skin() -> None:
     assert parse_layout(b"[taxels]\n", "default.toml") == load_layout()
     least = parse_layout(b"[taxels]\nrows = 8\ncolumns = 8\n[measurement]\nblock_size = 2\n", "least.toml")
     assert least.measurement.sums == least.blocks == 32
+
+
+def test_a_shipped_name_is_no_folder_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "fd").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_layout(Path("fd")).bus[0].fd
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_text_of_a_layout_is_read_as_the_same_layout(name: str) -> None:
+    layout = load_layout(Path(name))
+    assert parse_layout(layout_text(layout).encode(), name) == validated(layout) == layout
+
+
+def test_a_layout_of_a_program_is_checked_like_a_file() -> None:
+    layout = load_layout()
+    with pytest.raises(LayoutError, match=r"\$\.sync\.rate_hz"):
+        validated(msgspec.structs.replace(layout, sync=Sync(rate_hz=-1.0)))
+    with pytest.raises(LayoutError, match=r"hold 96 blocks"):
+        validated(msgspec.structs.replace(layout, bus=layout.bus[:3]))

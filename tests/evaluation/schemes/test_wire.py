@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.core import Bus as ArbitratedBus
+from bus.simulated_bus import SimulatedBus
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from evaluation.schemes.events import EventRule, run_events
@@ -21,7 +21,7 @@ def arbitrated(sent: Sent, number: int) -> dict[tuple[int, int], list[int]]:
     line = sent.lines[number]
     mine = np.flatnonzero(sent.asked.bus == number)
     mine = mine[np.argsort(sent.asked.time_ns[mine], kind="stable")]
-    wire = ArbitratedBus(line.bitrate, line.data_bitrate)
+    wire = SimulatedBus(line.bitrate, line.data_bitrate)
     nodes = wire.attach("nodes", queue_size=len(mine) + 1)
     wire.attach("gateway")
     burst = sent.asked.frames[mine].copy()

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from bandwidth.alternatives import planned
-from bandwidth.highest import STEP_HZ, highest_rate_hz
+from bandwidth.highest_rate import STEP_HZ, highest_rate_hz
 from bandwidth.traffic import Disturbance
 from skin.errors import InputError
 from skin.layout import SHIPPED, Layout, load_layout

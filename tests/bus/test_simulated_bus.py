@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.core import Bus
 from bus.outbox import DISCARDED, OTHERS, OWNER
+from bus.simulated_bus import SimulatedBus
 from dbc.frame import BRS, EXTENDED, FD, FRAME, REMOTE, Frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
 from tests.bus.harness import burst, frame
@@ -14,8 +14,8 @@ from tests.bus.harness import burst, frame
 INTERMISSION_NS = INTERMISSION_BITS * 1000
 
 
-def pair(**options: object) -> tuple[Bus, list[object]]:
-    bus = Bus(**options)  # type: ignore[arg-type]
+def pair(**options: object) -> tuple[SimulatedBus, list[object]]:
+    bus = SimulatedBus(**options)  # type: ignore[arg-type]
     return bus, [bus.attach("one"), bus.attach("two")]
 
 
@@ -118,7 +118,7 @@ def test_fd_frames_use_both_rates() -> None:
 
 
 def test_each_controller_has_a_queue_of_its_own() -> None:
-    bus = Bus()
+    bus = SimulatedBus()
     station = bus.attach("nodes", queue_size=2)
     bus.attach("other")
     sent = np.concatenate([frame(0x100 + n, port=n // 3) for n in range(6)])

@@ -52,7 +52,7 @@ class Received(NamedTuple):
     time_ns : array of int64, shape (n,)
         Wall-clock time of arrival, 0 where the socket does not tell.
     dropped : int or None
-        The socket's total of dropped datagrams, when it told.
+        The socket's total of dropped datagrams; None where the batch has no count.
     """
 
     rows: npt.NDArray[np.uint8]

@@ -1,7 +1,7 @@
-"""Rates of ways to send a skin's values, without regard to what a contract can spell: for comparisons.
+"""Rates of ways to send a skin's values that a layout need not be able to spell: for comparisons.
 
-Values are packed without a gap over as many frames as needed, also across frames, and a bus may have more nodes than
-there are node-IDs; both are told. `bandwidth.alternatives` has what a layout can really be.
+Values are packed without a gap over as many frames as needed, also across frames. A bus may have more nodes than there
+are node-IDs; `Scheme.fits_node_ids` tells. `bandwidth.alternatives` has real layouts.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from bandwidth.mean_bits import mean_wire_bits
-from bandwidth.plan import CAUTION, Wire, sync_frames
+from bandwidth.plan import CAUTION, BusTime, sync_frames
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import CLASSIC_BYTES, FD_BYTES
 from dbc.dictionary import HEARTBEAT_MS
@@ -51,7 +51,7 @@ class Scheme:
     payloads: list[int]
     frames_per_cycle: int
     fits_node_ids: bool
-    max_rate_hz_average: float
+    max_rate_hz_random: float
     max_rate_hz_worst: float
     max_rate_hz_worst_80: float
 
@@ -67,7 +67,7 @@ def schemes(layout: Layout) -> Iterator[Scheme]:
         for most, buses in product([CLASSIC_BYTES] if rate is None else _useful_limits(size), BUSES):
             payloads = _payloads(size, most)
             on_bus = -(-nodes // buses)
-            average, worst = (_wire(payloads, on_bus, rate, is_worst=each) for each in (False, True))
+            average, worst = (_bus_time(payloads, on_bus, rate, is_worst=each) for each in (False, True))
             yield Scheme(
                 what=what,
                 values=values,
@@ -80,7 +80,7 @@ def schemes(layout: Layout) -> Iterator[Scheme]:
                 payloads=payloads,
                 frames_per_cycle=nodes * len(payloads),
                 fits_node_ids=on_bus <= HIGHEST_NODE_ID,
-                max_rate_hz_average=average.rate_hz(),
+                max_rate_hz_random=average.rate_hz(),
                 max_rate_hz_worst=worst.rate_hz(),
                 max_rate_hz_worst_80=worst.rate_hz(CAUTION),
             )
@@ -98,14 +98,14 @@ def _payloads(size: int, most: int) -> list[int]:
     return [most] * full + padded
 
 
-def _wire(payloads: list[int], nodes: int, data_bitrate: int | None, *, is_worst: bool) -> Wire:
+def _bus_time(payloads: list[int], nodes: int, data_bitrate: int | None, *, is_worst: bool) -> BusTime:
     """Return one bus of `nodes` nodes that send `payloads` each, SYNC and heartbeats included."""
     flags = FD | BRS if data_bitrate else 0
     sizes = [_frame_bits(length, flags, is_worst=is_worst) for length in payloads]
     nominal, data = (nodes * total for total in np.sum(sizes, axis=0).tolist())
     sync, beat = _short_bits(is_worst=is_worst)
     nominal += sync
-    return Wire(
+    return BusTime(
         cycle_s=nominal / BITRATE + data / (data_bitrate or BITRATE),
         cycle_bits=nominal + data,
         beats_s=nodes * beat / (HEARTBEAT_MS * 1e-3) / BITRATE,

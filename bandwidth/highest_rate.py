@@ -4,12 +4,11 @@ from typing import Final
 
 import msgspec
 
-from bandwidth.layout_text import layout_text
-from bandwidth.plan import counted_wire
+from bandwidth.plan import bus_time
 from bandwidth.traffic import Disturbance, traffic
 from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO
-from skin.layout import RATE_MAX_HZ, Layout, parse_layout
+from skin.layout import RATE_MAX_HZ, Layout, validated
 
 #: How finely the rate is searched for.
 STEP_HZ: Final = 0.5
@@ -25,7 +24,7 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
     budget : float
         The part of each bus that frames with the most stuff bits may use.
     allowed : Disturbance, optional
-        What response times make room for.
+        What response times allow for besides the cycle.
 
     Returns
     -------
@@ -37,14 +36,14 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
     LayoutError
         If it is no layout.
     """
-    wish = allowed or Disturbance()
-    contract = Contract.from_layout(parse_layout(layout_text(layout).encode(), layout.name))
+    allowed = allowed or Disturbance()
+    contract = Contract.from_layout(validated(layout))
     buses = range(len(layout.bus))
-    most_hz = min(counted_wire(traffic(contract, bus, allowed=wish), "worst").rate_hz(budget) for bus in buses)
+    most_hz = min(bus_time(traffic(contract, bus, allowed=allowed), "worst").rate_hz(budget) for bus in buses)
     low, high = 0, int(min(most_hz, RATE_MAX_HZ) / STEP_HZ)
     while low < high:
         middle = (low + high + 1) // 2
-        if all(_keeps_window(_at_rate(contract, middle * STEP_HZ), bus, wish) for bus in buses):
+        if all(_keeps_window(_at_rate(contract, middle * STEP_HZ), bus, allowed) for bus in buses):
             low = middle
         else:
             high = middle - 1

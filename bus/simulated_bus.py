@@ -1,0 +1,264 @@
+"""An arbitrated CAN bus: an exact discrete-event model, without threads, sockets or a clock of its own.
+
+Controllers submit frames with a release time; whenever the wire is free, the pending frame with the lowest
+identifier is sent and takes exactly as long as its bits. `SimulatedBus.run_until` returns what ended until then.
+What may go wrong is drawn in `bus.faults`; what errors do to the controllers is in `bus.confinement`.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from bus.arbitration import clash_bits
+from bus.confinement import Confinement
+from bus.controller import Controller
+from bus.faults import Fault, FaultBook, Odds
+from bus.outbox import OTHERS, OWNER, Events
+from bus.pending import Waiting
+from bus.station import Counts, Station, Stations
+from bus.transmit_queues import TransmitQueues
+from dbc.frame import Frames
+from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
+
+#: Error flag of the first controller and its echo by the others, error delimiter (ISO 11898-1, error frame).
+ERROR_FRAME_BITS: Final = 6 + 6 + 8
+#: ACK delimiter, end of frame and intermission: the recessive bits behind the ACK slot of every frame.
+_AFTER_ACK_BITS: Final = 1 + 7 + INTERMISSION_BITS
+
+
+class SimulatedBus:
+    """One CAN bus and everybody on it.
+
+    Parameters
+    ----------
+    bitrate, data_bitrate : int
+        Bits per second in the nominal and in the data phase.
+    faults : sequence of Fault
+    seed : int
+        Same seed and same submissions, same events.
+    restart_s : float
+        How long a bus-off controller waits before it begins to recover.
+    """
+
+    def __init__(
+        self,
+        bitrate: int = 1_000_000,
+        data_bitrate: int | None = None,
+        *,
+        faults: Sequence[Fault] = (),
+        seed: int = 0,
+        restart_s: float = 0.1,
+    ) -> None:
+        self.bitrate = bitrate
+        self.data_bitrate = data_bitrate
+        self.now_ns = 0
+        self._intermission_ns = nominal_ns(INTERMISSION_BITS, bitrate)
+        self._stations = Stations()
+        self._queues = TransmitQueues()
+        self._faults = FaultBook(faults, seed)
+        self._confinement = Confinement(self._stations, self._queues, bitrate, restart_s)
+        self._free_ns = 0
+
+    @property
+    def counts(self) -> Counts:
+        """What happened since the bus began."""
+        return self._queues.counts
+
+    @property
+    def crowded(self) -> bool:
+        """Whether frames wait for the wire."""
+        return self._queues.pending.crowded
+
+    # --- who is on the bus -------------------------------------------------------------------------------
+
+    def attach(self, name: str, queue_size: int = 256, *, listen_only: bool = False) -> Station:
+        """Connect a station with one controller, port 0; further ports come with their first frame.
+
+        Parameters
+        ----------
+        name : str
+            What faults are aimed at, as ``NAME:PORT``.
+        queue_size : int
+            Frames that each controller's transmit queue holds.
+        listen_only : bool
+            No controller that would acknowledge.
+        """
+        station = self._stations.add(name, queue_size)
+        if not listen_only:
+            self._controller(station, 0)
+        return station
+
+    def detach(self, station: Station) -> None:
+        """Disconnect a station; its waiting frames are never sent."""
+        self._stations.remove(station)
+        for controller in station.controllers.values():
+            self._queues.forget(controller)
+        self._confinement.forget(station)
+        self._refresh()
+
+    def set_faults(self, faults: Sequence[Fault]) -> None:
+        """Replace the rules; a controller that loses power loses its waiting frames."""
+        self._faults.replace(faults)
+        for controller in self._stations.controllers():
+            controller.off = self._faults.is_off(controller.name)
+            if controller.off:
+                self._queues.withdraw(controller, self.now_ns)
+        self._refresh()
+
+    def _controller(self, station: Station, port: int) -> Controller:
+        """Return the controller at a port; the first time, power it up."""
+        controller = station.controllers.get(port)
+        if controller is None:
+            controller = Controller(f"{station.name}:{port}", station.number, port)
+            controller.off = self._faults.is_off(controller.name)
+            station.controllers[port] = controller
+            self._refresh()
+        return controller
+
+    def _refresh(self) -> None:
+        """Count who acknowledges, and give frames that found nobody another try."""
+        self._stations.refresh()
+        self._queues.pending.unpark(self.now_ns)
+
+    # --- frames in, events out ---------------------------------------------------------------------------
+
+    def submit(self, station: Station, burst: Frames, time_ns: int = 0) -> int:
+        """Put frames into the transmit queues of the controllers their `port` names.
+
+        Parameters
+        ----------
+        burst : array of FRAME, shape (n,)
+            Valid frames; `time_ns` is the earliest start of each, 0 for now, and `expires_ns` the latest, 0 for any.
+        time_ns : int
+            Now.
+
+        Returns
+        -------
+        int
+            How many were accepted, counted from the first; the next one found its queue full.
+        """
+        accepted = burst[: self._queues.fitting(station, burst)]
+        if not len(accepted):
+            return 0
+        self.now_ns = max(self.now_ns, time_ns)
+        controllers = [self._controller(station, port) for port in accepted["port"].tolist()]
+        durations_ns = frame_time_ns(accepted, self.bitrate, self.data_bitrate).tolist()
+        self._queues.submit(accepted, controllers, durations_ns, self.now_ns)
+        return len(accepted)
+
+    def run_until(self, time_ns: int | None = None) -> Events:
+        """Let time pass, and return what ended; without a time, run until nothing is left to happen."""
+        pending = self._queues.pending
+        while True:
+            start = pending.next_start_ns(self._free_ns)
+            if self._recover_before(start, time_ns):
+                continue
+            if start is None or (time_ns is not None and start > time_ns):
+                break
+            self.now_ns = max(self.now_ns, start)
+            if self._faults or self._confinement or self._stations.takers < 2:
+                self._transmit(pending.winner(start), start)
+            else:
+                self._carry(start, time_ns)
+            self._queues.discard_expired(self.now_ns)
+        events = self._queues.outbox.collect(time_ns)
+        ended = int(events.frames["time_ns"][-1]) if len(events.frames) else 0
+        self.now_ns = max(self.now_ns, time_ns or 0, ended)
+        return events
+
+    def next_event_ns(self) -> int | None:
+        """Return when something ends or begins next, None when nothing will."""
+        starts = self._queues.pending.next_start_ns(self._free_ns)
+        coming = (self._confinement.next_recovery_ns, self._queues.outbox.next_ns(), starts)
+        return min((time for time in coming if time is not None), default=None)
+
+    def _recover_before(self, start: int | None, time_ns: int | None) -> bool:
+        """Let the first bus-off controller recover whose time comes before `start`, and tell whether one did."""
+        recover_ns = self._confinement.next_recovery_ns
+        if recover_ns is None or any(end is not None and recover_ns > end for end in (start, time_ns)):
+            return False
+        self.now_ns = max(self.now_ns, recover_ns)
+        self._confinement.recover()
+        self._refresh()
+        return True
+
+    # --- the wire ----------------------------------------------------------------------------------------
+
+    def _carry(self, start: int, time_ns: int | None) -> None:
+        """Send frames as long as nothing can go wrong; the same as `_transmit` would do, without its questions."""
+        pending, post, counts = self._queues.pending, self._queues.outbox.post, self.counts
+        coming: int | None = start
+        while coming is not None and (time_ns is None or coming <= time_ns):
+            item = pending.winner(coming)
+            if item is None or pending.contests(item):
+                self._transmit(item, coming)
+                return
+            free = self._free_ns = coming + item.duration_ns
+            post(free - self._intermission_ns, item.slot, item.controller.station, OTHERS | OWNER)
+            item.controller.waiting -= 1
+            counts.transmitted += 1
+            counts.busy_ns += item.duration_ns
+            coming = pending.next_start_ns(free)
+
+    def _transmit(self, item: Waiting | None, start: int) -> None:
+        """Send the winner of an arbitration, if there is one, or find out why that fails."""
+        if item is None:
+            return
+        pending = self._queues.pending
+        contested = pending.contests(item)
+        if item.controller.suspended_until_ns > start:
+            pending.add(item, item.controller.suspended_until_ns)
+        else:
+            self._attempt([item, *pending.equals(item)] if contested else [item], start)
+
+    def _attempt(self, items: list[Waiting], start: int) -> None:
+        """Send a frame, or equal frames of several controllers, where something may go wrong."""
+        _, sequence, slot, duration, sender, _ = items[0]
+        slots, faults = self._queues.pool.slots, self._faults
+        clash = clash_bits(slots[[item.slot for item in items]]) if len(items) > 1 else None
+        odds = faults.odds(sender.name, int(slots["can_id"][slot]))
+        if clash is not None:
+            self._fail(items, start, nominal_ns(clash, self.bitrate))
+        elif self._stations.takers < 2:
+            self._fail(items, start, duration - nominal_ns(_AFTER_ACK_BITS, self.bitrate), unacknowledged=True)
+        elif (after_ns := faults.draw_error_ns(odds, duration, self.bitrate)) is not None:
+            self._fail(items, start, after_ns)
+        elif faults.draw_duplicate(odds, sequence):
+            self._repeat(items, start, duration - self._intermission_ns)
+        else:
+            self._succeed(items, start, odds)
+
+    def _succeed(self, items: list[Waiting], start: int, odds: Odds) -> None:
+        """End a good frame: receivers get it, and every controller that sent it gets its echo."""
+        duration = items[0].duration_ns
+        self._free_ns = start + duration
+        self.counts.busy_ns += duration
+        ended = self._free_ns - self._intermission_ns
+        audience = OTHERS | OWNER
+        if self._faults.draw(odds.loss):
+            audience = OWNER
+            self.counts.lost += 1
+        elif self._faults.draw(odds.delay):
+            audience = OWNER
+            self.counts.delayed += 1
+            self._queues.post_copy(items[0], ended + odds.delay_ns)
+        for item in items:
+            self._queues.outbox.post(ended, item.slot, item.controller.station, audience)
+            item.controller.waiting -= 1
+            self.counts.transmitted += 1
+            audience = OWNER
+        if self._confinement:
+            self._confinement.frame_ended({item.controller for item in items}, start, ended, self._free_ns)
+
+    def _repeat(self, items: list[Waiting], start: int, after_ns: int) -> None:
+        """Disturb the last bit of end of frame: receivers keep the frame, its sender tries again."""
+        self.counts.duplicated += 1
+        self._queues.post_copy(items[0], start + after_ns)
+        self._fail(items, start, after_ns)
+
+    def _fail(self, items: list[Waiting], start: int, after_ns: int, *, unacknowledged: bool = False) -> None:
+        """End a frame with an error frame `after_ns`; its senders keep it and try again."""
+        ended = start + after_ns + nominal_ns(ERROR_FRAME_BITS, self.bitrate)
+        self._free_ns = ended + self._intermission_ns
+        self.counts.errors += 1
+        self.counts.busy_ns += self._free_ns - start
+        self._confinement.frame_failed(items, ended, self._free_ns, unacknowledged=unacknowledged)

@@ -1,0 +1,115 @@
+"""The transmit queues of all controllers of a bus: frames from their submission until their sender hears of them."""
+
+from collections.abc import Iterable, Sequence
+from itertools import count
+
+import numpy as np
+
+from bus.arbitration import arbitration_keys
+from bus.controller import Controller
+from bus.outbox import DISCARDED, OTHERS, OWNER, Outbox
+from bus.pending import Pending, Waiting
+from bus.pool import FramePool
+from bus.station import Counts, Station
+from dbc.frame import Frames
+
+
+class TransmitQueues:
+    """Frames that wait for the wire, and the reports that wait to be collected.
+
+    Attributes
+    ----------
+    pool : FramePool
+    pending : Pending
+    outbox : Outbox
+    counts : Counts
+    """
+
+    def __init__(self) -> None:
+        self.pool = FramePool()
+        self.pending = Pending()
+        self.outbox = Outbox(self.pool)
+        self.counts = Counts()
+        self._sequence = count()
+
+    @staticmethod
+    def fitting(station: Station, burst: Frames) -> int:
+        """Count the leading frames that fit their transmit queues."""
+        ports = burst["port"].tolist()
+        left = dict.fromkeys(ports, station.queue_size)
+        for port in left.keys() & station.controllers.keys():
+            left[port] -= station.controllers[port].waiting
+        if len(ports) <= min(left.values(), default=0):
+            return len(ports)
+        for place, port in enumerate(ports):
+            if not left[port]:
+                return place
+            left[port] -= 1
+        return len(ports)
+
+    def submit(
+        self, burst: Frames, controllers: Sequence[Controller], durations_ns: Sequence[int], now_ns: int
+    ) -> None:
+        """Queue frames that fit; a controller that takes no part in the bus gets its frames back.
+
+        Parameters
+        ----------
+        burst : array of FRAME, shape (n,)
+        controllers : sequence of Controller, length n
+            The sender of each frame.
+        durations_ns : sequence of int, length n
+            How long each frame keeps the bus busy.
+        now_ns : int
+            Release time of frames without one.
+        """
+        # A release time in the past holds while the wire has been idle since: a sender that the host let run
+        # late is then as punctual on the bus as its hardware would have been.
+        releases = np.where(burst["time_ns"] > 0, burst["time_ns"], now_ns).tolist()
+        fields = zip(
+            arbitration_keys(burst).tolist(),
+            self._sequence,
+            self.pool.store(burst),
+            durations_ns,
+            controllers,
+            burst["expires_ns"].tolist(),
+            strict=False,  # the sequence has no end
+        )
+        for item, release in zip(map(Waiting._make, fields), releases, strict=True):
+            item.controller.waiting += 1
+            if item.controller.takes_part:
+                self.pending.add(item, release)
+            else:
+                self.discard([item], release)
+        self.counts.accepted += len(burst)
+
+    def discard(self, items: Iterable[Waiting], time_ns: int) -> None:
+        """Hand frames back to their senders unsent."""
+        for _, _, slot, _, controller, _ in items:
+            controller.waiting -= 1
+            self.counts.discarded += 1
+            self.outbox.post(time_ns, slot, controller.station, OWNER, DISCARDED)
+
+    def discard_expired(self, time_ns: int) -> None:
+        """Hand back the frames that lost arbitration until their time had run out."""
+        if self.pending.expired:
+            self.discard(self.pending.expired, time_ns)
+            self.pending.expired.clear()
+
+    def withdraw(self, controller: Controller, time_ns: int) -> None:
+        """Hand all waiting frames of a controller back."""
+        self.discard(self.pending.withdraw(controller), time_ns)
+
+    def forget(self, controller: Controller) -> None:
+        """Drop all waiting frames of a controller that is no longer there."""
+        slots = [item.slot for item in self.pending.withdraw(controller)]
+        self.pool.free(slots)
+        self.counts.discarded += len(slots)
+
+    def post_copy(self, item: Waiting, time_ns: int) -> None:
+        """Give receivers a frame whose sender gets its echo at another time."""
+        self.outbox.post_copy(time_ns, self.pool.slots[[item.slot]], item.controller.station, OTHERS)
+
+    def post_report(self, controller: Controller, time_ns: int, record: Frames) -> None:
+        """Give a controller's station the report of an error or of a new state."""
+        record["port"] = controller.port
+        self.outbox.post_copy(time_ns, record, controller.station, OWNER)

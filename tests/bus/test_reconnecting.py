@@ -1,0 +1,68 @@
+"""A link on one socket that comes back, here one end of a socket pair."""
+
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from bus.error_frames import State
+from bus.reconnecting import ReconnectingLink
+
+
+class PairLink(ReconnectingLink):
+    def __init__(self) -> None:
+        super().__init__()
+        self.others: list[socket.socket] = []
+        self.is_gone = False
+        self._use(self._connect())
+
+    def _connect(self) -> socket.socket:
+        if self.is_gone:
+            raise OSError("gone")
+        mine, other = socket.socketpair()
+        self.others.append(other)
+        return mine
+
+
+@pytest.fixture
+def link() -> Iterator[PairLink]:
+    link = PairLink()
+    yield link
+    link.close()
+    for other in link.others:
+        other.close()
+
+
+def test_a_lost_socket_is_opened_again_but_not_at_once(link: PairLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("bus.reconnecting.time.monotonic", lambda: now_s)
+    first = link._reopened()
+    assert first is not None
+    link._dropped = 3
+    link._lose(first)
+    link._lose(first)  # a second thread finds out, too
+    assert (link.state, link.dropped) == (State.LOST, 3)
+    assert link._reopened() is None
+    link.is_gone = True
+    waits = []
+    for _ in range(8):
+        since_s = now_s
+        while not link._backoff.due:
+            now_s += 0.01
+        waits.append(now_s - since_s)
+        assert link._reopened() is None
+    assert waits == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0], abs=0.02)
+    link.is_gone = False
+    now_s += 2.0
+    assert link._reopened() is not None
+    link._dropped = 2
+    assert (link.state, link.dropped) == (State.ACTIVE, 5)
+
+
+def test_a_closed_link_stays_closed(link: PairLink) -> None:
+    held = link._reopened()
+    assert held is not None
+    link.close()
+    link._lose(held)
+    assert link._reopened() is None
+    assert len(link.others) == 1
