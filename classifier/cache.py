@@ -8,14 +8,13 @@ from typing import Final
 
 import msgspec
 
-from classifier.model import VERSION, Model
+from classifier.model import SIMULATED, VERSION, Model
 from classifier.modelfile import load_model, save_model
-from classifier.touches import SOURCE, load_touches
 from skin.errors import ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.service import say
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import DEFAULT_OBJECTS, load_touches
 
 TOUCHES_PER_OBJECT: Final = 600
 
@@ -50,10 +49,10 @@ def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OB
         except ModelError as error:
             say("classifier", f"{error}; training another")
     say("classifier", f"training a model of this skin for {', '.join(objects)}: some seconds, this once")
-    from classifier.training import Plan, train  # scikit-learn takes a second to load
+    from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0)
-    model = train(force_n, labels, layout, plan=Plan(data=SOURCE))
+    model = train(force_n, labels, layout, options=TrainingOptions(data=SIMULATED))
     try:
         save_model(model, path)
     except ModelError as error:

@@ -7,15 +7,14 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train
-from classifier.model import Features, Metadata, Model
+from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
-from classifier.samples import NOISE_N
-from classifier.touches import SOURCE, load_touches
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import DEFAULT_OBJECTS, load_touches
+from skin.taxel import NOISE_N
 
 
 def classify(
@@ -120,7 +119,7 @@ def _train(skin: Layout, names: list[str], count: int, noise_n: float, features:
     from rich.console import Console
     from rich.progress import Progress
 
-    from classifier.training import Plan, train  # scikit-learn takes a second to load
+    from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -134,7 +133,7 @@ def _train(skin: Layout, names: list[str], count: int, noise_n: float, features:
             force_n,
             labels,
             skin,
-            plan=Plan(features=features, noise_n=noise_n, seed=seed, data=SOURCE),
+            options=TrainingOptions(features=features, noise_n=noise_n, seed=seed, data=SIMULATED),
             progress=show,
         )
 

@@ -10,9 +10,8 @@ from classifier.model import Float64
 from classifier.observer import Observer
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.taxel import sense, to_counts
 
-#: The paper's sensor noise.
-NOISE_N: Final = 0.001
 #: Part of the cycles of an untouched skin that look like a touch.
 FALSE_ALARM_RATIO: Final = 0.002
 #: Every third touch is seen with blocks missing, every second with less noise, so that neither surprises.
@@ -51,9 +50,8 @@ def simulate_sums(
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
     for start in range(0, len(flat), _CHUNK):
         part = slice(start, start + _CHUNK)
-        felt = rng.standard_normal(flat[part].shape, np.float32) * sd[part, None] + flat[part]
-        counts = np.rint(np.clip(felt, 0, taxels.force_max_n) / taxels.newton_per_count)
-        sums[part] = phi.forward(counts.astype(np.int32))
+        signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
+        sums[part] = phi.forward(to_counts(signal_n, taxels))
     return sums
 
 

@@ -15,7 +15,6 @@ from classifier.model import VERSION, Features, Float64, Metadata, Model, Traini
 from classifier.regions import Known, know
 from classifier.samples import (
     FALSE_ALARM_RATIO,
-    NOISE_N,
     Watcher,
     observe_untouched,
     simulate_sums,
@@ -27,6 +26,7 @@ from skin.errors import InputError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.messages import UNKNOWN_OBJECT
+from skin.taxel import NOISE_N
 
 C_GRID: Final = (0.1, 1.0, 10.0, 100.0)
 #: Part of the touches kept for validation.
@@ -39,7 +39,7 @@ _QUIET_RATIO: Final = 0.8
 Progress = Callable[[str, float], None]
 
 
-class Plan(msgspec.Struct, frozen=True, kw_only=True):
+class TrainingOptions(msgspec.Struct, frozen=True, kw_only=True):
     """How to train.
 
     Attributes
@@ -71,7 +71,7 @@ class _Split(NamedTuple):
 class _Lesson:
     """What every step of a training needs."""
 
-    plan: Plan
+    options: TrainingOptions
     layout: Layout
     phi: Sbhe
     names: npt.NDArray[np.str_]
@@ -89,7 +89,7 @@ def train(
     labels: Sequence[str] | npt.NDArray[np.str_],
     layout: Layout,
     *,
-    plan: Plan | None = None,
+    options: TrainingOptions | None = None,
     progress: Progress | None = None,
 ) -> Model:
     """Train a model for the skin of `layout` on labelled true images.
@@ -100,7 +100,7 @@ def train(
         True forces in newtons; noise is added here.
     labels : sequence of str, shape (count,)
         Name of the touching object.
-    plan : Plan, optional
+    options : TrainingOptions, optional
     progress : callable, optional
 
     Raises
@@ -108,26 +108,26 @@ def train(
     InputError
         If the arrays do not fit the skin or each other, or hold fewer than 2 objects with 8 touches each.
     """
-    plan = plan or Plan()
+    options = options or TrainingOptions()
     say: Progress = progress or (lambda _doing, _ratio: None)
     names = np.asarray(labels, np.str_)
-    _check(force_n, names, layout, plan)
+    _check(force_n, names, layout, options)
     phi = layout.phi()
-    rng = np.random.default_rng(plan.seed)
+    rng = np.random.default_rng(options.seed)
     say("the untouched skin", 0.0)
-    untouched = observe_untouched(layout, phi, plan.noise_n, plan.no_touches, rng)
+    untouched = observe_untouched(layout, phi, options.noise_n, options.no_touches, rng)
     say("the touches", 0.2)
     watcher = Watcher(layout, phi, untouched.no_touch)
-    lesson = _Lesson(plan, layout, phi, names, _split(names, rng), watcher, rng)
-    plain = lesson.sums(force_n, plan.noise_n)
+    lesson = _Lesson(options, layout, phi, names, _split(names, rng), watcher, rng)
+    plain = lesson.sums(force_n, options.noise_n)
     features, factors = _features(lesson, force_n, plain)
-    offset, scale = _standard(features, plan.features, lesson.split)
+    offset, scale = _standard(features, options.features, lesson.split)
     standard = (features - offset) * scale
     chosen = choose_C(
-        standard, names, *lesson.split, C_grid=plan.C_grid, progress=lambda doing, part: say(doing, 0.5 + 0.4 * part)
+        standard, names, *lesson.split, C_grid=options.C_grid, progress=lambda doing, part: say(doing, 0.5 + 0.4 * part)
     )
     say("what is known", 0.9)
-    quieter = lesson.sums(force_n, spoilt_noise(len(names), plan.noise_n, _QUIET_RATIO, rng))
+    quieter = lesson.sums(force_n, spoilt_noise(len(names), options.noise_n, _QUIET_RATIO, rng))
     known = know(quieter, names, lesson.split, watcher, rng)
     held = lesson.split.validation
     slope = confidence_slope(chosen.rehearsal, standard[held], names[held])
@@ -138,7 +138,7 @@ def train(
         rows=layout.taxels.rows,
         columns=layout.taxels.columns,
         newton_per_count=layout.taxels.newton_per_count,
-        features=plan.features,
+        features=options.features,
         classes=[str(name) for name in chosen.machine.classes_],
         contact_threshold=untouched.contact_threshold,
         false_alarm_ratio=FALSE_ALARM_RATIO,
@@ -156,29 +156,29 @@ def _features(lesson: _Lesson, force_n: Float32, plain: npt.NDArray[np.int32]) -
     Raw sums carry the same noise everywhere, as in the paper. Energies are made ready for less noise and for missing
     blocks.
     """
-    if lesson.plan.features == "sums":
+    if lesson.options.features == "sums":
         raw = plain.astype(np.float64)
         return raw, fit_factors(raw[lesson.split.development])
     count, rng = len(force_n), lesson.rng
-    sums = lesson.sums(force_n, spoilt_noise(count, lesson.plan.noise_n, 0.0, rng))
+    sums = lesson.sums(force_n, spoilt_noise(count, lesson.options.noise_n, 0.0, rng))
     features = lesson.watcher.features(sums, spoilt_blocks(count, lesson.phi.blocks, rng), rng)
     return features, Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
 
 
 def _card(lesson: _Lesson, chosen: Chosen, standard: Float64, known: Known) -> TrainingCard:
-    plan, held, classes = lesson.plan, lesson.split.validation, chosen.rehearsal.classes_
+    options, held, classes = lesson.options, lesson.split.validation, chosen.rehearsal.classes_
     true, said = lesson.names[held], chosen.rehearsal.predict(standard[held])
     confusion = np.zeros((classes.size, classes.size), np.int64)
     np.add.at(confusion, (np.searchsorted(classes, true), np.searchsorted(classes, said)), 1)
     per_object = confusion.diagonal() / confusion.sum(axis=1)
     return TrainingCard(
-        data=plan.data,
+        data=options.data,
         touches=len(lesson.names),
-        no_touches=plan.no_touches,
+        no_touches=options.no_touches,
         development=len(lesson.split.development),
         validation=len(held),
-        seed=plan.seed,
-        noise_n=plan.noise_n,
+        seed=options.seed,
+        noise_n=options.noise_n,
         C=chosen.C,
         validation_accuracy=chosen.accuracy,
         per_object={str(name): float(part) for name, part in zip(classes, per_object, strict=True)},
@@ -187,7 +187,7 @@ def _card(lesson: _Lesson, chosen: Chosen, standard: Float64, known: Known) -> T
     )
 
 
-def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, plan: Plan) -> None:
+def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, options: TrainingOptions) -> None:
     shape = (len(names), layout.taxels.rows, layout.taxels.columns)
     if force_n.shape != shape:
         raise InputError(f"expected images of shape {shape}, one per label: got {force_n.shape}")
@@ -203,12 +203,12 @@ def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, plan: 
         raise InputError("an object's name is empty: every touch needs one")
     if UNKNOWN_OBJECT in objects:
         raise InputError(f"no object can be called '{UNKNOWN_OBJECT}': the classifier says so of what it never met")
-    if not 0 < plan.noise_n < layout.taxels.force_max_n:
-        raise InputError(f"expected noise above 0 and below {layout.taxels.force_max_n} N, got {plan.noise_n} N")
-    if not plan.C_grid or min(plan.C_grid) <= 0:
-        raise InputError(f"expected one C or more, each above 0, got {plan.C_grid}")
-    if plan.no_touches < 2:
-        raise InputError(f"expected 2 or more draws of the untouched skin, got {plan.no_touches}")
+    if not 0 < options.noise_n < layout.taxels.force_max_n:
+        raise InputError(f"expected noise above 0 and below {layout.taxels.force_max_n} N, got {options.noise_n} N")
+    if not options.C_grid or min(options.C_grid) <= 0:
+        raise InputError(f"expected one C or more, each above 0, got {options.C_grid}")
+    if options.no_touches < 2:
+        raise InputError(f"expected 2 or more draws of the untouched skin, got {options.no_touches}")
 
 
 def _standard(features: Float64, kind: Features, split: _Split) -> tuple[Float64, Float64]:

@@ -15,7 +15,7 @@ from demo.report import NodeMissing, Percentiles, Report
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.pairing import Pairing, adds_noise, in_contact, psnr_db
+from skin.psnr import adds_noise, psnr_db
 
 #: Nodes named in a report when frames are missing.
 NODES_NAMED: Final = 16

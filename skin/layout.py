@@ -48,9 +48,14 @@ class Taxels(_Table, frozen=True, kw_only=True):
         return self.rows * self.columns
 
     @property
+    def count_max(self) -> int:
+        """Largest ADC count."""
+        return (1 << self.adc_bits) - 1
+
+    @property
     def newton_per_count(self) -> float:
         """Force of one ADC count."""
-        return self.force_max_n / ((1 << self.adc_bits) - 1)
+        return self.force_max_n / self.count_max
 
 
 class Measuring(_Table, frozen=True, kw_only=True):

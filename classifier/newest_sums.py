@@ -11,7 +11,7 @@ from skin.measurement import Sbhe
 HOLD_CYCLES: Final = 4
 
 
-class Gathered:
+class NewestSums:
     """The newest sums of every block, as long as they are not too old.
 
     Attributes

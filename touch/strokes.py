@@ -1,4 +1,4 @@
-"""Random touches: which object, where, how turned, how deep and along which path.
+"""Random touches: which object, where, how turned, how deep and along which stroke.
 
 The live source and the training data draw from this one distribution; each touch has its own seed, so that
 the touch number `index` is the same however it is reached.
@@ -12,7 +12,6 @@ import numpy as np
 
 from touch.contact import FloatArray, Force, Grid, Pose, Spheres, press
 from touch.objects import spheres_of
-from touch.trajectory import Stroke
 
 #: An object is said to touch while the largest true force is at least this, twice the noise's deviation.
 LABEL_FORCE_N: Final = 0.002
@@ -31,6 +30,50 @@ LEAST_ROOM_RATIO: Final = 0.08
 SLIDE_SPEED_M_PER_S: Final = 0.045
 #: Streams of random numbers that never meet.
 LIVE, TRAINING = 0, 1
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Press, hold, slide in a straight line, and lift, each at constant speed.
+
+    Attributes
+    ----------
+    start_m, end_m : tuple of float
+        Position x, y before and after the slide.
+    rotation_rad : float
+        Kept throughout.
+    depth_m : float
+        Reached at the end of the press and kept until the lift.
+    press_s, hold_s, slide_s, lift_s : float
+        Duration of each phase.
+    """
+
+    start_m: tuple[float, float]
+    end_m: tuple[float, float]
+    rotation_rad: float
+    depth_m: float
+    press_s: float
+    hold_s: float
+    slide_s: float
+    lift_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """From the first touch to the last."""
+        return self.press_s + self.hold_s + self.slide_s + self.lift_s
+
+    def pose(self, time_s: float) -> Pose:
+        """Return the pose `time_s` after the first touch; outside the stroke the depth is 0."""
+        slid = _progress(time_s - self.press_s - self.hold_s, self.slide_s)
+        pressed = _progress(time_s, self.press_s)
+        lifted = _progress(time_s - self.duration_s + self.lift_s, self.lift_s)
+        (x0, y0), (x1, y1) = self.start_m, self.end_m
+        return Pose(
+            x0 + (x1 - x0) * slid,
+            y0 + (y1 - y0) * slid,
+            self.rotation_rad,
+            self.depth_m * min(pressed, 1.0 - lifted),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,3 +135,10 @@ def _room(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> 
     half = np.array(grid.half_extent_m)
     room: FloatArray = np.maximum(half - footprint, LEAST_ROOM_RATIO * half)
     return room
+
+
+def _progress(elapsed_s: float, duration_s: float) -> float:
+    """Return how much of a phase is done, 0 to 1; a phase of no duration is done when it begins."""
+    if elapsed_s >= duration_s:
+        return 1.0
+    return elapsed_s / duration_s if elapsed_s > 0.0 else 0.0
