@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from demo.report import NodeMissing, Percentiles, Report
+from skin.ground_truth import Pairing, in_contact
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
