@@ -34,6 +34,21 @@ def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str]) -> Path:
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 
 
+def keep_model(model: Model, path: Path) -> None:
+    """Write `model` to the cache, whose folder is made if there is none.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot make the cache folder: {error.strerror or error}") from error
+    save_model(model, path)
+
+
 def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OBJECTS) -> Model:
     """Return the cached model of this skin; train and keep it first when there is none that can be used.
 
@@ -54,7 +69,7 @@ def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OB
     force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0)
     model = train(force_n, labels, layout, options=TrainingOptions(data=SIMULATED))
     try:
-        save_model(model, path)
+        keep_model(model, path)
     except ModelError as error:
         say("classifier", f"{error}; it will be trained again next time")
     return model

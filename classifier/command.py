@@ -6,12 +6,13 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train
+from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
+from skin.output import check_output_path
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS, load_touches
 from skin.taxel import NOISE_N
@@ -103,9 +104,11 @@ def train(
     names = _named(objects)
     if touches < 0 or seed < 0:
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
+    if out is not None:
+        check_output_path(out, "model")
     path = out or cached_path(skin, skin.phi(), names)
     model = _train(skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed)
-    save_model(model, path)
+    (save_model if out else keep_model)(model, path)
     _show(model.metadata, path, as_json=json_)
 
 

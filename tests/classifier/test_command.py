@@ -136,6 +136,11 @@ def test_no_touches_offered(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> 
 def test_wrong_options(small: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--touches -1"):
         train(layout=small, touches=-1)
+    with pytest.raises(InputError, match="the folder for the model does not exist"):
+        train(layout=small, out=tmp_path / "none" / "m.npz")
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(InputError, match="cannot write the model there"):
+        train(layout=small, out=tmp_path)
     with pytest.raises(InputError, match="leave --objects out"):
         classify(layout=small, model=tmp_path / "x.npz", objects="ring")
     with pytest.raises(ModelError, match="cannot read the model"):

@@ -182,7 +182,9 @@ def test_deciding_allocates_nothing_worth_mentioning(
 ) -> None:
     valid[0] = 0
     y = pressed["dome"][0]
-    for each in (model, raw_model):
+    # Raw sums that are missing take a solve of this size.
+    solve_bytes = 4 * raw_model.sum_loadings.shape[1] ** 2 * raw_model.sum_loadings.itemsize
+    for each, most_bytes in ((model, y.nbytes), (raw_model, y.nbytes + solve_bytes)):
         classifier = Classifier(each, phi)
         for _ in range(HOLD_CYCLES + 2):
             classifier.decide(y, valid)
@@ -195,4 +197,4 @@ def test_deciding_allocates_nothing_worth_mentioning(
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-        assert peak - before < y.nbytes  # less than any one array of the measurement
+        assert peak - before < most_bytes  # but for the solve, less than any one array of the measurement
