@@ -1,14 +1,14 @@
 """The layout of one skin: skin ▸ bus ▸ node ▸ block ▸ taxel, read from one TOML file."""
 
-import re
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
 from skin.errors import LayoutError
 from skin.measurement import Sbhe, sbhe
+from skin.toml_errors import in_words
 
 #: Names of the layouts that come with the project.
 SHIPPED: Final = ("default", "fd", "one-bus-12bit")
@@ -141,15 +141,6 @@ class Layout(_Table, frozen=True, kw_only=True):
         return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
 
 
-#: What the keys of few values may be.
-_CHOICES: Final = {
-    key: get_args(kind)
-    for table in (Measuring, Encoding, Bus)
-    for key, kind in get_type_hints(table).items()
-    if get_origin(kind) is Literal
-}
-
-
 def load_layout(path: Path | None = None) -> Layout:
     """Read a layout: a file or, by its bare name, one of `SHIPPED`; without a path, the default skin.
 
@@ -171,9 +162,13 @@ def load_layout(path: Path | None = None) -> Layout:
 def parse_layout(content: bytes, origin: str) -> Layout:
     """Decode and check a layout; `origin` names the file in messages."""
     try:
-        layout = msgspec.convert(_with_sizes(msgspec.toml.decode(content)), Layout)
+        document = _with_sizes(msgspec.toml.decode(content))
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise LayoutError(f"{origin}: {_with_choices(str(error))}") from error
+        raise LayoutError(f"{origin}: {error}") from error
+    try:
+        layout = msgspec.convert(document, Layout)
+    except msgspec.ValidationError as error:
+        raise LayoutError(f"{origin}: {in_words(str(error), document, Layout)}") from error
     try:
         _check(layout)
     except LayoutError as error:
@@ -194,13 +189,6 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     if "taxels" in tables:  # an empty file is a mistake, no skin
         tables.setdefault("bus", [{"name": f"bus{each}", "nodes": blocks // buses} for each in range(buses)])
     return tables
-
-
-def _with_choices(text: str) -> str:
-    """Return msgspec's message; where a value is none of its key's choices, with those."""
-    key = re.match(r"Invalid enum value .* at `\$\.(?:.*\.)?(\w+)`", text)
-    choices = _CHOICES.get(key[1]) if key else None
-    return f"{text}: expected {' or '.join(map(str, choices))}" if choices else text
 
 
 def _check(layout: Layout) -> None:
