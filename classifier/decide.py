@@ -24,7 +24,7 @@ NOVELTY_SETTLING: Final = 0.1
 _MOST_NOVELTY: Final = 3.0
 #: How fast doubt grows around the limit: half at 1, 95 % at 1.5.
 _DOUBT_SLOPE: Final = 6.0
-#: After this many missing cycles the past says nothing any more.
+#: After a gap of more cycles than this, the decision starts afresh.
 FORGET_CYCLES: Final = 10
 
 
@@ -55,7 +55,7 @@ class Classifier:
     phi : Sbhe
         The Φ the model was trained for.
     settling : float
-        Part of the newest cycle in the settled decision; 1 takes every cycle for itself, but for what is unknown.
+        Part of the newest cycle in the settled decision; 1 decides every cycle by itself, except on unknown objects.
     """
 
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:

@@ -12,14 +12,14 @@ from classifier.confidence import confidence_slope
 from classifier.features import Float32
 from classifier.missing import Factors, fit_factors
 from classifier.model import VERSION, Features, Float64, Metadata, Model, TrainingCard
-from classifier.regions import Known, know
+from classifier.regions import KnownRegions, fit_known
 from classifier.samples import (
     FALSE_ALARM_RATIO,
-    Watcher,
+    FeatureExtractor,
+    draw_missing_counts,
+    draw_noise_levels,
     observe_untouched,
     simulate_sums,
-    spoilt_blocks,
-    spoilt_noise,
 )
 from classifier.validation import Chosen, choose_C, global_scale
 from skin.errors import InputError
@@ -32,10 +32,11 @@ C_GRID: Final = (0.1, 1.0, 10.0, 100.0)
 #: Part of the touches kept for validation.
 VALIDATION_RATIO: Final = 0.25
 _LEAST_TOUCHES: Final = 8
-#: A skin with this part of the noise still finds the objects it knows, and less of the unknown ones.
+#: Known objects are fitted with noise from this part of `noise_n` up: a quieter skin still names them, and finds fewer
+#: of the unknown objects.
 _QUIET_RATIO: Final = 0.8
 
-#: Told what is being done and how much of everything is done, 0 to 1.
+#: Called with the name of the step and the part of the whole training that is done, 0 to 1.
 Progress = Callable[[str, float], None]
 
 
@@ -68,15 +69,15 @@ class _Split(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Lesson:
-    """What every step of a training needs."""
+class _Training:
+    """The inputs that every step of a training shares."""
 
     options: TrainingOptions
     layout: Layout
     phi: Sbhe
     names: npt.NDArray[np.str_]
     split: _Split
-    watcher: Watcher
+    extractor: FeatureExtractor
     rng: np.random.Generator
 
     def sums(self, force_n: Float32, noise_n: float | Float64) -> npt.NDArray[np.int32]:
@@ -117,20 +118,24 @@ def train(
     say("the untouched skin", 0.0)
     untouched = observe_untouched(layout, phi, options.noise_n, options.no_touches, rng)
     say("the touches", 0.2)
-    watcher = Watcher(layout, phi, untouched.no_touch)
-    lesson = _Lesson(options, layout, phi, names, _split(names, rng), watcher, rng)
-    plain = lesson.sums(force_n, options.noise_n)
-    features, factors = _features(lesson, force_n, plain)
-    offset, scale = _standard(features, options.features, lesson.split)
+    extractor = FeatureExtractor(layout, phi, untouched.no_touch)
+    training = _Training(options, layout, phi, names, _split(names, rng), extractor, rng)
+    plain = training.sums(force_n, options.noise_n)
+    features, factors = _features(training, force_n, plain)
+    offset, scale = _standard(features, options.features, training.split)
     standard = (features - offset) * scale
     chosen = choose_C(
-        standard, names, *lesson.split, C_grid=options.C_grid, progress=lambda doing, part: say(doing, 0.5 + 0.4 * part)
+        standard,
+        names,
+        *training.split,
+        C_grid=options.C_grid,
+        progress=lambda doing, part: say(doing, 0.5 + 0.4 * part),
     )
     say("what is known", 0.9)
-    quieter = lesson.sums(force_n, spoilt_noise(len(names), options.noise_n, _QUIET_RATIO, rng))
-    known = know(quieter, names, lesson.split, watcher, rng)
-    held = lesson.split.validation
-    slope = confidence_slope(chosen.rehearsal, standard[held], names[held])
+    quieter = training.sums(force_n, draw_noise_levels(len(names), options.noise_n, _QUIET_RATIO, rng))
+    known = fit_known(quieter, names, training.split, extractor, rng)
+    held = training.split.validation
+    slope = confidence_slope(chosen.development_machine, standard[held], names[held])
     about = Metadata(
         version=VERSION,
         fingerprint=phi.fingerprint,
@@ -144,38 +149,37 @@ def train(
         false_alarm_ratio=FALSE_ALARM_RATIO,
         unknown_slack=known.slack,
         sum_noise=factors.noise,
-        card=_card(lesson, chosen, standard, known),
+        card=_card(training, chosen, standard, known),
     )
     planes = chosen.machine.weights_ * slope, chosen.machine.biases_ * slope
     return Model(about, *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings)
 
 
-def _features(lesson: _Lesson, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:
+def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:
     """Return what the machines learn from, and how the sums vary together where missing ones are to be estimated.
 
-    Raw sums carry the same noise everywhere, as in the paper. Energies are made ready for less noise and for missing
-    blocks.
+    Raw sums all carry the same noise, as in the paper. Energies are of touches with less noise and missing blocks too.
     """
-    if lesson.options.features == "sums":
+    if training.options.features == "sums":
         raw = plain.astype(np.float64)
-        return raw, fit_factors(raw[lesson.split.development])
-    count, rng = len(force_n), lesson.rng
-    sums = lesson.sums(force_n, spoilt_noise(count, lesson.options.noise_n, 0.0, rng))
-    features = lesson.watcher.features(sums, spoilt_blocks(count, lesson.phi.blocks, rng), rng)
+        return raw, fit_factors(raw[training.split.development])
+    count, rng = len(force_n), training.rng
+    sums = training.sums(force_n, draw_noise_levels(count, training.options.noise_n, 0.0, rng))
+    features = training.extractor.features(sums, draw_missing_counts(count, training.phi.blocks, rng), rng)
     return features, Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
 
 
-def _card(lesson: _Lesson, chosen: Chosen, standard: Float64, known: Known) -> TrainingCard:
-    options, held, classes = lesson.options, lesson.split.validation, chosen.rehearsal.classes_
-    true, said = lesson.names[held], chosen.rehearsal.predict(standard[held])
+def _card(training: _Training, chosen: Chosen, standard: Float64, known: KnownRegions) -> TrainingCard:
+    options, held, classes = training.options, training.split.validation, chosen.development_machine.classes_
+    true, said = training.names[held], chosen.development_machine.predict(standard[held])
     confusion = np.zeros((classes.size, classes.size), np.int64)
     np.add.at(confusion, (np.searchsorted(classes, true), np.searchsorted(classes, said)), 1)
     per_object = confusion.diagonal() / confusion.sum(axis=1)
     return TrainingCard(
         data=options.data,
-        touches=len(lesson.names),
+        touches=len(training.names),
         no_touches=options.no_touches,
-        development=len(lesson.split.development),
+        development=len(training.split.development),
         validation=len(held),
         seed=options.seed,
         noise_n=options.noise_n,
