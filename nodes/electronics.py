@@ -61,9 +61,14 @@ class Electronics:
             self._with_damper(force_n, step)[None], self._random, np.array([step * self._period_s])
         )
         counts = to_counts(signal.ravel(), self.taxels)
-        corrected = np.clip(np.rint(self.gain * counts + self.offset), 0, self.taxels.count_max)
-        shown: npt.NDArray[np.int32] = np.where(self._pattern >= 0, self._pattern, corrected).astype(np.int32)
-        return shown
+        corrected = counts.astype(np.float32)
+        corrected *= self.gain
+        corrected += self.offset
+        np.rint(corrected, out=corrected)
+        np.clip(corrected, 0, self.taxels.count_max, out=corrected)
+        np.copyto(counts, corrected, casting="unsafe")
+        np.copyto(counts, self._pattern, where=self._pattern >= 0)
+        return counts
 
     def _with_damper(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float32]:
         """Return the force with the damper's part: the speed is that since the last step that was read."""

@@ -59,18 +59,23 @@ def sense(
         If the noise is below 0 or the range is empty.
     """
     _check(noise_n, force_max_n)
-    signal: npt.NDArray[Any] = rng.standard_normal(np.shape(force_n), dtype=dtype)
-    signal *= np.asarray(noise_n, dtype)
-    signal += force_n
+    signal: npt.NDArray[Any]
+    if isinstance(noise_n, float) and noise_n == 0.0:
+        signal = np.array(force_n, dtype)
+    else:
+        signal = rng.standard_normal(np.shape(force_n), dtype=dtype)
+        signal *= np.asarray(noise_n, dtype)
+        signal += force_n
     np.clip(signal, 0.0, dtype(force_max_n), out=signal)
     return signal
 
 
 def to_counts(signal_n: npt.NDArray[np.floating], taxels: Taxels) -> npt.NDArray[np.int32]:
     """Return what the converter makes of a sensor signal: the nearest count within its range, the shape kept."""
-    step_n = signal_n.dtype.type(taxels.newton_per_count)
-    counts: npt.NDArray[np.int32] = np.clip(np.rint(signal_n / step_n), 0, taxels.count_max).astype(np.int32)
-    return counts
+    counts = signal_n / signal_n.dtype.type(taxels.newton_per_count)
+    np.rint(counts, out=counts)
+    np.clip(counts, 0, taxels.count_max, out=counts)
+    return counts.astype(np.int32)
 
 
 def to_newtons(counts: npt.NDArray[np.integer], taxels: Taxels) -> Force:
@@ -184,8 +189,8 @@ class TaxelModel:
 
 
 def _check(noise_n: float | Force, force_max_n: float) -> None:
-    noise = np.asarray(noise_n)
-    if not (np.isfinite(noise) & (noise >= 0)).all():
+    smallest, largest = (noise_n, noise_n) if isinstance(noise_n, float) else (np.min(noise_n), np.max(noise_n))
+    if not (smallest >= 0 and math.isfinite(largest)):
         raise InputError(f"noise_n needs numbers of 0 or more: got {noise_n}")
     if not (math.isfinite(force_max_n) and force_max_n > 0):
         raise InputError(f"force_max_n needs a number above 0: got {force_max_n}")
