@@ -144,7 +144,7 @@ class Dead(_PartOfTaxels):
         return _chosen(self, _DEAD, taxels)
 
 
-class Kind(NamedTuple):
+class DefectKind(NamedTuple):
     """A kind of defect, as options name it.
 
     Attributes
@@ -161,14 +161,14 @@ class Kind(NamedTuple):
 
 #: By the attribute of `skin.taxel.TaxelModel`; options spell it with a hyphen. Amounts as in `skin dataset`.
 KINDS: Final = {
-    "damper": Kind(lambda amount, _seed: Damper(amount), 0.01),
-    "cross_talk": Kind(lambda amount, _seed: CrossTalk(amount), 0.1),
-    "gain_spread": Kind(GainSpread, 0.1),
-    "drift": Kind(Drift, 1e-4),
-    "noisy": Kind(Noisy, 0.01),
-    "stuck": Kind(Stuck, 0.01),
-    "saturated": Kind(Saturated, 0.01),
-    "dead": Kind(Dead, 0.01),
+    "damper": DefectKind(lambda amount, _seed: Damper(amount), 0.01),
+    "cross_talk": DefectKind(lambda amount, _seed: CrossTalk(amount), 0.1),
+    "gain_spread": DefectKind(GainSpread, 0.1),
+    "drift": DefectKind(Drift, 1e-4),
+    "noisy": DefectKind(Noisy, 0.01),
+    "stuck": DefectKind(Stuck, 0.01),
+    "saturated": DefectKind(Saturated, 0.01),
+    "dead": DefectKind(Dead, 0.01),
 }
 
 

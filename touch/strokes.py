@@ -10,11 +10,12 @@ from typing import Final
 
 import numpy as np
 
+from skin.taxel import NOISE_N
 from touch.contact import FloatArray, Force, Grid, Pose, Spheres, press
 from touch.objects import spheres_of
 
 #: An object is said to touch while the largest true force is at least this, twice the noise's deviation.
-LABEL_FORCE_N: Final = 0.002
+LABEL_FORCE_N: Final = 2 * NOISE_N
 PAUSE_S: Final = 0.4
 #: Short beside the rest: while an object is half pressed in, its sums are those of a smaller one.
 PRESS_S: Final = 0.2
@@ -25,7 +26,7 @@ LIFT_S: Final = 0.2
 SLOT_S: Final = PAUSE_S + PRESS_S + HOLD_S + SLIDE_S + LIFT_S
 DEPTH_M: Final = (0.0095, 0.0105)
 #: An object too large to stay on the array still moves off its middle by this part of its half.
-LEAST_ROOM_RATIO: Final = 0.08
+LEAST_REACH_RATIO: Final = 0.08
 #: That of the paper's trajectory.
 SLIDE_SPEED_M_PER_S: Final = 0.045
 #: Streams of random numbers that never meet.
@@ -105,8 +106,8 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
     spheres = spheres_of(name)
     rotation = float(rng.uniform(0.0, 2.0 * math.pi))
     depth = float(rng.uniform(*DEPTH_M))
-    room = _room(spheres, grid, rotation, depth)
-    ends = rng.uniform(-1.0, 1.0, (2, 2)) * room
+    reach_m = _reach_m(spheres, grid, rotation, depth)
+    ends = rng.uniform(-1.0, 1.0, (2, 2)) * reach_m
     start, path = ends[0], ends[1] - ends[0]
     longest = SLIDE_SPEED_M_PER_S * SLIDE_S
     end = start + path / max(1.0, float(np.hypot(path[0], path[1])) / longest)
@@ -123,7 +124,7 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
     return Touch(name, spheres, stroke)
 
 
-def _room(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:
+def _reach_m(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:
     """Return how far from the middle, along x and y, the contact stays on the array."""
     reach = spheres.radii_m + grid.taxel_radius_m
     indent = np.clip(depth_m + spheres.centres_m[:, 2] + spheres.radii_m, 0.0, reach)
@@ -133,8 +134,8 @@ def _room(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> 
     across = np.abs(np.stack([cos * x - sin * y, sin * x + cos * y])) + span
     footprint = np.max(across, axis=1, where=indent > 0.0, initial=0.0)
     half = np.array(grid.half_extent_m)
-    room: FloatArray = np.maximum(half - footprint, LEAST_ROOM_RATIO * half)
-    return room
+    reach_m: FloatArray = np.maximum(half - footprint, LEAST_REACH_RATIO * half)
+    return reach_m
 
 
 def _progress(elapsed_s: float, duration_s: float) -> float:
