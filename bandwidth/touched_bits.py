@@ -15,11 +15,10 @@ from dbc.frame import frames
 from dbc.frame_bits import wire_bits
 from skin.layout import Layout
 from skin.sources import TaxelSource, load_source
+from skin.taxel import NOISE_N, sense, to_counts
 
 #: The source that presses and slides objects, of group ``canskin.sources``.
 SOURCE: Final = "objects"
-#: Standard deviation of the sensor noise, as the nodes simulate it.
-NOISE_N: Final = 0.001
 #: Instants looked at, this far apart: several touches of every object, none twice at the same place.
 SAMPLES: Final = 400
 STRIDE_S: Final = 0.137
@@ -57,9 +56,6 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
 
 def _counts(layout: Layout, source: TaxelSource, step: int, random: np.random.Generator) -> npt.NDArray[np.int32]:
     """Return what the nodes measure: noise, a clipped range, whole counts."""
-    taxels = layout.taxels
-    felt = source.frame(step).force_n.ravel().astype(np.float64)
-    if not source.has_noise:
-        felt += NOISE_N * random.standard_normal(felt.size)
-    counts: npt.NDArray[np.int32] = np.clip(np.rint(felt / taxels.newton_per_count), 0, (1 << taxels.adc_bits) - 1)
-    return counts.astype(np.int32)
+    noise_n = 0.0 if source.has_noise else NOISE_N
+    force_n = source.frame(step).force_n.ravel()
+    return to_counts(sense(force_n, random, noise_n, layout.taxels.force_max_n, dtype=np.float64), layout.taxels)

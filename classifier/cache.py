@@ -8,14 +8,13 @@ from typing import Final
 
 import msgspec
 
-from classifier.model import VERSION, Model
+from classifier.model import SIMULATED, VERSION, Model
 from classifier.modelfile import load_model, save_model
-from classifier.touches import SOURCE, load_touches
 from skin.errors import ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.service import say
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import DEFAULT_OBJECTS, load_touches
 
 TOUCHES_PER_OBJECT: Final = 600
 
@@ -35,6 +34,21 @@ def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str]) -> Path:
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 
 
+def keep_model(model: Model, path: Path) -> None:
+    """Write `model` to the cache, whose folder is made if there is none.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot make the cache folder: {error.strerror or error}") from error
+    save_model(model, path)
+
+
 def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OBJECTS) -> Model:
     """Return the cached model of this skin; train and keep it first when there is none that can be used.
 
@@ -50,12 +64,12 @@ def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OB
         except ModelError as error:
             say("classifier", f"{error}; training another")
     say("classifier", f"training a model of this skin for {', '.join(objects)}: some seconds, this once")
-    from classifier.training import Plan, train  # scikit-learn takes a second to load
+    from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0)
-    model = train(force_n, labels, layout, plan=Plan(data=SOURCE))
+    model = train(force_n, labels, layout, options=TrainingOptions(data=SIMULATED))
     try:
-        save_model(model, path)
+        keep_model(model, path)
     except ModelError as error:
         say("classifier", f"{error}; it will be trained again next time")
     return model

@@ -6,16 +6,16 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train
-from classifier.model import Features, Metadata, Model
+from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
+from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
-from classifier.samples import NOISE_N
-from classifier.touches import SOURCE, load_touches
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
+from skin.output import check_output_path
 from skin.service import StopSignal, say
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import DEFAULT_OBJECTS, load_touches
+from skin.taxel import NOISE_N
 
 
 def classify(
@@ -104,9 +104,11 @@ def train(
     names = _named(objects)
     if touches < 0 or seed < 0:
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
+    if out is not None:
+        check_output_path(out, "model")
     path = out or cached_path(skin, skin.phi(), names)
     model = _train(skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed)
-    save_model(model, path)
+    (save_model if out else keep_model)(model, path)
     _show(model.metadata, path, as_json=json_)
 
 
@@ -120,7 +122,7 @@ def _train(skin: Layout, names: list[str], count: int, noise_n: float, features:
     from rich.console import Console
     from rich.progress import Progress
 
-    from classifier.training import Plan, train  # scikit-learn takes a second to load
+    from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -134,7 +136,7 @@ def _train(skin: Layout, names: list[str], count: int, noise_n: float, features:
             force_n,
             labels,
             skin,
-            plan=Plan(features=features, noise_n=noise_n, seed=seed, data=SOURCE),
+            options=TrainingOptions(features=features, noise_n=noise_n, seed=seed, data=SIMULATED),
             progress=show,
         )
 

@@ -1,4 +1,4 @@
-"""How surely a margin decides: the slope that turns margins into confidences."""
+"""The slope that turns the margins of a DAGSVM into confidences."""
 
 from typing import Final
 
@@ -8,14 +8,14 @@ import numpy.typing as npt
 from classifier.dag import DecisionGraph, Float64
 from classifier.dagsvm import DagSvm
 
-#: Quantile of the margins at which one error is pretended.
+#: One error is added to the observations, with margins of this quantile.
 _PRETENDED_ERROR: Final = 0.05
 
 
 def confidence_slope(machine: DagSvm, features: Float64, names: npt.NDArray[np.str_]) -> float:
     """Fit how fast confidence grows with the margins, by likelihood of right and wrong on a fine grid.
 
-    One pretended error where margins are small keeps the slope finite when no observation errs.
+    An added error with small margins keeps the slope finite when every observation is right.
 
     Parameters
     ----------

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from classifier.descent import descend
-from classifier.gathered import Gathered
 from classifier.missing import Completion, Factors
 from classifier.model import Model
+from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from skin.labels import MIN_VALID_RATIO
@@ -24,7 +24,7 @@ NOVELTY_SETTLING: Final = 0.1
 _MOST_NOVELTY: Final = 3.0
 #: How fast doubt grows around the limit: half at 1, 95 % at 1.5.
 _DOUBT_SLOPE: Final = 6.0
-#: After this many missing cycles the past says nothing any more.
+#: After a gap of more cycles than this, the decision starts afresh.
 FORGET_CYCLES: Final = 10
 
 
@@ -55,7 +55,7 @@ class Classifier:
     phi : Sbhe
         The Φ the model was trained for.
     settling : float
-        Part of the newest cycle in the settled decision; 1 takes every cycle for itself, but for what is unknown.
+        Part of the newest cycle in the settled decision; 1 decides every cycle by itself, except on unknown objects.
     """
 
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
@@ -63,7 +63,7 @@ class Classifier:
         self._model = model
         self._labels = (*about.classes, "")
         self._observer = Observer(phi, about.rows, about.columns, model.no_touch)
-        self._gathered = Gathered(phi)
+        self._newest = NewestSums(phi)
         self._features = np.zeros(model.offset.size)
         self._completion: Completion | None = None
         if about.features == "sums":
@@ -83,7 +83,7 @@ class Classifier:
         sums : array of int32, shape (m,)
             ADC counts.
         valid : array of bool, shape (blocks,)
-            Sums of blocks that are False here are ignored; see `classifier.gathered`.
+            Sums of blocks that are False here are ignored; see `classifier.newest_sums`.
         cycle : int, optional
             Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, the past is forgotten.
         """
@@ -93,8 +93,8 @@ class Classifier:
             self._cycle = cycle
         if not 0 < step <= FORGET_CYCLES:
             self._fresh = True
-            self._gathered.forget()
-        valid_ratio = self._gathered.take(sums, valid, step)
+            self._newest.forget()
+        valid_ratio = self._newest.take(sums, valid, step)
         if valid_ratio < MIN_VALID_RATIO:
             self._fresh = True
             return Decision("", 0.0, blind=True)
@@ -102,16 +102,16 @@ class Classifier:
         return self._said()
 
     def _look(self, valid_ratio: float) -> None:
-        """Move belief and novelty towards what the gathered sums say by themselves."""
-        model, about, gathered = self._model, self._model.metadata, self._gathered
-        peak = self._observer.look(gathered.sums, gathered.valid, valid_ratio)
+        """Move belief and novelty towards what the newest sums say by themselves."""
+        model, about, newest = self._model, self._model.metadata, self._newest
+        peak = self._observer.look(newest.sums, newest.valid, valid_ratio)
         contact = _logistic(peak - about.contact_threshold)
         if self._completion is None:
             np.copyto(self._features, self._observer.features)
         else:
-            np.copyto(self._features, gathered.sums)
+            np.copyto(self._features, newest.sums)
             if valid_ratio < 1:
-                self._completion.complete(self._features, gathered.valid_sums())
+                self._completion.complete(self._features, newest.valid_sums())
         self._features -= model.offset
         self._features *= model.scale
         winner, confidence = descend(self._features, model.weights, model.biases, len(about.classes))

@@ -12,6 +12,8 @@ Float64 = npt.NDArray[np.float64]
 Features = Literal["energies", "sums"]
 
 VERSION: Final = 2
+#: What the model card says of the touches of `skin.sources.load_touches`.
+SIMULATED: Final = "simulated touches at random places, depths and moments"
 ARRAYS: Final = (
     "weights",
     "biases",

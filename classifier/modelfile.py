@@ -6,8 +6,6 @@ Its entries are the arrays of `classifier.model.Model` by name, ``metadata`` (ui
 
 import hashlib
 import io
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from classifier.model import ARRAYS, VERSION, Metadata, Model
 from skin.errors import ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.output import write_file
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -48,21 +47,9 @@ def save_model(model: Model, path: Path) -> None:
         **arrays,
     )
     try:
-        _replace(path, content.getvalue())
+        write_file(path, content.getvalue())
     except OSError as error:
         raise ModelError(f"{path}: cannot write the model: {error.strerror or error}") from error
-
-
-def _replace(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, draft = tempfile.mkstemp(dir=path.parent, prefix=path.name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        Path(draft).replace(path)
-    except OSError:
-        Path(draft).unlink(missing_ok=True)
-        raise
 
 
 def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:

@@ -9,30 +9,30 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
 from classifier.novelty import Float64, Regions, nearest, novelty
-from classifier.samples import MOST_LOST_RATIO, Watcher
+from classifier.samples import MOST_LOST_RATIO, FeatureExtractor
 
 #: Regions per object, from hardly touching to pressed in fully.
 REGIONS_PER_OBJECT: Final = 4
 #: With fewer observations a region's covariance means little: the object gets fewer regions.
 LEAST_PER_REGION: Final = 60
-#: A region's limit is this multiple of the distance that most known touches keep, a quantile that does not hang on a
-#: handful of touches, and no less than nearly all of them keep.
-_MOST: Final = 0.8
-_MULTIPLE: Final = 1.4
-_NEARLY_ALL: Final = 0.98
-#: Quantile of the novelty that must stay what it is when blocks are missing.
-_RARE: Final = 0.95
-#: A dead block stays dead, and what it does to one touch does not average out over its cycles as noise does: the limits
-#: widen by this multiple of what single cycles need.
-_LASTING: Final = 2.0
-#: Added to the variances, in parts of the variance of each feature over all touches.
-_FLOOR: Final = 1e-2
+#: The limit of a region is max(1.4 q80, q98). q80 and q98 are quantiles of the distances of known touches that the
+#: region was not fitted to. A few odd touches do not move q80; q98 keeps 98 % of the known touches within the limit.
+_LIMIT_QUANTILE: Final = 0.8
+_LIMIT_MULTIPLE: Final = 1.4
+_LEAST_LIMIT_QUANTILE: Final = 0.98
+#: The slack keeps this quantile of the novelty the same with and without missing blocks.
+_SLACK_QUANTILE: Final = 0.95
+#: The slack is this multiple of what single cycles need: a dead block stays dead, so that its effect on a touch does
+#: not average out over cycles as noise does.
+_SLACK_MULTIPLE: Final = 2.0
+#: Added to the variance of each feature, as a part of its variance over all touches.
+_REGULARISATION: Final = 1e-2
 _LEAST_FOR_LIMIT: Final = 10
 _STARTS: Final = 2
 
 
-class Known(NamedTuple):
-    """What a model knows.
+class KnownRegions(NamedTuple):
+    """What touches of the known objects look like.
 
     Attributes
     ----------
@@ -48,13 +48,13 @@ class Known(NamedTuple):
     unknown_ratio: float
 
 
-def know(
+def fit_known(
     sums: npt.NDArray[np.int32],
     names: npt.NDArray[np.str_],
     split: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]],
-    watcher: Watcher,
+    extractor: FeatureExtractor,
     rng: np.random.Generator,
-) -> Known:
+) -> KnownRegions:
     """Fit regions to the development touches, and their limits to the validation touches.
 
     Parameters
@@ -64,22 +64,22 @@ def know(
     names : array, shape (count,)
     split : (array of int, array of int)
         Development and validation: rows of `sums`.
-    watcher : Watcher
+    extractor : FeatureExtractor
         Makes features of sums.
     """
     development, validation = split
     whole = np.zeros(len(sums), np.intp)
-    features = watcher.features(sums, whole, rng)
+    features = extractor.features(sums, whole, rng)
     unseen = features[validation]
     regions = fit_regions(features[development], names[development], unseen, int(rng.integers(2**31)))
     if not regions.limits.size:
-        return Known(regions, 0.0, 0.0)
-    lost = int(watcher.blocks * MOST_LOST_RATIO)
-    spoilt = watcher.features(sums[validation], np.full(len(validation), lost), rng)
-    ratio = watcher.blocks / lost if lost else 0.0
+        return KnownRegions(regions, 0.0, 0.0)
+    lost = int(extractor.blocks * MOST_LOST_RATIO)
+    spoilt = extractor.features(sums[validation], np.full(len(validation), lost), rng)
+    ratio = extractor.blocks / lost if lost else 0.0
     without, with_loss = (np.array([novelty(one, regions) for one in seen]) for seen in (unseen, spoilt))
-    wider = float(np.quantile(with_loss, _RARE) / np.quantile(without, _RARE)) - 1
-    return Known(regions, _LASTING * max(0.0, wider) * ratio, float(np.mean(without > 1)))
+    wider = float(np.quantile(with_loss, _SLACK_QUANTILE) / np.quantile(without, _SLACK_QUANTILE)) - 1
+    return KnownRegions(regions, _SLACK_MULTIPLE * max(0.0, wider) * ratio, float(np.mean(without > 1)))
 
 
 def fit_regions(features: Float64, names: npt.NDArray[np.str_], unseen: Float64, seed: int) -> Regions:
@@ -90,12 +90,12 @@ def fit_regions(features: Float64, names: npt.NDArray[np.str_], unseen: Float64,
     features : array, shape (count, features)
         Observations of known objects.
     names : array, shape (count,)
-        Of their objects. With fewer than `LEAST_PER_REGION` of any, no region is made at all: too little is known to
-        call anything new.
+        Of their objects. If any object has fewer than `LEAST_PER_REGION` observations, no region is made, and the
+        classifier calls nothing unknown.
     unseen : array, shape (other count, features)
         Observations of other touches of the same objects, for the limits.
     seed : int
-        Of where the fits start.
+        Of the starts of the fits.
     """
     width = features.shape[1]
     objects, counts = np.unique(names, return_counts=True)
@@ -114,15 +114,15 @@ def fit_regions(features: Float64, names: npt.NDArray[np.str_], unseen: Float64,
 
 def _mixture(standard: Float64, seed: int) -> GaussianMixture:
     regions = min(REGIONS_PER_OBJECT, len(standard) // LEAST_PER_REGION)
-    mixture = GaussianMixture(regions, reg_covar=_FLOOR, random_state=seed, n_init=_STARTS)
+    mixture = GaussianMixture(regions, reg_covar=_REGULARISATION, random_state=seed, n_init=_STARTS)
     with warnings.catch_warnings():
-        # Regions that still move a little are as good: their limits are measured.
+        # Regions that have not quite converged serve as well: their limits are measured afterwards.
         warnings.simplefilter("ignore", ConvergenceWarning)
         return mixture.fit(standard)
 
 
 def _limits(unseen: Float64, centres: Float64, whitening: Float64) -> Float64:
-    """Return each region's limit; a region that hardly any touch comes to gets that of all together."""
+    """Return each region's limit; a region with fewer than `_LEAST_FOR_LIMIT` touches gets the limit of all touches."""
     near = [nearest(one, centres, whitening) for one in unseen]
     regions, distances = np.array([region for region, _ in near]), np.array([distance for _, distance in near])
     limits = np.full(len(centres), _limit(distances))
@@ -135,4 +135,7 @@ def _limits(unseen: Float64, centres: Float64, whitening: Float64) -> Float64:
 
 
 def _limit(distances: Float64) -> float:
-    return max(_MULTIPLE * float(np.quantile(distances, _MOST)), float(np.quantile(distances, _NEARLY_ALL)))
+    return max(
+        _LIMIT_MULTIPLE * float(np.quantile(distances, _LIMIT_QUANTILE)),
+        float(np.quantile(distances, _LEAST_LIMIT_QUANTILE)),
+    )

@@ -1,4 +1,4 @@
-"""Features to train on: what the nodes would send of true images, and what the classifier sees in it."""
+"""Features to train on: the sums that nodes would send of true images, and the features of these sums."""
 
 from typing import Final, NamedTuple
 
@@ -10,12 +10,12 @@ from classifier.model import Float64
 from classifier.observer import Observer
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.taxel import sense, to_counts
 
-#: The paper's sensor noise.
-NOISE_N: Final = 0.001
 #: Part of the cycles of an untouched skin that look like a touch.
 FALSE_ALARM_RATIO: Final = 0.002
-#: Every third touch is seen with blocks missing, every second with less noise, so that neither surprises.
+#: A model is trained for missing blocks and for quieter taxels: every third touch lacks blocks, every second has less
+#: noise.
 _LOSS_EVERY: Final = 3
 _QUIET_EVERY: Final = 2
 MOST_LOST_RATIO: Final = 0.3
@@ -51,9 +51,8 @@ def simulate_sums(
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
     for start in range(0, len(flat), _CHUNK):
         part = slice(start, start + _CHUNK)
-        felt = rng.standard_normal(flat[part].shape, np.float32) * sd[part, None] + flat[part]
-        counts = np.rint(np.clip(felt, 0, taxels.force_max_n) / taxels.newton_per_count)
-        sums[part] = phi.forward(counts.astype(np.int32))
+        signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
+        sums[part] = phi.forward(to_counts(signal_n, taxels))
     return sums
 
 
@@ -78,8 +77,8 @@ def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng
     return Untouched(np.stack([mean[0], sd[0], mean[1], sd[1]]), threshold)
 
 
-class Watcher:
-    """Looks at one measurement after the other with the eyes of a model that is being made.
+class FeatureExtractor:
+    """Features of measurements, standardised by the untouched skin.
 
     Parameters
     ----------
@@ -109,15 +108,15 @@ class Watcher:
         return seen
 
 
-def spoilt_noise(count: int, noise_n: float, least: float, rng: np.random.Generator) -> Float64:
-    """Return a noise for each of `count` touches, newtons: every second has less than `noise_n`, down to that part."""
+def draw_noise_levels(count: int, noise_n: float, least: float, rng: np.random.Generator) -> Float64:
+    """Return a noise for each of `count` touches, newtons: every second draws `least` to 1 times `noise_n`."""
     deviations = np.full(count, noise_n)
     deviations[::_QUIET_EVERY] *= rng.uniform(least, 1, deviations[::_QUIET_EVERY].size)
     return deviations
 
 
-def spoilt_blocks(count: int, blocks: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
-    """Return for each of `count` touches how many of `blocks` blocks are missing: every third lacks some."""
+def draw_missing_counts(count: int, blocks: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    """Return the number of missing blocks of each of `count` touches: every third lacks up to `MOST_LOST_RATIO`."""
     lost = np.zeros(count, np.intp)
     lost[::_LOSS_EVERY] = rng.integers(0, int(blocks * MOST_LOST_RATIO) + 1, lost[::_LOSS_EVERY].size)
     return lost

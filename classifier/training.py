@@ -12,34 +12,35 @@ from classifier.confidence import confidence_slope
 from classifier.features import Float32
 from classifier.missing import Factors, fit_factors
 from classifier.model import VERSION, Features, Float64, Metadata, Model, TrainingCard
-from classifier.regions import Known, know
+from classifier.regions import KnownRegions, fit_known
 from classifier.samples import (
     FALSE_ALARM_RATIO,
-    NOISE_N,
-    Watcher,
+    FeatureExtractor,
+    draw_missing_counts,
+    draw_noise_levels,
     observe_untouched,
     simulate_sums,
-    spoilt_blocks,
-    spoilt_noise,
 )
 from classifier.validation import Chosen, choose_C, global_scale
 from skin.errors import InputError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.messages import UNKNOWN_OBJECT
+from skin.taxel import NOISE_N
 
 C_GRID: Final = (0.1, 1.0, 10.0, 100.0)
 #: Part of the touches kept for validation.
 VALIDATION_RATIO: Final = 0.25
 _LEAST_TOUCHES: Final = 8
-#: A skin with this part of the noise still finds the objects it knows, and less of the unknown ones.
+#: Known objects are fitted with noise from this part of `noise_n` up: a quieter skin still names them, and finds fewer
+#: of the unknown objects.
 _QUIET_RATIO: Final = 0.8
 
-#: Told what is being done and how much of everything is done, 0 to 1.
+#: Called with the name of the step and the part of the whole training that is done, 0 to 1.
 Progress = Callable[[str, float], None]
 
 
-class Plan(msgspec.Struct, frozen=True, kw_only=True):
+class TrainingOptions(msgspec.Struct, frozen=True, kw_only=True):
     """How to train.
 
     Attributes
@@ -68,15 +69,15 @@ class _Split(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Lesson:
-    """What every step of a training needs."""
+class _Training:
+    """The inputs that every step of a training shares."""
 
-    plan: Plan
+    options: TrainingOptions
     layout: Layout
     phi: Sbhe
     names: npt.NDArray[np.str_]
     split: _Split
-    watcher: Watcher
+    extractor: FeatureExtractor
     rng: np.random.Generator
 
     def sums(self, force_n: Float32, noise_n: float | Float64) -> npt.NDArray[np.int32]:
@@ -89,7 +90,7 @@ def train(
     labels: Sequence[str] | npt.NDArray[np.str_],
     layout: Layout,
     *,
-    plan: Plan | None = None,
+    options: TrainingOptions | None = None,
     progress: Progress | None = None,
 ) -> Model:
     """Train a model for the skin of `layout` on labelled true images.
@@ -100,7 +101,7 @@ def train(
         True forces in newtons; noise is added here.
     labels : sequence of str, shape (count,)
         Name of the touching object.
-    plan : Plan, optional
+    options : TrainingOptions, optional
     progress : callable, optional
 
     Raises
@@ -108,29 +109,33 @@ def train(
     InputError
         If the arrays do not fit the skin or each other, or hold fewer than 2 objects with 8 touches each.
     """
-    plan = plan or Plan()
+    options = options or TrainingOptions()
     say: Progress = progress or (lambda _doing, _ratio: None)
     names = np.asarray(labels, np.str_)
-    _check(force_n, names, layout, plan)
+    _check(force_n, names, layout, options)
     phi = layout.phi()
-    rng = np.random.default_rng(plan.seed)
+    rng = np.random.default_rng(options.seed)
     say("the untouched skin", 0.0)
-    untouched = observe_untouched(layout, phi, plan.noise_n, plan.no_touches, rng)
+    untouched = observe_untouched(layout, phi, options.noise_n, options.no_touches, rng)
     say("the touches", 0.2)
-    watcher = Watcher(layout, phi, untouched.no_touch)
-    lesson = _Lesson(plan, layout, phi, names, _split(names, rng), watcher, rng)
-    plain = lesson.sums(force_n, plan.noise_n)
-    features, factors = _features(lesson, force_n, plain)
-    offset, scale = _standard(features, plan.features, lesson.split)
+    extractor = FeatureExtractor(layout, phi, untouched.no_touch)
+    training = _Training(options, layout, phi, names, _split(names, rng), extractor, rng)
+    plain = training.sums(force_n, options.noise_n)
+    features, factors = _features(training, force_n, plain)
+    offset, scale = _standard(features, options.features, training.split)
     standard = (features - offset) * scale
     chosen = choose_C(
-        standard, names, *lesson.split, C_grid=plan.C_grid, progress=lambda doing, part: say(doing, 0.5 + 0.4 * part)
+        standard,
+        names,
+        *training.split,
+        C_grid=options.C_grid,
+        progress=lambda doing, part: say(doing, 0.5 + 0.4 * part),
     )
     say("what is known", 0.9)
-    quieter = lesson.sums(force_n, spoilt_noise(len(names), plan.noise_n, _QUIET_RATIO, rng))
-    known = know(quieter, names, lesson.split, watcher, rng)
-    held = lesson.split.validation
-    slope = confidence_slope(chosen.rehearsal, standard[held], names[held])
+    quieter = training.sums(force_n, draw_noise_levels(len(names), options.noise_n, _QUIET_RATIO, rng))
+    known = fit_known(quieter, names, training.split, extractor, rng)
+    held = training.split.validation
+    slope = confidence_slope(chosen.development_machine, standard[held], names[held])
     about = Metadata(
         version=VERSION,
         fingerprint=phi.fingerprint,
@@ -138,47 +143,46 @@ def train(
         rows=layout.taxels.rows,
         columns=layout.taxels.columns,
         newton_per_count=layout.taxels.newton_per_count,
-        features=plan.features,
+        features=options.features,
         classes=[str(name) for name in chosen.machine.classes_],
         contact_threshold=untouched.contact_threshold,
         false_alarm_ratio=FALSE_ALARM_RATIO,
         unknown_slack=known.slack,
         sum_noise=factors.noise,
-        card=_card(lesson, chosen, standard, known),
+        card=_card(training, chosen, standard, known),
     )
     planes = chosen.machine.weights_ * slope, chosen.machine.biases_ * slope
     return Model(about, *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings)
 
 
-def _features(lesson: _Lesson, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:
+def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:
     """Return what the machines learn from, and how the sums vary together where missing ones are to be estimated.
 
-    Raw sums carry the same noise everywhere, as in the paper. Energies are made ready for less noise and for missing
-    blocks.
+    Raw sums all carry the same noise, as in the paper. Energies are of touches with less noise and missing blocks too.
     """
-    if lesson.plan.features == "sums":
+    if training.options.features == "sums":
         raw = plain.astype(np.float64)
-        return raw, fit_factors(raw[lesson.split.development])
-    count, rng = len(force_n), lesson.rng
-    sums = lesson.sums(force_n, spoilt_noise(count, lesson.plan.noise_n, 0.0, rng))
-    features = lesson.watcher.features(sums, spoilt_blocks(count, lesson.phi.blocks, rng), rng)
+        return raw, fit_factors(raw[training.split.development])
+    count, rng = len(force_n), training.rng
+    sums = training.sums(force_n, draw_noise_levels(count, training.options.noise_n, 0.0, rng))
+    features = training.extractor.features(sums, draw_missing_counts(count, training.phi.blocks, rng), rng)
     return features, Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
 
 
-def _card(lesson: _Lesson, chosen: Chosen, standard: Float64, known: Known) -> TrainingCard:
-    plan, held, classes = lesson.plan, lesson.split.validation, chosen.rehearsal.classes_
-    true, said = lesson.names[held], chosen.rehearsal.predict(standard[held])
+def _card(training: _Training, chosen: Chosen, standard: Float64, known: KnownRegions) -> TrainingCard:
+    options, held, classes = training.options, training.split.validation, chosen.development_machine.classes_
+    true, said = training.names[held], chosen.development_machine.predict(standard[held])
     confusion = np.zeros((classes.size, classes.size), np.int64)
     np.add.at(confusion, (np.searchsorted(classes, true), np.searchsorted(classes, said)), 1)
     per_object = confusion.diagonal() / confusion.sum(axis=1)
     return TrainingCard(
-        data=plan.data,
-        touches=len(lesson.names),
-        no_touches=plan.no_touches,
-        development=len(lesson.split.development),
+        data=options.data,
+        touches=len(training.names),
+        no_touches=options.no_touches,
+        development=len(training.split.development),
         validation=len(held),
-        seed=plan.seed,
-        noise_n=plan.noise_n,
+        seed=options.seed,
+        noise_n=options.noise_n,
         C=chosen.C,
         validation_accuracy=chosen.accuracy,
         per_object={str(name): float(part) for name, part in zip(classes, per_object, strict=True)},
@@ -187,7 +191,7 @@ def _card(lesson: _Lesson, chosen: Chosen, standard: Float64, known: Known) -> T
     )
 
 
-def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, plan: Plan) -> None:
+def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, options: TrainingOptions) -> None:
     shape = (len(names), layout.taxels.rows, layout.taxels.columns)
     if force_n.shape != shape:
         raise InputError(f"expected images of shape {shape}, one per label: got {force_n.shape}")
@@ -203,12 +207,12 @@ def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, plan: 
         raise InputError("an object's name is empty: every touch needs one")
     if UNKNOWN_OBJECT in objects:
         raise InputError(f"no object can be called '{UNKNOWN_OBJECT}': the classifier says so of what it never met")
-    if not 0 < plan.noise_n < layout.taxels.force_max_n:
-        raise InputError(f"expected noise above 0 and below {layout.taxels.force_max_n} N, got {plan.noise_n} N")
-    if not plan.C_grid or min(plan.C_grid) <= 0:
-        raise InputError(f"expected one C or more, each above 0, got {plan.C_grid}")
-    if plan.no_touches < 2:
-        raise InputError(f"expected 2 or more draws of the untouched skin, got {plan.no_touches}")
+    if not 0 < options.noise_n < layout.taxels.force_max_n:
+        raise InputError(f"expected noise above 0 and below {layout.taxels.force_max_n} N, got {options.noise_n} N")
+    if not options.C_grid or min(options.C_grid) <= 0:
+        raise InputError(f"expected one C or more, each above 0, got {options.C_grid}")
+    if options.no_touches < 2:
+        raise InputError(f"expected 2 or more draws of the untouched skin, got {options.no_touches}")
 
 
 def _standard(features: Float64, kind: Features, split: _Split) -> tuple[Float64, Float64]:

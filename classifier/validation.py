@@ -24,14 +24,14 @@ class Chosen(NamedTuple):
     ----------
     machine : DagSvm
         Trained on development and validation set together.
-    rehearsal : DagSvm
-        Trained on the development set alone; what the validation set says, it says of this one.
+    development_machine : DagSvm
+        Trained on the development set alone; the accuracy is that of this machine.
     C, accuracy : float
         The smallest C of the best accuracy on the validation set, and that accuracy.
     """
 
     machine: DagSvm
-    rehearsal: DagSvm
+    development_machine: DagSvm
     C: float
     accuracy: float
 
@@ -46,7 +46,7 @@ def choose_C(
     C_grid: Sequence[float] = C_GRID,
     progress: Callable[[str, float], None] | None = None,
 ) -> Chosen:
-    """Train with every C of the grid on the development set and keep the one the validation set likes best.
+    """Train with every C of the grid on the development set, and keep the C with the best accuracy in validation.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def choose_C(
     machine : DagSvm, optional
         Its other settings are kept; default: the paper's, linear.
     progress : callable, optional
-        Told what is being done, and how much of it is, 0 to 1.
+        Called with the name of the step and the part that is done, 0 to 1.
     """
     template = machine or DagSvm()
     tell = progress or (lambda _doing, _ratio: None)
@@ -73,7 +73,7 @@ def choose_C(
         raise ValueError("expected at least one C to try")
     tell("the final fit", len(C_grid) / (len(C_grid) + 1))
     everything = np.concatenate([development, validation])
-    return best._replace(machine=_trained(clone(best.rehearsal), X, labels, everything))
+    return best._replace(machine=_trained(clone(best.development_machine), X, labels, everything))
 
 
 def part_of(X: npt.NDArray[Any], rows: Indices, trained: Indices, machine: DagSvm) -> npt.NDArray[Any]:

@@ -19,7 +19,9 @@ def demo(
     input: Path | None = None,  # noqa: A002 - the flag's name
     full_scale: float | None = None,
     array: list[str] | None = None,
+    rate: float | None = None,
     objects: list[str] | None = None,
+    defect: list[str] | None = None,
     seed: int = 0,
     view: bool = True,
     port: int | None = None,
@@ -44,10 +46,15 @@ def demo(
         Value of the recording that stands for the skin's largest force; default: the largest it holds.
     array
         Name of the array of an .npz; two names are placed side by side.
+    rate
+        Frames a second of the recording; without it, each cycle plays the next frame.
     objects
         Names of the objects, see ``skin objects``; default: a series of five.
+    defect
+        Defects of the taxels, each KIND or KIND=AMOUNT, see ``skin nodes``: dead, stuck, saturated, noisy, gain-spread,
+        cross-talk, drift, damper.
     seed
-        Seed of the touches and of the sensor noise.
+        Seed of the touches, of the sensor noise, and of the taxels that a defect meets.
     view
         ``--no-view`` leaves the live page out.
     port
@@ -62,6 +69,7 @@ def demo(
     Examples
     --------
     skin demo --seconds 10 --objects golf-ball
+    skin demo --defect dead=0.05 stuck=0.02
     skin demo --input S1.npz --array posture_01 posture_02 --full-scale 4095 --json
     """
     stop = StopSignal().install()
@@ -77,7 +85,9 @@ def demo(
         recording=input,
         full_scale=full_scale,
         arrays=tuple(array or ()),
+        rate_hz=rate,
         objects=split_names(objects or ()),
+        defects=tuple(defect or ()),
         seed=seed,
         view=view,
         port=port,

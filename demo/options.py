@@ -5,6 +5,7 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
+from skin.defects import parse_defects
 from skin.errors import InputError
 from skin.layout import Layout
 from skin.output import check_picture_path
@@ -21,7 +22,9 @@ class DemoOptions:
     recording: Path | None
     full_scale: float | None
     arrays: tuple[str, ...]
+    rate_hz: float | None
     objects: tuple[str, ...]
+    defects: tuple[str, ...]
     seed: int
     view: bool
     port: int | None
@@ -45,12 +48,17 @@ class DemoOptions:
         if self.view and self.port is not None:
             _check_port(self.port)
         check_picture_path(self.picture)
+        parse_defects(self.defects, self.seed)
         self._check_touch(layout)
 
     def _check_touch(self, layout: Layout) -> None:
         """Check what touches the skin; of a recording the nodes read it again."""
         if self.recording is None:
-            for flag, value in (("--array", self.arrays), ("--full-scale", self.full_scale)):
+            for flag, value in (
+                ("--array", self.arrays),
+                ("--full-scale", self.full_scale),
+                ("--rate", self.rate_hz),
+            ):
                 if value not in ((), None):
                     raise InputError(f"{flag} is for a recording: give one with --input")
             if self.objects:
@@ -65,6 +73,8 @@ class DemoOptions:
             full_scale=self.full_scale,
             force_max_n=taxels.force_max_n,
             arrays=self.arrays or None,
+            rate_hz=layout.sync.rate_hz,
+            frame_rate_hz=self.rate_hz,
         )
 
 

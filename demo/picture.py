@@ -7,7 +7,7 @@ import matplotlib as mpl
 
 from demo.score import Snapshot
 from skin.output import write_file
-from skin.pairing import psnr_db
+from skin.psnr import psnr_db
 
 mpl.use("Agg")
 

@@ -19,7 +19,7 @@ from skin.errors import RunError
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
-from skin.pairing import adds_noise
+from skin.psnr import adds_noise
 from skin.service import StopSignal, Talk, say, talks
 from skin.sources import DEFAULT_OBJECTS
 from skin.terminal import print_table, progress
@@ -115,6 +115,8 @@ class Run:
             touch = ["--input", str(options.recording)]
             touch += ["--full-scale", str(options.full_scale)] if options.full_scale is not None else []
             touch += [part for name in options.arrays for part in ("--array", name)]
+            touch += ["--rate", str(options.rate_hz)] if options.rate_hz is not None else []
+        touch += [part for defect in options.defects for part in ("--defect", defect)]
         start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)
         start("reconstructor", "reconstruct", *common, restart=True)
         start("classifier", "classify", *common, *_known_objects(options.objects), restart=True)

@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from demo.report import NodeMissing, Percentiles, Report
+from skin.ground_truth import Pairing, in_contact
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.pairing import Pairing, adds_noise, in_contact, psnr_db
+from skin.psnr import adds_noise, psnr_db
 
 #: Nodes named in a report when frames are missing.
 NODES_NAMED: Final = 16

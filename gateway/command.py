@@ -41,7 +41,7 @@ def gateway(
     contract = Contract.from_layout(skin)
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
-    say("gateway", f"{len(links)} buses, SYNC {skin.sync.rate_hz:g} Hz")
+    say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
         GatewayService(contract, links, fabric).run(stop)
     finally:

@@ -13,11 +13,13 @@ from dbc.contract import Contract
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.service import NodesService
+from skin.defects import parse_defects
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 from skin.sources import TaxelSource, load_source
+from skin.taxel import NOISE_N
 
 
 def nodes(
@@ -31,8 +33,10 @@ def nodes(
     objects: str = "",
     input: Path | None = None,  # noqa: A002 - the flag's name
     full_scale: float | None = None,
-    array: Annotated[list[str] | None, Parameter(negative=())] = None,
-    noise_n: float = 0.001,
+    array: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    rate: float | None = None,
+    noise_n: float = NOISE_N,
+    defect: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     seed: int = 0,
     store: Path | None = None,
 ) -> None:
@@ -60,20 +64,30 @@ def nodes(
         Value of the recording that stands for the skin's largest force.
     array
         Name of the array of an .npz; two names are placed side by side.
+    rate
+        Frames a second of the recording; without it, each cycle plays the next frame.
     noise_n
         Standard deviation of the sensor noise in newtons; 0 for a recording, which has its own.
+    defect
+        Defects of the taxels, each KIND or KIND=AMOUNT. Part of the taxels: dead, stuck, saturated, noisy (0.01).
+        Deviation of the gains: gain-spread (0.1). Part of each neighbour's force: cross-talk (0.1). Drift of zero,
+        N/s: drift (0.0001). Damping, N s/m: damper (0.01).
     seed
-        Seed of the touches and of the noise.
+        Seed of the touches, of the noise, and of the taxels that a defect meets.
     store
         Folder that keeps what 1010h stores, a file per node, as the flash memory of a board does.
 
     Examples
     --------
     skin nodes --objects golf-ball
+    skin nodes --defect dead=0.02 cross-talk drift
     skin nodes -i socketcan -c vcan0 --only bus0:1-16
     """
     if seed < 0 or not 0 <= noise_n < math.inf:
         raise InputError(f"expected 0 or more: got --noise-n {noise_n:g} --seed {seed}")
+    if rate is not None and input is None:
+        raise InputError("--rate is for a recording: give one with --input")
+    defects = parse_defects(defect or (), seed)
     if store is not None:
         try:
             store.mkdir(parents=True, exist_ok=True)
@@ -83,14 +97,17 @@ def nodes(
     skin = load_layout(layout)
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
-    source = _recording(skin, input, full_scale, array) if input else _objects(skin, objects, seed)
+    source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed)
     noise = 0.0 if source.has_noise else noise_n
-    sampler = Sampler(contract.phi, source, Electronics(skin.taxels, noise_n=noise, seed=seed))
+    period_s = skin.sync.period_s
+    electronics = Electronics(skin.taxels, noise_n=noise, seed=seed, defects=defects, period_s=period_s)
+    sampler = Sampler(contract.phi, source, electronics)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
     service = NodesService(contract, links, chosen, sampler, joined, store=store)
-    say("nodes", f"{sum(map(len, chosen.values()))} nodes on {len(links)} buses")
+    count = sum(map(len, chosen.values()))
+    say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}")
     try:
         service.run(stop)
     finally:
@@ -130,7 +147,9 @@ def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
     return chosen
 
 
-def _recording(skin: Layout, path: Path, full_scale: float | None, arrays: list[str] | None) -> TaxelSource:
+def _recording(
+    skin: Layout, path: Path, full_scale: float | None, arrays: list[str] | None, frame_rate_hz: float | None
+) -> TaxelSource:
     taxels = skin.taxels
     return load_source(
         "recording",
@@ -140,6 +159,8 @@ def _recording(skin: Layout, path: Path, full_scale: float | None, arrays: list[
         full_scale=full_scale,
         force_max_n=taxels.force_max_n,
         arrays=tuple(arrays) if arrays else None,
+        rate_hz=skin.sync.rate_hz,
+        frame_rate_hz=frame_rate_hz,
     )
 
 

@@ -1,11 +1,13 @@
-"""What the taxel electronics make of a force: noise, clipping, an ADC, and the node's calibration."""
+"""What the nodes read of their taxels: the sensor signal in ADC counts, the node's calibration, and test patterns."""
 
-from typing import Final
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skin.layout import Taxels
+from skin.taxel import NOISE_N, TaxelModel, to_counts
 
 #: Test patterns (2021h): measure, nothing, one count more from place to place, full scale.
 PATTERN_OFF, PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL = range(4)
@@ -19,44 +21,70 @@ class Electronics:
     taxels : Taxels
         Range and resolution.
     noise_n : float
-        Standard deviation of the sensor noise in newtons; the paper uses 0.001.
+        Standard deviation of the sensor noise in newtons.
     seed : int
         Same seed, same noise.
+    defects : mapping
+        Defects of the taxels, as `skin.defects.parse_defects` returns them.
+    period_s : float
+        Time between two steps of the touch; drift and damper need it.
 
     Attributes
     ----------
     gain, offset : array of float32, shape (n,)
         Correction per taxel: ``gain * counts + offset``, in counts.
-    top : int
-        Largest count.
+    taxels : Taxels
+        As given.
     """
 
-    def __init__(self, taxels: Taxels, *, noise_n: float = 0.001, seed: int = 0) -> None:
+    def __init__(
+        self,
+        taxels: Taxels,
+        *,
+        noise_n: float = NOISE_N,
+        seed: int = 0,
+        defects: Mapping[str, Any] | None = None,
+        period_s: float = 0.01,
+    ) -> None:
+        self.taxels = taxels
         self.gain = np.ones(taxels.count, np.float32)
         self.offset = np.zeros(taxels.count, np.float32)
-        self.top: Final = (1 << taxels.adc_bits) - 1
-        self._newton_per_count = np.float32(taxels.newton_per_count)
-        self._noise_n = np.float32(noise_n)
+        self._model = TaxelModel(noise_n, taxels.force_max_n, **(defects or {}))
         self._random = np.random.Generator(np.random.SFC64(seed))
+        self._period_s = period_s
+        self._last: tuple[int, npt.NDArray[np.float32]] | None = None
         self._pattern = np.full(taxels.count, -1, np.int32)
 
-    def read(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
-        """Return corrected ADC counts, shape (n,): noise added, clipped to the range, rounded to a count."""
-        felt = force_n.ravel()
-        if self._noise_n:
-            felt = felt + self._noise_n * self._random.standard_normal(felt.size, np.float32)
-        counts = np.clip(np.rint(felt / self._newton_per_count), 0, self.top)
-        corrected = np.clip(np.rint(self.gain * counts + self.offset), 0, self.top)
-        shown: npt.NDArray[np.int32] = np.where(self._pattern >= 0, self._pattern, corrected).astype(np.int32)
-        return shown
+    def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[np.int32]:
+        """Return corrected ADC counts, shape (n,), of true forces, shape (rows, columns), at `step`."""
+        signal = self._model.signal_of_moments(
+            self._with_damper(force_n, step)[None], self._random, np.array([step * self._period_s])
+        )
+        counts = to_counts(signal.ravel(), self.taxels)
+        corrected = counts.astype(np.float32)
+        corrected *= self.gain
+        corrected += self.offset
+        np.rint(corrected, out=corrected)
+        np.clip(corrected, 0, self.taxels.count_max, out=corrected)
+        np.copyto(counts, corrected, casting="unsafe")
+        np.copyto(counts, self._pattern, where=self._pattern >= 0)
+        return counts
 
-    def newtons(self, counts: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
-        """Return the force that `counts` stand for."""
-        return counts.astype(np.float32) * self._newton_per_count
+    def _with_damper(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float32]:
+        """Return the force with the damper's part: the speed is that since the last step that was read."""
+        if self._model.damper is None:
+            return force_n
+        last_step, last_n = self._last or (step, force_n)
+        self._last = step, force_n
+        if step <= last_step:
+            return force_n
+        damped = self._model.damper(np.stack([last_n, force_n]), (step - last_step) * self._period_s)
+        pressed: npt.NDArray[np.float32] = damped[1]
+        return pressed
 
     def set_pattern(self, chain: npt.NDArray[np.intp], pattern: int) -> None:
         """Let the taxels of one block, in the order of their chain, show a test pattern."""
         if pattern == PATTERN_RAMP:
             self._pattern[chain] = np.arange(chain.size)
         else:
-            self._pattern[chain] = {PATTERN_ZERO: 0, PATTERN_FULL: self.top}.get(pattern, -1)
+            self._pattern[chain] = {PATTERN_ZERO: 0, PATTERN_FULL: self.taxels.count_max}.get(pattern, -1)

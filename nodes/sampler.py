@@ -12,11 +12,12 @@ from nodes.electronics import PATTERN_OFF, Electronics
 from skin.measurement import Sbhe
 from skin.messages import Truth
 from skin.sources import TaxelSource
+from skin.taxel import to_newtons
 
-#: SYNC frames of one cycle without a counter reach the buses within this time of each other.
-SAME_CYCLE_NS: Final = 2_000_000
-#: With a counter a busy master may take longer; the same counter comes again after 120 ms at the earliest.
-SAME_COUNTER_NS: Final = 100_000_000
+#: SYNC frames of one cycle reach the buses within this time of each other: frames without a counter, and frames with
+#: the same counter. A busy master may take longer; the counter comes again after 120 ms at the earliest.
+UNNUMBERED_SYNC_SPREAD_NS: Final = 2_000_000
+NUMBERED_SYNC_SPREAD_NS: Final = 100_000_000
 #: One bus may be read up to the newest SYNC while another has some of these waiting.
 KEPT_CYCLES: Final = 8
 
@@ -74,7 +75,7 @@ class Sampler:
 
     def saturated(self, block: int) -> int:
         """Count the taxels of `block` at the top of their range."""
-        return int((self._counts[self._chain(block)] >= self._electronics.top).sum())
+        return int((self._counts[self._chain(block)] >= self._electronics.taxels.count_max).sum())
 
     def _chain(self, block: int) -> npt.NDArray[np.intp]:
         """Return the taxels of a block in the order of their daisy chain."""
@@ -83,7 +84,7 @@ class Sampler:
 
     def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen at `time_ns`."""
-        within_ns = SAME_COUNTER_NS if counter else SAME_CYCLE_NS
+        within_ns = NUMBERED_SYNC_SPREAD_NS if counter else UNNUMBERED_SYNC_SPREAD_NS
         for known, seen_ns, sums in self._kept:
             if known == counter and abs(time_ns - seen_ns) < within_ns:
                 return sums
@@ -93,7 +94,7 @@ class Sampler:
             self._step += (counter - self._counter) % SYNC_OVERFLOW or 1
         self._counter = counter
         frame = self._source.frame(self._step)
-        self._counts = self._electronics.read(frame.force_n)
+        self._counts = self._electronics.read(frame.force_n, self._step)
         self.sums = self._phi.forward(self._counts).astype(np.int32, copy=False)
         self._kept.append((counter, time_ns, self.sums))
         self._truth = Truth(
@@ -101,7 +102,7 @@ class Sampler:
             sync_counter=counter,
             sync_mono_ns=time_ns,
             true=frame.force_n.astype("<f4").tobytes(),
-            sensor=self._electronics.newtons(self._counts).astype("<f4").tobytes(),
+            sensor=to_newtons(self._counts, self._electronics.taxels).astype("<f4").tobytes(),
             label=frame.label,
         )
         return self.sums

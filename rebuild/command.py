@@ -151,7 +151,9 @@ def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycl
     if len(names) > len(layout.bus):
         raise InputError(f"expected up to {len(layout.bus)} channels, one for each bus of the layout, got {len(names)}")
     with progress(f"reading {source.name}", None) as bar:
-        logged = of_buses(layout, names, read_log(source), source, named_by_user=bool(channel))
+        logged = of_buses(
+            layout, names, read_log(source, lambda line: say("rebuild", line)), source, named_by_user=bool(channel)
+        )
         cycles, counts = replay(contract, logged, bar.advance)
     if not cycles.valid.any():
         raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")

@@ -1,15 +1,15 @@
 """The layout of one skin: skin ▸ bus ▸ node ▸ block ▸ taxel, read from one TOML file."""
 
-import re
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import tomli_w
 
 from skin.errors import LayoutError
 from skin.measurement import Sbhe, sbhe
+from skin.toml_errors import in_words
 
 #: Names of the layouts that come with the project.
 SHIPPED: Final = ("default", "fd", "one-bus-12bit")
@@ -49,9 +49,14 @@ class Taxels(_Table, frozen=True, kw_only=True):
         return self.rows * self.columns
 
     @property
+    def count_max(self) -> int:
+        """Largest ADC count."""
+        return (1 << self.adc_bits) - 1
+
+    @property
     def newton_per_count(self) -> float:
         """Force of one ADC count."""
-        return self.force_max_n / ((1 << self.adc_bits) - 1)
+        return self.force_max_n / self.count_max
 
 
 class Measuring(_Table, frozen=True, kw_only=True):
@@ -137,15 +142,6 @@ class Layout(_Table, frozen=True, kw_only=True):
         return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
 
 
-#: What the keys of few values may be.
-_CHOICES: Final = {
-    key: get_args(kind)
-    for table in (Measuring, Encoding, Bus)
-    for key, kind in get_type_hints(table).items()
-    if get_origin(kind) is Literal
-}
-
-
 def load_layout(path: Path | None = None) -> Layout:
     """Read a layout: a file or, by its bare name, one of `SHIPPED`; without a path, the default skin.
 
@@ -167,9 +163,13 @@ def load_layout(path: Path | None = None) -> Layout:
 def parse_layout(content: bytes, origin: str) -> Layout:
     """Decode and check a layout; `origin` names the file in messages."""
     try:
-        layout = msgspec.convert(_with_sizes(msgspec.toml.decode(content)), Layout)
+        document = _with_sizes(msgspec.toml.decode(content))
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise LayoutError(f"{origin}: {_with_choices(str(error))}") from error
+        raise LayoutError(f"{origin}: {error}") from error
+    try:
+        layout = msgspec.convert(document, Layout)
+    except msgspec.ValidationError as error:
+        raise LayoutError(f"{origin}: {in_words(str(error), document, Layout)}") from error
     try:
         _check(layout)
     except LayoutError as error:
@@ -201,9 +201,10 @@ def validated(layout: Layout) -> Layout:
         If a value is none that a file could have; the message names the path of its key.
     """
     try:
-        checked = msgspec.convert(msgspec.to_builtins(layout), Layout)
+        document = msgspec.to_builtins(layout)
+        checked = msgspec.convert(document, Layout)
     except msgspec.ValidationError as error:
-        raise LayoutError(_with_choices(str(error))) from error
+        raise LayoutError(in_words(str(error), document, Layout)) from error
     _check(checked)
     return checked
 
@@ -214,13 +215,6 @@ def layout_text(layout: Layout) -> str:
     # TOML has no null, so such keys are left out. tomli-w would write short tables of buses inline.
     buses = [{key: value for key, value in bus.items() if value is not None} for bus in tables.pop("bus")]
     return "\n[[bus]]\n".join(map(tomli_w.dumps, [tables, *buses]))
-
-
-def _with_choices(text: str) -> str:
-    """Return msgspec's message; where a value is none of its key's choices, with those."""
-    key = re.match(r"Invalid enum value .* at `\$\.(?:.*\.)?(\w+)`", text)
-    choices = _CHOICES.get(key[1]) if key else None
-    return f"{text}: expected {' or '.join(map(str, choices))}" if choices else text
 
 
 def _check(layout: Layout) -> None:

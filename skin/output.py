@@ -19,17 +19,28 @@ def check_picture_path(path: Path) -> None:
     InputError
         If the folder does not exist, the name has none of `PICTURE_SUFFIXES`, or no file can be written there.
     """
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: the folder for the picture does not exist")
+    check_output_path(path, "picture")
     if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError(f"{path}: expected a picture that ends in {', '.join(PICTURE_SUFFIXES)}, got '{path.suffix}'")
+
+
+def check_output_path(path: Path, what: str) -> None:
+    """Check that a file can be written at `path`; `what` names the file in the error.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist, or no file can be written there.
+    """
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{path}: the folder for the {what} does not exist: make it first, or give another")
     is_new = not path.exists()
     try:
         path.open("ab").close()
         if is_new:
             path.unlink()
     except OSError as error:
-        raise InputError(f"{path}: cannot write the picture there: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot write the {what} there: {error.strerror or error}") from error
 
 
 def write_file(path: Path, content: bytes | str) -> None:

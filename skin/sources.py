@@ -1,11 +1,18 @@
-"""What a taxel source is, and how one is found by name.
+"""Taxel sources and training touches, found by name.
 
 A source is anything that can say what every taxel feels at a given step of the skin's clock: a simulator, a
-recording, a robot's own electronics. Distributions offer sources as entry points of the group
-``canskin.sources``; the nodes load one by name and never import it.
+recording, a robot's own electronics. An offer of touches draws labelled images to train a classifier on.
+Distributions offer both as entry points:
+
+- ``canskin.sources``: taxel sources. ``touch`` offers ``objects`` and ``recording``; ``nodes``, ``bandwidth`` and
+  ``demo`` load them.
+- ``canskin.touches``: labelled touches. ``touch`` offers ``random``; ``classifier`` loads it.
+
+This module is the only place where one package of this distribution reaches another through an entry point. No
+import shows that way, so the import rules cannot see it: a skin with its own source runs without ``touch``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -13,7 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.layout import Layout
 
+#: Groups of entry points.
+SOURCES: Final = "canskin.sources"
+TOUCHES: Final = "canskin.touches"
+#: The offer of `TOUCHES` that a classifier is trained on: random places, depths and moments.
+RANDOM: Final = "random"
 #: The objects that touch a simulated skin, and that a classifier knows, when none are named.
 DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
 
@@ -44,8 +57,45 @@ def load_source(name: str, **options: Any) -> TaxelSource:
     InputError
         If no installed distribution offers a source of that name.
     """
-    found = {entry.name: entry for entry in entry_points(group="canskin.sources")}
+    source: TaxelSource = _load(SOURCES, name)(**options)
+    return source
+
+
+class LabelledTouches(NamedTuple):
+    """Observations: ``force_n`` float32 (count, rows, columns) in newtons, ``labels`` (count,) of names."""
+
+    force_n: npt.NDArray[np.float32]
+    labels: npt.NDArray[np.str_]
+
+
+def load_touches(names: Sequence[str], count: int, layout: Layout, *, seed: int) -> LabelledTouches:
+    """Return labelled touches of the named objects, true forces without noise, drawn by the offer `RANDOM`.
+
+    An offer is called as ``offer(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)`` and returns images
+    and labels. Of the default objects, those that the skin is too small for are left out.
+
+    Raises
+    ------
+    InputError
+        If no installed distribution offers such touches, or a name is unknown to the offer.
+    """
+    taxels = layout.taxels
+    force_n, labels = _load(TOUCHES, RANDOM)(
+        list(names),
+        count,
+        rows=taxels.rows,
+        columns=taxels.columns,
+        pitch_m=taxels.pitch_m,
+        seed=seed,
+        skip_unfelt=tuple(names) == DEFAULT_OBJECTS,
+    )
+    return LabelledTouches(np.asarray(force_n, np.float32), np.asarray(labels, np.str_))
+
+
+def _load(group: str, name: str) -> Callable[..., Any]:
+    found = {entry.name: entry for entry in entry_points(group=group)}
     if name not in found:
-        raise InputError(f"unknown taxel source '{name}': expected one of {', '.join(sorted(found))}")
-    factory: Callable[..., TaxelSource] = found[name].load()
-    return factory(**options)
+        offered = ", ".join(sorted(found)) or "nothing"
+        raise InputError(f"no '{name}' in the entry points '{group}': installed distributions offer {offered}")
+    factory: Callable[..., Any] = found[name].load()
+    return factory

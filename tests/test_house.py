@@ -1,8 +1,11 @@
-"""The house itself: every package is ours, and no file grows into two."""
+"""The house itself: every package is ours, no import hides from the import rules, and no file grows into two."""
 
+import ast
 import importlib.metadata
 import importlib.util
+import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -39,3 +42,63 @@ def test_no_file_is_over_400_lines() -> None:
         if len(path.read_text().splitlines()) > 400
     ]
     assert not long
+
+
+#: Where one package reaches another by name: entry points, and the verbs of the command line.
+BY_NAME = {"skin/sources.py", "skin/command.py"}
+#: What imports a module by its name.
+IMPORTERS = {
+    "__import__",
+    "entry_points",
+    "exec_module",
+    "import_module",
+    "module_from_spec",
+    "run_module",
+    "run_path",
+    "spec_from_file_location",
+}
+IMPORTER_MODULES = {"pkgutil", "runpy", "importlib.machinery"}
+OWN_PLACE = re.compile(rf"({'|'.join(PACKAGES)})(\.\w+)*:\w+")
+
+
+def hidden_imports(tree: ast.AST) -> Iterator[str]:
+    """Find what could import a module that no import statement names, and names of our own modules with a member."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node.id in IMPORTERS:
+            yield node.id
+        elif isinstance(node, ast.Attribute) and node.attr in IMPORTERS:
+            yield node.attr
+        elif isinstance(node, ast.ImportFrom):
+            names = {alias.name for alias in node.names}
+            yield from sorted(names & IMPORTERS)
+            if node.module in IMPORTER_MODULES:
+                yield node.module
+        elif isinstance(node, ast.Import):
+            yield from sorted({alias.name for alias in node.names} & IMPORTER_MODULES)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and OWN_PLACE.fullmatch(node.value):
+            yield node.value
+
+
+def test_no_import_hides_from_the_import_rules() -> None:
+    files = {path.relative_to(ROOT): path for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
+    found = {name.as_posix(): set(hidden_imports(ast.parse(path.read_text()))) for name, path in files.items()}
+    # The verbs of the evaluation, which may import everything, load one of its parts when it is asked for.
+    may = BY_NAME | {name.as_posix() for name in files if name.parts[0] == "evaluation" and name.name == "command.py"}
+    assert not {name: hidden for name, hidden in found.items() if hidden and name not in may}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import importlib\nimportlib.import_module('touch.sources')",
+        "from importlib.metadata import entry_points",
+        "from importlib import import_module as load",
+        "import runpy",
+        "__import__('touch.sources')",
+        "import pkgutil as tools",
+        "find('touch.sources:objects')",
+    ],
+)
+def test_a_hidden_import_is_found(code: str) -> None:
+    assert list(hidden_imports(ast.parse(code)))
+    assert not list(hidden_imports(ast.parse("from importlib.metadata import version\nimport touch.sources")))

@@ -15,16 +15,16 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from skin.defects import STIFFNESS_N_PER_M
 from skin.errors import InputError
+from skin.layout import Taxels
+from skin.taxel import FORCE_MAX_N
 
-#: Spring of one taxel: force in newtons is compression in metres times this.
-STIFFNESS_N_PER_M: Final = 1.0
-#: How far a taxel can be pushed, and the force that full travel takes (section V).
-TRAVEL_M: Final = 0.02
-FORCE_MAX_N: Final = STIFFNESS_N_PER_M * TRAVEL_M
-#: Radius of one taxel's sphere; the taxels of the paper's array touch each other at a pitch of 4 mm.
-TAXEL_RADIUS_M: Final = 0.002
-PITCH_M: Final = 0.004
+#: How far a taxel can be pushed (section V).
+TRAVEL_M: Final = FORCE_MAX_N / STIFFNESS_N_PER_M
+#: Pitch of the paper's array, which is that of the default skin, and radius of a taxel's sphere: the spheres touch.
+PITCH_M: Final = Taxels().pitch_m
+TAXEL_RADIUS_M: Final = PITCH_M / 2
 
 FloatArray = npt.NDArray[np.float64]
 Force = npt.NDArray[np.float32]

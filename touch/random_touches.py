@@ -2,27 +2,19 @@
 
 import contextlib
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.sources import LabelledTouches
 from touch.contact import PITCH_M, Force, Grid
 from touch.objects import checked_names
-from touch.touches import LABEL_FORCE_N, TRAINING, draw_touch, random_stream
+from touch.strokes import LABEL_FORCE_N, TRAINING, draw_touch, random_stream
 
 #: Draws of a moment before an object counts as one that cannot be felt on this array.
 _MOST_DRAWS = 1000
 #: Touches that all must be felt, for an object to suit an array.
 _TRIAL_TOUCHES = 50
-
-
-class Touches(NamedTuple):
-    """Observations: ``force_n`` float32 (count, rows, columns) in newtons, ``labels`` (count,) of names."""
-
-    force_n: Force
-    labels: npt.NDArray[np.str_]
 
 
 def random_touches(
@@ -34,7 +26,7 @@ def random_touches(
     pitch_m: float = PITCH_M,
     seed: int = 0,
     skip_unfelt: bool = False,
-) -> Touches:
+) -> LabelledTouches:
     """Return `count` single moments of random touches, true forces without noise.
 
     Every observation is a touch of its own at a random moment among those the live source labels, so that
@@ -56,7 +48,7 @@ def random_touches(
     for index in range(count):
         _observe(listed[index % len(listed)], grid, random_stream(seed, TRAINING, index), force_n[index])
     labels = np.array([listed[index % len(listed)] for index in range(count)], np.str_)
-    return Touches(force_n, labels)
+    return LabelledTouches(force_n, labels)
 
 
 def felt_objects(names: Sequence[str], grid: Grid) -> tuple[str, ...]:

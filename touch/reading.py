@@ -12,10 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.service import say
 
 Counts = npt.NDArray[Any]
 
 _SHAPE: Final = re.compile(r"#.*?\bshape\s*[:=]?\s*\(?\s*(\d{1,6})\s*[,xX ]\s*(\d{1,6})")
+#: What may stand between two values of a line, looked for in this order.
+_DELIMITERS: Final = (";", "\t", ",")
+_TIME: Final = re.compile(r"time.*|date.*|t|t_m?s|t\s*[\[(/].*", re.IGNORECASE)
+#: Characters of a wrong value that its error shows.
+_SHOWN: Final = 20
 #: What damaged files of these formats raise in NumPy and in the libraries below it.
 _UNREADABLE: Final = (
     OSError,
@@ -34,22 +40,18 @@ _UNREADABLE: Final = (
 )
 
 
-def read_counts(
-    path: Path, arrays: Sequence[str] | None, frame_shape: tuple[int, int] | None, skin_shape: tuple[int, int]
-) -> tuple[Counts, ...]:
+def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int, int]) -> tuple[Counts, ...]:
     """Return the arrays of a recording, each checked, of shape (frames, rows, columns).
 
     Parameters
     ----------
     path : pathlib.Path
-        ``.npz`` (named arrays), ``.npy`` (one) or ``.csv`` (one frame per line).
+        ``.npz`` (named arrays), ``.npy`` (one) or ``.csv``: one frame per line, row by row, with ``,`` or ``;`` or a
+        tab between the values. A header line is left out, and so is a time in the first column.
     arrays : sequence of str, optional
         Which arrays of an ``.npz``, in this order; without it the first in file order.
-    frame_shape : tuple of int, optional
-        Rows and columns of a ``.csv``'s frames; without it the file's comment ``# shape: 64 32``, and
-        without that `skin_shape`.
     skin_shape : tuple of int
-        Rows and columns of the skin.
+        Rows and columns of the skin, and of a ``.csv``'s frames without the comment ``# shape: ROWS COLUMNS``.
 
     Raises
     ------
@@ -64,7 +66,7 @@ def read_counts(
     if arrays is not None and suffix != ".npz":
         raise InputError(f"'{path}' has no named arrays: name arrays only of a .npz file")
     try:
-        named = _read_csv(path, frame_shape, skin_shape) if suffix == ".csv" else _read_numpy(path, arrays)
+        named = _read_csv(path, skin_shape) if suffix == ".csv" else _read_numpy(path, arrays)
     except _UNREADABLE as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"'{path}' cannot be read as {suffix}: {reason}") from error
@@ -114,22 +116,66 @@ def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict
         return {name: np.asarray(loaded[name]) for name in wanted}
 
 
-def _read_csv(path: Path, frame_shape: tuple[int, int] | None, skin_shape: tuple[int, int]) -> dict[str, Counts]:
-    with path.open(encoding="utf-8") as file:
-        lines = file.read().splitlines()
+def _read_csv(path: Path, skin_shape: tuple[int, int]) -> dict[str, Counts]:
+    lines = path.read_text("utf-8-sig").splitlines()
     written = next((found for line in lines if (found := _SHAPE.match(line.lstrip()))), None)
-    if frame_shape is None and written:
-        frame_shape = int(written[1]), int(written[2])
-    rows, columns = frame_shape or skin_shape
-    if not any(line.split("#")[0].strip() for line in lines):
+    rows, columns = (int(written[1]), int(written[2])) if written else skin_shape
+    frames = {number: text for number, line in enumerate(lines, 1) if (text := line.partition("#")[0].strip())}
+    last = next(reversed(frames.values()), "")
+    delimiter = next((each for each in _DELIMITERS if each in last), ",")
+    if delimiter != ",":  # then a comma is a decimal comma
+        frames = {number: text.replace(",", ".") for number, text in frames.items()}
+    header = _pop_header(frames, delimiter)
+    if not frames:
         raise InputError(f"'{path}' holds no frame: expected one line per frame")
-    values = np.loadtxt(lines, np.float64, comments="#", delimiter=",", ndmin=2)
+    values = _values(path, frames, delimiter)
+    grows = bool((np.diff(values[:, 0]) >= 0).all())
+    if _TIME.fullmatch(header) or (values.shape[1] == rows * columns + 1 and grows):
+        values = values[:, 1:]
+        say("recording", f"the first column of {path.name} is taken for the time and left out")
     if values.shape[1] != rows * columns:
         raise InputError(
             f"'{path}' has {values.shape[1]} values per line: expected {rows} x {columns} = {rows * columns}; "
-            f"give frame_shape, or the line '# shape: rows columns' in the file"
+            f"write the line '# shape: ROWS COLUMNS' at the top of the file"
         )
     return {"": values.reshape(-1, rows, columns)}
+
+
+def _pop_header(frames: dict[int, str], delimiter: str) -> str:
+    """Take the header line, if there is one, out of `frames` (text by line number); return its first name."""
+    for number, text in frames.items():
+        first = text.split(delimiter)[0].strip().strip('"')
+        if _is_number(first):
+            return ""
+        del frames[number]
+        return first
+    return ""
+
+
+def _values(path: Path, frames: dict[int, str], delimiter: str) -> npt.NDArray[np.float64]:
+    """Return the values of the frames, shape (lines, values of a line)."""
+    width = next(iter(frames.values())).count(delimiter) + 1
+    for number, text in frames.items():
+        if text.count(delimiter) + 1 != width:
+            found = text.count(delimiter) + 1
+            raise InputError(f"'{path}' line {number} has {found} values: expected {width}, as in the lines before")
+    try:
+        return np.loadtxt(list(frames.values()), np.float64, comments=None, delimiter=delimiter, ndmin=2)
+    except ValueError:
+        for number, text in frames.items():
+            for column, field in enumerate(text.split(delimiter), 1):
+                if not _is_number(field):
+                    place, shown = f"line {number}, value {column}", field.strip()[:_SHOWN]
+                    raise InputError(f"'{path}' {place} is '{shown}': expected a number") from None
+        raise
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
 
 
 def _check(what: str, counts: Counts) -> None:

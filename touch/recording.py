@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from skin.errors import InputError
 from skin.sources import Frame
+from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 from touch.reading import Counts
 
@@ -40,6 +41,8 @@ class Recording:
         The one in use, given or found.
     frames : int
         Length of the recording.
+    shape : tuple of int
+        Rows and columns of the recording, all arrays side by side.
     corner : tuple of int
         Row and column of the skin where the recording's first taxel lies.
 
@@ -58,7 +61,7 @@ class Recording:
         columns: int,
         *,
         full_scale: float | None = None,
-        force_max_n: float = 0.02,
+        force_max_n: float = FORCE_MAX_N,
         steps_per_frame: float = 1.0,
     ) -> None:
         self._arrays = arrays
@@ -67,8 +70,9 @@ class Recording:
         self.force_max_n = _above_zero("force_max_n", force_max_n)
         self.full_scale = _scale_of(arrays, full_scale, self.force_max_n)
         self._is_whole = all(counts.dtype.kind in "ui" for counts in arrays)
-        self._shape = rows, columns
-        self.corner = _corner(arrays, rows, columns)
+        self._skin_shape = rows, columns
+        self.shape = _shape(arrays)
+        self.corner = _corner(self.shape, rows, columns)
 
     def frame(self, step: int) -> Frame:
         """Return the recorded touch at `step`, float32 (rows, columns) in newtons.
@@ -81,7 +85,7 @@ class Recording:
         if step < 0:
             raise InputError(f"a source starts at step 0: got {step}")
         index = int(step / self.steps_per_frame) % self.frames
-        force_n: Force = np.zeros(self._shape, np.float32)
+        force_n: Force = np.zeros(self._skin_shape, np.float32)
         row, column = self.corner
         for counts in self._arrays:
             high, wide = counts.shape[1:]
@@ -107,19 +111,26 @@ def _above_zero(name: str, value: float) -> float:
 def _scale_of(arrays: tuple[Counts, ...], full_scale: float | None, force_max_n: float) -> float:
     largest = max(float(counts.max()) for counts in arrays)
     if full_scale is None and largest == 0.0:
-        raise InputError("the recording holds only zeros: give full_scale, the value of the largest force")
-    scale = _above_zero("full_scale", largest if full_scale is None else full_scale)
+        raise InputError("the recording holds only zeros: give the value of the largest force with --full-scale")
+    scale = _above_zero("the full scale (--full-scale)", largest if full_scale is None else full_scale)
     # Comparing logarithms, because the quotient itself may overflow.
     if largest > 0.0 and math.log10(largest) - math.log10(scale) + math.log10(force_max_n) > _LARGEST_FORCE_LOG10:
-        raise InputError(f"full_scale {scale} is too small for a recording that reaches {largest}")
+        raise InputError(f"a full scale (--full-scale) of {scale} is too small for a recording that reaches {largest}")
     return scale
 
 
-def _corner(arrays: tuple[Counts, ...], rows: int, columns: int) -> tuple[int, int]:
+def _shape(arrays: tuple[Counts, ...]) -> tuple[int, int]:
     heights = {counts.shape[1] for counts in arrays}
     if len(heights) != 1:
         raise InputError(f"arrays side by side need as many rows each: got {sorted(heights)}")
-    high, wide = heights.pop(), sum(counts.shape[2] for counts in arrays)
+    return heights.pop(), sum(counts.shape[2] for counts in arrays)
+
+
+def _corner(shape: tuple[int, int], rows: int, columns: int) -> tuple[int, int]:
+    high, wide = shape
     if high > rows or wide > columns:
-        raise InputError(f"a recording of {high} x {wide} taxels does not fit a skin of {rows} x {columns}")
+        raise InputError(
+            f"a recording of {high} x {wide} taxels does not fit a skin of {rows} x {columns}: "
+            f"give a larger skin with --layout"
+        )
     return (rows - high) // 2, (columns - wide) // 2

@@ -1,4 +1,4 @@
-"""The taxel sources of this room, registered as entry points of the group ``canskin.sources``."""
+"""The taxel sources of this package, registered as entry points of the group ``canskin.sources``."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,12 +9,13 @@ import numpy as np
 from skin.errors import InputError
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame
+from skin.taxel import FORCE_MAX_N
 from touch.contact import PITCH_M, Force, Grid, Pose
 from touch.objects import checked_names
 from touch.random_touches import felt_objects
 from touch.reading import array_names, read_counts
 from touch.recording import Recording
-from touch.touches import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream
+from touch.strokes import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream
 
 #: Arrays of a file that are named beside the one that is played.
 NAMED: Final = 8
@@ -23,8 +24,8 @@ NAMED: Final = 8
 class ObjectSource:
     """An endless seeded series of touches, object after object; a `skin.sources.TaxelSource`.
 
-    Each touch takes `touch.touches.SLOT_S`: a pause, then pressed, held, slid and lifted. A frame bears the
-    object's name while its largest true force is at least `touch.touches.LABEL_FORCE_N`.
+    Each touch takes `touch.strokes.SLOT_S`: a pause, then pressed, held, slid and lifted. A frame bears the
+    object's name while its largest true force is at least `touch.strokes.LABEL_FORCE_N`.
     """
 
     has_noise = False
@@ -114,13 +115,11 @@ def recording(
     path: str | Path,
     rows: int = 64,
     columns: int = 64,
-    pitch_m: float | None = None,
     rate_hz: float | None = None,
     *,
     full_scale: float | None = None,
-    force_max_n: float = 0.02,
+    force_max_n: float = FORCE_MAX_N,
     arrays: Sequence[str] | None = None,
-    frame_shape: tuple[int, int] | None = None,
     frame_rate_hz: float | None = None,
 ) -> Recording:
     """Return a recording as a source; after its last frame it starts again.
@@ -128,11 +127,10 @@ def recording(
     Parameters
     ----------
     path : str or pathlib.Path
-        ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)) or ``.csv`` (one frame per line).
+        ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)) or ``.csv`` (one frame per line), see
+        `touch.reading.read_counts`.
     rows, columns : int
-        Taxels of the skin; a smaller recording lies in the middle.
-    pitch_m : float, optional
-        Taken like every source takes it, without effect: a recording's taxels are the skin's.
+        Taxels of the skin; a smaller recording lies in the middle, and stderr says so.
     rate_hz : float, optional
         Steps a second of the skin; needed only with `frame_rate_hz`.
     full_scale : float, optional
@@ -143,9 +141,6 @@ def recording(
     arrays : sequence of str, optional
         Arrays of an ``.npz`` to lay side by side, left to right; a string may name several, separated by
         commas. Without it the first in file order, and stderr names the others.
-    frame_shape : tuple of int, optional
-        Rows and columns of a ``.csv``'s frames, if its comment ``# shape: 64 32`` does not say them and they
-        are not the skin's.
     frame_rate_hz : float, optional
         Recorded frames a second; without it each step shows the next frame.
 
@@ -154,14 +149,15 @@ def recording(
     InputError
         If the file or a number cannot be used.
     """
-    del pitch_m
     if frame_rate_hz is not None and (rate_hz is None or not 0.0 < frame_rate_hz < float("inf")):
-        raise InputError(f"frame_rate_hz needs a number above 0, and rate_hz: got {frame_rate_hz}, {rate_hz}")
+        raise InputError(
+            f"a recording's rate (--rate) needs a number above 0, and the skin's: got {frame_rate_hz}, {rate_hz}"
+        )
     named = tuple(part.strip() for part in arrays.split(",")) if isinstance(arrays, str) else arrays
-    counts = read_counts(Path(path), named, frame_shape, (rows, columns))
+    counts = read_counts(Path(path), named, (rows, columns))
     if named is None:
         _tell_others(Path(path))
-    return Recording(
+    played = Recording(
         counts,
         rows,
         columns,
@@ -169,6 +165,14 @@ def recording(
         force_max_n=force_max_n,
         steps_per_frame=1.0 if frame_rate_hz is None or rate_hz is None else rate_hz / frame_rate_hz,
     )
+    if played.shape != (rows, columns):
+        high, wide = played.shape
+        say(
+            "recording",
+            f"{high} x {wide} taxels of {Path(path).name} lie in the middle of a skin of {rows} x {columns}:"
+            f" the taxels around them feel nothing",
+        )
+    return played
 
 
 def _tell_others(path: Path) -> None:

@@ -1,11 +1,16 @@
-"""How an object moves against the skin over time."""
+"""The trajectories the paper rebuilds from sums: five objects pressed in and slid (section V-A)."""
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
-from touch.contact import Pose
+from skin.errors import InputError
+from touch.contact import Force, Grid, Pose, press_along
+from touch.objects import spheres_of
 
 #: The paper's trajectory: 1 kHz, 1100 steps of pressing at 0.01 m/s from a gap of 1 mm, 3100 of sliding.
+PAPER_STEP_S: Final = 1e-3
 PAPER_STEPS: Final = 4200
 PAPER_PRESS_STEPS: Final = 1100
 PAPER_GAP_STEPS: Final = 100
@@ -38,51 +43,89 @@ def paper_pose(step: int, start_m: tuple[float, float] = GOLF_START_M, rotation_
 
 
 @dataclass(frozen=True)
-class Stroke:
-    """Press, hold, slide in a straight line, and lift, each at constant speed.
+class Start:
+    """Where a trajectory starts.
 
     Attributes
     ----------
-    start_m, end_m : tuple of float
-        Position x, y before and after the slide.
+    start_m : tuple of float
+        Position x, y while the object is pressed in.
     rotation_rad : float
         Kept throughout.
-    depth_m : float
-        Reached at the end of the press and kept until the lift.
-    press_s, hold_s, slide_s, lift_s : float
-        Duration of each phase.
+    exact : bool
+        True where the start is that of the authors' own file. False where it is fitted: the paper does not
+        publish it, and the one on a 10 mm grid and four rotations whose coefficient counts come closest to the
+        paper's Table I was taken.
     """
 
     start_m: tuple[float, float]
-    end_m: tuple[float, float]
     rotation_rad: float
-    depth_m: float
-    press_s: float
-    hold_s: float
-    slide_s: float
-    lift_s: float
-
-    @property
-    def duration_s(self) -> float:
-        """From the first touch to the last."""
-        return self.press_s + self.hold_s + self.slide_s + self.lift_s
-
-    def pose(self, time_s: float) -> Pose:
-        """Return the pose `time_s` after the first touch; outside the stroke the depth is 0."""
-        slid = _progress(time_s - self.press_s - self.hold_s, self.slide_s)
-        pressed = _progress(time_s, self.press_s)
-        lifted = _progress(time_s - self.duration_s + self.lift_s, self.lift_s)
-        (x0, y0), (x1, y1) = self.start_m, self.end_m
-        return Pose(
-            x0 + (x1 - x0) * slid,
-            y0 + (y1 - y0) * slid,
-            self.rotation_rad,
-            self.depth_m * min(pressed, 1.0 - lifted),
-        )
+    exact: bool
 
 
-def _progress(elapsed_s: float, duration_s: float) -> float:
-    """Return how much of a phase is done, 0 to 1; a phase of no duration is done when it begins."""
-    if elapsed_s >= duration_s:
-        return 1.0
-    return elapsed_s / duration_s if elapsed_s > 0.0 else 0.0
+#: The paper's five objects in the order of its tables.
+ACQUISITION_OBJECTS: Final = {
+    "golf-ball": Start(GOLF_START_M, 0.0, exact=True),
+    "granola-box": Start((0.03, 0.03), math.pi / 2, exact=False),
+    "drill": Start((0.01, 0.0), 0.0, exact=False),
+    "cup": Start((0.05, 0.05), 0.0, exact=False),
+    "clamp": Start((0.05, 0.07), 0.0, exact=False),
+}
+
+
+def trajectory(name: str, *, meshes: Path | None = None, speed: int = 1, steps: int | None = None) -> Force:
+    """Return the true force of the 64 x 64 array over one of the paper's trajectories.
+
+    Parameters
+    ----------
+    name : str
+        One of `ACQUISITION_OBJECTS`.
+    meshes : pathlib.Path, optional
+        Folder of meshes, see `touch.objects.spheres_of`.
+    speed : int
+        Times the paper's speed: every `speed`-th of its steps.
+    steps : int, optional
+        How many to return; without it, to the end of the trajectory: 4200 at the paper's speed.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32, shape (steps, 64, 64), newtons; one step per millisecond, no noise.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, or a number cannot be used.
+    """
+    taken = range(*trajectory_range(speed, steps))
+    start, spheres = start_of(name), spheres_of(name, meshes)
+    return press_along(Grid(), spheres, (paper_pose(step, start.start_m, start.rotation_rad) for step in taken))
+
+
+def start_of(name: str) -> Start:
+    """Return where the trajectory of the object called `name` starts.
+
+    Raises
+    ------
+    InputError
+        If the paper has no trajectory of it.
+    """
+    if name not in ACQUISITION_OBJECTS:
+        raise InputError(f"no trajectory of '{name}': expected one of {', '.join(ACQUISITION_OBJECTS)}")
+    return ACQUISITION_OBJECTS[name]
+
+
+def trajectory_range(speed: int, steps: int | None) -> tuple[int, int, int]:
+    """Return first step, end and stride within the paper's 4200 steps.
+
+    Raises
+    ------
+    InputError
+        If a number is below 1, or the trajectory has fewer steps at that speed.
+    """
+    if not 1 <= speed <= PAPER_STEPS:
+        raise InputError(f"expected a speed of 1 to {PAPER_STEPS}, got {speed}")
+    most = math.ceil(PAPER_STEPS / speed)
+    if steps is not None and not 1 <= steps <= most:
+        raise InputError(f"expected 1 to {most} steps at speed {speed}, got {steps}")
+    return 0, PAPER_STEPS if steps is None else steps * speed, speed

@@ -5,11 +5,12 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
+from skin.ground_truth import Pairing, in_contact
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.pairing import Pairing, adds_noise, in_contact, psnr_db
 from skin.peers import Peer, new_peer
+from skin.psnr import adds_noise, psnr_db
 from viewer.buses import gateway_state, nodes_state
 from viewer.checks import image_fits, label_fits, status_fits, truth_fits
 from viewer.notices import notices

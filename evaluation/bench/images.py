@@ -9,7 +9,7 @@ from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE, PRESETS, SolverSettings
 from skin.layout import load_layout
-from touch.electronics import NOISE_N
+from skin.taxel import NOISE_N
 
 SPEEDS: Final = (1, 10)
 

@@ -12,9 +12,9 @@ from reconstructor.bases import Basis
 from reconstructor.fista import fista, objective
 from skin.layout import load_layout
 from skin.measurement import Sbhe
-from skin.pairing import psnr_db
-from touch.contact import FORCE_MAX_N, Grid, press_along
-from touch.electronics import sense
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N, sense
+from touch.contact import Grid, press_along
 from touch.objects import spheres_of
 from touch.trajectory import paper_pose
 

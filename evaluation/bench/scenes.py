@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from reconstructor.engine import Reconstructor
 from skin.measurement import Sbhe
-from skin.pairing import psnr_db
-from touch.acquisition import ACQUISITION_OBJECTS, trajectory
-from touch.contact import FORCE_MAX_N
-from touch.electronics import sense
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N, sense
+from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 
 Images = npt.NDArray[np.float32]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from evaluation.bench.problem import TURN_S
 from reconstructor.engine import Reconstructor
 from skin.measurement import sbhe
-from touch.electronics import NOISE_N
+from skin.taxel import NOISE_N
 
 #: Skins of the default skin's size at once.
 SKINS: Final = (1, 2, 4, 8)

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from skin.measurement import Sbhe, sbhe
 from skin.noiselet import Noiselet, noiselet
 from skin.operator import Operator
+from skin.taxel import sense
 from touch.arrays import averaged
-from touch.electronics import sense
 from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations
 
 Values = npt.NDArray[np.floating[Any]]

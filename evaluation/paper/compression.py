@@ -12,8 +12,8 @@ from evaluation.paper.pictures import draw_differences
 from evaluation.paper.printed import SENSOR, TABLE_TWO, BasisName, Matrix
 from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method, cell, felt_force, measure, true_force
 from evaluation.paper.tolerance import outside, within
-from skin.pairing import psnr_db
-from touch.contact import FORCE_MAX_N
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N
 
 SUMS: Final = (1365, 1024, 819)
 ITERATIONS: Final = 20

@@ -25,8 +25,9 @@ from evaluation.paper.runs import (
 )
 from reconstructor.fista import fista, largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet
-from skin.pairing import psnr_db
-from touch.contact import FORCE_MAX_N, Force
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N
+from touch.contact import Force
 
 SUMS: Final = (1365, 1024, 819)
 #: The step of the images: in the middle of the slide. The paper does not say which it shows.

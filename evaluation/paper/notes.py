@@ -3,7 +3,7 @@
 from typing import Final
 
 from evaluation.findings import Options
-from touch.acquisition import ACQUISITION_OBJECTS
+from touch.trajectory import ACQUISITION_OBJECTS
 
 CONVENTION: Final = (
     "½‖ΦΨs - y‖² + λ‖s‖₁ with Φ of ±1, forces in newtons, L twice the largest eigenvalue of (ΦΨ)ᵀΦΨ, the momentum "

@@ -1,6 +1,6 @@
 """The numbers the paper prints: its Tables I to III and the PSNR in the caption of its sample images.
 
-Objects and bases have the names of `touch.acquisition` and of this package. PSNR in dB, times in milliseconds.
+Objects and bases have the names of `touch.trajectory` and of this package. PSNR in dB, times in milliseconds.
 """
 
 from typing import Final, Literal, NamedTuple

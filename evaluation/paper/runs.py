@@ -17,10 +17,10 @@ from reconstructor.solver import ImageSolver, make_solver
 from skin.measurement import sbhe
 from skin.noiselet import noiselet
 from skin.operator import Operator
-from skin.pairing import psnr_db
-from touch.acquisition import ACQUISITION_OBJECTS, trajectory
-from touch.contact import FORCE_MAX_N, Force
-from touch.electronics import sense
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N, sense
+from touch.contact import Force
+from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 
 OBJECTS: Final = tuple(ACQUISITION_OBJECTS)
 SIDE: Final = 64

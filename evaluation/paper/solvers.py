@@ -16,8 +16,8 @@ from evaluation.paper.runs import OBJECTS, SIDE, felt_force, phi_seed, true_forc
 from reconstructor.bases import haar_tensor
 from reconstructor.fista import fista, objective
 from skin.measurement import sbhe
-from skin.pairing import psnr_db
-from touch.contact import FORCE_MAX_N
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N
 
 #: Budgets: the time of so many iterations of the paper's FISTA.
 BUDGETS: Final = (5, 10, 20, 50, 100)

@@ -14,7 +14,7 @@ from evaluation.paper.tolerance import within
 from reconstructor.bases import make_basis
 from reconstructor.kernels.contourlet import CompiledContourlet
 from reconstructor.pursuit import basis_pursuit
-from touch.acquisition import ACQUISITION_OBJECTS
+from touch.trajectory import ACQUISITION_OBJECTS
 
 #: τ of the paper's approximate sparsity, newtons.
 THRESHOLD_N: Final = 0.001

@@ -9,16 +9,16 @@ import numpy as np
 from classifier.cache import TOUCHES_PER_OBJECT
 from classifier.decide import Classifier
 from classifier.model import Model
-from classifier.samples import NOISE_N, simulate_sums
-from classifier.touches import load_touches
+from classifier.samples import simulate_sums
 from classifier.training import train
 from evaluation.findings import Row
 from skin.errors import InputError
 from skin.layout import load_layout
 from skin.messages import UNKNOWN_OBJECT
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import DEFAULT_OBJECTS, load_touches
+from skin.taxel import NOISE_N
 from touch.sources import objects
-from touch.touches import SLOT_S
+from touch.strokes import SLOT_S
 
 #: Dead blocks and quieter taxels, as (part of the blocks, part of the noise).
 CONDITIONS: Final = ((0.0, 1.0), (0.1, 1.0), (0.25, 1.0), (0.0, 0.5))

@@ -127,7 +127,7 @@ def read_postures(folder: str) -> Postures:
     """
     images, postures, people = [], [], []
     for person, path in enumerate(people_files(Path(folder))):
-        for posture, counts in enumerate(read_counts(path, POSTURES, None, (_SIDE, _SIDE))):
+        for posture, counts in enumerate(read_counts(path, POSTURES, (_SIDE, _SIDE))):
             images.append(_centred(counts[_EDGE:-_EDGE:STRIDE], path))
             postures += [posture] * len(images[-1])
             people += [person] * len(images[-1])

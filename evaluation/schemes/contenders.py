@@ -17,9 +17,9 @@ from evaluation.schemes.sums import run_sums
 from evaluation.schemes.touches import Touch
 from evaluation.schemes.wire import TICK_NS
 from skin.layout import load_layout
+from skin.taxel import sense
 from touch.arrays import averaged
 from touch.contact import Force
-from touch.electronics import sense
 
 #: What a cell of a coarse array is: one with the noise of any taxel, or what the node makes of its taxels.
 Cells = Literal["sensor", "mean"]

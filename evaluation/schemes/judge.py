@@ -9,8 +9,9 @@ import numpy.typing as npt
 from evaluation.findings import Row
 from evaluation.schemes.judge_kernel import judge_images, judge_updates
 from evaluation.schemes.wire import TICK_NS
-from skin.pairing import decibels
-from touch.contact import FORCE_MAX_N, Force
+from skin.psnr import decibels
+from skin.taxel import FORCE_MAX_N
+from touch.contact import Force
 
 #: No image of a 10-bit converter is better: PSNR is not counted above it, or an idle skin's would be infinite.
 PSNR_MOST_DB: Final = 71.0

@@ -14,8 +14,9 @@ from evaluation.schemes.scenes import SIDE, SLAP_MS, TAXELS
 from evaluation.schemes.shown import Contender
 from evaluation.schemes.touches import Touch
 from evaluation.schemes.wire import TICK_NS
-from skin.pairing import psnr_db
-from touch.contact import FORCE_MAX_N, Force
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N
+from touch.contact import Force
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ from evaluation.schemes.judge import PSNR_MOST_DB, WRONG_N
 from evaluation.schemes.scenes import RECORDED_MS
 from evaluation.schemes.sums import SOLVED_NS
 from skin.layout import load_layout
-from touch.contact import FORCE_MAX_N
+from skin.taxel import FORCE_MAX_N
 
 #: The default skin, and the plainest of its rivals.
 OURS: Final = Sums(16)

@@ -11,7 +11,8 @@ from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Updates
 from evaluation.schemes.patches import lines_of, patches
 from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
-from touch.contact import FORCE_MAX_N, Force
+from skin.taxel import FORCE_MAX_N
+from touch.contact import Force
 
 FRAME_BITS: Final = 64
 

@@ -12,14 +12,21 @@ import numpy.typing as npt
 
 from skin.errors import InputError
 from skin.layout import Taxels
-from touch.acquisition import ACQUISITION_OBJECTS, trajectory
+from skin.taxel import NOISE_N, sense, to_counts
 from touch.contact import Force, Grid, Pose, press
-from touch.electronics import NOISE_N, PERIOD_S, sense
 from touch.objects import spheres_of
 from touch.primitives import ball
 from touch.reading import read_counts
 from touch.recording import Recording
-from touch.trajectory import PAPER_DEPTH_M, PAPER_PRESS_M_PER_STEP, PAPER_PRESS_STEPS, paper_pose
+from touch.trajectory import (
+    ACQUISITION_OBJECTS,
+    PAPER_DEPTH_M,
+    PAPER_PRESS_M_PER_STEP,
+    PAPER_PRESS_STEPS,
+    PAPER_STEP_S,
+    paper_pose,
+    trajectory,
+)
 
 _ARRAY: Final = Taxels()
 #: The default skin's array: taxels of a side, and of all; newtons of one count of its converters.
@@ -93,7 +100,7 @@ def _shaking(tick: int) -> Iterator[tuple[str, Pose]]:
 def shaking_speed_ratio() -> float:
     """Return how many times as fast the boxes are pressed at their fastest as the paper's objects are."""
     fastest_m_per_s = 2 * math.pi * max(SHAKING_HZ) * SHAKING_SWING * SHAKING_DEPTH_M
-    return fastest_m_per_s * PERIOD_S / PAPER_PRESS_M_PER_STEP
+    return fastest_m_per_s * PAPER_STEP_S / PAPER_PRESS_M_PER_STEP
 
 
 def _nothing(tick: int) -> Iterator[tuple[str, Pose]]:
@@ -151,17 +158,16 @@ def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:
 
 
 def _counts(felt_n: Force) -> npt.NDArray[np.int16]:
-    counts: npt.NDArray[np.int16] = np.rint(felt_n / np.float32(NEWTON_PER_COUNT)).astype(np.int16)
-    return counts
+    return to_counts(felt_n, _ARRAY).astype(np.int16)
 
 
 def _recorded(path: Path, ticks: int | None) -> Force:
     """Return a recording, each frame for `RECORDED_MS`, in the middle of the skin."""
     with np.load(path, allow_pickle=False) as file:
         names = list(file.files)
-    wide = read_counts(path, names[:1], None, (SIDE, SIDE))[0].shape[2]
+    wide = read_counts(path, names[:1], (SIDE, SIDE))[0].shape[2]
     beside = names[: max(1, SIDE // wide)]
-    played = Recording(read_counts(path, beside, None, (SIDE, SIDE)), SIDE, SIDE, steps_per_frame=RECORDED_MS)
+    played = Recording(read_counts(path, beside, (SIDE, SIDE)), SIDE, SIDE, steps_per_frame=RECORDED_MS)
     length = min(played.frames, RECORDED_FRAMES) * RECORDED_MS
     frames = [played.frame(tick).force_n.ravel() for tick in range(0, min(ticks or length, length), RECORDED_MS)]
     return np.repeat(np.stack(frames), RECORDED_MS, axis=0)

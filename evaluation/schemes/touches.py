@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evaluation.schemes.scenes import Scene, scene
-from touch.electronics import NOISE_N
+from skin.taxel import NOISE_N
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from classifier.model import Model
-from classifier.training import Plan, train
+from classifier.training import TrainingOptions, train
 from skin.layout import Layout, parse_layout
 from skin.measurement import Sbhe
 
@@ -65,10 +65,10 @@ def unseen() -> Touches:
 
 @pytest.fixture(scope="session")
 def model(layout: Layout, touches: Touches) -> Model:
-    return train(*touches, layout, plan=Plan(no_touches=3000))
+    return train(*touches, layout, options=TrainingOptions(no_touches=3000))
 
 
 @pytest.fixture(scope="session")
 def raw_model(layout: Layout, touches: Touches) -> Model:
     """The paper's mode: raw sums."""
-    return train(*touches, layout, plan=Plan(features="sums", no_touches=500))
+    return train(*touches, layout, options=TrainingOptions(features="sums", no_touches=500))

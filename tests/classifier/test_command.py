@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from classifier import touches as touches_module
 from classifier.cache import cache_folder, cached_path, find_or_train
 from classifier.command import classify, train
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
-from classifier.touches import load_touches
+from skin import sources
 from skin.errors import InputError, ModelError
 from skin.fabric import Fabric
 from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
+from skin.sources import load_touches
 
 NAMES = ("dome", "plate")
 
@@ -49,7 +49,7 @@ class Offer:
 @pytest.fixture
 def offer(monkeypatch: pytest.MonkeyPatch, touches: tuple[np.ndarray, np.ndarray]) -> Offer:
     made = Offer(*touches)
-    monkeypatch.setattr(touches_module, "entry_points", lambda **_: [made])
+    monkeypatch.setattr(sources, "entry_points", lambda **_: [made])
     return made
 
 
@@ -128,14 +128,19 @@ def test_cache_that_cannot_be_written_is_no_obstacle(
 
 
 def test_no_touches_offered(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> None:
-    monkeypatch.setattr(touches_module, "entry_points", lambda **_: [])
-    with pytest.raises(InputError, match="nothing installed offers 'random' touches"):
+    monkeypatch.setattr(sources, "entry_points", lambda **_: [])
+    with pytest.raises(InputError, match=r"no 'random' in .*'canskin\.touches': installed .* offer nothing"):
         load_touches(NAMES, 20, layout, seed=0)
 
 
 def test_wrong_options(small: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--touches -1"):
         train(layout=small, touches=-1)
+    with pytest.raises(InputError, match="the folder for the model does not exist"):
+        train(layout=small, out=tmp_path / "none" / "m.npz")
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(InputError, match="cannot write the model there"):
+        train(layout=small, out=tmp_path)
     with pytest.raises(InputError, match="leave --objects out"):
         classify(layout=small, model=tmp_path / "x.npz", objects="ring")
     with pytest.raises(ModelError, match="cannot read the model"):

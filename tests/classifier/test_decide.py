@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from classifier.decide import FORGET_CYCLES, Classifier
-from classifier.gathered import HOLD_CYCLES
 from classifier.model import Model
+from classifier.newest_sums import HOLD_CYCLES
 from classifier.samples import simulate_sums
-from classifier.training import Plan, train
+from classifier.training import TrainingOptions, train
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.messages import UNKNOWN_OBJECT
@@ -160,7 +160,7 @@ def test_object_never_met_is_unknown_while_known_ones_keep_their_name(
 
 
 def test_model_of_few_touches_calls_nothing_unknown(layout: Layout, phi: Sbhe, valid: np.ndarray) -> None:
-    model = train(*draw(32, seed=4), layout, plan=Plan(no_touches=200))
+    model = train(*draw(32, seed=4), layout, options=TrainingOptions(no_touches=200))
     assert model.limits.size == 0
     classifier = Classifier(model, phi, settling=1.0)
     flood = np.full((1, 32, 32), 0.01, np.float32)
@@ -182,7 +182,9 @@ def test_deciding_allocates_nothing_worth_mentioning(
 ) -> None:
     valid[0] = 0
     y = pressed["dome"][0]
-    for each in (model, raw_model):
+    # Raw sums that are missing take a solve of this size.
+    solve_bytes = 4 * raw_model.sum_loadings.shape[1] ** 2 * raw_model.sum_loadings.itemsize
+    for each, most_bytes in ((model, y.nbytes), (raw_model, y.nbytes + solve_bytes)):
         classifier = Classifier(each, phi)
         for _ in range(HOLD_CYCLES + 2):
             classifier.decide(y, valid)
@@ -195,4 +197,4 @@ def test_deciding_allocates_nothing_worth_mentioning(
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-        assert peak - before < y.nbytes  # less than any one array of the measurement
+        assert peak - before < most_bytes  # but for the solve, less than any one array of the measurement

@@ -7,10 +7,9 @@ from classifier.cache import TOUCHES_PER_OBJECT
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
-from classifier.touches import load_touches
 from classifier.training import train
 from skin.layout import load_layout
-from skin.sources import DEFAULT_OBJECTS, load_source
+from skin.sources import DEFAULT_OBJECTS, load_source, load_touches
 
 pytestmark = pytest.mark.slow
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from classifier.missing import Completion, Factors, fit_factors
@@ -18,6 +18,7 @@ def drawn(count: int = 400, sums: int = 12, factors: int = 2, noise: float = 0.0
 
 
 @given(st.integers(0, 2**32 - 1))
+@settings(deadline=None)
 def test_expectation_is_that_of_the_covariance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = Factors(rng.normal(size=9), rng.normal(size=(9, 3)), 0.2)

@@ -24,7 +24,7 @@ Entries = dict[str, np.ndarray]
 
 @pytest.fixture
 def path(tmp_path: Path, model: Model) -> Path:
-    file = tmp_path / "deep" / "model.npz"
+    file = tmp_path / "model.npz"
     save_model(model, file)
     return file
 

@@ -7,7 +7,7 @@ import pytest
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
-from classifier.training import Plan, train
+from classifier.training import TrainingOptions, train
 from skin.errors import InputError
 from skin.layout import Layout
 from skin.measurement import Sbhe
@@ -48,7 +48,7 @@ def test_card_tells_data_split_and_confusion(model: Model) -> None:
 
 def test_same_seed_same_model(layout: Layout, touches: Labelled) -> None:
     one, two, other = (
-        train(*touches, layout, plan=Plan(no_touches=200, seed=seed, C_grid=(1.0,))) for seed in (3, 3, 4)
+        train(*touches, layout, options=TrainingOptions(no_touches=200, seed=seed, C_grid=(1.0,))) for seed in (3, 3, 4)
     )
     assert msgspec.json.encode(one.metadata) == msgspec.json.encode(two.metadata)
     np.testing.assert_array_equal(one.weights, two.weights)
@@ -57,7 +57,7 @@ def test_same_seed_same_model(layout: Layout, touches: Labelled) -> None:
 
 def test_progress_tells_what_is_done(layout: Layout, touches: Labelled) -> None:
     said: list[tuple[str, float]] = []
-    train(*touches, layout, plan=Plan(no_touches=200), progress=lambda *step: said.append(step))
+    train(*touches, layout, options=TrainingOptions(no_touches=200), progress=lambda *step: said.append(step))
     ratios = [ratio for _, ratio in said]
     assert ratios == sorted(ratios)
     assert "C = 0.1" in [doing for doing, _ in said]
@@ -81,11 +81,11 @@ def test_images_that_cannot_be_used(layout: Layout, touches: Labelled) -> None:
         train(broken, labels, layout)
     with pytest.raises(InputError, match="unknown object"):
         train(force_n, np.where(labels == "dome", "unknown object", labels), layout)
-    for plan, says in (
-        (Plan(noise_n=0.0), "expected noise above 0 and below 0.02 N, got 0.0 N$"),
-        (Plan(C_grid=()), "expected one C or more"),
-        (Plan(C_grid=(-1.0,)), "each above 0"),
-        (Plan(no_touches=1), "2 or more draws"),
+    for options, says in (
+        (TrainingOptions(noise_n=0.0), "expected noise above 0 and below 0.02 N, got 0.0 N$"),
+        (TrainingOptions(C_grid=()), "expected one C or more"),
+        (TrainingOptions(C_grid=(-1.0,)), "each above 0"),
+        (TrainingOptions(no_touches=1), "2 or more draws"),
     ):
         with pytest.raises(InputError, match=says):
-            train(force_n, labels, layout, plan=plan)
+            train(force_n, labels, layout, options=options)

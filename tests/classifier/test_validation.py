@@ -19,8 +19,8 @@ def test_best_C_of_the_validation_set_is_trained_again_on_both() -> None:
     assert chosen.accuracy == max(scores)
     again = DagSvm(chosen.C).fit(X[:160], y[:160])
     np.testing.assert_array_equal(chosen.machine.predict(X[TEST]), again.predict(X[TEST]))
-    rehearsal = DagSvm(chosen.C).fit(X[:100], y[:100])
-    np.testing.assert_array_equal(chosen.rehearsal.predict(X[TEST]), rehearsal.predict(X[TEST]))
+    development_machine = DagSvm(chosen.C).fit(X[:100], y[:100])
+    np.testing.assert_array_equal(chosen.development_machine.predict(X[TEST]), development_machine.predict(X[TEST]))
 
 
 def test_inner_products_give_the_same_machine() -> None:

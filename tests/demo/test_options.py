@@ -22,7 +22,9 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
         "recording": None,
         "full_scale": None,
         "arrays": (),
+        "rate_hz": None,
         "objects": (),
+        "defects": (),
         "seed": 0,
         "view": True,
         "port": None,
@@ -43,6 +45,8 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
         ({"objects": ("golf-ball", "nosuch")}, "unknown object 'nosuch'"),
         ({"arrays": ("foo",)}, "--array is for a recording: give one with --input"),
         ({"full_scale": 0.0}, "--full-scale is for a recording"),
+        ({"rate_hz": 10.0}, "--rate is for a recording"),
+        ({"defects": ("dead=0.1", "worn")}, "--defect worn: expected KIND or KIND=AMOUNT"),
         ({"recording": Path("missing.npz")}, "no recording at 'missing.npz'"),
         ({"picture": Path("/proc/x.png")}, "/proc/x.png: cannot write the picture there"),
     ],
@@ -59,7 +63,7 @@ def test_broken_recording_and_its_options_are_told(tmp_path: Path) -> None:
     for changes in ({"recording": broken}, {"recording": good, "arrays": ("two",)}):
         with pytest.raises(InputError, match=r"broken\.npz|no array 'two'"):
             options(tmp_path, **changes).check(LAYOUT)
-    with pytest.raises(InputError, match="full_scale needs a number above 0"):
+    with pytest.raises(InputError, match=r"--full-scale\) needs a number above 0"):
         options(tmp_path, recording=good, full_scale=0.0).check(LAYOUT)
     options(tmp_path, recording=good, full_scale=4.0, arrays=("one",)).check(LAYOUT)
 

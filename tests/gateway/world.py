@@ -19,6 +19,7 @@ from skin.layout import parse_layout
 from skin.measurement import Sbhe
 from skin.messages import Measurement
 from skin.sources import Frame
+from skin.taxel import to_counts
 from tests.bus.harness import frame
 
 #: Four blocks of 32 taxels, two sums in each of two frames per block, on two buses.
@@ -64,11 +65,11 @@ class Witness(Electronics):
     counts: npt.NDArray[np.int32]
     reads = 0
 
-    def read(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
-        raw = np.rint(force_n.ravel() / self._newton_per_count)
+    def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[np.int32]:
+        raw = to_counts(force_n.ravel(), self.taxels)
         self.reads += 1
-        self.counts = np.clip(np.rint(self.gain * raw + self.offset), 0, self.top).astype(np.int32)
-        return super().read(force_n)
+        self.counts = np.clip(np.rint(self.gain * raw + self.offset), 0, self.taxels.count_max).astype(np.int32)
+        return super().read(force_n, step)
 
 
 class WitnessSampler(Sampler):

@@ -6,6 +6,7 @@ import pytest
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import PATTERN_FULL, PATTERN_RAMP, Electronics
 from nodes.sampler import Sampler
+from skin.defects import Damper, Dead, Drift, Saturated
 from skin.layout import load_layout
 from skin.sources import Frame
 
@@ -99,3 +100,33 @@ def test_noise_is_seeded_and_clipped() -> None:
     # Half of the noise is clipped away; the rest has the mean sigma / sqrt(2 pi).
     mean_n = one.mean() * LAYOUT.taxels.newton_per_count
     assert mean_n == pytest.approx(0.001 / np.sqrt(2 * np.pi), rel=0.05)
+
+
+def test_defects_reach_the_sums_and_the_truth_says_what_was_felt() -> None:
+    dead, full = Dead(0.1, 3), Saturated(0.05, 3)
+    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"dead": dead, "saturated": full})
+    sampler = Sampler(PHI, Steps(), electronics)
+    sums = sampler.sample(201, 0)
+    expected = np.full(4096, 200)
+    expected[full.taxels((64, 64))] = 1023
+    expected[dead.taxels((64, 64))] = 0
+    truth = sampler.take_truth()
+    assert truth is not None
+    counts = np.rint(np.frombuffer(truth.sensor, "<f4") / LAYOUT.taxels.newton_per_count)
+    assert np.array_equal(counts, expected)
+    assert np.array_equal(sums, PHI.forward(expected))
+    assert (np.frombuffer(truth.true, "<f4") > 0).all()
+
+
+def test_drift_and_damper_follow_the_steps_of_the_touch() -> None:
+    force = np.full((64, 64), 0.005, np.float32)
+    drifting = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"drift": Drift(1e-3)}, period_s=0.01)
+    start, late, later = (drifting.read(force, step).astype(int) for step in (0, 100, 200))
+    assert np.ptp(start) == 0
+    inside = later > 0  # the zero of some falls below the range
+    np.testing.assert_allclose((later - start)[inside], 2 * (late - start)[inside], atol=2)
+    assert np.abs(late - start).max() > 100
+    damped = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"damper": Damper(0.01)}, period_s=0.01)
+    counts = [int(damped.read(force * part, step)[0]) for step, part in ((0, 1), (1, 2), (3, 1), (4, 1))]
+    # 5 mN in 10 ms is 0.5 m/s on a spring of 1 N/m: 5 mN more; half the speed downwards takes 2.5 mN.
+    assert [round(count * LAYOUT.taxels.newton_per_count, 4) for count in counts] == [0.005, 0.015, 0.0025, 0.005]

@@ -115,17 +115,47 @@ def test_small_skin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "choices"),
+    ("old", "new", "says"),
     [
-        ("sum_bits = 16", "sum_bits = 9", "16 or 12 or 8"),
-        ('ensemble = "sbhe"', 'ensemble = "dct"', "sbhe"),
-        ('selection = "balanced"', 'selection = "any"', "balanced or uniform"),
-        ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "1 or 2 or 4 or 8"),
+        ("sum_bits = 16", "sum_bits = 9", "expected 16 or 12 or 8, got 9"),
+        ('ensemble = "sbhe"', 'ensemble = "dct"', 'expected sbhe, got "dct"'),
+        ('selection = "balanced"', 'selection = "any"', 'expected balanced or uniform, got "any"'),
+        ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "expected 1 or 2 or 4 or 8, got 3"),
+        ("rows = 64", "rowz = 64", "unknown key `rowz`: did you mean `rows`?"),
+        ("[taxels]", "[taxel]", "unknown key `taxel`: did you mean `taxels`?"),
+        ("rows = 64", "height = 64", "unknown key `height`: expected one of rows, columns, pitch_m, force_max_n, adc_"),
+        ("rows = 64", "rows = '64'", 'expected a whole number, got "64" - at `$.taxels.rows`'),
+        ("rows = 64", "rows = 6.5", "expected a whole number, got 6.5"),
+        ("rows = 64", "rows = 4", "expected 8 or more, got 4"),
+        ("pitch_m = 0.004", "pitch_m = inf", "expected 10.0 or less, got inf"),
+        ("sum_bits = 16", "sum_bits = 16\noffset_binary = 1", "expected true or false, got 1"),
+        ('name = "bus1"', 'name = "Bus 1"', 'begins with a letter, got "Bus 1" - at `$.bus[1].name`'),
+        ('name = "bus1"', f'name = "{70 * "b"}"', "expected 64 characters or less, got 70"),
+        ("nodes = 32", "", "the key `nodes` is missing - at `$.bus[0]`"),
+        ("[sync]", "[encoding.sync]", "unknown key `sync`"),
     ],
 )
-def test_a_wrong_choice_is_told_the_right_ones(old: str, new: str, choices: str) -> None:
-    with pytest.raises(LayoutError, match=rf"Invalid enum value .* - at `.*`: expected {choices}$"):
+def test_a_wrong_key_or_value_is_told_the_right_ones(old: str, new: str, says: str) -> None:
+    assert old in DEFAULT
+    with pytest.raises(LayoutError) as refused:
         parse_layout(DEFAULT.replace(old, new, 1).encode(), "x.toml")
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "the key `bus` is missing"),
+        ("bus = 3", "expected an array of tables, got 3"),
+        ("bus = []", "expected 1 table or more, got 0"),
+        ("bus = [3]", "expected a table, got 3"),
+        ("sync = 3\nbus = []", "expected a table, got 3 - at `$.sync`"),
+    ],
+)
+def test_a_wrong_file_is_told_what_to_write(text: str, says: str) -> None:
+    with pytest.raises(LayoutError) as refused:
+        parse_layout(text.encode(), "x.toml")
+    assert says in str(refused.value)
 
 
 def test_the_page_names_every_key() -> None:

@@ -1,6 +1,6 @@
 """The paper's five trajectories against its numbers: with our own shapes, and with its meshes.
 
-Starts other than the golf ball's are fitted to Table I; see `touch.acquisition.Start`.
+Starts other than the golf ball's are fitted to Table I; see `touch.trajectory.Start`.
 """
 
 import os
@@ -11,12 +11,11 @@ import numpy.typing as npt
 import pytest
 
 from evaluation.paper.printed import SENSOR, TABLE_ONE
+from skin.taxel import sense
 from tests.touch.table_one import haar_counts
-from touch.acquisition import ACQUISITION_OBJECTS, trajectory
 from touch.contact import Force, Grid, Pose, press
-from touch.electronics import sense
 from touch.objects import CATALOGUE, spheres_of
-from touch.trajectory import PAPER_DEPTH_M
+from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M, trajectory
 
 WITH_MESH = [name for name, item in CATALOGUE.items() if item.mesh is not None]
 FORCE_MAX_N = 0.02

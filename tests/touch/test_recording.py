@@ -35,7 +35,7 @@ def placed(source: Recording, step: int) -> npt.NDArray[np.float64]:
 
 
 def test_it_is_the_source_registered_as_recording(pair: Path) -> None:
-    source = load_source("recording", path=pair, rows=8, columns=8, pitch_m=0.004, rate_hz=100.0)
+    source = load_source("recording", path=pair, rows=8, columns=8, rate_hz=100.0)
     assert isinstance(source, Recording)
     assert source.has_noise
     assert source.frame(0).label == ""
@@ -88,22 +88,53 @@ def test_every_unit_and_type_comes_back(tmp_path: Path, dtype: str, force_max_n:
             np.testing.assert_array_equal(placed(source, step), counts[step])
 
 
-def test_csv_with_a_shape_in_its_comment_in_an_option_or_of_the_skin(tmp_path: Path) -> None:
-    lines = [",".join(str(value) for value in frame.ravel()) for frame in COUNTS]
-    commented, bare = tmp_path / "commented.csv", tmp_path / "bare.csv"
-    commented.write_text("# a mat\n# shape: 6 4\n" + "\n".join(lines) + "\n")
-    bare.write_text("\n".join(lines))
-    for source in (
-        recording(commented, 8, 8),
-        recording(bare, 8, 8, frame_shape=(6, 4)),
-        recording(bare, 6, 4),
-    ):
-        row, column = source.corner
-        for step in range(5):
-            found = placed(source, step)[row : row + 6, column : column + 4]
-            np.testing.assert_allclose(found, COUNTS[step], rtol=1e-6)
-    with pytest.raises(InputError, match="24 values per line: expected 8 x 8 = 64; give frame_shape"):
-        recording(bare, 8, 8)
+def csv_text(delimiter: str = ",", header: str = "", *, times: bool = False) -> str:
+    lines = [delimiter.join(str(value) for value in frame.ravel()) for frame in COUNTS]
+    if times:
+        lines = [f"0.{step}{delimiter}{line}" for step, line in enumerate(lines)]
+    return header + "\n".join(lines) + "\n"
+
+
+NAMES = ",".join(f"taxel {number}" for number in range(24))
+CSV = {
+    "of the skin's size": (csv_text(), (6, 4)),
+    "with a shape": ("# a mat\n# shape: 6 4\n" + csv_text(), (8, 8)),
+    "with a header": (csv_text(header=NAMES + "\n"), (6, 4)),
+    "of a spreadsheet": ("\ufeff" + csv_text(";", header=NAMES.replace(",", ";") + "\n"), (6, 4)),
+    "with tabs": (csv_text("\t"), (6, 4)),
+    "with decimal commas": (csv_text(";").replace(";", ",0;"), (6, 4)),
+    "with times": (csv_text(times=True), (6, 4)),
+    "with times and a header": (csv_text(header=f"time_s,{NAMES}\n", times=True), (6, 4)),
+    "with a header, a comment and decimal commas": (
+        f"Time (s);{NAMES.replace(',', ';')}\n# shape: 6x4\n" + csv_text(";", times=True).replace("0.", "0,"),
+        (8, 8),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CSV)
+def test_csv_files_of_other_programs_are_read(tmp_path: Path, case: str) -> None:
+    text, skin_shape = CSV[case]
+    path = tmp_path / "mat.csv"
+    path.write_text(text, "utf-8")
+    source = recording(path, *skin_shape)
+    row, column = source.corner
+    for step in range(5):
+        found = placed(source, step)[row : row + 6, column : column + 4]
+        np.testing.assert_allclose(found, COUNTS[step], rtol=1e-6)
+
+
+def test_a_csv_of_another_size_is_told_how_to_say_its_shape(tmp_path: Path) -> None:
+    (tmp_path / "bare.csv").write_text(csv_text())
+    with pytest.raises(InputError, match=r"24 values per line: expected 8 x 8 = 64; write the line '# shape: ROWS COL"):
+        recording(tmp_path / "bare.csv", 8, 8)
+
+
+def test_a_recording_smaller_than_the_skin_is_said(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording(pair, 9, 8, arrays="left")
+    assert "6 x 4 taxels of pair.npz lie in the middle of a skin of 9 x 8" in capsys.readouterr().err
+    recording(pair, 6, 4, arrays="left")
+    assert capsys.readouterr().err == ""
 
 
 def npy(array: npt.NDArray[Any]) -> bytes:
@@ -128,7 +159,7 @@ BAD_ARRAYS: dict[str, tuple[npt.NDArray[Any], str]] = {
     "nan": (with_value(np.nan), "NaN or infinity"),
     "infinite": (with_value(np.inf), "NaN or infinity"),
     "negative": (with_value(-2.0), r"holds -2.0: expected forces of 0 or more"),
-    "all zero": (COUNTS * 0, "only zeros: give full_scale"),
+    "all zero": (COUNTS * 0, "only zeros: give the value of the largest force with --full-scale"),
     "too large": (np.ones((2, 6, 9)), "6 x 9 taxels does not fit a skin of 8 x 8"),
 }
 
@@ -145,8 +176,8 @@ def test_arrays_that_are_no_touch_are_refused(tmp_path: Path, case: str) -> None
 
 
 BAD_CSV = {
-    "words": ("1,2\n3,four\n", "cannot be read as .csv"),
-    "ragged": ("1,2\n3\n", "cannot be read as .csv"),
+    "words": ("1,2\n3,four\n", "line 2, value 2 is 'four': expected a number"),
+    "ragged": ("1,2\n3\n", "line 2 has 1 values: expected 2"),
     "empty": ("# shape: 1 2\n\n", "holds no frame"),
     "nan": ("1,nan\n", "NaN or infinity"),
     "negative": ("1,-2\n", "expected forces of 0 or more"),
@@ -171,12 +202,12 @@ BAD_CALLS: dict[str, tuple[Callable[[Path], Any], str]] = {
         "no array 'middle': expected one of left, right",
     ),
     "no array": (lambda path: recording(path, 8, 8, arrays=()), "no array named"),
-    "scale": (lambda path: recording(path, 8, 8, full_scale=0), "full_scale needs a number above 0"),
-    "scale nan": (lambda path: recording(path, 8, 8, full_scale=float("nan")), "full_scale"),
+    "scale": (lambda path: recording(path, 8, 8, full_scale=0), "--full-scale. needs a number above 0"),
+    "scale nan": (lambda path: recording(path, 8, 8, full_scale=float("nan")), "full-scale"),
     "scale tiny": (lambda path: recording(path, 8, 8, full_scale=1e-300), "too small"),
     "force": (lambda path: recording(path, 8, 8, force_max_n=-1), "force_max_n"),
     "wide": (lambda path: recording(path, 6, 6, arrays=("left", "right")), "6 x 7 taxels does not fit"),
-    "rate": (lambda path: recording(path, 8, 8, frame_rate_hz=10.0), "and rate_hz"),
+    "rate": (lambda path: recording(path, 8, 8, frame_rate_hz=10.0), "--rate"),
     "step": (lambda path: recording(path, 8, 8).frame(-1), "step 0"),
 }
 
@@ -231,7 +262,14 @@ def zipped() -> bytes:
 
 
 @given(
-    st.sampled_from([(".npy", npy(COUNTS)), (".npz", zipped()), (".csv", b"# shape: 1 2\n1,2\n3,4\n")]),
+    st.sampled_from(
+        [
+            (".npy", npy(COUNTS)),
+            (".npz", zipped()),
+            (".csv", b"# shape: 1 2\n1,2\n3,4\n"),
+            (".csv", b"time;a;b\n# shape: 1 2\n0,1;1;2\n0,2;3;4\n"),
+        ]
+    ),
     st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), min_size=1, max_size=8),
     st.integers(0, 2000),
 )
@@ -269,15 +307,15 @@ def test_a_real_pressure_mat_fills_the_skin() -> None:
 def test_the_array_played_is_named_beside_the_others(
     pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording(pair, 9, 8)
+    recording(pair, 6, 4)
     said = "recording: plays the first array of pair.npz, left; choose with --array, there is also right\n"
     assert capsys.readouterr().err == said
     many = tmp_path / "many.npz"
     np.savez(many, **{f"a{number}": COUNTS for number in range(12)})
-    recording(many, 9, 8)
+    recording(many, 6, 4)
     assert capsys.readouterr().err.endswith("there is also a1, a2, a3, a4, a5, a6, a7, a8 and 3 more\n")
     single = tmp_path / "single.npz"
     np.savez(single, only=COUNTS)
-    for path, arrays in ((pair, "right"), (pair, ["left", "right"]), (single, None)):
-        recording(path, 9, 8, arrays=arrays)
+    for path, arrays, columns in ((pair, "right", 3), (pair, ["left", "right"], 7), (single, None, 4)):
+        recording(path, 6, columns, arrays=arrays)
     assert capsys.readouterr().err == ""

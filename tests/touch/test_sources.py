@@ -8,7 +8,7 @@ from skin.sources import DEFAULT_OBJECTS, load_source
 from touch.objects import CATALOGUE
 from touch.random_touches import random_touches
 from touch.sources import ObjectSource, objects
-from touch.touches import DEPTH_M, LABEL_FORCE_N, SLOT_S
+from touch.strokes import DEPTH_M, LABEL_FORCE_N, SLOT_S
 
 SOURCE = objects(rate_hz=100.0, seed=7)
 SLOT = round(SLOT_S * 100)
@@ -23,7 +23,7 @@ def test_it_is_the_source_registered_as_objects() -> None:
 
 
 @given(st.lists(st.integers(0, 20 * SLOT), min_size=2, max_size=6))
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 def test_a_frame_depends_on_its_step_alone(steps: list[int]) -> None:
     fresh = objects(rate_hz=100.0, seed=7)
     for step in steps:

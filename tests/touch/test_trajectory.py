@@ -1,40 +1,41 @@
+import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from touch.trajectory import Stroke
-
-duration = st.floats(0.0, 3.0)
-place = st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
-strokes = st.builds(
-    Stroke, place, place, st.floats(-7, 7), st.floats(0.001, 0.02), duration, duration, duration, duration
-)
-STROKE = Stroke((0.0, 0.01), (0.04, -0.01), 1.5, 0.01, press_s=0.5, hold_s=1.0, slide_s=2.0, lift_s=0.25)
+from skin.errors import InputError
+from touch.contact import Grid, press
+from touch.objects import spheres_of
+from touch.trajectory import ACQUISITION_OBJECTS, paper_pose, start_of, trajectory
 
 
-@given(strokes, st.floats(-1.0, 14.0))
-def test_a_stroke_stays_between_its_ends_and_within_its_depth(stroke: Stroke, time_s: float) -> None:
-    pose = stroke.pose(time_s)
-    for at, start, end in zip(pose[:2], stroke.start_m, stroke.end_m, strict=True):
-        assert min(start, end) - 1e-12 <= at <= max(start, end) + 1e-12
-    assert 0.0 <= pose.depth_m <= stroke.depth_m
-    assert pose.rotation_rad == stroke.rotation_rad
+def test_the_papers_five_objects_and_which_start_is_exact() -> None:
+    assert tuple(ACQUISITION_OBJECTS) == ("golf-ball", "granola-box", "drill", "cup", "clamp")
+    assert [name for name, start in ACQUISITION_OBJECTS.items() if start.exact] == ["golf-ball"]
 
 
-@pytest.mark.parametrize(
-    ("time_s", "x_m", "y_m", "depth_m"),
-    [
-        (-1.0, 0.0, 0.01, 0.0),
-        (0.25, 0.0, 0.01, 0.005),
-        (0.5, 0.0, 0.01, 0.01),
-        (1.5, 0.0, 0.01, 0.01),
-        (2.5, 0.02, 0.0, 0.01),
-        (3.5, 0.04, -0.01, 0.01),
-        (3.625, 0.04, -0.01, 0.005),
-        (3.75, 0.04, -0.01, 0.0),
-        (9.0, 0.04, -0.01, 0.0),
-    ],
-)
-def test_press_hold_slide_lift(time_s: float, x_m: float, y_m: float, depth_m: float) -> None:
-    assert STROKE.duration_s == 3.75
-    assert tuple(STROKE.pose(time_s)) == pytest.approx((x_m, y_m, 1.5, depth_m), abs=1e-12)
+def test_a_trajectory_is_the_object_along_the_papers_poses() -> None:
+    force_n = trajectory("drill", steps=1300)
+    assert force_n.shape == (1300, 64, 64)
+    assert force_n.dtype == np.float32
+    start = start_of("drill")
+    for step in (0, 101, 1099, 1299):
+        pose = paper_pose(step, start.start_m, start.rotation_rad)
+        np.testing.assert_array_equal(force_n[step], press(Grid(), [(spheres_of("drill"), pose)]))
+
+
+def test_speed_leaves_steps_out() -> None:
+    slow, fast = trajectory("golf-ball"), trajectory("golf-ball", speed=10)
+    assert slow.shape == (4200, 64, 64)
+    np.testing.assert_array_equal(fast, slow[::10])
+    np.testing.assert_array_equal(trajectory("golf-ball", speed=11)[-1], slow[4191])
+    np.testing.assert_array_equal(trajectory("golf-ball", speed=10, steps=7), slow[:70:10])
+
+
+@pytest.mark.parametrize(("speed", "steps"), [(0, None), (4201, None), (1, 0), (1, 4201), (10, 421)])
+def test_impossible_lengths_are_refused(speed: int, steps: int | None) -> None:
+    with pytest.raises(InputError, match="expected"):
+        trajectory("golf-ball", speed=speed, steps=steps)
+
+
+def test_objects_without_a_trajectory_are_refused() -> None:
+    with pytest.raises(InputError, match=r"'banana'.*golf-ball"):
+        start_of("banana")

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skin.ground_truth import REMEMBERED, Pairing
 from skin.messages import Image, Truth
-from skin.pairing import REMEMBERED, Pairing, psnr_db
+from skin.psnr import psnr_db
 from viewer.state import ViewState
 from viewer.window import Window
 

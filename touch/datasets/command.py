@@ -12,17 +12,17 @@ from skin.errors import InputError
 from skin.parallel import in_parallel
 from touch.arrays import ARRAYS
 from touch.datasets.folder import DatasetFolder, alone
-from touch.datasets.options import Slides, Taxels, Touches
-from touch.datasets.plan import Plan, plan_acquisition, plan_classification
+from touch.datasets.options import AcquisitionOptions, ClassificationOptions, TaxelOptions
+from touch.datasets.plan import DatasetPlan, plan_acquisition, plan_classification
 from touch.objects import checked_names
 
 #: Chunks per process between two gatherings: what is made must not pile up while it is written.
 _AHEAD: Final = 4
 
 Subject = Literal["acquisition", "classification"]
-_SLIDES: Final = Slides()
-_TOUCHES: Final = Touches()
-_TAXELS: Final = Taxels()
+_SLIDES: Final = AcquisitionOptions()
+_TOUCHES: Final = ClassificationOptions()
+_TAXELS: Final = TaxelOptions()
 
 
 def dataset(
@@ -34,9 +34,9 @@ def dataset(
     seed: int = 0,
     jobs: int | None = None,
     cluster: str | None = None,
-    slides: Slides = _SLIDES,
-    touches: Touches = _TOUCHES,
-    taxels: Taxels = _TAXELS,
+    slides: AcquisitionOptions = _SLIDES,
+    touches: ClassificationOptions = _TOUCHES,
+    taxels: TaxelOptions = _TAXELS,
     json: bool = False,
 ) -> None:
     """Make one of the paper's two data sets in a folder.
@@ -73,12 +73,12 @@ def dataset(
     skin dataset acquisition --out worn --gain-spread 0.05 --dead 0.01 --json
     """
     names = None if objects is None else checked_names(objects)
-    electronics = taxels.electronics(seed)
+    model = taxels.model(seed)
     if subject == "acquisition":
         if touches != _TOUCHES:
             raise InputError("--arrays, --kind and --perturbations belong to 'classification': leave them out")
         speed, steps = slides.speed, slides.steps
-        plan = plan_acquisition(names, meshes=meshes, speed=speed, steps=steps, electronics=electronics, seed=seed)
+        plan = plan_acquisition(names, meshes=meshes, speed=speed, steps=steps, model=model, seed=seed)
     elif subject == "classification":
         if slides != _SLIDES:
             raise InputError("--speed and --steps belong to 'acquisition': leave them out")
@@ -88,7 +88,7 @@ def dataset(
             sides=_sides(touches.arrays),
             kind=touches.kind,
             perturbations=touches.perturbations,
-            electronics=electronics,
+            model=model,
             seed=seed,
         )
     else:
@@ -101,7 +101,7 @@ def dataset(
     _show(done, as_json=json)
 
 
-def fill(plan: Plan, out: Path, jobs: int, cluster: str | None = None) -> dict[str, Any]:
+def fill(plan: DatasetPlan, out: Path, jobs: int, cluster: str | None = None) -> dict[str, Any]:
     """Make what the folder lacks of a data set, with a progress bar on a terminal's stderr.
 
     Returns
@@ -139,7 +139,7 @@ def fill(plan: Plan, out: Path, jobs: int, cluster: str | None = None) -> dict[s
     return _summary(folder, plan, sum(len(task.files) for task in missing), time.monotonic() - began_s)
 
 
-def _summary(folder: DatasetFolder, plan: Plan, files_made: int, seconds: float) -> dict[str, Any]:
+def _summary(folder: DatasetFolder, plan: DatasetPlan, files_made: int, seconds: float) -> dict[str, Any]:
     objects = {name: {"made_of": about["made_of"], "files": 0, "bytes": 0} for name, about in plan.objects.items()}
     for task in plan.tasks:
         for name, about in task.files.items():

@@ -104,7 +104,7 @@ class DatasetFolder:
         if not isinstance(found, dict) or not isinstance(found.get("chunks"), dict):
             raise InputError(f"{where} a manifest that is not of '{FORMAT}': {mend}")
         for name in ("format", "data_set", "made_by", "settings"):
-            theirs, ours = found.get(name), self._manifest[name]
+            theirs, ours = _given(found.get(name)), _given(self._manifest[name])
             if theirs == ours:
                 continue
             what = name, theirs, ours
@@ -151,6 +151,13 @@ def alone(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+def _given(value: Any) -> Any:
+    """Return settings without those that are off: a setting this version knows may be absent from an older manifest."""
+    if not isinstance(value, dict):
+        return value
+    return {name: each for name, each in value.items() if each is not None}
 
 
 def _first_difference(theirs: dict[str, Any], ours: dict[str, Any]) -> tuple[str, Any, Any]:

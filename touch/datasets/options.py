@@ -5,10 +5,9 @@ from typing import Final
 
 from cyclopts import Group, Parameter
 
+from skin.defects import KINDS, make_defects
+from skin.taxel import FORCE_MAX_N, NOISE_N, TaxelModel
 from touch.arrays import ARRAYS, Kind
-from touch.contact import FORCE_MAX_N
-from touch.effects import CrossTalk, Damper, Dead, Drift, GainSpread, Stuck
-from touch.electronics import NOISE_N, Electronics
 from touch.perturbations import PERTURBATIONS
 
 EVERY_ARRAY: Final = ",".join(map(str, ARRAYS))
@@ -16,7 +15,7 @@ EVERY_ARRAY: Final = ",".join(map(str, ARRAYS))
 
 @Parameter(name="*", group=Group("Acquisition"))
 @dataclass(frozen=True)
-class Slides:
+class AcquisitionOptions:
     """How objects move over the skin.
 
     Attributes
@@ -33,7 +32,7 @@ class Slides:
 
 @Parameter(name="*", group=Group("Classification"))
 @dataclass(frozen=True)
-class Touches:
+class ClassificationOptions:
     """What is touched with.
 
     Attributes
@@ -52,10 +51,10 @@ class Touches:
     perturbations: int = PERTURBATIONS
 
 
-@Parameter(name="*", group=Group("Taxels, each effect off unless given"))
+@Parameter(name="*", group=Group("Taxels, each defect off unless given"))
 @dataclass(frozen=True)
-class Taxels:
-    """What makes the sensor signal of the true force.
+class TaxelOptions:
+    """What makes the sensor signal of the true force; the defects are those of `skin.defects.KINDS`.
 
     Attributes
     ----------
@@ -71,8 +70,12 @@ class Taxels:
         Standard deviation of the taxels' gains around 1.
     drift
         Standard deviation of the taxels' drift of zero, N/s.
+    noisy
+        Part of the taxels whose noise is a quarter of the range.
     stuck
         Part of the taxels that always read one value.
+    saturated
+        Part of the taxels that always read the end of the range.
     dead
         Part of the taxels that always read 0.
     """
@@ -83,24 +86,18 @@ class Taxels:
     cross_talk: float | None = None
     gain_spread: float | None = None
     drift: float | None = None
+    noisy: float | None = None
     stuck: float | None = None
+    saturated: float | None = None
     dead: float | None = None
 
-    def electronics(self, seed: int) -> Electronics:
-        """Return them as `touch.electronics.Electronics`; `seed` says which taxels an effect meets.
+    def model(self, seed: int) -> TaxelModel:
+        """Return the taxels' model; `seed` says which taxels a defect meets.
 
         Raises
         ------
         InputError
             If a number cannot be used.
         """
-        return Electronics(
-            self.noise_n,
-            self.force_max_n,
-            damper=None if self.damper is None else Damper(self.damper),
-            cross_talk=None if self.cross_talk is None else CrossTalk(self.cross_talk),
-            gain_spread=None if self.gain_spread is None else GainSpread(self.gain_spread, seed),
-            drift=None if self.drift is None else Drift(self.drift, seed),
-            stuck=None if self.stuck is None else Stuck(self.stuck, seed),
-            dead=None if self.dead is None else Dead(self.dead, seed),
-        )
+        amounts = {kind: amount for kind in KINDS if (amount := getattr(self, kind)) is not None}
+        return TaxelModel(self.noise_n, self.force_max_n, **make_defects(amounts, seed))

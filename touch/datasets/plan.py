@@ -12,13 +12,12 @@ from typing import Any, Final
 import numpy as np
 
 from skin.errors import InputError
-from touch.acquisition import ACQUISITION_OBJECTS, start_of, trajectory_range
+from skin.taxel import TaxelModel
 from touch.arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of
 from touch.contact import Force, Grid, Pose, Spheres, press_along
-from touch.electronics import PERIOD_S, Electronics
 from touch.objects import checked_names, made_of, spheres_of
 from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
-from touch.trajectory import paper_pose
+from touch.trajectory import ACQUISITION_OBJECTS, PAPER_STEP_S, paper_pose, start_of, trajectory_range
 
 #: Steps of a trajectory in one chunk; 11 MB of each signal.
 CHUNK_STEPS: Final = 700
@@ -42,7 +41,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Plan:
+class DatasetPlan:
     """A data set: ``about`` goes into its manifest, ``tasks`` make its chunks."""
 
     about: dict[str, Any]
@@ -61,9 +60,9 @@ def plan_acquisition(
     meshes: Path | None = None,
     speed: int = 1,
     steps: int | None = None,
-    electronics: Electronics,
+    model: TaxelModel,
     seed: int = 0,
-) -> Plan:
+) -> DatasetPlan:
     """Return the data set of the paper's trajectories (section V-A).
 
     Parameters
@@ -71,8 +70,8 @@ def plan_acquisition(
     names : sequence of str, optional
         Some of the paper's five objects; default all.
     meshes, speed, steps
-        As for `touch.acquisition.trajectory`.
-    electronics : Electronics
+        As for `touch.trajectory.trajectory`.
+    model : TaxelModel
         What makes the sensor signal.
     seed : int
         Of the noise.
@@ -93,14 +92,12 @@ def plan_acquisition(
             files = _pair(f"{name}/{{}}-{first // CHUNK_STEPS:02d}.npy", {"object": name, "first_step": first})
             # The step before goes along: a damper needs it.
             stretch = way[max(first - 1, 0) : first + CHUNK_STEPS]
-            tasks.append(
-                Task(files, partial(_steps, spheres, stretch, first, _Sensor(electronics, seed, tuple(files))))
-            )
-    settings = {"speed": speed, "steps": len(taken), **_settings(seed, electronics)}
+            tasks.append(Task(files, partial(_steps, spheres, stretch, first, _Sensor(model, seed, tuple(files)))))
+    settings = {"speed": speed, "steps": len(taken), **_settings(seed, model)}
     about = _about("acquisition", "step, row, column", settings, listed, meshes)
-    about["period_s"] = PERIOD_S
+    about["period_s"] = PAPER_STEP_S
     about["starts"] = {name: asdict(start_of(name)) for name in listed}
-    return Plan(about, tuple(tasks))
+    return DatasetPlan(about, tuple(tasks))
 
 
 def plan_classification(
@@ -110,9 +107,9 @@ def plan_classification(
     sides: Sequence[int] = ARRAYS,
     kind: Kind = "averaged",
     perturbations: int = PERTURBATIONS,
-    electronics: Electronics,
+    model: TaxelModel,
     seed: int = 0,
-) -> Plan:
+) -> DatasetPlan:
     """Return the data set of the paper's observations, for each array and object (section V-B).
 
     Parameters
@@ -123,7 +120,7 @@ def plan_classification(
         As for `touch.perturbations.observations`.
     sides : sequence of int
         Arrays, some of `touch.arrays.ARRAYS`.
-    electronics : Electronics
+    model : TaxelModel
         What makes the sensor signal. An observation is one moment: without damper and drift.
     seed : int
         Of the noise, and of the draw where there are fewer than 360 perturbations.
@@ -134,7 +131,7 @@ def plan_classification(
         If a name or a number cannot be used.
     """
     _check_seed(seed)
-    if electronics.damper is not None or electronics.drift is not None:
+    if model.damper is not None or model.drift is not None:
         raise InputError("observations are single moments: damper and drift need a trajectory, leave them out")
     listed = CLASSIFICATION_OBJECTS if names is None else _once(checked_names(names))
     drawn = poses(perturbations, seed)
@@ -149,38 +146,38 @@ def plan_classification(
         for side in once:
             about = {"object": name, "side": side, "kind": kind}
             files |= _pair(f"{kind}-{side:02d}x{side:02d}/{name}-{{}}.npy", about)
-        sensor = _Sensor(electronics, seed, tuple(files))
+        sensor = _Sensor(model, seed, tuple(files))
         tasks.append(Task(files, partial(_moments, spheres_of(name, meshes), drawn, once, kind, sensor)))
     settings = {
         "sides": list(once),
         "kind": kind,
         "perturbations": perturbations,
-        **_settings(seed, electronics),
+        **_settings(seed, model),
     }
     about = _about("classification", "perturbation, row, column", settings, listed, meshes)
     about["poses"] = [{name: round(value, 9) for name, value in pose._asdict().items()} for pose in drawn]
-    return Plan(about, tuple(tasks))
+    return DatasetPlan(about, tuple(tasks))
 
 
 @dataclass(frozen=True)
 class _Sensor:
     """Makes sensor signals with a file's own random numbers, which do not depend on what else the data set holds."""
 
-    electronics: Electronics
+    model: TaxelModel
     seed: int
     files: tuple[str, ...]
 
     def signal(self, index: int, force_n: Force, start_s: float = 0.0) -> Force:
         key = zlib.crc32(self.files[index].encode())
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(key,)))
-        return self.electronics.signal(force_n, rng, period_s=PERIOD_S, start_s=start_s)
+        return self.model.signal(force_n, rng, period_s=PAPER_STEP_S, start_s=start_s)
 
 
 def _steps(spheres: Spheres, stretch: Sequence[Pose], first: int, sensor: _Sensor) -> list[Force]:
     """Return a stretch of a trajectory; from the second on, `stretch` begins one step early."""
     early = 1 if first else 0
     force_n = press_along(Grid(), spheres, stretch)
-    signal = sensor.signal(1, force_n, (first - early) * PERIOD_S)
+    signal = sensor.signal(1, force_n, (first - early) * PAPER_STEP_S)
     return [force_n[early:], signal[early:]]
 
 
@@ -217,8 +214,8 @@ def _about(
     }
 
 
-def _settings(seed: int, electronics: Electronics) -> dict[str, Any]:
-    return {"seed": seed, **asdict(electronics)}
+def _settings(seed: int, model: TaxelModel) -> dict[str, Any]:
+    return {"seed": seed, **asdict(model)}
 
 
 def _once(names: Sequence[str]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db
 from reconstructor.bases import haar_pyramid
 from skin.errors import InputError
 from skin.layout import load_layout
-from touch.acquisition import ACQUISITION_OBJECTS
+from touch.trajectory import ACQUISITION_OBJECTS
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:

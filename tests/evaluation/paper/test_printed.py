@@ -1,7 +1,7 @@
 """What the paper prints, held against itself."""
 
 from evaluation.paper.printed import SENSOR, TABLE_ONE, TABLE_THREE, TABLE_TWO
-from touch.acquisition import ACQUISITION_OBJECTS
+from touch.trajectory import ACQUISITION_OBJECTS
 
 
 def test_every_cell_is_there_and_every_range_holds_its_mean() -> None:

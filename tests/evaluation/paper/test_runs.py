@@ -11,8 +11,8 @@ from evaluation.paper.runs import CHUNK, PENALTY_N, Method, cell, measure, rebui
 from reconstructor.bases import make_basis
 from reconstructor.fista import fista
 from skin.noiselet import noiselet
-from skin.pairing import psnr_db
-from touch.contact import FORCE_MAX_N
+from skin.psnr import psnr_db
+from skin.taxel import FORCE_MAX_N
 
 GOLF = {"name": "golf-ball", "meshes": None, "seed": 0, "draw": 0}
 

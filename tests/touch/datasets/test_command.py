@@ -13,9 +13,9 @@ import pytest
 
 from skin.errors import InputError
 from touch.datasets.command import dataset
-from touch.datasets.options import Slides, Taxels, Touches
+from touch.datasets.options import AcquisitionOptions, ClassificationOptions, TaxelOptions
 
-FEW = Touches(arrays="8,1", perturbations=3)
+FEW = ClassificationOptions(arrays="8,1", perturbations=3)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -38,7 +38,7 @@ def test_one_and_two_processes_make_the_same_files(tmp_path: Path, capsys: pytes
 
 def test_a_second_run_makes_only_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def run() -> str:
-        dataset("acquisition", out=tmp_path, objects="golf-ball", slides=Slides(speed=3), jobs=1)
+        dataset("acquisition", out=tmp_path, objects="golf-ball", slides=AcquisitionOptions(speed=3), jobs=1)
         return capsys.readouterr().out
 
     assert "4 files made" in run()
@@ -50,7 +50,7 @@ def test_a_second_run_makes_only_what_is_missing(tmp_path: Path, capsys: pytest.
 
 
 def test_taxels_reach_the_sensor_signal(tmp_path: Path) -> None:
-    taxels = Taxels(noise_n=0.0, dead=0.25, cross_talk=0.1, gain_spread=0.1, stuck=0.0)
+    taxels = TaxelOptions(noise_n=0.0, dead=0.25, cross_talk=0.1, gain_spread=0.1, stuck=0.0)
     dataset("classification", out=tmp_path, objects="volleyball", touches=FEW, taxels=taxels, seed=4, jobs=1)
     true, sensor = (np.load(tmp_path / "averaged-08x08" / f"volleyball-{name}.npy") for name in ("true", "sensor"))
     dead = (sensor == 0).all(axis=0)
@@ -65,15 +65,15 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="belong to 'classification'"):
         dataset("acquisition", out=tmp_path, touches=FEW)
     with pytest.raises(InputError, match="belong to 'acquisition'"):
-        dataset("classification", out=tmp_path, slides=Slides(speed=2))
+        dataset("classification", out=tmp_path, slides=AcquisitionOptions(speed=2))
     with pytest.raises(InputError, match="unknown data set 'other'"):
         dataset("other", out=tmp_path)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"numbers with commas between.*'8,big'"):
-        dataset("classification", out=tmp_path, touches=Touches(arrays="8,big"))
+        dataset("classification", out=tmp_path, touches=ClassificationOptions(arrays="8,big"))
     with pytest.raises(InputError, match="1 job or more"):
         dataset("classification", out=tmp_path, objects="cup", touches=FEW, jobs=0)
     with pytest.raises(InputError, match="ratio needs a number from 0 to 1"):
-        dataset("classification", out=tmp_path, taxels=Taxels(dead=2.0))
+        dataset("classification", out=tmp_path, taxels=TaxelOptions(dead=2.0))
 
 
 def test_a_cluster_without_dask_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

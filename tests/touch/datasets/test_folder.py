@@ -82,6 +82,11 @@ def test_manifests_that_are_none_are_refused(tmp_path: Path, content: bytes) -> 
         DatasetFolder(tmp_path, ABOUT)
 
 
+def test_a_setting_that_is_off_may_be_absent(tmp_path: Path) -> None:
+    DatasetFolder(tmp_path, ABOUT)
+    DatasetFolder(tmp_path, {**ABOUT, "settings": {**ABOUT["settings"], "dead": None}})
+
+
 def test_folders_of_something_else_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("words")
     with pytest.raises(InputError, match=r"thesis\.tex and no data set"):

@@ -4,23 +4,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skin.defects import Damper, Drift
 from skin.errors import InputError
-from touch.acquisition import trajectory
+from skin.taxel import TaxelModel
 from touch.contact import Force
-from touch.datasets.plan import Plan, plan_acquisition, plan_classification
-from touch.effects import Damper, Drift
-from touch.electronics import Electronics
+from touch.datasets.plan import DatasetPlan, plan_acquisition, plan_classification
 from touch.perturbations import observations
+from touch.trajectory import trajectory
 
-PLAIN = Electronics()
+PLAIN = TaxelModel()
 
 
-def all_made(plan: Plan) -> dict[str, Force]:
+def all_made(plan: DatasetPlan) -> dict[str, Force]:
     return {name: values for task in plan.tasks for name, values in zip(task.files, task.make(), strict=True)}
 
 
 def test_all_of_the_papers_observations_are_planned() -> None:
-    plan = plan_classification(electronics=PLAIN)
+    plan = plan_classification(model=PLAIN)
     files = [about for task in plan.tasks for about in task.files.values()]
     assert len(plan.objects) == 16
     assert len(plan.about["poses"]) == 360
@@ -28,14 +28,14 @@ def test_all_of_the_papers_observations_are_planned() -> None:
 
 
 def test_all_of_the_papers_steps_are_planned() -> None:
-    plan = plan_acquisition(electronics=PLAIN)
+    plan = plan_acquisition(model=PLAIN)
     assert len(plan.tasks) == 5 * 6
     assert plan.about["settings"]["steps"] == 4200
     assert [name for name, start in plan.about["starts"].items() if start["exact"]] == ["golf-ball"]
 
 
 def test_trajectories_are_true_force_and_seeded_noise() -> None:
-    plan = plan_acquisition(["golf-ball", "clamp"], speed=5, electronics=PLAIN, seed=3)
+    plan = plan_acquisition(["golf-ball", "clamp"], speed=5, model=PLAIN, seed=3)
     arrays = all_made(plan)
     for name in ("golf-ball", "clamp"):
         true = np.concatenate([arrays[f"{name}/true-{part:02d}.npy"] for part in (0, 1)])
@@ -45,23 +45,23 @@ def test_trajectories_are_true_force_and_seeded_noise() -> None:
         inside = true > 0.005
         assert (sensor - true)[inside].std() == pytest.approx(1e-3, rel=0.02)
         assert 0 <= sensor.min() <= sensor.max() <= np.float32(0.02)
-    alone = all_made(plan_acquisition(["clamp"], speed=5, electronics=PLAIN, seed=3))
+    alone = all_made(plan_acquisition(["clamp"], speed=5, model=PLAIN, seed=3))
     np.testing.assert_array_equal(alone["clamp/sensor-01.npy"], arrays["clamp/sensor-01.npy"])
-    other = all_made(plan_acquisition(["clamp"], speed=5, electronics=PLAIN, seed=4))
+    other = all_made(plan_acquisition(["clamp"], speed=5, model=PLAIN, seed=4))
     assert (other["clamp/sensor-01.npy"] != alone["clamp/sensor-01.npy"]).any()
 
 
 def test_damper_and_drift_do_not_see_where_chunks_begin() -> None:
-    worn = Electronics(noise_n=0.0, damper=Damper(0.01), drift=Drift(1e-3, seed=2))
-    arrays = all_made(plan_acquisition(["golf-ball"], steps=1400, electronics=worn))
+    worn = TaxelModel(noise_n=0.0, damper=Damper(0.01), drift=Drift(1e-3, seed=2))
+    arrays = all_made(plan_acquisition(["golf-ball"], steps=1400, model=worn))
     sensor = np.concatenate([arrays["golf-ball/sensor-00.npy"], arrays["golf-ball/sensor-01.npy"]])
-    whole = worn.signal(trajectory("golf-ball", steps=1400), np.random.default_rng(0))
+    whole = worn.signal(trajectory("golf-ball", steps=1400), np.random.default_rng(0), period_s=1e-3)
     np.testing.assert_allclose(sensor, whole, rtol=0, atol=2e-9)
 
 
 def test_observations_of_every_array_are_of_the_same_touches() -> None:
     names = ("tuna-can", "banana")
-    plan = plan_classification(names, sides=(64, 8, 8, 1), perturbations=4, electronics=PLAIN, seed=1)
+    plan = plan_classification(names, sides=(64, 8, 8, 1), perturbations=4, model=PLAIN, seed=1)
     arrays = all_made(plan)
     assert len(arrays) == 2 * 2 * 3
     for side in (64, 8, 1):
@@ -69,14 +69,14 @@ def test_observations_of_every_array_are_of_the_same_touches() -> None:
         for name, true in zip(names, expected, strict=True):
             np.testing.assert_array_equal(arrays[f"averaged-{side:02d}x{side:02d}/{name}-true.npy"], true)
             assert arrays[f"averaged-{side:02d}x{side:02d}/{name}-sensor.npy"].shape == (4, side, side)
-    large = all_made(plan_classification(names, sides=(4,), kind="large", perturbations=4, electronics=PLAIN, seed=1))
+    large = all_made(plan_classification(names, sides=(4,), kind="large", perturbations=4, model=PLAIN, seed=1))
     np.testing.assert_array_equal(
         large["large-04x04/banana-true.npy"], observations(4, "large", perturbations=4, seed=1, names=names)[1]
     )
 
 
 def test_a_task_can_be_sent_to_another_process() -> None:
-    plan = plan_classification(["drill"], sides=(4,), perturbations=2, electronics=PLAIN)
+    plan = plan_classification(["drill"], sides=(4,), perturbations=2, model=PLAIN)
     sent = pickle.loads(pickle.dumps(plan.tasks[0]))  # noqa: S301
     for ours, theirs in zip(plan.tasks[0].make(), sent.make(), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -85,22 +85,22 @@ def test_a_task_can_be_sent_to_another_process() -> None:
 def test_wrong_wishes_are_refused(tmp_path: Path) -> None:
     refused = pytest.raises(InputError)
     with refused:
-        plan_acquisition(["banana"], electronics=PLAIN)
+        plan_acquisition(["banana"], model=PLAIN)
     with refused:
-        plan_acquisition([], electronics=PLAIN)
+        plan_acquisition([], model=PLAIN)
     with refused:
-        plan_acquisition(seed=-1, electronics=PLAIN)
+        plan_acquisition(seed=-1, model=PLAIN)
     with refused:
-        plan_acquisition(speed=0, electronics=PLAIN)
+        plan_acquisition(speed=0, model=PLAIN)
     with refused:
-        plan_acquisition(meshes=tmp_path, electronics=PLAIN)
+        plan_acquisition(meshes=tmp_path, model=PLAIN)
     with refused:
-        plan_classification(sides=(5,), electronics=PLAIN)
+        plan_classification(sides=(5,), model=PLAIN)
     with refused:
-        plan_classification(sides=(), electronics=PLAIN)
+        plan_classification(sides=(), model=PLAIN)
     with refused:
-        plan_classification(perturbations=0, electronics=PLAIN)
+        plan_classification(perturbations=0, model=PLAIN)
     with refused:
-        plan_classification(seed=-1, electronics=PLAIN)
+        plan_classification(seed=-1, model=PLAIN)
     with pytest.raises(InputError, match="damper and drift need a trajectory"):
-        plan_classification(electronics=Electronics(drift=Drift(0.1)))
+        plan_classification(model=TaxelModel(drift=Drift(0.1)))

@@ -1,4 +1,4 @@
-"""Random touches: which object, where, how turned, how deep and along which path.
+"""Random touches: which object, where, how turned, how deep and along which stroke.
 
 The live source and the training data draw from this one distribution; each touch has its own seed, so that
 the touch number `index` is the same however it is reached.
@@ -10,12 +10,12 @@ from typing import Final
 
 import numpy as np
 
+from skin.taxel import NOISE_N
 from touch.contact import FloatArray, Force, Grid, Pose, Spheres, press
 from touch.objects import spheres_of
-from touch.trajectory import Stroke
 
 #: An object is said to touch while the largest true force is at least this, twice the noise's deviation.
-LABEL_FORCE_N: Final = 0.002
+LABEL_FORCE_N: Final = 2 * NOISE_N
 PAUSE_S: Final = 0.4
 #: Short beside the rest: while an object is half pressed in, its sums are those of a smaller one.
 PRESS_S: Final = 0.2
@@ -26,11 +26,55 @@ LIFT_S: Final = 0.2
 SLOT_S: Final = PAUSE_S + PRESS_S + HOLD_S + SLIDE_S + LIFT_S
 DEPTH_M: Final = (0.0095, 0.0105)
 #: An object too large to stay on the array still moves off its middle by this part of its half.
-LEAST_ROOM_RATIO: Final = 0.08
+LEAST_REACH_RATIO: Final = 0.08
 #: That of the paper's trajectory.
 SLIDE_SPEED_M_PER_S: Final = 0.045
 #: Streams of random numbers that never meet.
 LIVE, TRAINING = 0, 1
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Press, hold, slide in a straight line, and lift, each at constant speed.
+
+    Attributes
+    ----------
+    start_m, end_m : tuple of float
+        Position x, y before and after the slide.
+    rotation_rad : float
+        Kept throughout.
+    depth_m : float
+        Reached at the end of the press and kept until the lift.
+    press_s, hold_s, slide_s, lift_s : float
+        Duration of each phase.
+    """
+
+    start_m: tuple[float, float]
+    end_m: tuple[float, float]
+    rotation_rad: float
+    depth_m: float
+    press_s: float
+    hold_s: float
+    slide_s: float
+    lift_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """From the first touch to the last."""
+        return self.press_s + self.hold_s + self.slide_s + self.lift_s
+
+    def pose(self, time_s: float) -> Pose:
+        """Return the pose `time_s` after the first touch; outside the stroke the depth is 0."""
+        slid = _progress(time_s - self.press_s - self.hold_s, self.slide_s)
+        pressed = _progress(time_s, self.press_s)
+        lifted = _progress(time_s - self.duration_s + self.lift_s, self.lift_s)
+        (x0, y0), (x1, y1) = self.start_m, self.end_m
+        return Pose(
+            x0 + (x1 - x0) * slid,
+            y0 + (y1 - y0) * slid,
+            self.rotation_rad,
+            self.depth_m * min(pressed, 1.0 - lifted),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +106,8 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
     spheres = spheres_of(name)
     rotation = float(rng.uniform(0.0, 2.0 * math.pi))
     depth = float(rng.uniform(*DEPTH_M))
-    room = _room(spheres, grid, rotation, depth)
-    ends = rng.uniform(-1.0, 1.0, (2, 2)) * room
+    reach_m = _reach_m(spheres, grid, rotation, depth)
+    ends = rng.uniform(-1.0, 1.0, (2, 2)) * reach_m
     start, path = ends[0], ends[1] - ends[0]
     longest = SLIDE_SPEED_M_PER_S * SLIDE_S
     end = start + path / max(1.0, float(np.hypot(path[0], path[1])) / longest)
@@ -80,7 +124,7 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
     return Touch(name, spheres, stroke)
 
 
-def _room(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:
+def _reach_m(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:
     """Return how far from the middle, along x and y, the contact stays on the array."""
     reach = spheres.radii_m + grid.taxel_radius_m
     indent = np.clip(depth_m + spheres.centres_m[:, 2] + spheres.radii_m, 0.0, reach)
@@ -90,5 +134,12 @@ def _room(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> 
     across = np.abs(np.stack([cos * x - sin * y, sin * x + cos * y])) + span
     footprint = np.max(across, axis=1, where=indent > 0.0, initial=0.0)
     half = np.array(grid.half_extent_m)
-    room: FloatArray = np.maximum(half - footprint, LEAST_ROOM_RATIO * half)
-    return room
+    reach_m: FloatArray = np.maximum(half - footprint, LEAST_REACH_RATIO * half)
+    return reach_m
+
+
+def _progress(elapsed_s: float, duration_s: float) -> float:
+    """Return how much of a phase is done, 0 to 1; a phase of no duration is done when it begins."""
+    if elapsed_s >= duration_s:
+        return 1.0
+    return elapsed_s / duration_s if elapsed_s > 0.0 else 0.0

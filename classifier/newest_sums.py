@@ -1,4 +1,4 @@
-"""The newest sums of every block: what a lost frame takes away for a moment only."""
+"""The newest sums of every block: a block whose frame is lost keeps its last sums for a few cycles."""
 
 from typing import Final
 
@@ -11,7 +11,7 @@ from skin.measurement import Sbhe
 HOLD_CYCLES: Final = 4
 
 
-class Gathered:
+class NewestSums:
     """The newest sums of every block, as long as they are not too old.
 
     Attributes

@@ -1,0 +1,273 @@
+"""Defects of taxels: each a small value class, off unless `skin.taxel.TaxelModel` is given one.
+
+A defect belongs to a taxel and not to a run: which taxels it meets, and how much, is drawn from its own seed. None of
+the defects is in the paper's data; a damper is named there, without a value.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError
+
+#: Spring of one taxel: force in newtons is compression in metres times this (section V).
+STIFFNESS_N_PER_M: Final = 1.0
+#: Noise of a noisy taxel, standard deviation as a part of its range.
+NOISY_RATIO: Final = 0.25
+#: Streams of random numbers, so that defects of one seed do not meet the same taxels.
+_GAIN, _DRIFT, _STUCK, _DEAD, _SATURATED, _NOISY = range(6)
+
+Force = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Damper:
+    """A damper beside each spring: force grows with the speed of compression (section V, without a value).
+
+    The damper adds to the force while the taxel is pressed, and takes from the force of a released taxel, at most
+    down to 0.
+    """
+
+    damping_n_s_per_m: float
+
+    def __post_init__(self) -> None:
+        _need_ratio("damping_n_s_per_m", self.damping_n_s_per_m, math.inf)
+
+    def __call__(self, force_n: Force, period_s: float) -> Force:
+        """Return forces (steps, ...) with the damper's part; the first step counts as at rest."""
+        compression_m = force_n / np.float32(STIFFNESS_N_PER_M)
+        speed = np.diff(compression_m, axis=0, prepend=compression_m[:1]) / np.float32(period_s)
+        return np.maximum(force_n + np.float32(self.damping_n_s_per_m) * speed, np.float32(0.0))
+
+
+@dataclass(frozen=True)
+class CrossTalk:
+    """Each taxel also reads a part of each of its four neighbours' force."""
+
+    ratio: float
+
+    def __post_init__(self) -> None:
+        _need_ratio("ratio", self.ratio, 1.0)
+
+    def __call__(self, force_n: Force) -> Force:
+        """Return forces (..., rows, columns) with the neighbours' part."""
+        mixed = force_n.copy()
+        part = np.float32(self.ratio) * force_n
+        mixed[..., 1:, :] += part[..., :-1, :]
+        mixed[..., :-1, :] += part[..., 1:, :]
+        mixed[..., :, 1:] += part[..., :, :-1]
+        mixed[..., :, :-1] += part[..., :, 1:]
+        return mixed
+
+
+@dataclass(frozen=True)
+class GainSpread:
+    """Each taxel reads its force times a gain of its own, normal around 1 and never below 0."""
+
+    deviation: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _need_ratio("deviation", self.deviation, 1.0)
+
+    def gains(self, taxels: tuple[int, ...]) -> Force:
+        """Return the gain of each taxel of an array of that shape, read-only."""
+        return _gains(self, taxels)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The zero of each taxel moves at a constant rate of its own, normal around 0."""
+
+    deviation_n_per_s: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _need_ratio("deviation_n_per_s", self.deviation_n_per_s, math.inf)
+
+    def offsets_n(self, taxels: tuple[int, ...], time_s: npt.NDArray[np.float64]) -> Force:
+        """Return offsets of shape (times, *taxels), newtons."""
+        return np.multiply.outer(time_s, _drift_rates(self, taxels)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _PartOfTaxels:
+    """A defect of a part of the taxels: of at least one taxel unless the part is 0."""
+
+    ratio: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _need_ratio("ratio", self.ratio, 1.0)
+
+
+@dataclass(frozen=True)
+class Noisy(_PartOfTaxels):
+    """A part of the taxels has a noise of `NOISY_RATIO` times the range."""
+
+    def noise_n(self, taxels: tuple[int, ...], noise_n: float, force_max_n: float) -> Force:
+        """Return the standard deviation of each taxel's noise, newtons; `noise_n` is that of the other taxels."""
+        noise = np.full(math.prod(taxels), noise_n, np.float32)
+        noise[_chosen(self, _NOISY, taxels)] = NOISY_RATIO * force_max_n
+        return noise.reshape(taxels)
+
+
+@dataclass(frozen=True)
+class Stuck(_PartOfTaxels):
+    """A part of the taxels always reads one value of the range."""
+
+    def values(self, taxels: tuple[int, ...], force_max_n: float) -> tuple[npt.NDArray[np.intp], Force]:
+        """Return flat indices of the stuck taxels and what each reads, newtons."""
+        return _stuck_values(self, taxels, force_max_n)
+
+
+@dataclass(frozen=True)
+class Saturated(_PartOfTaxels):
+    """A part of the taxels always reads the end of the range."""
+
+    def taxels(self, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
+        """Return flat indices of the saturated taxels."""
+        return _chosen(self, _SATURATED, taxels)
+
+
+@dataclass(frozen=True)
+class Dead(_PartOfTaxels):
+    """A part of the taxels always reads 0."""
+
+    def taxels(self, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
+        """Return flat indices of the dead taxels."""
+        return _chosen(self, _DEAD, taxels)
+
+
+class DefectKind(NamedTuple):
+    """A kind of defect, as options name it.
+
+    Attributes
+    ----------
+    make : callable
+        Called with amount and seed.
+    amount : float
+        Taken where none is given.
+    """
+
+    make: Callable[[float, int], Any]
+    amount: float
+
+
+#: By the attribute of `skin.taxel.TaxelModel`; options spell it with a hyphen. Amounts as in `skin dataset`.
+KINDS: Final = {
+    "damper": DefectKind(lambda amount, _seed: Damper(amount), 0.01),
+    "cross_talk": DefectKind(lambda amount, _seed: CrossTalk(amount), 0.1),
+    "gain_spread": DefectKind(GainSpread, 0.1),
+    "drift": DefectKind(Drift, 1e-4),
+    "noisy": DefectKind(Noisy, 0.01),
+    "stuck": DefectKind(Stuck, 0.01),
+    "saturated": DefectKind(Saturated, 0.01),
+    "dead": DefectKind(Dead, 0.01),
+}
+
+
+def make_defects(amounts: dict[str, float], seed: int) -> dict[str, Any]:
+    """Return the defects of the named kinds, as keyword arguments of `skin.taxel.TaxelModel`.
+
+    Parameters
+    ----------
+    amounts : dict
+        Amount by kind, one of `KINDS`.
+    seed : int
+        Of the taxels that each defect meets.
+
+    Raises
+    ------
+    InputError
+        If an amount cannot be used.
+    """
+    made = {}
+    for name, amount in amounts.items():
+        try:
+            made[name] = KINDS[name].make(amount, seed)
+        except InputError as error:
+            raise InputError(f"{name.replace('_', '-')}: {error}") from error
+    return made
+
+
+def parse_defects(texts: Iterable[str], seed: int) -> dict[str, Any]:
+    """Return the defects that options ask for, as keyword arguments of `skin.taxel.TaxelModel`.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; of a kind that comes twice, the last.
+    seed : int
+        Of the taxels that each defect meets.
+
+    Raises
+    ------
+    InputError
+        If a kind is unknown or an amount cannot be used.
+    """
+    amounts = {}
+    for text in texts:
+        kind, given, amount = text.partition("=")
+        name = kind.strip().replace("-", "_")
+        if name not in KINDS:
+            known = ", ".join(each.replace("_", "-") for each in KINDS)
+            raise InputError(f"--defect {text}: expected KIND or KIND=AMOUNT with KIND of {known}")
+        try:
+            amounts[name] = float(amount) if given else KINDS[name].amount
+        except ValueError:
+            raise InputError(f"--defect {text}: expected a number after '=', got '{amount}'") from None
+    try:
+        return make_defects(amounts, seed)
+    except InputError as error:
+        raise InputError(f"--defect {error}") from error
+
+
+def _need_ratio(name: str, value: float, most: float) -> None:
+    if not (math.isfinite(value) and 0 <= value <= most):
+        expected = "a number of 0 or more" if most == math.inf else f"a number from 0 to {most:g}"
+        raise InputError(f"{name} needs {expected}: got {value}")
+
+
+def _stream(seed: int, defect: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(defect,)))
+
+
+# Drawn once per array: live nodes ask in every cycle.
+@lru_cache(maxsize=8)
+def _gains(spread: GainSpread, taxels: tuple[int, ...]) -> Force:
+    drawn = _stream(spread.seed, _GAIN).normal(1.0, spread.deviation, taxels)
+    return _fixed(np.maximum(drawn, 0.0).astype(np.float32))
+
+
+@lru_cache(maxsize=8)
+def _drift_rates(drift: Drift, taxels: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    return _fixed(_stream(drift.seed, _DRIFT).normal(0.0, drift.deviation_n_per_s, taxels))
+
+
+@lru_cache(maxsize=8)
+def _stuck_values(stuck: Stuck, taxels: tuple[int, ...], force_max_n: float) -> tuple[npt.NDArray[np.intp], Force]:
+    rng = _stream(stuck.seed, _STUCK)
+    chosen = _draw(stuck.ratio, taxels, rng)
+    return _fixed(chosen), _fixed(rng.uniform(0.0, force_max_n, chosen.size).astype(np.float32))
+
+
+@lru_cache(maxsize=32)
+def _chosen(defect: _PartOfTaxels, stream: int, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
+    return _fixed(_draw(defect.ratio, taxels, _stream(defect.seed, stream)))
+
+
+def _draw(ratio: float, taxels: tuple[int, ...], rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    count = math.prod(taxels)
+    chosen = max(round(ratio * count), 1 if ratio > 0 else 0)
+    return np.sort(rng.choice(count, chosen, replace=False))
+
+
+def _fixed(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,196 @@
+"""The taxel and its converter: from the force on a taxel to the sensor signal and to ADC counts.
+
+Nodes, simulators, training and comparisons take noise, range, resolution and defects from here::
+
+    force ─▶ damper, cross-talk, gain, drift ─▶ noise ─▶ range ─▶ stuck, saturated, dead ─▶ ADC
+             └──────────────────── TaxelModel.signal ──────────────────────────────────┘  to_counts
+
+The paper adds normal noise of 1 mN and clips to 0 to 20 mN (section V); `sense` does that and no more.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.defects import CrossTalk, Damper, Dead, Drift, Force, GainSpread, Noisy, Saturated, Stuck
+from skin.errors import InputError
+from skin.layout import Taxels
+
+#: Standard deviation of the sensor noise, as in the paper.
+NOISE_N: Final = 1e-3
+#: End of the range of the default skin's taxels, as in the paper.
+FORCE_MAX_N: Final = Taxels().force_max_n
+
+
+def sense(
+    force_n: npt.NDArray[np.floating],
+    rng: np.random.Generator,
+    noise_n: float | Force = NOISE_N,
+    force_max_n: float = FORCE_MAX_N,
+    *,
+    dtype: type[np.float32 | np.float64] = np.float32,
+) -> npt.NDArray[Any]:
+    """Return the sensor signal: normal noise is added, then values are clipped to the taxel's range.
+
+    Parameters
+    ----------
+    force_n : numpy.ndarray
+        True force of any shape, newtons.
+    rng : numpy.random.Generator
+        Source of the noise.
+    noise_n : float or array
+        Standard deviation of the noise, newtons; an array must broadcast to the shape of `force_n`.
+    force_max_n : float
+        End of the range, newtons.
+    dtype : type
+        Precision of noise and signal, ``numpy.float32`` or ``numpy.float64``.
+
+    Returns
+    -------
+    numpy.ndarray
+        Of `dtype`, the shape of `force_n`.
+
+    Raises
+    ------
+    InputError
+        If the noise is below 0 or the range is empty.
+    """
+    _check(noise_n, force_max_n)
+    signal: npt.NDArray[Any]
+    if isinstance(noise_n, float) and noise_n == 0.0:
+        signal = np.array(force_n, dtype)
+    else:
+        signal = rng.standard_normal(np.shape(force_n), dtype=dtype)
+        signal *= np.asarray(noise_n, dtype)
+        signal += force_n
+    np.clip(signal, 0.0, dtype(force_max_n), out=signal)
+    return signal
+
+
+def to_counts(signal_n: npt.NDArray[np.floating], taxels: Taxels) -> npt.NDArray[np.int32]:
+    """Return what the converter makes of a sensor signal: the nearest count within its range, the shape kept."""
+    counts = signal_n / signal_n.dtype.type(taxels.newton_per_count)
+    np.rint(counts, out=counts)
+    np.clip(counts, 0, taxels.count_max, out=counts)
+    return counts.astype(np.int32)
+
+
+def to_newtons(counts: npt.NDArray[np.integer], taxels: Taxels) -> Force:
+    """Return the force that counts stand for, the shape kept."""
+    return counts.astype(np.float32) * np.float32(taxels.newton_per_count)
+
+
+@dataclass(frozen=True)
+class TaxelModel:
+    """How the taxels of one array sense: noise, range and defects.
+
+    Damper, cross-talk, gain spread and drift act on the force, in this order. Noise and clipping follow. Stuck,
+    saturated and dead taxels come last, in this order: a taxel that is both stuck and dead reads 0.
+
+    Attributes
+    ----------
+    noise_n, force_max_n : float
+        As for `sense`.
+    damper, cross_talk, gain_spread, drift, noisy, stuck, saturated, dead
+        See `skin.defects`; None where the defect is off.
+
+    Raises
+    ------
+    InputError
+        If the noise is below 0 or the range is empty.
+    """
+
+    noise_n: float = NOISE_N
+    force_max_n: float = FORCE_MAX_N
+    damper: Damper | None = None
+    cross_talk: CrossTalk | None = None
+    gain_spread: GainSpread | None = None
+    drift: Drift | None = None
+    noisy: Noisy | None = None
+    stuck: Stuck | None = None
+    saturated: Saturated | None = None
+    dead: Dead | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.noise_n, self.force_max_n)
+
+    def signal(self, force_n: Force, rng: np.random.Generator, *, period_s: float, start_s: float = 0.0) -> Force:
+        """Return the sensor signal of consecutive steps.
+
+        Parameters
+        ----------
+        force_n : numpy.ndarray
+            True force, float32, shape (steps, rows, columns), newtons.
+        rng : numpy.random.Generator
+            Source of the noise.
+        period_s : float
+            Time between two steps.
+        start_s : float
+            Time of the first step; drift is 0 at time 0.
+
+        Returns
+        -------
+        numpy.ndarray
+            float32, the same shape. The first step counts as at rest.
+
+        Raises
+        ------
+        InputError
+            If the forces are not of that shape, or a number cannot be used.
+        """
+        if force_n.ndim != 3:
+            raise InputError(f"expected forces of shape (steps, rows, columns), got {force_n.shape}")
+        if not (math.isfinite(period_s) and period_s > 0):
+            raise InputError(f"period_s needs a number above 0: got {period_s}")
+        if self.damper is not None:
+            force_n = self.damper(force_n, period_s)
+        return self.signal_of_moments(force_n, rng, start_s + period_s * np.arange(len(force_n), dtype=np.float64))
+
+    def signal_of_moments(self, force_n: Force, rng: np.random.Generator, time_s: npt.NDArray[np.float64]) -> Force:
+        """Return the sensor signal of moments, without the damper's part.
+
+        Parameters
+        ----------
+        force_n : numpy.ndarray
+            True force, float32, shape (moments, rows, columns), newtons.
+        rng : numpy.random.Generator
+            Source of the noise.
+        time_s : numpy.ndarray
+            Time of each moment, shape (moments,); drift is 0 at time 0.
+
+        Returns
+        -------
+        numpy.ndarray
+            float32, the same shape.
+        """
+        taxels = force_n.shape[1:]
+        if self.cross_talk is not None:
+            force_n = self.cross_talk(force_n)
+        if self.gain_spread is not None:
+            force_n = force_n * self.gain_spread.gains(taxels)
+        if self.drift is not None:
+            force_n = np.add(force_n, self.drift.offsets_n(taxels, time_s))
+        noise_n: float | Force = self.noise_n
+        if self.noisy is not None:
+            noise_n = self.noisy.noise_n(taxels, self.noise_n, self.force_max_n)
+        signal: Force = sense(force_n, rng, noise_n, self.force_max_n)
+        flat = signal.reshape(len(signal), -1)
+        if self.stuck is not None:
+            indices, values = self.stuck.values(taxels, self.force_max_n)
+            flat[:, indices] = values
+        if self.saturated is not None:
+            flat[:, self.saturated.taxels(taxels)] = self.force_max_n
+        if self.dead is not None:
+            flat[:, self.dead.taxels(taxels)] = 0.0
+        return signal
+
+
+def _check(noise_n: float | Force, force_max_n: float) -> None:
+    smallest, largest = (noise_n, noise_n) if isinstance(noise_n, float) else (np.min(noise_n), np.max(noise_n))
+    if not (smallest >= 0 and math.isfinite(largest)):
+        raise InputError(f"noise_n needs numbers of 0 or more: got {noise_n}")
+    if not (math.isfinite(force_max_n) and force_max_n > 0):
+        raise InputError(f"force_max_n needs a number above 0: got {force_max_n}")

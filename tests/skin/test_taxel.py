@@ -1,0 +1,145 @@
+import numpy as np
+import pytest
+
+from skin.defects import KINDS, CrossTalk, Damper, Dead, Drift, GainSpread, Noisy, Saturated, Stuck, parse_defects
+from skin.errors import InputError
+from skin.layout import Taxels
+from skin.taxel import TaxelModel, sense, to_counts, to_newtons
+
+QUIET = TaxelModel(noise_n=0.0)
+PERIOD_S = 1e-3
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def test_noise_has_the_stated_deviation_and_values_stay_in_range() -> None:
+    signal = sense(np.full((400, 500), 0.01, np.float32), rng())
+    assert signal.dtype == np.float32
+    assert signal.mean() == pytest.approx(0.01, abs=1e-5)
+    assert signal.std() == pytest.approx(1e-3, rel=0.01)
+    assert sense(np.full(9, 0.5, np.float32), rng()).tolist() == [np.float32(0.02)] * 9
+
+
+def test_clipping_halves_the_error_of_an_untouched_taxel() -> None:
+    """Mean square sigma^2 / 2: the 29.03 dB of a skin that nothing touches."""
+    signal = sense(np.zeros((300, 64, 64), np.float32), rng()).astype(np.float64)
+    assert 10 * np.log10(0.02**2 / (signal**2).mean()) == pytest.approx(29.03, abs=0.02)
+
+
+def test_without_defects_a_taxel_only_senses() -> None:
+    force_n = np.full((3, 4, 4), 0.004, np.float32)
+    np.testing.assert_array_equal(TaxelModel().signal(force_n, rng(), period_s=PERIOD_S), sense(force_n, rng()))
+
+
+def test_a_damper_adds_the_speed_of_compression() -> None:
+    ramp = np.array([0.0, 0.001, 0.003, 0.003, 0.0], np.float32).reshape(5, 1, 1)
+    felt = TaxelModel(noise_n=0.0, damper=Damper(0.001)).signal(ramp, rng(), period_s=PERIOD_S)
+    np.testing.assert_allclose(felt.ravel(), [0.0, 0.002, 0.005, 0.003, 0.0], atol=1e-9)
+
+
+def test_cross_talk_reaches_the_four_neighbours() -> None:
+    force_n = np.zeros((1, 3, 4), np.float32)
+    force_n[0, 1, 0] = 0.01
+    felt = TaxelModel(noise_n=0.0, cross_talk=CrossTalk(0.1)).signal(force_n, rng(), period_s=PERIOD_S)
+    expected = [[0.001, 0, 0, 0], [0.01, 0.001, 0, 0], [0.001, 0, 0, 0]]
+    np.testing.assert_allclose(felt[0], expected, atol=1e-9)
+
+
+def test_gains_belong_to_the_taxels_and_not_to_the_run() -> None:
+    force_n = np.full((2, 64, 64), 0.005, np.float32)
+    felt = TaxelModel(noise_n=0.0, gain_spread=GainSpread(0.1, seed=2)).signal(force_n, rng(), period_s=PERIOD_S)
+    np.testing.assert_array_equal(felt[0], felt[1])
+    assert (felt / 0.005).std() == pytest.approx(0.1, rel=0.05)
+
+
+def test_drift_grows_with_time() -> None:
+    drift = Drift(0.001, seed=1)
+    offsets = drift.offsets_n((8, 8), np.array([0.0, 1.0, 3.0]))
+    assert not offsets[0].any()
+    np.testing.assert_allclose(offsets[2], 3 * offsets[1], rtol=1e-6)
+    late = TaxelModel(noise_n=0.0, drift=drift).signal(
+        np.full((1, 8, 8), 0.01, np.float32), rng(), period_s=PERIOD_S, start_s=1.0
+    )
+    np.testing.assert_allclose(late[0], 0.01 + offsets[1], atol=1e-8)
+
+
+def test_stuck_taxels_keep_a_value_and_dead_ones_read_zero() -> None:
+    force_n = np.stack([np.full((10, 10), value, np.float32) for value in (0.002, 0.008)])
+    stuck = TaxelModel(noise_n=0.0, stuck=Stuck(0.07)).signal(force_n, rng(), period_s=PERIOD_S)
+    assert (stuck[0] == stuck[1]).sum() == 7
+    dead = TaxelModel(noise_n=0.0, dead=Dead(0.001)).signal(force_n, rng(), period_s=PERIOD_S)
+    assert [(frame == 0).sum() for frame in dead] == [1, 1]
+    none = TaxelModel(noise_n=0.0, dead=Dead(0.0), stuck=Stuck(0.0)).signal(force_n, rng(), period_s=PERIOD_S)
+    np.testing.assert_array_equal(none, force_n)
+
+
+def test_saturated_taxels_read_the_end_of_the_range_and_noisy_ones_a_quarter_of_it_as_noise() -> None:
+    force_n = np.full((2000, 10, 10), 0.01, np.float32)
+    full = TaxelModel(noise_n=0.0, saturated=Saturated(0.03)).signal(force_n[:2], rng(), period_s=PERIOD_S)
+    assert [(frame == np.float32(0.02)).sum() for frame in full] == [3, 3]
+    noisy = TaxelModel(noise_n=1e-4, force_max_n=0.1, noisy=Noisy(0.02))
+    deviations = np.sort(noisy.signal(force_n + np.float32(0.04), rng(), period_s=PERIOD_S).std(axis=0), axis=None)
+    np.testing.assert_allclose(deviations[:98], 1e-4, rtol=0.1)
+    assert (deviations[98:] > 0.02).all()
+
+
+def test_defects_of_one_seed_meet_other_taxels() -> None:
+    taxels = (64, 64)
+    dead, full = Dead(0.1, 3).taxels(taxels), Saturated(0.1, 3).taxels(taxels)
+    assert 0 < np.intersect1d(dead, full).size < 0.3 * dead.size
+    assert not np.array_equal(dead, Dead(0.1, 4).taxels(taxels))
+
+
+def test_defects_are_named_with_or_without_an_amount() -> None:
+    assert parse_defects(["dead", "cross-talk=0.05", "drift=2e-3"], seed=7) == {
+        "dead": Dead(0.01, 7),
+        "cross_talk": CrossTalk(0.05),
+        "drift": Drift(2e-3, 7),
+    }
+    assert parse_defects(KINDS, seed=1).keys() == KINDS.keys()
+    assert TaxelModel(**parse_defects(KINDS, seed=1)).dead == Dead(0.01, 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("broken", "--defect broken: expected KIND or KIND=AMOUNT with KIND of damper, cross-talk, gain-spread"),
+        ("dead=", "--defect dead=: expected a number after '='"),
+        ("dead=many", "expected a number after '=', got 'many'"),
+        ("dead=2", "--defect dead: ratio needs a number from 0 to 1: got 2.0"),
+        ("drift=nan", "--defect drift: deviation_n_per_s needs a number of 0 or more"),
+    ],
+)
+def test_a_wrong_defect_is_refused_in_one_line(text: str, says: str) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_defects([text], seed=0)
+    assert says in str(refused.value)
+
+
+def test_counts_are_the_nearest_within_the_range() -> None:
+    taxels = Taxels(adc_bits=12)
+    force_n = np.array([-0.001, 0.0, 0.4, 0.6, 4094.4, 4095.0, 5000.0], np.float32)
+    force_n[1:] *= np.float32(taxels.newton_per_count)
+    assert to_counts(force_n, taxels).tolist() == [0, 0, 0, 1, 4094, 4095, 4095]
+    counts = np.arange(4096)
+    np.testing.assert_array_equal(to_counts(to_newtons(counts, taxels), taxels), counts)
+
+
+def test_wrong_numbers_are_refused() -> None:
+    for effect in (CrossTalk, GainSpread, Noisy, Stuck, Saturated, Dead):
+        for value in (-0.1, 1.1, float("nan")):
+            with pytest.raises(InputError, match="number from 0 to 1"):
+                effect(value)
+    for unbounded in (Damper, Drift):
+        with pytest.raises(InputError, match="0 or more"):
+            unbounded(float("inf"))
+    with pytest.raises(InputError, match="noise_n"):
+        sense(np.zeros(3), rng(), noise_n=-1.0)
+    with pytest.raises(InputError, match="force_max_n"):
+        sense(np.zeros(3), rng(), force_max_n=0.0)
+    with pytest.raises(InputError, match="steps, rows, columns"):
+        QUIET.signal(np.zeros((3, 3), np.float32), rng(), period_s=PERIOD_S)
+    with pytest.raises(InputError, match="period_s"):
+        QUIET.signal(np.zeros((1, 3, 3), np.float32), rng(), period_s=0.0)
