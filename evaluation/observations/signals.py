@@ -7,8 +7,8 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from evaluation.solvers.noiselet import Noiselet, noiselet
 from skin.measurement import Sbhe, sbhe
-from skin.noiselet import Noiselet, noiselet
 from skin.operator import Operator
 from skin.taxel import sense
 from touch.arrays import averaged

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.paper.runs import PENALTY_N, SIDE
+from evaluation.solvers.baselines import admm, smoothed_l0
 from reconstructor.bases import Basis
 from reconstructor.fista import fista
-from reconstructor.rivals import admm, smoothed_l0
 from skin.operator import Operator
 
 SUMS: Final = 1024

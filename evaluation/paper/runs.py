@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from evaluation.findings import Options, Row
 from evaluation.paper.printed import BasisName, Matrix
-from reconstructor.kernels.noiselet import NoiseletSolver
+from evaluation.solvers.noiselet import noiselet
+from evaluation.solvers.noiselet_solver import NoiseletSolver
 from reconstructor.settings import PAPER, PAPER_CONTOURLET
 from reconstructor.solver import ImageSolver, make_solver
 from skin.measurement import sbhe
-from skin.noiselet import noiselet
 from skin.operator import Operator
 from skin.psnr import psnr_db
 from skin.taxel import FORCE_MAX_N, sense

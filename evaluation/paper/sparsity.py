@@ -11,9 +11,9 @@ from evaluation.paper.pictures import draw_counts
 from evaluation.paper.printed import TABLE_ONE
 from evaluation.paper.runs import OBJECTS, SIDE, true_force
 from evaluation.paper.tolerance import within
+from evaluation.solvers.pursuit import basis_pursuit
 from reconstructor.bases import make_basis
 from reconstructor.kernels.contourlet import CompiledContourlet
-from reconstructor.pursuit import basis_pursuit
 from touch.trajectory import ACQUISITION_OBJECTS
 
 #: τ of the paper's approximate sparsity, newtons.

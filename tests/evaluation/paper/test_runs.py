@@ -8,9 +8,9 @@ from evaluation.paper.columns import psnr_columns
 from evaluation.paper.compression import measure_sensor
 from evaluation.paper.printed import SENSOR, TABLE_TWO, Matrix, Psnr
 from evaluation.paper.runs import CHUNK, PENALTY_N, Method, cell, measure, rebuild, sums_of, true_force
+from evaluation.solvers.noiselet import noiselet
 from reconstructor.bases import make_basis
 from reconstructor.fista import fista
-from skin.noiselet import noiselet
 from skin.psnr import psnr_db
 from skin.taxel import FORCE_MAX_N
 
