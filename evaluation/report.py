@@ -1,4 +1,4 @@
-"""One HTML file with every table, plot and note of an evaluation: nothing to fetch, nothing to run."""
+"""One HTML file with every table and plot of an evaluation: nothing to fetch, nothing to run."""
 
 import base64
 import html
@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from evaluation.findings import Findings, Options, Picture, Row
+from evaluation.result import Options, Picture, Result, Row
 from skin.errors import InputError
 
 _STYLE: Final = """
@@ -26,7 +26,7 @@ figcaption, li { max-width: 55rem; }
 """
 
 
-def write_report(findings: Mapping[str, Findings], options: Options, folder: Path) -> Path:
+def write_report(results: Mapping[str, Result], options: Options, folder: Path) -> Path:
     """Write ``report.html`` and return its path.
 
     Raises
@@ -35,8 +35,8 @@ def write_report(findings: Mapping[str, Findings], options: Options, folder: Pat
         If the folder cannot be written.
     """
     path = folder / "report.html"
-    body = "".join(_section(name, found) for name, found in findings.items())
-    contents = "".join(f'<li><a href="#{name}">{html.escape(found.title)}</a></li>' for name, found in findings.items())
+    body = "".join(_section(name, found) for name, found in results.items())
+    contents = "".join(f'<li><a href="#{name}">{html.escape(found.title)}</a></li>' for name, found in results.items())
     text = (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>canskin, evaluated</title>'
         f"<style>{_STYLE}</style></head><body><h1>canskin beside the paper</h1>"
@@ -59,10 +59,10 @@ def _made(options: Options) -> str:
     )
 
 
-def _section(name: str, found: Findings) -> str:
-    notes = "".join(f"<li>{html.escape(note)}</li>" for note in found.notes)
+def _section(name: str, found: Result) -> str:
+    note = f"<p>{html.escape(found.note)}</p>" if found.note else ""
     pictures = "".join(_figure(picture) for picture in found.pictures)
-    return f'<h2 id="{name}">{html.escape(found.title)}</h2><ul>{notes}</ul>{pictures}{_table(found.rows)}'
+    return f'<h2 id="{name}">{html.escape(found.title)}</h2>{note}{pictures}{_table(found.rows)}'
 
 
 def _figure(picture: Picture) -> str:

@@ -6,19 +6,17 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from evaluation.psnr import psnr_db
+from evaluation.result import Values
 from reconstructor.bases import Basis
 from reconstructor.fista import fista, objective
 from skin.layout import load_layout
 from skin.measurement import Sbhe
-from skin.psnr import psnr_db
-from skin.taxel import FORCE_MAX_N, sense
+from skin.taxel import sense
 from touch.contact import Grid, press_along
 from touch.objects import spheres_of
 from touch.trajectory import paper_pose
-
-Values = npt.NDArray[np.floating[Any]]
 
 #: The step of the paper's trajectory that is solved, and the object that slides there.
 STEP: Final = 2000
@@ -64,7 +62,7 @@ class Problem:
     def psnr_db(self, s: Values) -> float:
         """Return the PSNR of the image, dB, negative taxels as 0."""
         image = np.maximum(self.psi.adjoint(s.astype(np.float64).reshape(self.psi.shape)), 0)
-        return psnr_db(self.true, image, FORCE_MAX_N)
+        return psnr_db(self.true, image)
 
 
 def make_problem(psi: Basis, penalty_n: float, lipschitz: float, iterations: int = 20, seed: int = 1) -> Problem:

@@ -8,7 +8,8 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.bench.limit import measure_limit
 from evaluation.bench.peers import dense_only, peers
-from evaluation.bench.problem import Method, Problem, Values, make_problem, race
+from evaluation.bench.problem import Method, Problem, make_problem, race
+from evaluation.result import Values
 from reconstructor.bases import haar_pyramid
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver

@@ -1,6 +1,6 @@
 """What the image benchmarks look at: the paper's five objects on its trajectory, with the paper's noise."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from reconstructor.engine import Reconstructor
 from skin.measurement import Sbhe
-from skin.psnr import psnr_db
-from skin.taxel import FORCE_MAX_N, sense
+from skin.taxel import sense
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 
 Images = npt.NDArray[np.float32]
@@ -57,12 +56,6 @@ def solved(engine: Reconstructor, scene: Scene, valid: npt.NDArray[np.bool_]) ->
     """Yield the image of every frame; `valid` of shape (frames, m)."""
     for sums_n, present in zip(scene.sums, valid, strict=True):
         yield engine.solve(sums_n, present)
-
-
-def mean_psnr_db(images: Iterable[Images], scene: Scene) -> float:
-    """Return the mean over frames of the PSNR, dB, peak 0.02 N (section V of the paper)."""
-    pairs = zip(images, scene.true, strict=True)
-    return float(np.mean([psnr_db(true, image, FORCE_MAX_N) for image, true in pairs]))
 
 
 def mean_over(rows: list[dict[str, Any]], value: str, *keys: str) -> list[dict[str, Any]]:

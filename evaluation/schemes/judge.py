@@ -1,13 +1,13 @@
 """How good the image in use is, at every millisecond and against the truth of that millisecond."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
-from evaluation.findings import Row
-from evaluation.schemes.judge_kernel import judge_images, judge_updates
+from evaluation.result import Row
 from evaluation.schemes.wire import TICK_NS
 from skin.psnr import decibels
 from skin.taxel import FORCE_MAX_N
@@ -34,10 +34,10 @@ class Images:
     force_n: Force
 
     def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
-        """Compare with the truth, shape (ticks, n); see `judge_images`."""
+        """Compare with the truth, shape (ticks, n); see `_judge_images`."""
         ticks = np.arange(len(true_n), dtype=np.int64) * TICK_NS
         used = np.searchsorted(self.ready_ns, ticks, side="right") - 1
-        found: npt.NDArray[np.float64] = judge_images(true_n, self.force_n, used, WRONG_N)
+        found: npt.NDArray[np.float64] = _judge_images(true_n, self.force_n, used, WRONG_N)
         return found
 
 
@@ -57,11 +57,15 @@ class Updates:
     force_n: Force
 
     def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
-        """Compare with the truth, shape (ticks, n); see `judge_images`."""
+        """Compare with the truth, shape (ticks, n); see `_judge_images`."""
         order = np.argsort(self.ready_ns, kind="stable")
         ticks = -(-self.ready_ns[order] // TICK_NS)
-        found: npt.NDArray[np.float64] = judge_updates(true_n, ticks, self.taxel[order], self.force_n[order], WRONG_N)
+        found: npt.NDArray[np.float64] = _judge_updates(true_n, ticks, self.taxel[order], self.force_n[order], WRONG_N)
         return found
+
+    def kept(self, places: npt.NDArray[np.bool_]) -> "Updates":
+        """Return the updates at `places`, shape (k,)."""
+        return Updates(self.ready_ns[places], self.taxel[places], self.force_n[places])
 
     def held(self, ready_ns: npt.NDArray[np.int64], taxels: int) -> Images:
         """Return the images that are shown at `ready_ns`, ascending."""
@@ -101,3 +105,66 @@ def quality(true_n: Force, shown: Images | Updates) -> Row:
         "touched_error_mn": 1e3 * float(np.sqrt(touched.sum() / count.sum())) if count.any() else None,
         "longest_wrong_ms": int(wrong.max()),
     }
+
+
+@njit(cache=True, nogil=True)
+def _judge_images(true: Any, images: Any, used: Any, limit: float) -> Any:
+    """Compare images that are held until the next with the truth.
+
+    Parameters
+    ----------
+    true : array of float32, shape (ticks, n)
+    images : array of float32, shape (k, n)
+    used : array of int, shape (ticks,)
+        Number of the image in use at each tick; -1: none yet, all zeros.
+    limit : float
+        An error above it is a wrong taxel.
+
+    Returns
+    -------
+    array of float64, shape (ticks, 4)
+        Squared error over all taxels and over those that are touched, how many are touched, and the ticks for which
+        the longest wrong taxel has now been wrong.
+    """
+    found = np.zeros((true.shape[0], 4))
+    wrong, shown = np.zeros(true.shape[1], np.int64), np.zeros(true.shape[1], np.float32)
+    for tick in range(true.shape[0]):
+        _look(true[tick], images[used[tick]] if used[tick] >= 0 else shown, limit, wrong, found[tick])
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _judge_updates(true: Any, ticks: Any, taxels: Any, values: Any, limit: float) -> Any:
+    """Compare an image whose taxels are replaced one by one with the truth, see `_judge_images`.
+
+    Parameters
+    ----------
+    true : array of float32, shape (ticks, n)
+    ticks, taxels : arrays of int, shape (updates,)
+        From which tick on each value is in use, ascending, and where.
+    values : array of float32, shape (updates,)
+    limit : float
+    """
+    found = np.zeros((true.shape[0], 4))
+    wrong, shown = np.zeros(true.shape[1], np.int64), np.zeros(true.shape[1], np.float32)
+    done = 0
+    for tick in range(true.shape[0]):
+        while done < ticks.size and ticks[done] <= tick:
+            shown[taxels[done]] = values[done]
+            done += 1
+        _look(true[tick], shown, limit, wrong, found[tick])
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _look(true: Any, shown: Any, limit: float, wrong: Any, found: Any) -> None:
+    total, touched, count, longest = 0.0, 0.0, 0, 0
+    for taxel in range(true.size):
+        error = float(shown[taxel]) - float(true[taxel])
+        total += error * error
+        if true[taxel] > 0:
+            touched += error * error
+            count += 1
+        wrong[taxel] = wrong[taxel] + 1 if abs(error) > limit else 0
+        longest = max(longest, wrong[taxel])
+    found[0], found[1], found[2], found[3] = total, touched, count, longest

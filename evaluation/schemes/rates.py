@@ -1,26 +1,27 @@
 """``skin evaluate rates``: how many sums, of how many bits, how often: what the same bus time is best used for."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Row, refuse_draws
-from evaluation.schemes.rate_notes import notes
-from evaluation.schemes.rate_pictures import pictures
+from evaluation.result import Options, Picture, Result, Row, new_figure, refuse_draws
+from evaluation.result_cache import measure_cells
 from evaluation.schemes.rate_points import WIRES, Point, points
 from evaluation.schemes.scenes import SHAKING, SLIDES, recordings_in
 from evaluation.schemes.shown import Shown
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.touches import Touch
+from evaluation.schemes.touch import Touch
 from skin.errors import InputError
 from skin.layout import parse_layout
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Milliseconds of a slide and of a recording; boxes shake for half as long.
 TICKS: Final = 2000
@@ -31,7 +32,7 @@ QUICK_ROWS, QUICK_BITS = (4, 8), (8, 16)
 _KINDS: Final = ("slides", "shaking", "recordings")
 
 
-def evaluate(options: Options) -> Findings:
+def evaluate(options: Options) -> Result:
     """Measure every point on every touch, and choose one for each kind of wires.
 
     Parameters
@@ -53,34 +54,35 @@ def evaluate(options: Options) -> Findings:
     for kind in touches:
         for wires in WIRES:
             rows[_best(rows, wires, kind)]["best_for"].append(kind)
-    chosen = {wires: _best(rows, wires, "slides") for wires in WIRES}
-    if options.out is not None:
-        for wires, index in chosen.items():
-            _write(options.out / f"{wires.replace(' ', '-')}.toml", looked_at[index].text)
-    words = {kind: ", ".join(touch.words for touch in mine) for kind, mine in touches.items()}
-    return Findings(
+            if options.out is not None and kind == "slides":
+                _write(options.out / f"{wires.replace(' ', '-')}.toml", looked_at[_best(rows, wires, kind)].text)
+    rows = [row | {"best_for": " ".join(row["best_for"])} for row in rows]
+    return Result(
         "Rate against quality: what the same bus time is best used for",
-        [row | {"best_for": " ".join(row["best_for"])} for row in rows],
-        notes(rows, [rows[index] for index in chosen.values()], touches, options),
-        pictures(rows, words),
+        rows,
+        [
+            Picture(
+                f"rates-{kind}",
+                f"Mean PSNR ({', '.join(touch.words for touch in mine)}), every square the same bus time; below the "
+                "decibels the rate, the best framed. To the right fewer bits and to the top fewer sums, both for more "
+                "rate.",
+                partial(_surface, rows, kind),
+            )
+            for kind, mine in touches.items()
+        ],
     )
 
 
 def _measured(looked_at: list[Point], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
     """Return a row for every point; its ``best_for`` is a list that is empty yet."""
-    cells = [
-        {"text": point.text, "touch": asdict(touch)}
-        for point in looked_at
-        for mine in touches.values()
-        for touch in mine
-    ]
+    cells = [{"text": point.text, "touch": touch} for point in looked_at for mine in touches.values() for touch in mine]
     results = iter(measure_cells(measure_point, cells, options, "rates"))
     return [_row(point, {kind: [next(results) for _ in mine] for kind, mine in touches.items()}) for point in looked_at]
 
 
-def measure_point(text: str, touch: dict[str, Any]) -> Row:
+def measure_point(text: str, touch: Touch) -> Row:
     """Return the figures of a layout, TOML, on one touch."""
-    what, contract = Touch(**touch).load(), Contract.from_layout(parse_layout(text.encode(), "point"))
+    what, contract = touch.load(), Contract.from_layout(parse_layout(text.encode(), "point"))
     run = run_sums(contract, what.counts)
     return Shown(run.sent, run.latency_ns, run.images(contract), contract.layout.sync.rate_hz).figures(what)
 
@@ -89,7 +91,7 @@ def _touches(options: Options) -> dict[str, list[Touch]]:
     """Return the touches of each kind that is looked at."""
     if options.quick:
         return {"slides": [Touch("golf-ball", ticks=QUICK_TICKS, seed=options.seed)]}
-    meshes = str(options.meshes) if options.meshes else None
+    meshes = options.shared["meshes"]
     found = {
         "slides": [Touch(name, ticks=TICKS, meshes=meshes, seed=options.seed) for name in SLIDES],
         "shaking": [Touch(SHAKING, ticks=TICKS // 2, meshes=meshes, seed=options.seed)],
@@ -136,3 +138,29 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
+
+
+def _surface(rows: list[Row], kind: str) -> "Figure":
+    key = f"psnr_{kind}_db"
+    wires = list(dict.fromkeys(row["wires"] for row in rows))
+    heights = sorted({row["rows_of_32"] for row in rows})
+    widths = sorted({row["bits"] for row in rows}, reverse=True)
+    figure = new_figure(4 * len(wires), 4)
+    panels = figure.subplots(1, len(wires), squeeze=False)[0]
+    values = [row[key] for row in rows]
+    for panel, name in zip(panels, wires, strict=True):
+        surface = np.full((len(heights), len(widths)), np.nan)
+        for row in (row for row in rows if row["wires"] == name):
+            down, across = heights.index(row["rows_of_32"]), widths.index(row["bits"])
+            surface[down, across] = row[key]
+            bright = row[key] < (min(values) + max(values)) / 2
+            text = f"{row[key]:.1f} dB\n{row['rate_hz']:g} Hz"
+            panel.text(across, down, text, ha="center", va="center", color="white" if bright else "black")
+            if kind in row["best_for"]:
+                panel.plot(across, down, "s", markersize=48, markerfacecolor="none", color="red")
+        drawn = panel.imshow(surface, vmin=min(values), vmax=max(values), cmap="viridis", aspect="auto")
+        panel.set_xticks(range(len(widths)), [str(bits) for bits in widths])
+        panel.set_yticks(range(len(heights)), [str(height) for height in heights])
+        panel.set(title=name, xlabel="bits of a sum", ylabel="rows of 32 that are sent")
+    figure.colorbar(drawn, ax=panels, label="mean PSNR, dB")
+    return figure

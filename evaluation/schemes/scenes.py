@@ -18,15 +18,7 @@ from touch.objects import spheres_of
 from touch.primitives import ball
 from touch.reading import read_counts
 from touch.recording import Recording
-from touch.trajectory import (
-    ACQUISITION_OBJECTS,
-    PAPER_DEPTH_M,
-    PAPER_PRESS_M_PER_STEP,
-    PAPER_PRESS_STEPS,
-    PAPER_STEP_S,
-    paper_pose,
-    trajectory,
-)
+from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M, PAPER_PRESS_STEPS, paper_pose, trajectory
 
 _ARRAY: Final = Taxels()
 #: The default skin's array: taxels of a side, and of all; newtons of one count of its converters.
@@ -41,8 +33,10 @@ RECORDED_MS: Final = 100
 RECORDED_FRAMES: Final = 24
 #: When the slap begins.
 SLAP_MS: Final = 300
+SLAP: Final = "three boxes slapped on"
 SHAKING: Final = "two boxes shaking"
 #: How the two boxes shake: rates that no scan keeps step with, mean depth, and the part of it by which they swing.
+#: They are pressed up to 26 times as fast as the paper's objects.
 SHAKING_HZ: Final = (7.3, 9.1)
 SHAKING_DEPTH_M: Final = 0.005
 SHAKING_SWING: Final = 0.9
@@ -97,12 +91,6 @@ def _shaking(tick: int) -> Iterator[tuple[str, Pose]]:
         yield name, Pose(x, y, 0.1, SHAKING_DEPTH_M * min(1.0, tick / 300) * swing)
 
 
-def shaking_speed_ratio() -> float:
-    """Return how many times as fast the boxes are pressed at their fastest as the paper's objects are."""
-    fastest_m_per_s = 2 * math.pi * max(SHAKING_HZ) * SHAKING_SWING * SHAKING_DEPTH_M
-    return fastest_m_per_s * PAPER_STEP_S / PAPER_PRESS_M_PER_STEP
-
-
 def _nothing(tick: int) -> Iterator[tuple[str, Pose]]:
     del tick
     yield from ()
@@ -114,7 +102,7 @@ OWN: Final[dict[str, Callable[[int], Iterator[tuple[str, Pose]]]]] = {
     "golf ball at rest": _resting,
     "five fingertips": _fingertips,
     "faint box": _faint,
-    "three boxes slapped on": _slap,
+    SLAP: _slap,
     SHAKING: _shaking,
 }
 SLIDES: Final = tuple(ACQUISITION_OBJECTS)

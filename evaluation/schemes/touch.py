@@ -1,7 +1,10 @@
-"""A touch as a contender meets it: what happens, how noisy the sensor is, and what the buses lose."""
+"""A touch as a scheme meets it: what happens, how noisy the sensor is, and what the buses lose."""
 
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
 
 from evaluation.schemes.scenes import Scene, scene
 from skin.taxel import NOISE_N
@@ -45,6 +48,10 @@ class Touch:
     def is_plain(self) -> bool:
         """Whether noise is the paper's and nothing is lost."""
         return self.noise_n == NOISE_N and not self.loss_ratio
+
+    def arrives(self, frames: int) -> npt.NDArray[np.bool_]:
+        """Draw which of so many frames reach the receiver."""
+        return np.random.default_rng(self.seed).random(frames) >= self.loss_ratio
 
     def load(self) -> Scene:
         """Return the scene itself."""
