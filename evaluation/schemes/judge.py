@@ -1,11 +1,10 @@
 """How good the image in use is, at every millisecond and against the truth of that millisecond."""
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from evaluation.result import Row
 from evaluation.schemes.wire import TICK_NS
@@ -33,12 +32,9 @@ class Images:
     ready_ns: npt.NDArray[np.int64]
     force_n: Force
 
-    def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
-        """Compare with the truth, shape (ticks, n); see `_judge_images`."""
-        ticks = np.arange(len(true_n), dtype=np.int64) * TICK_NS
-        used = np.searchsorted(self.ready_ns, ticks, side="right") - 1
-        found: npt.NDArray[np.float64] = _judge_images(true_n, self.force_n, used, WRONG_N)
-        return found
+    def used(self, times_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
+        """Return the number of the image in use at each time; -1 before the first."""
+        return np.asarray(np.searchsorted(self.ready_ns, times_ns, side="right") - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +51,6 @@ class Updates:
     ready_ns: npt.NDArray[np.int64]
     taxel: npt.NDArray[np.int64]
     force_n: Force
-
-    def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
-        """Compare with the truth, shape (ticks, n); see `_judge_images`."""
-        order = np.argsort(self.ready_ns, kind="stable")
-        ticks = -(-self.ready_ns[order] // TICK_NS)
-        found: npt.NDArray[np.float64] = _judge_updates(true_n, ticks, self.taxel[order], self.force_n[order], WRONG_N)
-        return found
 
     def kept(self, places: npt.NDArray[np.bool_]) -> "Updates":
         """Return the updates at `places`, shape (k,)."""
@@ -95,76 +84,24 @@ def quality(true_n: Force, shown: Images | Updates) -> Row:
         and ``touched_error_mn``, root mean square over all ticks of all taxels and of those that are touched;
         ``longest_wrong_ms``, for how long any one taxel was off by more than `WRONG_N`.
     """
-    total, touched, count, wrong = shown.judged(true_n).T
-    psnr_db = np.minimum(decibels(total / true_n.shape[1], FORCE_MAX_N), PSNR_MOST_DB)
+    ticks, taxels = true_n.shape
+    times_ns = np.arange(ticks, dtype=np.int64) * TICK_NS
+    images = shown.held(times_ns, taxels) if isinstance(shown, Updates) else shown
+    total, touched = np.empty(ticks), np.empty(ticks)
+    wrong_ms, longest_wrong_ms, nothing = np.zeros(taxels, np.int64), 0, np.zeros(taxels, np.float32)
+    for tick, (true, used) in enumerate(zip(true_n, images.used(times_ns).tolist(), strict=True)):
+        error = (images.force_n[used] if used >= 0 else nothing) - true.astype(np.float64)
+        square = error * error
+        total[tick], touched[tick] = square.sum(), square[true > 0].sum()
+        wrong_ms = (wrong_ms + 1) * (np.abs(error) > WRONG_N)
+        longest_wrong_ms = max(longest_wrong_ms, int(wrong_ms.max()))
+    psnr_db = np.minimum(decibels(total / taxels, FORCE_MAX_N), PSNR_MOST_DB)
+    count = np.count_nonzero(true_n > 0)
     return {
         "psnr_mean_db": float(psnr_db.mean()),
         "psnr_least_db": float(psnr_db.min()),
         "psnr_peak_db": float(psnr_db.max()),
-        "error_mn": 1e3 * float(np.sqrt(total.mean() / true_n.shape[1])),
-        "touched_error_mn": 1e3 * float(np.sqrt(touched.sum() / count.sum())) if count.any() else None,
-        "longest_wrong_ms": int(wrong.max()),
+        "error_mn": 1e3 * float(np.sqrt(total.mean() / taxels)),
+        "touched_error_mn": 1e3 * float(np.sqrt(touched.sum() / count)) if count else None,
+        "longest_wrong_ms": longest_wrong_ms,
     }
-
-
-@njit(cache=True, nogil=True)
-def _judge_images(true: Any, images: Any, used: Any, limit: float) -> Any:
-    """Compare images that are held until the next with the truth.
-
-    Parameters
-    ----------
-    true : array of float32, shape (ticks, n)
-    images : array of float32, shape (k, n)
-    used : array of int, shape (ticks,)
-        Number of the image in use at each tick; -1: none yet, all zeros.
-    limit : float
-        An error above it is a wrong taxel.
-
-    Returns
-    -------
-    array of float64, shape (ticks, 4)
-        Squared error over all taxels and over those that are touched, how many are touched, and the ticks for which
-        the longest wrong taxel has now been wrong.
-    """
-    found = np.zeros((true.shape[0], 4))
-    wrong, shown = np.zeros(true.shape[1], np.int64), np.zeros(true.shape[1], np.float32)
-    for tick in range(true.shape[0]):
-        _look(true[tick], images[used[tick]] if used[tick] >= 0 else shown, limit, wrong, found[tick])
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _judge_updates(true: Any, ticks: Any, taxels: Any, values: Any, limit: float) -> Any:
-    """Compare an image whose taxels are replaced one by one with the truth, see `_judge_images`.
-
-    Parameters
-    ----------
-    true : array of float32, shape (ticks, n)
-    ticks, taxels : arrays of int, shape (updates,)
-        From which tick on each value is in use, ascending, and where.
-    values : array of float32, shape (updates,)
-    limit : float
-    """
-    found = np.zeros((true.shape[0], 4))
-    wrong, shown = np.zeros(true.shape[1], np.int64), np.zeros(true.shape[1], np.float32)
-    done = 0
-    for tick in range(true.shape[0]):
-        while done < ticks.size and ticks[done] <= tick:
-            shown[taxels[done]] = values[done]
-            done += 1
-        _look(true[tick], shown, limit, wrong, found[tick])
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _look(true: Any, shown: Any, limit: float, wrong: Any, found: Any) -> None:
-    total, touched, count, longest = 0.0, 0.0, 0, 0
-    for taxel in range(true.size):
-        error = float(shown[taxel]) - float(true[taxel])
-        total += error * error
-        if true[taxel] > 0:
-            touched += error * error
-            count += 1
-        wrong[taxel] = wrong[taxel] + 1 if abs(error) > limit else 0
-        longest = max(longest, wrong[taxel])
-    found[0], found[1], found[2], found[3] = total, touched, count, longest

@@ -201,6 +201,6 @@ def in_use(scheme: Scheme, touch: Touch, tick: int) -> Force:
     """Return what a scheme has in use at a millisecond, newtons, shape (TAXELS,)."""
     shown, now_ns = scheme.show(touch, 1.0).images, np.array([tick * TICK_NS])
     images = shown.held(now_ns, TAXELS) if isinstance(shown, Updates) else shown
-    used = int(np.searchsorted(images.ready_ns, now_ns[0], side="right")) - 1
+    used = int(images.used(now_ns)[0])
     force_n: Force = images.force_n[used] if used >= 0 else np.zeros(TAXELS, np.float32)
     return force_n

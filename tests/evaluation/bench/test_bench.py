@@ -10,7 +10,7 @@ import pytest
 from evaluation.bench import missing, reconstruct, skins
 from evaluation.bench.command import bench
 from evaluation.bench.limit import measure_limit
-from evaluation.bench.problem import Method, make_problem, race
+from evaluation.bench.problem import Method, compare, make_problem
 from evaluation.bench.scenes import make_scenes, mean_over
 from evaluation.psnr import psnr_series_db
 from reconstructor.bases import haar_pyramid
@@ -39,9 +39,9 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         bench("images", meshes=tmp_path / "none")
 
 
-def test_race_measures_gap_and_quality() -> None:
+def test_comparison_measures_gap_and_quality() -> None:
     problem = make_problem(haar_pyramid(64, 64), 0.0125, lipschitz=32.0)
-    rows = race(
+    rows = compare(
         problem,
         [
             Method("nothing", "float64", lambda: np.zeros(4096), np.asarray),
@@ -76,7 +76,7 @@ def test_means() -> None:
 
 
 def test_skins_are_timed_on_one_thread_and_on_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(skins, "TURN_S", 0.001)
+    monkeypatch.setattr("evaluation.bench.timing.TURN_S", 0.001)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     rows = skins.run(rounds=1)["rows"]
     assert [(row["skins"], row["threads"]) for row in rows] == [(1, 1), (2, 1), (2, 2), (4, 1), (4, 2), (8, 1), (8, 2)]
