@@ -12,10 +12,10 @@ from evaluation.solvers.noiselet import Noiselet, noiselet
 from skin.measurement import Sbhe, sbhe
 from skin.operator import Operator
 from skin.taxel import sense
-from touch.arrays import averaged
-from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations
+from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations
+from touch.coarse_arrays import averaged
 
-#: "averaged" and "large" are the readings of the paper's coarse arrays, see `touch.arrays`.
+#: "averaged" and "large" are the readings of the paper's coarse arrays, see `touch.coarse_arrays`.
 KINDS: Final = ("sbhe", "noiselet", "averaged", "large")
 TAXELS: Final = 4096
 OBJECTS: Final = len(CLASSIFICATION_OBJECTS)

@@ -10,7 +10,7 @@ from evaluation.recognition.pictures import draw_accuracies, draw_confusions
 from evaluation.recognition.printed import ACCURACIES, CONFUSION_SIZE, CONFUSIONS, FULL, THREE_PERCENT, TRAINING
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
-from touch.perturbations import CLASSIFICATION_OBJECTS
+from touch.classification_poses import CLASSIFICATION_OBJECTS
 
 NAMES: Final = {"sbhe": "SBHE", "noiselet": "noiselet", "averaged": "sensor", "large": "sensor, large taxels"}
 SIZES: Final = (4096, 1024, 256, 64, 16, 4, 1)

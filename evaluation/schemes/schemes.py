@@ -18,7 +18,7 @@ from evaluation.schemes.touch import Touch
 from evaluation.schemes.wire import TICK_NS
 from skin.layout import load_layout
 from skin.taxel import sense
-from touch.arrays import averaged
+from touch.coarse_arrays import averaged
 from touch.contact import Force
 
 #: What a cell of a coarse array is: one with the noise of any taxel, or what the node makes of its taxels.

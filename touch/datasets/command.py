@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, get_args
 from skin.errors import InputError
 from skin.parallel import in_parallel
 from skin.terminal import Json, print_json, print_table, progress
-from touch.arrays import ARRAYS
+from touch.coarse_arrays import ARRAYS
 from touch.datasets.folder import DatasetFolder, alone
 from touch.datasets.options import AcquisitionOptions, ClassificationOptions, TaxelOptions
 from touch.datasets.plan import DatasetPlan, plan_acquisition, plan_classification
