@@ -78,25 +78,13 @@ def _table(rows: list[Row]) -> str:
     if not rows:
         return ""
     heads = "".join(f"<th{_kind(value)}>{html.escape(key)}</th>" for key, value in rows[0].items())
-    digits = {key: max(_decimals(row[key]) for row in rows) for key in rows[0]}
-    lines = "".join("<tr>" + "".join(_cell(value, digits[key]) for key, value in row.items()) + "</tr>" for row in rows)
+    lines = "".join("<tr>" + "".join(map(_cell, row.values())) + "</tr>" for row in rows)
     return f"<details open><summary>{len(rows)} rows</summary><table><tr>{heads}</tr>{lines}</table></details>"
 
 
-def _decimals(value: Any) -> int:
-    """Return how many places after the point a number needs, so that a column's points stand in line."""
-    text = f"{value:g}" if isinstance(value, float) else ""
-    return len(text.partition(".")[2]) if "e" not in text else 0
-
-
-def _cell(value: Any, digits: int) -> str:
-    shown = "" if value is None else _number(value, digits) if isinstance(value, float) else str(value)
+def _cell(value: Any) -> str:
+    shown = "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
     return f"<td{_kind(value)}>{html.escape(shown)}</td>"
-
-
-def _number(value: float, digits: int) -> str:
-    text = f"{value:g}"
-    return text if "e" in text or digits > 4 else f"{value:.{digits}f}"
 
 
 def _kind(value: Any) -> str:

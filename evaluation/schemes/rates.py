@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bandwidth.alternatives import planned
+from bandwidth.layout_text import layout_text
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
 from evaluation.result import Options, Picture, Result, Row, new_figure, refuse_draws
 from evaluation.result_cache import measure_cells
-from evaluation.schemes.rate_points import WIRES, Point, points
-from evaluation.schemes.scenes import SHAKING, SLIDES, recordings_in
+from evaluation.schemes.rate_points import WIRES, points
+from evaluation.schemes.scenes import SHAKING, SLIDES, Touch, recordings_in
 from evaluation.schemes.shown import Shown
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.touch import Touch
 from skin.errors import InputError
-from skin.layout import parse_layout
+from skin.layout import Layout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 TICKS: Final = 2000
 QUICK_TICKS: Final = 500
 #: Points of a quick look.
-QUICK_ROWS, QUICK_BITS = (4, 8), (8, 16)
+QUICK_SUMS, QUICK_BITS = (512, 1024), (8, 16)
 #: PSNR columns, and the touches they are the mean of; recordings come on top.
 _KINDS: Final = ("slides", "shaking", "recordings")
 
@@ -46,16 +46,16 @@ def evaluate(options: Options) -> Result:
         If `draws` are given, the recordings cannot be read, or the layouts cannot be written.
     """
     refuse_draws(options, "rates")
-    looked_at = [
-        point for point in points() if not options.quick or (point.rows in QUICK_ROWS and point.bits in QUICK_BITS)
-    ]
+    looked_at = [point for point in points() if not options.quick or _is_quick(point[1])]
     touches = _touches(options)
     rows = _measured(looked_at, touches, options)
     for kind in touches:
         for wires in WIRES:
             rows[_best(rows, wires, kind)]["best_for"].append(kind)
             if options.out is not None and kind == "slides":
-                _write(options.out / f"{wires.replace(' ', '-')}.toml", looked_at[_best(rows, wires, kind)].text)
+                _write(
+                    options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[_best(rows, wires, kind)][1])
+                )
     rows = [row | {"best_for": " ".join(row["best_for"])} for row in rows]
     return Result(
         "Rate against quality: what the same bus time is best used for",
@@ -73,16 +73,25 @@ def evaluate(options: Options) -> Result:
     )
 
 
-def _measured(looked_at: list[Point], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
+def _measured(looked_at: list[tuple[str, Layout]], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
     """Return a row for every point; its ``best_for`` is a list that is empty yet."""
-    cells = [{"text": point.text, "touch": touch} for point in looked_at for mine in touches.values() for touch in mine]
+    cells = [
+        {"layout": layout, "touch": touch} for _, layout in looked_at for mine in touches.values() for touch in mine
+    ]
     results = iter(measure_cells(measure_point, cells, options, "rates"))
-    return [_row(point, {kind: [next(results) for _ in mine] for kind, mine in touches.items()}) for point in looked_at]
+    return [
+        _row(wires, layout, {kind: [next(results) for _ in mine] for kind, mine in touches.items()})
+        for wires, layout in looked_at
+    ]
 
 
-def measure_point(text: str, touch: Touch) -> Row:
-    """Return the figures of a layout, TOML, on one touch."""
-    what, contract = touch.load(), Contract.from_layout(parse_layout(text.encode(), "point"))
+def _is_quick(layout: Layout) -> bool:
+    return layout.measurement.sums in QUICK_SUMS and layout.encoding.sum_bits in QUICK_BITS
+
+
+def measure_point(layout: Layout, touch: Touch) -> Row:
+    """Return the figures of a layout on one touch."""
+    what, contract = touch.load(), Contract.from_layout(layout)
     run = run_sums(contract, what.counts)
     return Shown(run.sent, run.latency_ns, run.images(contract), contract.layout.sync.rate_hz).figures(what)
 
@@ -100,17 +109,17 @@ def _touches(options: Options) -> dict[str, list[Touch]]:
     return {kind: mine for kind, mine in found.items() if mine}
 
 
-def _row(point: Point, found: dict[str, list[Row]]) -> Row:
+def _row(wires: str, layout: Layout, found: dict[str, list[Row]]) -> Row:
     """Return one row of the table: the layout, its plan, and the means over the touches."""
-    plans = planned(point.layout, Disturbance())
-    bus = point.layout.bus[0]
+    plans = planned(layout, Disturbance())
+    bus = layout.bus[0]
     row: Row = {
-        "wires": point.wires,
-        "rows_of_32": point.rows,
-        "sums": point.layout.measurement.sums,
-        "bits": point.bits,
-        "rate_hz": point.layout.sync.rate_hz,
-        "nodes": f"{len(point.layout.bus)} x {bus.nodes} of {bus.blocks_per_node}",
+        "wires": wires,
+        "rows_of_32": layout.measurement.sums // layout.blocks,
+        "sums": layout.measurement.sums,
+        "bits": layout.encoding.sum_bits,
+        "rate_hz": layout.sync.rate_hz,
+        "nodes": f"{len(layout.bus)} x {bus.nodes} of {bus.blocks_per_node}",
         "load_worst": round(max(plan.load_worst for plan in plans), 3),
         "load": round(float(np.mean([each["load"] for each in found["slides"]])), 3),
     }

@@ -9,10 +9,9 @@ import numpy as np
 from evaluation.psnr import psnr_db
 from evaluation.result import Options, Picture, Row, new_figure
 from evaluation.schemes.judge import Updates
-from evaluation.schemes.scenes import SHAKING, SIDE, SLAP, SLAP_MS, SLIDES, TAXELS
+from evaluation.schemes.scenes import SHAKING, SIDE, SLAP, SLAP_MS, SLIDES, TAXELS, Touch
 from evaluation.schemes.schemes import Events, Scan, Sums
 from evaluation.schemes.shown import Scheme
-from evaluation.schemes.touch import Touch
 from evaluation.schemes.wire import TICK_NS
 from skin.layout import load_layout
 from touch.contact import Force

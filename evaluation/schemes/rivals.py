@@ -7,10 +7,9 @@ from evaluation.result import Options, Result, Row, refuse_draws
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.default_skin import default_kbit_per_s
 from evaluation.schemes.rival_pictures import pictures
-from evaluation.schemes.scenes import OWN, SHAKING, SLAP, SLIDES, recordings_in
+from evaluation.schemes.scenes import OWN, SHAKING, SLAP, SLIDES, Touch, recordings_in
 from evaluation.schemes.schemes import Events, Scan, Sums, measure_scheme
 from evaluation.schemes.shown import Scheme
-from evaluation.schemes.touch import Touch
 
 #: Thresholds in newtons and dead times in milliseconds that event-triggered taxels are tried with.
 _THRESHOLDS_N: Final = (2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 5e-3)

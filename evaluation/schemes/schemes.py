@@ -10,11 +10,10 @@ from evaluation.schemes.default_skin import default_kbit_per_s, skin_of
 from evaluation.schemes.events import run_events
 from evaluation.schemes.judge import Images, Updates
 from evaluation.schemes.scan import ScanRun, run_scan
-from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS
+from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS, Touch
 from evaluation.schemes.shown import Family, Receiver, Scheme, Shown, check_receiver
 from evaluation.schemes.smoothing import CELLS_PENALTY_N, EVENTS_PENALTY_N, SCAN_PENALTY_N, refined, smoothed
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.touch import Touch
 from evaluation.schemes.wire import TICK_NS
 from skin.layout import load_layout
 from skin.taxel import sense

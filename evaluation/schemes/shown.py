@@ -7,8 +7,7 @@ import numpy as np
 
 from evaluation.result import Row
 from evaluation.schemes.judge import Images, Updates, quality
-from evaluation.schemes.scenes import Scene
-from evaluation.schemes.touch import Touch
+from evaluation.schemes.scenes import Scene, Touch
 from evaluation.schemes.wire import Nanoseconds, Sent
 from skin.errors import InputError
 

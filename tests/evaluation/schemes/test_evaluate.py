@@ -13,10 +13,9 @@ from evaluation.schemes.default_skin import default_kbit_per_s
 from evaluation.schemes.rates import evaluate as evaluate_rates
 from evaluation.schemes.rival_pictures import in_use
 from evaluation.schemes.rivals import evaluate as evaluate_rivals
-from evaluation.schemes.scenes import SLAP, SLAP_MS, recordings_in, scene
+from evaluation.schemes.scenes import SLAP, SLAP_MS, Touch, recordings_in
 from evaluation.schemes.schemes import Sums
 from evaluation.schemes.sums import SOLVED_NS
-from evaluation.schemes.touch import Touch
 from skin.errors import InputError
 from skin.layout import parse_layout
 
@@ -74,7 +73,7 @@ def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
     frames = np.arange(2 * 64 * 32, dtype=np.uint16).reshape(2, 64, 32)
     np.savez(tmp_path / "S1.npz", first=frames, second=frames[::-1])
     (path,) = recordings_in(tmp_path)
-    played = scene(path)
+    played = Touch(path).load()
     assert played.true_n.shape == (200, 4096)
     assert played.true_n is played.felt_n
     assert played.true_n[0].reshape(64, 64)[0, 1] == pytest.approx(0.02 / frames.max())

@@ -8,11 +8,11 @@ from evaluation.schemes.events import run_events
 from evaluation.schemes.judge import Images, Updates, quality
 from evaluation.schemes.patches import patches
 from evaluation.schemes.scan import run_scan
+from evaluation.schemes.scenes import Touch
 from evaluation.schemes.schemes import Events, Scan, Sums, measure_scheme
 from evaluation.schemes.shown import Receiver, Scheme
 from evaluation.schemes.smoothing import refined, smoothed
 from evaluation.schemes.sums import SOLVED_NS, run_sums
-from evaluation.schemes.touch import Touch
 from skin.errors import InputError
 from skin.layout import load_layout
 
