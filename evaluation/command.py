@@ -33,7 +33,7 @@ SUBJECTS: Final[dict[str, str]] = {
     "iterations": "evaluation.paper.tables:iterations",
     "figures": "evaluation.paper.figures:evaluate",
     "solvers": "evaluation.paper.solvers:evaluate",
-    "rivals": "evaluation.schemes.rivals:evaluate",
+    "rivals": "evaluation.schemes.comparison:evaluate",
     "rates": "evaluation.schemes.rates:evaluate",
     "classification": "evaluation.recognition.classification:evaluate",
     "recognition": "evaluation.recognition.beyond:evaluate",

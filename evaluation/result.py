@@ -123,11 +123,6 @@ def beside(ours: float, paper: float | None, digits: int = 2) -> Row:
     return {"ours": round(ours, digits), "paper": paper, "difference": difference}
 
 
-def spread(ours: list[float], digits: int = 2) -> Row:
-    """Return the columns ``least`` and ``most``."""
-    return {"least": round(min(ours), digits), "most": round(max(ours), digits)}
-
-
 def refuse_draws(options: Options, subject: str) -> None:
     """Raise InputError where draws are asked of a subject that has one Φ alone."""
     if options.draws is not None:

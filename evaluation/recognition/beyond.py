@@ -4,10 +4,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from evaluation.recognition.gains import draw_gains, gain_row
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
-from evaluation.recognition.pictures import draw_gains
-from evaluation.result import Options, Picture, Result, Row, spread
+from evaluation.result import Options, Picture, Result, Row
 from evaluation.result_cache import measure_cells
 from skin.sources import DEFAULT_OBJECTS
 from touch.objects import CATALOGUE
@@ -56,20 +56,11 @@ def _method_rows(options: Options) -> list[Row]:
     for cell, result in zip(cells, results, strict=True):
         pairs = zip(result["accuracy"], result["plain"], strict=True)
         groups.setdefault((cell["method"], cell["size"]), []).extend(pairs)
-    return [_row(method, size, 100 * np.array(pairs)) for (method, size), pairs in groups.items()]
-
-
-def _row(what: str, size: int, percents: Any) -> Row:
-    ours, plain = percents.T
-    return {
-        "what": what,
-        "sums": size,
-        "runs": len(ours),
-        "ours": round(float(ours.mean()), 2),
-        "plain": round(float(plain.mean()), 2),
-        "gain": round(float((ours - plain).mean()), 2),
-        **spread(ours.tolist()),
-    }
+    rows = []
+    for (method, size), pairs in groups.items():
+        ours, plain = 100 * np.array(pairs).T
+        rows.append(gain_row(method, size, runs=len(ours), ours=ours, plain=plain, parts=ours.tolist()))
+    return rows
 
 
 def _live_rows(options: Options) -> list[Row]:

@@ -1,4 +1,4 @@
-"""Plots of recognition: accuracy over size, confusions, methods side by side."""
+"""Plots of recognition: accuracy over size, confusions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -51,20 +51,4 @@ def draw_confusions(matrices: Mapping[str, Any], names: Sequence[str]) -> "Figur
                 colour = "white" if percent > 50 else "black"
                 axes.text(column, row, f"{percent:.0f}", ha="center", va="center", fontsize=7, color=colour)
         figure.colorbar(image, ax=axes, label="%", shrink=0.8)
-    return figure
-
-
-def draw_gains(rows: Sequence[Row]) -> "Figure":
-    """Return every method's accuracy as bars, one panel for each number of sums."""
-    sizes = list(dict.fromkeys(row["sums"] for row in rows))
-    tallest = max(sum(row["sums"] == size for row in rows) for size in sizes)
-    figure = new_figure(5.2 * len(sizes) + 2, 0.32 * tallest + 1.4)
-    for axes, size in zip(np.atleast_1d(figure.subplots(1, len(sizes))), sizes, strict=True):
-        own = [row for row in rows if row["sums"] == size][::-1]
-        ours = np.array([row["ours"] for row in own])
-        whiskers = [ours - [row["least"] for row in own], [row["most"] for row in own] - ours]
-        axes.barh(range(len(own)), ours, xerr=np.maximum(whiskers, 0), color="tab:blue", alpha=0.7)
-        axes.axvline(own[0]["plain"], linestyle=":", color="black")
-        axes.set_yticks(range(len(own)), [row["what"] for row in own])
-        axes.set(title=f"{size} sums", xlabel="accuracy (%)", xlim=(max(0, ours.min() - 15), 100))
     return figure

@@ -13,8 +13,8 @@ from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale, part_of
 from evaluation.observations.signals import TAXELS, all_rows, drawn_sbhe, measured
 from evaluation.recognition.accuracy import MOST_ITERATIONS
-from evaluation.recognition.pictures import draw_gains
-from evaluation.result import Options, Picture, Result, Row, spread
+from evaluation.recognition.gains import draw_gains, gain_row
+from evaluation.result import Options, Picture, Result, Row
 from evaluation.result_cache import measure_cells
 from skin.errors import InputError
 from touch.reading import read_counts
@@ -151,16 +151,9 @@ def _mean(found: list[tuple[int, float]]) -> float:
 
 
 def _row(name: str, size: int, found: list[tuple[int, float]], plain: float) -> Row:
-    each = [_mean([one for one in found if one[0] == person]) for person in sorted({person for person, _ in found})]
-    return {
-        "what": name,
-        "sums": size,
-        "runs": len(found),
-        "ours": round(_mean(found), 2),
-        "plain": round(plain, 2),
-        "gain": round(_mean(found) - plain, 2),
-        **spread(each),
-    }
+    people = sorted({person for person, _ in found})
+    each = [_mean([one for one in found if one[0] == person]) for person in people]
+    return gain_row(name, size, runs=len(found), ours=_mean(found), plain=plain, parts=each)
 
 
 _CAPTION: Final = (

@@ -51,11 +51,10 @@ def evaluate(options: Options) -> Result:
     rows = _measured(looked_at, touches, options)
     for kind in touches:
         for wires in WIRES:
-            rows[_best(rows, wires, kind)]["best_for"].append(kind)
+            best = _best(rows, wires, kind)
+            rows[best]["best_for"].append(kind)
             if options.out is not None and kind == "slides":
-                _write(
-                    options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[_best(rows, wires, kind)][1])
-                )
+                _write(options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[best][1]))
     rows = [row | {"best_for": " ".join(row["best_for"])} for row in rows]
     return Result(
         "Rate against quality: what the same bus time is best used for",
@@ -75,9 +74,8 @@ def evaluate(options: Options) -> Result:
 
 def _measured(looked_at: list[tuple[str, Layout]], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
     """Return a row for every point; its ``best_for`` is a list that is empty yet."""
-    cells = [
-        {"layout": layout, "touch": touch} for _, layout in looked_at for mine in touches.values() for touch in mine
-    ]
+    every = [touch for mine in touches.values() for touch in mine]
+    cells = [{"layout": layout, "touch": touch} for _, layout in looked_at for touch in every]
     results = iter(measure_cells(measure_point, cells, options, "rates"))
     return [
         _row(wires, layout, {kind: [next(results) for _ in mine] for kind, mine in touches.items()})

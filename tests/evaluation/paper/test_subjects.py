@@ -41,12 +41,12 @@ def test_every_cell_of_a_table_stands_beside_the_papers(
     subject: str, count: int, capsys: pytest.CaptureFixture[str], folder: Path
 ) -> None:
     evaluate(subject, quick=True, jobs=2, out=folder, json=True)  # type: ignore[arg-type]
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["rows"]) == count
-    for row in told["rows"]:
+    printed = json.loads(capsys.readouterr().out)
+    assert len(printed["rows"]) == count
+    for row in printed["rows"]:
         assert row["difference"] == pytest.approx(row["ours"] - row["paper"], abs=0.011)
         assert row["within"] in {True, False, None}
-    golf = [row for row in told["rows"] if row["object"] == "golf-ball" and row.get("basis") == "haar"]
+    golf = [row for row in printed["rows"] if row["object"] == "golf-ball" and row.get("basis") == "haar"]
     assert all(abs(row["difference"]) < 2.5 for row in golf)
 
 
@@ -101,13 +101,13 @@ def test_all_hands_draws_only_to_those_that_average(
 def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     counted: Counter[str] = Counter()
 
-    def made(_measure: object, cells: list[Row], _options: Options, what: str, **_: int) -> list[Row]:
+    def canned(_measure: object, cells: list[Row], _options: Options, what: str, **_: int) -> list[Row]:
         if what != RECONSTRUCTIONS:
             return [dict.fromkeys((f"{basis} {count}" for basis in BASES for count in tables.ITERATIONS), 1.0)]
         counted.update(each["method"].matrix for each in cells)
         return [{"mean": 30.0, "least": 29.0, "most": 31.0}] * len(cells)
 
-    monkeypatch.setattr(tables, "measure_cells", made)
+    monkeypatch.setattr(tables, "measure_cells", canned)
     for draws, sbhe, noiselet in ((3, 3, 3), (None, tables.DRAWS, tables.NOISELET_DRAWS)):
         counted.clear()
         tables.iterations(Options(draws=draws))

@@ -9,10 +9,10 @@ import pytest
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from evaluation.result import Options, Result
+from evaluation.schemes.comparison import evaluate as evaluate_schemes
+from evaluation.schemes.comparison_pictures import in_use
 from evaluation.schemes.default_skin import default_kbit_per_s
 from evaluation.schemes.rates import evaluate as evaluate_rates
-from evaluation.schemes.rival_pictures import in_use
-from evaluation.schemes.rivals import evaluate as evaluate_rivals
 from evaluation.schemes.scenes import SLAP, SLAP_MS, Touch, recordings_in
 from evaluation.schemes.schemes import Sums
 from evaluation.schemes.sums import SOLVED_NS
@@ -21,23 +21,23 @@ from skin.layout import parse_layout
 
 
 @pytest.fixture(scope="module")
-def rivals() -> Result:
-    return evaluate_rivals(Options(quick=True))
+def compared() -> Result:
+    return evaluate_schemes(Options(quick=True))
 
 
-def test_whoever_goes_by_the_clock_has_the_same_bits(rivals: Result) -> None:
-    clocked = [row for row in rivals.rows if row["rate_hz"] is not None]
+def test_whoever_goes_by_the_clock_has_the_same_bits(compared: Result) -> None:
+    clocked = [row for row in compared.rows if row["rate_hz"] is not None]
     assert {row["scheme"] for row in clocked} >= {"sums, 16 bits", "scan, 10 bits", "32 x 32, solved"}
     for row in clocked:
         # The touches are short here, and only whole scans are sent.
         assert row["kbit_per_s"] == pytest.approx(default_kbit_per_s(), rel=0.05)
 
 
-def test_events_take_what_touch_and_noise_make_of_them(rivals: Result) -> None:
+def test_events_take_what_touch_and_noise_make_of_them(compared: Result) -> None:
     events = {
-        row["touch"]: row for row in rivals.rows if row["rule"] == "one for all" and "solved" not in row["scheme"]
+        row["touch"]: row for row in compared.rows if row["rule"] == "one for all" and "solved" not in row["scheme"]
     }
-    sums = {row["touch"]: row for row in rivals.rows if row["scheme"] == "sums, 16 bits"}
+    sums = {row["touch"]: row for row in compared.rows if row["scheme"] == "sums, 16 bits"}
     quiet, noisy, slap = "golf-ball", "golf-ball, noise 2 mN", "three boxes slapped on"
     assert events[quiet]["kbit_per_s"] < 0.1 * sums[quiet]["kbit_per_s"]
     assert events[noisy]["kbit_per_s"] > sums[noisy]["kbit_per_s"]
@@ -46,9 +46,9 @@ def test_events_take_what_touch_and_noise_make_of_them(rivals: Result) -> None:
     assert sums[slap]["latency_worst_ms"] < 9
 
 
-def test_every_row_has_the_same_columns_and_every_picture_is_drawn(rivals: Result, tmp_path: Path) -> None:
-    assert len({tuple(row) for row in rivals.rows}) == 1
-    for picture in rivals.pictures:
+def test_every_row_has_the_same_columns_and_every_picture_is_drawn(compared: Result, tmp_path: Path) -> None:
+    assert len({tuple(row) for row in compared.rows}) == 1
+    for picture in compared.pictures:
         picture.draw().savefig(tmp_path / f"{picture.name}.png")
     assert {path.stem for path in tmp_path.iterdir()} == {"rivals-curves", "rivals-latency", "rivals-noise"}
 
@@ -82,7 +82,7 @@ def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
         recordings_in(tmp_path.parent / "nothing")
 
 
-@pytest.mark.parametrize("evaluated", [evaluate_rivals, evaluate_rates])
+@pytest.mark.parametrize("evaluated", [evaluate_schemes, evaluate_rates])
 def test_draws_are_refused(evaluated: Callable[[Options], Result]) -> None:
     with pytest.raises(InputError, match="leave out --draws"):
         evaluated(Options(quick=True, draws=2))

@@ -5,8 +5,8 @@ from typing import Final
 
 from evaluation.result import Options, Result, Row, refuse_draws
 from evaluation.result_cache import measure_cells
+from evaluation.schemes.comparison_pictures import pictures
 from evaluation.schemes.default_skin import default_kbit_per_s
-from evaluation.schemes.rival_pictures import pictures
 from evaluation.schemes.scenes import OWN, SHAKING, SLAP, SLIDES, Touch, recordings_in
 from evaluation.schemes.schemes import Events, Scan, Sums, measure_scheme
 from evaluation.schemes.shown import Scheme
