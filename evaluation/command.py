@@ -103,7 +103,7 @@ def evaluate(
         found = results[name] = getattr(import_module(module), function)(asked)
         if not json:
             print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)
-            print(f"{found.note}\n")
+            print(f"{found.note}\n" if found.note else "")
     if out is not None:
         from evaluation.report import write_report
 

@@ -11,9 +11,8 @@ import numpy.typing as npt
 from reconstructor.engine import Reconstructor
 from skin.measurement import Sbhe
 from skin.taxel import sense
+from touch.contact import Force
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
-
-Images = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +20,8 @@ class Scene:
     """True and felt forces, newtons, shape (frames, rows, columns), and their sums, shape (frames, m)."""
 
     name: str
-    true: Images
-    felt: Images
+    true: Force
+    felt: Force
     sums: npt.NDArray[np.float32]
 
 
@@ -52,7 +51,7 @@ def make_scenes(phi: Sbhe, speed: int, meshes: Path | None = None, seed: int = 1
         yield Scene(name, true, felt, np.asarray(phi.forward(felt.reshape(len(felt), -1)), np.float32))
 
 
-def solved(engine: Reconstructor, scene: Scene, valid: npt.NDArray[np.bool_]) -> Iterator[Images]:
+def solved(engine: Reconstructor, scene: Scene, valid: npt.NDArray[np.bool_]) -> Iterator[Force]:
     """Yield the image of every frame; `valid` of shape (frames, m)."""
     for sums_n, present in zip(scene.sums, valid, strict=True):
         yield engine.solve(sums_n, present)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bandwidth.alternatives import planned
-from bandwidth.layout_text import layout_text
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
 from evaluation.result import Options, Picture, Result, Row, new_figure, refuse_draws
@@ -18,7 +17,7 @@ from evaluation.schemes.scenes import SHAKING, SLIDES, Touch, recordings_in
 from evaluation.schemes.shown import Shown
 from evaluation.schemes.sums import run_sums
 from skin.errors import InputError
-from skin.layout import Layout
+from skin.layout import Layout, layout_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from evaluation.result import Values
 from evaluation.solvers.noiselet import Noiselet, butterflies
 from reconstructor.checks import check_estimate, check_grid, check_settings, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
@@ -31,7 +32,6 @@ from reconstructor.kernels.transforms import FAST_MATH, Flat
 from skin.errors import InputError
 
 Prior = Literal["haar-tensor", "contourlet"]
-Values = npt.NDArray[np.floating[Any]]
 Table = npt.NDArray[np.uint16]
 Steps = npt.NDArray[np.int64]
 
