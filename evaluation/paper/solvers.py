@@ -101,9 +101,9 @@ def _best(found: list[Row]) -> list[Row]:
             "gap": float(f"{np.mean(gaps):.2g}") if gaps else None,
             **beside(float(np.mean([each["psnr_db"] for each in group])), None),
         }
-        best = rows.setdefault(tuple(place.values()), row)  # type: ignore[arg-type]  # three keys
+        best = rows.setdefault(tuple(place.values()), row)
         if row["ours"] > best["ours"]:
-            rows[tuple(place.values())] = row  # type: ignore[index]  # the same three
+            rows[tuple(place.values())] = row
     return sorted(rows.values(), key=lambda row: (row["start"], row["in_time_of"]))
 
 

@@ -54,8 +54,8 @@ def _method_rows(options: Options) -> list[Row]:
     results = measure_cells(measure_method, cells, options, "recognition")
     groups: dict[tuple[Any, ...], list[tuple[float, float]]] = {}
     for cell, result in zip(cells, results, strict=True):
-        pairs = zip(result["accuracy"], result["plain"], strict=True)
-        groups.setdefault((cell["method"], cell["size"]), []).extend(pairs)
+        found = zip(result["accuracy"], result["plain"], strict=True)
+        groups.setdefault((cell["method"], cell["size"]), []).extend(found)
     rows = []
     for (method, size), pairs in groups.items():
         ours, plain = 100 * np.array(pairs).T
