@@ -93,7 +93,7 @@ def test_all_hands_draws_only_to_those_that_average(
         "sparsity",
         "figures",
         "solvers",
-        "rivals",
+        "comparison",
         "rates",
     }
 
