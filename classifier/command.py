@@ -1,10 +1,8 @@
 """The verbs ``skin classify`` and ``skin train``."""
 
-import sys
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
+import msgspec
 
 from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.model import SIMULATED, Features, Metadata, Model
@@ -16,6 +14,7 @@ from skin.output import check_output_path
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS, load_touches
 from skin.taxel import NOISE_N
+from skin.terminal import Json, print_json, print_table, progress
 
 
 def classify(
@@ -72,7 +71,7 @@ def train(
     features: Features = "energies",
     seed: int = 0,
     out: Path | None = None,
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json: Json = False,
 ) -> None:
     """Train a classifier for a skin on simulated touches.
 
@@ -92,7 +91,7 @@ def train(
         Seed of touches, noise and validation set.
     out
         Model file; default: the one in the cache folder that ``skin classify`` uses by itself.
-    json_
+    json
         Print what was trained as one JSON object on stdout.
 
     Examples
@@ -109,7 +108,7 @@ def train(
     path = out or cached_path(skin, skin.phi(), names)
     model = _train(skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed)
     (save_model if out else keep_model)(model, path)
-    _show(model.metadata, path, as_json=json_)
+    _show(model.metadata, path, as_json=json)
 
 
 def _named(objects: str) -> list[str]:
@@ -119,18 +118,13 @@ def _named(objects: str) -> list[str]:
 
 def _train(skin: Layout, names: list[str], count: int, noise_n: float, features: Features, *, seed: int) -> Model:
     """Train with a progress bar on a terminal's stderr."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("drawing touches", total=1.2)
+    with progress("drawing touches", 1.2) as bar:
         force_n, labels = load_touches(names, count, skin, seed=seed)
 
         def show(doing: str, ratio: float) -> None:
-            progress.update(task, description=doing, completed=0.2 + ratio)
+            bar.update(0.2 + ratio, doing)
 
         return train(
             force_n,
@@ -143,18 +137,9 @@ def _train(skin: Layout, names: list[str], count: int, noise_n: float, features:
 
 def _show(about: Metadata, path: Path, *, as_json: bool) -> None:
     if as_json:
-        import msgspec
-
-        content = {"model": str(path), **msgspec.to_builtins(about)}
-        sys.stdout.write(msgspec.json.encode(content).decode() + "\n")
+        print_json({"model": str(path), **msgspec.to_builtins(about)})
         return
-    from rich.console import Console
-    from rich.table import Table
-
     card = about.card
-    table = Table("object", "right on validation")
-    for name, accuracy in card.per_object.items():
-        table.add_row(name, f"{accuracy:.1%}")
-    table.add_row("all", f"{card.validation_accuracy:.1%}")
-    Console(file=sys.stdout).print(table)
+    accuracies = card.per_object | {"all": card.validation_accuracy}
+    print_table(("object", "right on validation"), [(name, f"{ratio:.1%}") for name, ratio in accuracies.items()])
     say("train", f"C = {card.C:g}, {card.touches} touches, Φ {about.fingerprint}: {path}")

@@ -1,6 +1,5 @@
 """``skin dbc``: the contract files for bus analysers and CANopen masters."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +10,7 @@ from dbc.generate import DEFAULT_FOLDER, drifted, write_files
 from skin.errors import InputError
 from skin.layout import load_layout
 from skin.service import say
+from skin.terminal import Json, print_json
 
 
 def dbc(
@@ -18,7 +18,7 @@ def dbc(
     *,
     out: Path | None = None,
     check: Annotated[bool, Parameter(negative=())] = False,
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json: Json = False,
 ) -> int:
     """Write the contract of a skin as files: a DBC per bus and an EDS per type of node.
 
@@ -32,7 +32,7 @@ def dbc(
         Folder for the files; with ``--check``, the folder to look at, by default that of the default skin's files.
     check
         Write nothing; compare the files with what the layout makes of them.
-    json_
+    json
         Print one JSON list.
 
     Examples
@@ -45,8 +45,8 @@ def dbc(
     contract = Contract.from_layout(load_layout(layout))
     folder = out or DEFAULT_FOLDER
     lines = drifted(contract, folder) if check else [str(path) for path in write_files(contract, folder)]
-    if json_:
-        print(json.dumps(lines))
+    if json:
+        print_json(lines)
     else:
         print("\n".join(lines), end="\n" if lines else "")
     if check and lines:

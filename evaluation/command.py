@@ -1,6 +1,5 @@
 """``skin evaluate``: the paper's tables and figures made again, and what goes beyond them."""
 
-import json as json_format
 import os
 import sys
 from dataclasses import replace
@@ -9,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from skin.errors import InputError
+from skin.terminal import Json, print_json, print_table
 
 if TYPE_CHECKING:
-    from evaluation.findings import Findings
+    from evaluation.result import Result
 
 Subject = Literal[
     "all",
@@ -26,18 +26,18 @@ Subject = Literal[
     "recognition",
     "postures",
 ]
-#: Where each subject's ``evaluate(options) -> Findings`` lives, in the order of the report.
+#: Where each subject's function ``options -> Result`` lives, in the order of the report.
 SUBJECTS: Final[dict[str, str]] = {
-    "sparsity": "evaluation.paper.sparsity",
-    "compression": "evaluation.paper.compression",
-    "iterations": "evaluation.paper.iterations",
-    "figures": "evaluation.paper.figures",
-    "solvers": "evaluation.paper.solvers",
-    "rivals": "evaluation.schemes.rivals",
-    "rates": "evaluation.schemes.rates",
-    "classification": "evaluation.recognition.classification",
-    "recognition": "evaluation.recognition.beyond",
-    "postures": "evaluation.recognition.postures",
+    "sparsity": "evaluation.paper.sparsity:evaluate",
+    "compression": "evaluation.paper.tables:compression",
+    "iterations": "evaluation.paper.tables:iterations",
+    "figures": "evaluation.paper.figures:evaluate",
+    "solvers": "evaluation.paper.solvers:evaluate",
+    "rivals": "evaluation.schemes.comparison:evaluate",
+    "rates": "evaluation.schemes.rates:evaluate",
+    "classification": "evaluation.recognition.classification:evaluate",
+    "recognition": "evaluation.recognition.beyond:evaluate",
+    "postures": "evaluation.recognition.postures:evaluate",
 }
 
 #: Subjects that average over no draws of Φ: of ``all``, draws are for the others.
@@ -54,7 +54,7 @@ def evaluate(
     jobs: int | None = None,
     draws: int | None = None,
     seed: int = 0,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Make tables and figures of the paper again and print ours beside the paper's numbers.
 
@@ -86,7 +86,7 @@ def evaluate(
     skin evaluate all --quick
     skin evaluate all --meshes ycb-meshes --out report
     """
-    from evaluation.findings import Options
+    from evaluation.result import Options
 
     if subject not in get_args(Subject):
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(get_args(Subject))}")
@@ -96,36 +96,18 @@ def evaluate(
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
     options = Options(quick, meshes, recordings, out, processes, draws, seed)
-    findings = {}
+    results: dict[str, Result] = {}
     for name in SUBJECTS if subject == "all" else [subject]:
         asked = replace(options, draws=None) if subject == "all" and name in _WITHOUT_DRAWS else options
-        findings[name] = import_module(SUBJECTS[name]).evaluate(asked)
+        module, _, function = SUBJECTS[name].partition(":")
+        found = results[name] = getattr(import_module(module), function)(asked)
         if not json:
-            _print(findings[name])
+            print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)
+            print(f"{found.note}\n" if found.note else "")
     if out is not None:
         from evaluation.report import write_report
 
-        print(f"report: {write_report(findings, options, out)}", file=sys.stderr)
+        print(f"report: {write_report(results, options, out)}", file=sys.stderr)
     if json:
-        _dump(findings)
-
-
-def _dump(findings: "dict[str, Findings]") -> None:
-    rows = [{"subject": name, **row} for name, found in findings.items() for row in found.rows]
-    notes = [note for found in findings.values() for note in found.notes]
-    json_format.dump({"rows": rows, "notes": notes}, sys.stdout)
-    print()
-
-
-def _print(found: "Findings") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    # Without a terminal rich takes 80 columns, which cuts off the names of columns.
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 200)
-    table = Table(*(found.rows[0] if found.rows else ()), title=found.title)
-    for row in found.rows:
-        table.add_row(*("" if value is None else str(value) for value in row.values()))
-    console.print(table)
-    for note in found.notes:
-        console.print(f"- {note}", highlight=False, markup=False)
+        rows = [{"subject": name, **row} for name, found in results.items() for row in found.rows]
+        print_json({"rows": rows, "notes": [found.note for found in results.values() if found.note]})

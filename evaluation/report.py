@@ -1,4 +1,4 @@
-"""One HTML file with every table, plot and note of an evaluation: nothing to fetch, nothing to run."""
+"""One HTML file with every table and plot of an evaluation: nothing to fetch, nothing to run."""
 
 import base64
 import html
@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from evaluation.findings import Findings, Options, Picture, Row
+from evaluation.result import Options, Picture, Result, Row
 from skin.errors import InputError
 
 _STYLE: Final = """
@@ -26,7 +26,7 @@ figcaption, li { max-width: 55rem; }
 """
 
 
-def write_report(findings: Mapping[str, Findings], options: Options, folder: Path) -> Path:
+def write_report(results: Mapping[str, Result], options: Options, folder: Path) -> Path:
     """Write ``report.html`` and return its path.
 
     Raises
@@ -35,8 +35,8 @@ def write_report(findings: Mapping[str, Findings], options: Options, folder: Pat
         If the folder cannot be written.
     """
     path = folder / "report.html"
-    body = "".join(_section(name, found) for name, found in findings.items())
-    contents = "".join(f'<li><a href="#{name}">{html.escape(found.title)}</a></li>' for name, found in findings.items())
+    body = "".join(_section(name, found) for name, found in results.items())
+    contents = "".join(f'<li><a href="#{name}">{html.escape(found.title)}</a></li>' for name, found in results.items())
     text = (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>canskin, evaluated</title>'
         f"<style>{_STYLE}</style></head><body><h1>canskin beside the paper</h1>"
@@ -59,10 +59,10 @@ def _made(options: Options) -> str:
     )
 
 
-def _section(name: str, found: Findings) -> str:
-    notes = "".join(f"<li>{html.escape(note)}</li>" for note in found.notes)
+def _section(name: str, found: Result) -> str:
+    note = f"<p>{html.escape(found.note)}</p>" if found.note else ""
     pictures = "".join(_figure(picture) for picture in found.pictures)
-    return f'<h2 id="{name}">{html.escape(found.title)}</h2><ul>{notes}</ul>{pictures}{_table(found.rows)}'
+    return f'<h2 id="{name}">{html.escape(found.title)}</h2>{note}{pictures}{_table(found.rows)}'
 
 
 def _figure(picture: Picture) -> str:
@@ -78,25 +78,13 @@ def _table(rows: list[Row]) -> str:
     if not rows:
         return ""
     heads = "".join(f"<th{_kind(value)}>{html.escape(key)}</th>" for key, value in rows[0].items())
-    digits = {key: max(_decimals(row[key]) for row in rows) for key in rows[0]}
-    lines = "".join("<tr>" + "".join(_cell(value, digits[key]) for key, value in row.items()) + "</tr>" for row in rows)
+    lines = "".join("<tr>" + "".join(map(_cell, row.values())) + "</tr>" for row in rows)
     return f"<details open><summary>{len(rows)} rows</summary><table><tr>{heads}</tr>{lines}</table></details>"
 
 
-def _decimals(value: Any) -> int:
-    """Return how many places after the point a number needs, so that a column's points stand in line."""
-    text = f"{value:g}" if isinstance(value, float) else ""
-    return len(text.partition(".")[2]) if "e" not in text else 0
-
-
-def _cell(value: Any, digits: int) -> str:
-    shown = "" if value is None else _number(value, digits) if isinstance(value, float) else str(value)
+def _cell(value: Any) -> str:
+    shown = "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
     return f"<td{_kind(value)}>{html.escape(shown)}</td>"
-
-
-def _number(value: float, digits: int) -> str:
-    text = f"{value:g}"
-    return text if "e" in text or digits > 4 else f"{value:.{digits}f}"
 
 
 def _kind(value: Any) -> str:

@@ -1,15 +1,15 @@
 """The verb ``skin objects``."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from skin.terminal import Json, print_json, print_table
 from touch.contact import Force
 
 
 def objects(
-    names: str | None = None, *, meshes: Path | None = None, figure: Path | None = None, json: bool = False
+    names: str | None = None, *, meshes: Path | None = None, figure: Path | None = None, json: Json = False
 ) -> None:
     """List and draw the objects that can touch the simulated skin.
 
@@ -43,9 +43,7 @@ def objects(
     images = _press_each(tuple(CATALOGUE) if names is None else checked_names(names), meshes)
     rows = [_describe(name, meshes, force_n) for name, force_n in images.items()]
     if json:
-        import msgspec
-
-        sys.stdout.write(msgspec.json.encode(rows).decode() + "\n")
+        print_json(rows)
     else:
         _print_table(rows)
         for name in images if names is not None else ():
@@ -80,17 +78,15 @@ def _describe(name: str, meshes: Path | None, force_n: Force) -> dict[str, Any]:
 
 
 def _print_table(rows: Sequence[dict[str, Any]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("object", "made of", "size mm", "spheres", "taxels", "force mN")
-    for row in rows:
-        table.add_row(
+    cells = [
+        (
             row["name"],
             row["made_of"],
             f"{row['length_m'] * 1e3:.0f} x {row['width_m'] * 1e3:.0f}",
-            str(row["spheres"]),
-            str(row["contact_taxels"]),
+            row["spheres"],
+            row["contact_taxels"],
             f"{row['total_force_n'] * 1e3:.0f}",
         )
-    Console(file=sys.stdout).print(table)
+        for row in rows
+    ]
+    print_table(("object", "made of", "size mm", "spheres", "taxels", "force mN"), cells)

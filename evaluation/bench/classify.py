@@ -1,7 +1,7 @@
 """``skin bench classify``: one decision against scikit-learn's, on the same machines, in one run, on one thread."""
 
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from classifier.dag import DecisionGraph, Float64
 from classifier.dagsvm import DagSvm
 from classifier.descent import descend
 from classifier.validation import global_scale
+from evaluation.bench.timing import race
 from evaluation.observations.signals import LABELS, OBJECTS, measured, phi_of, sensed
 from evaluation.observations.splits import draw_split
 
@@ -18,7 +19,6 @@ from evaluation.observations.splits import draw_split
 SIZES: Final = (16, 64, 1024)
 C: Final = 1.0
 MOST_ITERATIONS: Final = 20_000
-TURN_S: Final = 0.02
 _SEED: Final = 0
 
 
@@ -46,7 +46,10 @@ def _row(size: int, rounds: int) -> dict[str, Any]:
     def ours(one: Float64) -> int:
         return descend(one, weights, biases, OBJECTS)[0]
 
-    ours_us, walk_us, peer_us = _race([ours, walk, lambda one: machine.machine_.predict(one[None])], test, rounds)
+    sample = test[:: len(test) // 16]
+    decisions: list[Callable[[Float64], Any]] = [ours, walk, lambda one: machine.machine_.predict(one[None])]
+    times_s = race([partial(_each, decide, sample) for decide in decisions], rounds)
+    ours_us, walk_us, peer_us = (1e6 * float(np.median(each)) / len(sample) for each in times_s)
     return {
         "sums": size,
         "observations": len(test),
@@ -60,17 +63,6 @@ def _row(size: int, rounds: int) -> dict[str, Any]:
     }
 
 
-def _race(methods: list[Callable[[Float64], Any]], test: Float64, rounds: int) -> list[float]:
-    """Run the methods in turn, each turn at least `TURN_S` on row after row; return the medians, microseconds."""
-    times_us: list[list[float]] = [[] for _ in methods]
-    for turn in range(rounds + 1):
-        for method, own_us in zip(methods, times_us, strict=True):
-            started_s, calls, elapsed_s = time.perf_counter(), 0, 0.0
-            while elapsed_s < TURN_S:
-                for one in test[:: len(test) // 16]:
-                    method(one)
-                    calls += 1
-                elapsed_s = time.perf_counter() - started_s
-            if turn:  # the first compiles and fills the caches
-                own_us.append(1e6 * elapsed_s / calls)
-    return [float(np.median(own_us)) for own_us in times_us]
+def _each(decide: Callable[[Float64], Any], sample: Float64) -> None:
+    for one in sample:
+        decide(one)

@@ -1,20 +1,15 @@
 """``skin bench``: the engine measured, and measured against others."""
 
-import json as json_format
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from skin.errors import InputError
+from skin.terminal import Json, print_json, print_table, progress
 
 Subject = Literal["reconstruct", "images", "missing", "skins", "classify"]
 _MODULES: Final = {subject: f"evaluation.bench.{subject}" for subject in get_args(Subject)}
 FIGURES: Final = (".svg", ".png", ".pdf")
-#: Columns of a table that goes to a file or to another program.
-PIPED_WIDTH: Final = 160
 
 
 def bench(
@@ -23,7 +18,7 @@ def bench(
     rounds: int | None = None,
     meshes: Path | None = None,
     figure: Path | None = None,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Measure one part of the system and print a table.
 
@@ -60,21 +55,24 @@ def bench(
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(_MODULES)}")
     if figure is not None:
         _check_figure(subject, figure)
-    wishes = _wishes(subject, rounds, meshes)
+    arguments = _arguments(subject, rounds, meshes)
     module = import_module(_MODULES[subject])
-    with _said_to_run(subject):
-        result: dict[str, Any] = module.run(**wishes)
+    with progress(f"measuring {subject}", None):
+        result: dict[str, Any] = module.run(**arguments)
     if figure is not None:
         module.draw(result, figure)
     if json:
-        json_format.dump(result, sys.stdout)
+        print_json(result)
+        return
+    for name, found in result.items():
+        rows = found if isinstance(found, list) else [found]
+        cells = [[f"{value:.4g}" if isinstance(value, float) else value for value in row.values()] for row in rows]
+        print_table(list(rows[0]), cells, title=name)
         print()
-    else:
-        _print_tables(result)
 
 
-def _wishes(subject: str, rounds: int | None, meshes: Path | None) -> dict[str, Any]:
-    """Return what the subject's ``run`` is given; raise InputError for a wish it does not know."""
+def _arguments(subject: str, rounds: int | None, meshes: Path | None) -> dict[str, Any]:
+    """Return the arguments of the subject's ``run``; raise InputError for an option it does not have."""
     if subject == "images":
         if rounds is not None:
             raise InputError(f"'images' looks at every frame once, got {rounds} rounds: leave out --rounds")
@@ -97,35 +95,3 @@ def _check_figure(subject: str, figure: Path) -> None:
         raise InputError(f"{figure}: expected a figure that ends with one of {', '.join(FIGURES)}")
     if not figure.parent.is_dir() or figure.is_dir():
         raise InputError(f"{figure}: expected a file in a folder that exists")
-
-
-@contextmanager
-def _said_to_run(subject: str) -> Iterator[None]:
-    """Show on a terminal that something goes on; redrawn rarely, for it shares the processor with what is timed."""
-    from rich.console import Console
-    from rich.progress import Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(
-        *columns, console=console, transient=True, refresh_per_second=1, disable=not console.is_terminal
-    ) as progress:
-        progress.add_task(f"measuring {subject}", total=None)
-        yield
-
-
-def _print_tables(result: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(file=sys.stdout)
-    if not console.is_terminal:
-        console.width = PIPED_WIDTH
-    for name, rows in result.items():
-        listed = rows if isinstance(rows, list) else [rows]
-        table = Table(title=name)
-        for heading in listed[0]:
-            table.add_column(heading, overflow="fold")
-        for row in listed:
-            table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
-        console.print(table)

@@ -1,13 +1,15 @@
 """``skin bench missing``: images with dead nodes, and with frames that random loss takes from the bus."""
 
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.bench.scenes import make_scenes, mean_over, mean_psnr_db, solved
-from evaluation.figure import new_figure
+from evaluation.bench.scenes import make_scenes, mean_over, solved
+from evaluation.psnr import psnr_series_db
+from evaluation.result import new_figure
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import preset
 from skin.layout import load_layout
@@ -29,16 +31,13 @@ def run(rounds: int) -> dict[str, Any]:
     """Return the curves as rows of method, kind, amount and PSNR over `rounds` draws of what is missing."""
     phi = load_layout().phi()
     rows: list[dict[str, Any]] = []
-    for scene in make_scenes(phi, SPEED):
-        for kind, amounts in (("dead_nodes", DEAD_NODES), ("loss_ratio", LOSS_RATIOS)):
-            for amount in amounts:
-                for draw in range(rounds if amount else 1):
-                    blocks = _present(phi, kind, amount, len(scene.sums), seed=draw)
-                    valid = blocks[:, phi.block_of_sum]
-                    for method in METHODS:
-                        engine = Reconstructor(phi, 64, 64, preset(method))
-                        psnr_db = mean_psnr_db(solved(engine, scene, valid), scene)
-                        rows.append({"method": method, "kind": kind, "amount": amount, "psnr_db": psnr_db})
+    missing = [("dead_nodes", amount) for amount in DEAD_NODES] + [("loss_ratio", amount) for amount in LOSS_RATIOS]
+    for scene, (kind, amount) in product(make_scenes(phi, SPEED), missing):
+        for draw, method in product(range(rounds if amount else 1), METHODS):
+            blocks = _present(phi, kind, amount, len(scene.sums), seed=draw)
+            images = solved(Reconstructor(phi, 64, 64, preset(method)), scene, blocks[:, phi.block_of_sum])
+            psnr_db = float(psnr_series_db(scene.true, images).mean())
+            rows.append({"method": method, "kind": kind, "amount": amount, "psnr_db": psnr_db})
     return {"rows": mean_over(rows, "psnr_db", "method", "kind", "amount")}
 
 

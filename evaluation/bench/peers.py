@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import pywt
 
-from evaluation.bench.problem import Method, Problem, Values
+from evaluation.bench.problem import Method, Problem
+from evaluation.result import Values
 from reconstructor.fista import momentum
 from reconstructor.proximal import soft
 

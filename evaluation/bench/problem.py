@@ -1,29 +1,26 @@
-"""The problem every solver of `skin bench reconstruct` is given, and how they are timed."""
+"""The problem every solver of `skin bench reconstruct` is given, and how they compare on it."""
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from evaluation.bench.timing import race
+from evaluation.psnr import psnr_db
+from evaluation.result import Row, Values
 from reconstructor.bases import Basis
 from reconstructor.fista import fista, objective
 from skin.layout import load_layout
 from skin.measurement import Sbhe
-from skin.psnr import psnr_db
-from skin.taxel import FORCE_MAX_N, sense
+from skin.taxel import sense
 from touch.contact import Grid, press_along
 from touch.objects import spheres_of
 from touch.trajectory import paper_pose
 
-Values = npt.NDArray[np.floating[Any]]
-
 #: The step of the paper's trajectory that is solved, and the object that slides there.
 STEP: Final = 2000
 OBJECT: Final = "golf-ball"
-TURN_S: Final = 0.02
 #: Iterations behind the warm start and behind the best objective.
 WARM, EXACT = 60, 3000
 
@@ -64,7 +61,7 @@ class Problem:
     def psnr_db(self, s: Values) -> float:
         """Return the PSNR of the image, dB, negative taxels as 0."""
         image = np.maximum(self.psi.adjoint(s.astype(np.float64).reshape(self.psi.shape)), 0)
-        return psnr_db(self.true, image, FORCE_MAX_N)
+        return psnr_db(self.true, image)
 
 
 def make_problem(psi: Basis, penalty_n: float, lipschitz: float, iterations: int = 20, seed: int = 1) -> Problem:
@@ -102,32 +99,17 @@ class Method:
     coefficients: Callable[[Any], Values]
 
 
-def race(problem: Problem, methods: Sequence[Method], rounds: int) -> list[dict[str, Any]]:
-    """Run every method in turn, `rounds` times after a first that does not count; return a row for each.
-
-    Each turn lasts at least `TURN_S` and so gives the caches to every method alike, the short ones too; its time is the
-    average of its calls.
-    """
-    results: dict[int, Any] = {}
-    times_s: list[list[float]] = [[] for _ in methods]
-    for turn in range(rounds + 1):
-        for index, method in enumerate(methods):
-            started_s, calls, elapsed_s = time.perf_counter(), 0, 0.0
-            while elapsed_s < TURN_S:
-                results[index] = method.solve()
-                calls += 1
-                elapsed_s = time.perf_counter() - started_s
-            if turn:
-                times_s[index].append(elapsed_s / calls)
+def compare(problem: Problem, methods: Sequence[Method], rounds: int) -> list[Row]:
+    """Return a row for each method, all timed in turn, see `evaluation.bench.timing.race`."""
     rows = []
-    for index, method in enumerate(methods):
-        s = method.coefficients(results[index])
+    for method, times_s in zip(methods, race([method.solve for method in methods], rounds), strict=True):
+        s = method.coefficients(method.solve())
         rows.append(
             {
                 "method": method.name,
                 "dtype": method.dtype,
-                "ms": 1e3 * float(np.median(times_s[index])),
-                "ms_least": 1e3 * min(times_s[index]),
+                "ms": 1e3 * float(np.median(times_s)),
+                "ms_least": 1e3 * min(times_s),
                 "gap": problem.gap(s),
                 "psnr_db": problem.psnr_db(s),
             }

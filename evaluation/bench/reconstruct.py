@@ -1,5 +1,6 @@
 """``skin bench reconstruct``: our solvers against every other, on one problem, in one run, on one thread."""
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -8,7 +9,8 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.bench.limit import measure_limit
 from evaluation.bench.peers import dense_only, peers
-from evaluation.bench.problem import Method, Problem, Values, make_problem, race
+from evaluation.bench.problem import Method, Problem, compare, make_problem
+from evaluation.result import Values
 from reconstructor.bases import haar_pyramid
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
@@ -38,7 +40,7 @@ def _rows(problem: Problem, ours: Any, rounds: int, *, everyone: bool) -> list[d
     for dtype in (np.float32, np.float64):
         others = peers if everyone else dense_only
         methods += [ours(problem, dtype), *others(problem, dtype)]
-    rows = race(problem, methods, rounds)
+    rows = compare(problem, methods, rounds)
     own_ms = {row["dtype"]: row["ms"] for row in rows if row["method"] == OURS}
     return [{**row, "ratio_to_ours": row["ms"] / own_ms[row["dtype"]]} for row in rows]
 
@@ -47,24 +49,25 @@ def _haar(problem: Problem, dtype: npt.DTypeLike) -> Method:
     settings = SolverSettings(prior="haar-pyramid", iterations=problem.iterations, penalty_n=problem.penalty_n)
     solver = FusedSolver(problem.phi, 64, 64, settings, dtype=dtype)
     start = solver.blocks_of(problem.psi.adjoint(problem.start.reshape(problem.psi.shape)))
-    sums, ones = problem.sums.astype(solver.dtype), np.ones(problem.sums.size, solver.dtype)
-    estimate = solver.new_estimate()
 
-    def solve() -> Values:
-        estimate[:] = start
-        solver.solve(estimate, sums, ones)
-        return estimate
+    def coefficients(estimate: Values) -> Values:
+        return problem.psi.forward(solver.image_of(estimate).astype(np.float64)).reshape(-1)
 
-    def coefficients(made: Values) -> Values:
-        return problem.psi.forward(solver.image_of(made).astype(np.float64)).reshape(-1)
-
-    return Method(OURS, solver.dtype.name, solve, coefficients)
+    return _ours(problem, solver, start, coefficients)
 
 
 def _contourlet(problem: Problem, dtype: npt.DTypeLike) -> Method:
     settings = SolverSettings(prior="contourlet", iterations=problem.iterations, penalty_n=problem.penalty_n)
     solver = ContourletSolver(problem.phi, 64, 64, settings, dtype=dtype)
-    start = solver.estimate_of(problem.start)
+    return _ours(problem, solver, solver.estimate_of(problem.start), solver.coefficients_of)
+
+
+def _ours(
+    problem: Problem,
+    solver: FusedSolver | ContourletSolver,
+    start: Values,
+    coefficients: Callable[[Values], Values],
+) -> Method:
     sums, ones = problem.sums.astype(solver.dtype), np.ones(problem.sums.size, solver.dtype)
     estimate = solver.new_estimate()
 
@@ -73,4 +76,4 @@ def _contourlet(problem: Problem, dtype: npt.DTypeLike) -> Method:
         solver.solve(estimate, sums, ones)
         return estimate
 
-    return Method(OURS, solver.dtype.name, solve, solver.coefficients_of)
+    return Method(OURS, solver.dtype.name, solve, coefficients)

@@ -1,6 +1,6 @@
 """What the image benchmarks look at: the paper's five objects on its trajectory, with the paper's noise."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,9 @@ import numpy.typing as npt
 
 from reconstructor.engine import Reconstructor
 from skin.measurement import Sbhe
-from skin.psnr import psnr_db
-from skin.taxel import FORCE_MAX_N, sense
+from skin.taxel import sense
+from touch.contact import Force
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
-
-Images = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +20,8 @@ class Scene:
     """True and felt forces, newtons, shape (frames, rows, columns), and their sums, shape (frames, m)."""
 
     name: str
-    true: Images
-    felt: Images
+    true: Force
+    felt: Force
     sums: npt.NDArray[np.float32]
 
 
@@ -53,16 +51,10 @@ def make_scenes(phi: Sbhe, speed: int, meshes: Path | None = None, seed: int = 1
         yield Scene(name, true, felt, np.asarray(phi.forward(felt.reshape(len(felt), -1)), np.float32))
 
 
-def solved(engine: Reconstructor, scene: Scene, valid: npt.NDArray[np.bool_]) -> Iterator[Images]:
+def solved(engine: Reconstructor, scene: Scene, valid: npt.NDArray[np.bool_]) -> Iterator[Force]:
     """Yield the image of every frame; `valid` of shape (frames, m)."""
     for sums_n, present in zip(scene.sums, valid, strict=True):
         yield engine.solve(sums_n, present)
-
-
-def mean_psnr_db(images: Iterable[Images], scene: Scene) -> float:
-    """Return the mean over frames of the PSNR, dB, peak 0.02 N (section V of the paper)."""
-    pairs = zip(images, scene.true, strict=True)
-    return float(np.mean([psnr_db(true, image, FORCE_MAX_N) for image, true in pairs]))
 
 
 def mean_over(rows: list[dict[str, Any]], value: str, *keys: str) -> list[dict[str, Any]]:

@@ -1,15 +1,15 @@
 """``skin bench skins``: several skins, each with its own Φ, in one process on more and more threads."""
 
 import os
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.bench.problem import TURN_S
+from evaluation.bench.timing import race
 from reconstructor.engine import Reconstructor
 from skin.measurement import sbhe
 from skin.taxel import NOISE_N
@@ -29,18 +29,17 @@ def run(rounds: int) -> dict[str, Any]:
     cores = os.cpu_count() or 1
     cycles = [_cycle(seed) for seed in range(max(SKINS))]
     cases = [(count, threads) for count in SKINS for threads in SKINS if threads <= min(count, cores)]
-    times_ms: dict[tuple[int, int], list[float]] = {case: [] for case in cases}
     with ExitStack() as stack:
-        pools = {case: (stack.enter_context(ThreadPoolExecutor(case[1])), _engines(case[0])) for case in cases}
-        for turn in range(rounds + 1):
-            for case, (pool, engines) in pools.items():
-                elapsed_ms = 1e3 * _turn_s(pool, case[1], list(zip(engines, cycles, strict=False)))
-                if turn:
-                    times_ms[case].append(elapsed_ms)
+        calls = []
+        for count, threads in cases:
+            skins = list(zip(_engines(count), cycles, strict=False))
+            pool = stack.enter_context(ThreadPoolExecutor(threads))
+            calls.append(partial(_solve_all, pool, [skins[first::threads] for first in range(threads)]))
+        times_s = dict(zip(cases, race(calls, rounds), strict=True))
     rows = []
-    for (count, threads), each in times_ms.items():
-        row = {"skins": count, "threads": threads, "ms": float(np.median(each)), "ms_least": min(each)}
-        rows.append({**row, "speed_up": min(times_ms[count, 1]) / min(each)})
+    for (count, threads), each in times_s.items():
+        row = {"skins": count, "threads": threads, "ms": 1e3 * float(np.median(each)), "ms_least": 1e3 * min(each)}
+        rows.append({**row, "speed_up": min(times_s[count, 1]) / min(each)})
     return {"rows": rows}
 
 
@@ -57,18 +56,9 @@ def _engines(count: int) -> list[Reconstructor]:
     return engines
 
 
-def _turn_s(pool: ThreadPoolExecutor, threads: int, skins: list[tuple[Reconstructor, Cycle]]) -> float:
-    """Return the seconds one cycle of all skins takes, averaged over `TURN_S`; every thread has a share of the skins.
-
-    The compiled solvers let go of the interpreter while they run.
-    """
-    shares = [skins[first::threads] for first in range(threads)]
-    started_s, calls, elapsed_s = time.perf_counter(), 0, 0.0
-    while elapsed_s < TURN_S:
-        list(pool.map(_solve, shares))
-        calls += 1
-        elapsed_s = time.perf_counter() - started_s
-    return elapsed_s / calls
+def _solve_all(pool: ThreadPoolExecutor, shares: list[list[tuple[Reconstructor, Cycle]]]) -> None:
+    """Solve one cycle of all skins, a share of them on each thread: the solvers run without the interpreter's lock."""
+    list(pool.map(_solve, shares))
 
 
 def _solve(share: list[tuple[Reconstructor, Cycle]]) -> None:

@@ -2,23 +2,21 @@
 
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from evaluation.result import Values
+from evaluation.solvers.noiselet import Noiselet, noiselet
 from skin.measurement import Sbhe, sbhe
-from skin.noiselet import Noiselet, noiselet
 from skin.operator import Operator
 from skin.taxel import sense
-from touch.arrays import averaged
-from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations
+from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations
+from touch.coarse_arrays import averaged
 
-Values = npt.NDArray[np.floating[Any]]
-
-#: "averaged" and "large" are the readings of the paper's coarse arrays, see `touch.arrays`.
-Kind = Literal["sbhe", "noiselet", "averaged", "large"]
-KINDS: Final = get_args(Kind)
+#: "averaged" and "large" are the readings of the paper's coarse arrays, see `touch.coarse_arrays`.
+KINDS: Final = ("sbhe", "noiselet", "averaged", "large")
 TAXELS: Final = 4096
 OBJECTS: Final = len(CLASSIFICATION_OBJECTS)
 #: Label of every row of a signal: observations are ordered by object, then by perturbation.

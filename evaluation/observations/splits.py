@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.observations.signals import OBJECTS
-from touch.perturbations import PERTURBATIONS
+from touch.classification_poses import PERTURBATIONS
 
 Indices = npt.NDArray[np.intp]
 

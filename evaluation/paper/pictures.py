@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.figure import new_figure
-from evaluation.findings import Row
+from evaluation.result import Row, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,24 +1,24 @@
 """One trajectory, measured with one Φ and rebuilt step by step as the paper does it (sections V and VI)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.findings import Options, Row
 from evaluation.paper.printed import BasisName, Matrix
-from reconstructor.kernels.noiselet import NoiseletSolver
+from evaluation.psnr import psnr_series_db
+from evaluation.result import Options, Row
+from evaluation.solvers.noiselet import noiselet
+from evaluation.solvers.noiselet_solver import NoiseletSolver
 from reconstructor.settings import PAPER, PAPER_CONTOURLET
 from reconstructor.solver import ImageSolver, make_solver
 from skin.measurement import sbhe
-from skin.noiselet import noiselet
 from skin.operator import Operator
-from skin.psnr import psnr_db
-from skin.taxel import FORCE_MAX_N, sense
+from skin.taxel import sense
 from touch.contact import Force
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 
@@ -33,7 +33,7 @@ PENALTY_N: Final[dict[tuple[Matrix, BasisName], float]] = {
 }
 #: L over the largest eigenvalue of (ΦΨ)ᵀΦΨ.
 RATIO: Final = PAPER.lipschitz_ratio
-#: Under this name `measure`'s results are kept, so that a table takes up what it shares with another.
+#: Beside the progress bar of `measure`.
 RECONSTRUCTIONS: Final = "reconstructions"
 #: Steps whose sums are formed at a time: Φ works in the cache.
 CHUNK: Final = 100
@@ -62,15 +62,12 @@ class Method:
 
     def make(self, seed: int) -> tuple[Operator, ImageSolver]:
         """Return a drawn Φ and its solver with the paper's settings: L twice the largest eigenvalue."""
-        penalty_n = PENALTY_N[self.matrix, self.basis]
         if self.matrix == "noiselet":
-            spread = noiselet(SIDE, SIDE, self.sums, seed=seed)
-            return spread, NoiseletSolver(
-                spread,
-                prior="contourlet" if self.basis == "contourlet" else "haar-tensor",
-                iterations=self.iterations,
-                penalty_n=penalty_n,
-                lipschitz_ratio=RATIO,
+            drawn = noiselet(SIDE, SIDE, self.sums, seed=seed)
+            prior: Any = {"haar": "haar-tensor", "contourlet": "contourlet"}[self.basis]
+            penalty_n = PENALTY_N[self.matrix, self.basis]
+            return drawn, NoiseletSolver(
+                drawn, prior=prior, iterations=self.iterations, penalty_n=penalty_n, lipschitz_ratio=RATIO
             )
         phi = sbhe(SIDE * SIDE, self.sums, selection="uniform", seed=seed)
         settings = PAPER_CONTOURLET if self.basis == "contourlet" else PAPER
@@ -100,36 +97,34 @@ def sums_of(phi: Operator, felt: Force) -> npt.NDArray[np.float32]:
     return np.concatenate(parts).astype(np.float32)
 
 
-def rebuild(phi: Operator, solver: ImageSolver, felt: Force, true: Force) -> Decibels:
-    """Return the PSNR of every step, dB, each started from the step before."""
+def rebuilt_images(phi: Operator, solver: ImageSolver, felt: Force) -> Iterator[Force]:
+    """Yield the image of every step, newtons, each started from the step before."""
     estimate, weights = solver.new_estimate(), np.ones(phi.shape[0], np.float32)
-    found = np.empty(len(true))
-    for step, sums_n in enumerate(sums_of(phi, felt)):
+    for sums_n in sums_of(phi, felt):
         solver.solve(estimate, sums_n, weights)
-        found[step] = psnr_db(true[step], solver.deliver(estimate), FORCE_MAX_N)
-    return found
+        yield solver.deliver(estimate)
 
 
-def measure(
-    *, name: str, meshes: str | None, stride: int, seed: int, draw: int, method: Sequence[str | int], series: bool
-) -> Row:
+def summary(levels_db: Decibels) -> Row:
+    """Return mean, least and largest of a series."""
+    return {"mean": float(levels_db.mean()), "least": float(levels_db.min()), "most": float(levels_db.max())}
+
+
+def measure(*, name: str, meshes: str | None, stride: int, seed: int, draw: int, method: Method, series: bool) -> Row:
     """Return mean, least and largest PSNR of one draw, dB, and with `series` that of every step."""
-    matrix, sums, basis, iterations = method
     true = true_force(name, meshes, stride)
-    phi, solver = Method(matrix, sums, basis, iterations).make(phi_seed(seed, draw))  # type: ignore[arg-type]
-    found = rebuild(phi, solver, felt_force(true, seed, draw), true)
-    told = {"mean": float(found.mean()), "least": float(found.min()), "most": float(found.max())}
-    return told | ({"psnr_db": [round(each, 3) for each in found.tolist()]} if series else {})
+    phi, solver = method.make(phi_seed(seed, draw))
+    found = psnr_series_db(true, rebuilt_images(phi, solver, felt_force(true, seed, draw)))
+    return summary(found) | ({"psnr_db": [round(each, 3) for each in found.tolist()]} if series else {})
 
 
 def cell(name: str, method: Method, options: Options, *, draw: int = 0, stride: int = 1, series: bool = False) -> Row:
     """Return the arguments of `measure` for a cell."""
     return {
+        **options.shared,
         "name": name,
-        "meshes": str(options.meshes) if options.meshes else None,
         "stride": stride,
-        "seed": options.seed,
         "draw": draw,
-        "method": [method.matrix, method.sums, method.basis, method.iterations],
+        "method": method,
         "series": series,
     }

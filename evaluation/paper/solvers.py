@@ -1,24 +1,29 @@
 """ADMM and smoothed L0 against FISTA at equal time: why the paper chose FISTA (section V)."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Picture, Row, beside, refuse_draws
-from evaluation.paper.contenders import PAPERS, PENALTY, STARTS, SUMS, Contender, Values, make_contenders
-from evaluation.paper.notes import objects_note
 from evaluation.paper.pictures import draw_curves
-from evaluation.paper.runs import OBJECTS, SIDE, felt_force, phi_seed, true_force
-from reconstructor.bases import haar_tensor
+from evaluation.paper.runs import OBJECTS, PENALTY_N, SIDE, felt_force, phi_seed, true_force
+from evaluation.psnr import psnr_db
+from evaluation.result import Options, Picture, Result, Row, Values, beside, refuse_draws
+from evaluation.result_cache import measure_cells
+from evaluation.solvers.baselines import admm, smoothed_l0
+from reconstructor.bases import Basis, haar_tensor
 from reconstructor.fista import fista, objective
 from skin.measurement import sbhe
-from skin.psnr import psnr_db
-from skin.taxel import FORCE_MAX_N
+from skin.operator import Operator
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SUMS: Final = 1024
+PENALTY: Final = PENALTY_N["sbhe", "haar"]
 #: Budgets: the time of so many iterations of the paper's FISTA.
 BUDGETS: Final = (5, 10, 20, 50, 100)
 #: Steps that are solved: at the end of the press, and on the slide.
@@ -26,9 +31,46 @@ STEPS: Final = (800, 2500)
 QUICK_STEPS: Final = (2500,)
 #: Iterations behind the best objective and behind a warm start; those of a timed run, and how often it is repeated.
 EXACT, WARM, TIMED, REPEATS = 500, 100, 20, 3
+#: Settings of the baselines; the best is chosen for each budget: ρ over the norm of Φ's rows, and the last σ, newtons.
+COUPLINGS: Final = (0.03, 0.1, 0.3, 1.0)
+SMALLEST_N: Final = (0.0001, 0.0002, 0.0005, 0.001)
+#: Norm of the residual that smoothed L0 keeps, newtons: that of the noise, √m times 3.3 mN.
+TOLERANCE_N: Final = 0.0033 * SUMS**0.5
+STARTS: Final = ("cold", "warm")
+#: The method whose iterations set the budgets.
+PAPERS: Final = "FISTA"
+CAPTION: Final = (
+    "Mean PSNR of single images from a cold start against the time each method was given. Higher and further left is "
+    "better; FISTA and ADMM have the same minimum."
+)
+#: Takes numbers of iterations and the start, and returns the coefficients after each of these numbers.
+Run = Callable[[set[int], Values | None], dict[int, Values]]
 
 
-def evaluate(options: Options) -> Findings:
+@dataclass(frozen=True)
+class Solver:
+    """A method with one of its settings.
+
+    Attributes
+    ----------
+    method, setting : str
+        As shown.
+    run : callable
+        Makes the coefficients.
+    starts : tuple of str
+        Those of `STARTS` that it can begin from.
+    same_objective : bool
+        True where it minimises FISTA's objective, so that its gap says something.
+    """
+
+    method: str
+    setting: str
+    run: Run
+    starts: tuple[str, ...] = STARTS
+    same_objective: bool = True
+
+
+def evaluate(options: Options) -> Result:
     """Return PSNR and gap of the objective for each method, start and budget, means over frames.
 
     Raises
@@ -37,22 +79,11 @@ def evaluate(options: Options) -> Findings:
         If draws are asked for: all frames have one Φ.
     """
     refuse_draws(options, "solvers")
-    meshes = str(options.meshes) if options.meshes else None
-    places = [(name, step) for name in OBJECTS for step in (QUICK_STEPS if options.quick else STEPS)]
-    cells = [{"name": name, "meshes": meshes, "step": step, "seed": options.seed} for name, step in places]
+    steps = QUICK_STEPS if options.quick else STEPS
+    cells = [{"name": name, "step": step, **options.shared} for name in OBJECTS for step in steps]
     rows = _best(measure_cells(measure, cells, options, "solvers", jobs=1))
-    return Findings(
-        "Solvers: ADMM and smoothed L0 against FISTA at equal time",
-        rows,
-        _notes(rows, len(cells), options),
-        [Picture("solvers", _CAPTION, lambda: _draw(rows))],
-    )
-
-
-_CAPTION: Final = (
-    "Mean PSNR of single images from a cold start against the time each method was given. Higher and further left is "
-    "better; FISTA and ADMM have the same minimum."
-)
+    title = "Solvers: ADMM and smoothed L0 against FISTA at equal time"
+    return Result(title, rows, [Picture("solvers", CAPTION, lambda: _draw(rows))])
 
 
 def _best(found: list[Row]) -> list[Row]:
@@ -61,24 +92,23 @@ def _best(found: list[Row]) -> list[Row]:
     for group in zip(*(each["runs"] for each in found), strict=True):
         first = group[0]
         gaps = [each["gap"] for each in group if each["gap"] is not None]
+        place = {key: first[key] for key in ("method", "start", "in_time_of")}
         row = {
-            "method": first["method"],
-            "start": first["start"],
-            "in_time_of": first["in_time_of"],
+            **place,
             "ms": round(float(np.mean([each["ms"] for each in group])), 2),
             "iterations": int(np.median([each["iterations"] for each in group])),
             "setting": first["setting"],
             "gap": float(f"{np.mean(gaps):.2g}") if gaps else None,
             **beside(float(np.mean([each["psnr_db"] for each in group])), None),
         }
-        best = rows.setdefault((row["method"], row["start"], row["in_time_of"]), row)
+        best = rows.setdefault(tuple(place.values()), row)
         if row["ours"] > best["ours"]:
-            rows[row["method"], row["start"], row["in_time_of"]] = row
+            rows[tuple(place.values())] = row
     return sorted(rows.values(), key=lambda row: (row["start"], row["in_time_of"]))
 
 
 def measure(*, name: str, meshes: str | None, step: int, seed: int) -> Row:
-    """Return ``runs`` of one frame: a row with time, iterations, PSNR and gap for each contender, start and budget.
+    """Return ``runs`` of one frame: a row with time, iterations, PSNR and gap for each solver, start and budget.
 
     All are the plain NumPy forms with the same operators in float64, timed in turn in this process.
     """
@@ -90,20 +120,16 @@ def measure(*, name: str, meshes: str | None, step: int, seed: int) -> Row:
     solve = partial(fista, phi, psi, penalty_n=PENALTY, lipschitz=phi.norm_squared)
     warm = solve(before, iterations=WARM)
     best = objective(phi, psi, sums_n, solve(sums_n, iterations=EXACT, start=warm), PENALTY)
-
-    def judged(s: Values) -> tuple[float, float]:
-        image = np.maximum(psi.adjoint(s), 0).astype(np.float32)
-        return psnr_db(true[1], image, FORCE_MAX_N), objective(phi, psi, sums_n, s, PENALTY) / best - 1
-
-    contenders = make_contenders(phi, psi, sums_n)
-    cost_s = _costs_s(contenders)
+    solvers = make_solvers(phi, psi, sums_n)
+    cost_s = _costs_s(solvers)
     runs: list[Row] = []
-    for each in contenders:
+    for each in solvers:
         counts = {budget: max(1, round(budget * cost_s[PAPERS] / cost_s[each.method])) for budget in BUDGETS}
         for start in each.starts:
             estimates = each.run(set(counts.values()), warm if start == "warm" else None)
             for budget, count in counts.items():
-                level_db, gap = judged(estimates[count])
+                s = estimates[count]
+                gap = objective(phi, psi, sums_n, s, PENALTY) / best - 1 if each.same_objective else None
                 runs.append(
                     {
                         "method": each.method,
@@ -112,18 +138,70 @@ def measure(*, name: str, meshes: str | None, step: int, seed: int) -> Row:
                         "in_time_of": budget,
                         "ms": 1e3 * count * cost_s[each.method],
                         "iterations": count,
-                        "psnr_db": level_db,
-                        "gap": gap if each.same_objective else None,
+                        "psnr_db": psnr_db(true[1], np.maximum(psi.adjoint(s), 0).astype(np.float32)),
+                        "gap": gap,
                     }
                 )
     return {"runs": runs}
 
 
-def _costs_s(contenders: Sequence[Contender]) -> dict[str, float]:
+def make_solvers(phi: Operator, psi: Basis, sums_n: Values) -> list[Solver]:
+    """Return each method with each of its settings."""
+    norm = phi.norm_squared
+
+    def stepped(ratio: float) -> Run:
+        return _observed(partial(fista, phi, psi, sums_n, penalty_n=PENALTY, lipschitz=ratio * norm))
+
+    def coupled(ratio: float) -> Run:
+        return _observed(partial(admm, phi, psi, sums_n, penalty_n=PENALTY, coupling=ratio * norm))
+
+    def smoothed(smallest_n: float) -> Run:
+        # How fast σ falls depends on how many steps there are: each number of iterations is a run of its own.
+        return lambda counts, _start: {count: _smoothed(phi, psi, sums_n, smallest_n, count) for count in counts}
+
+    return [
+        Solver(PAPERS, "L = 2B (paper)", stepped(2.0)),
+        Solver("FISTA, exact step", "L = B", stepped(1.0)),
+        *(Solver("ADMM", f"ρ = {ratio:g} B", coupled(ratio)) for ratio in COUPLINGS),
+        *(
+            # It begins from the least-squares solution, whatever the frame before.
+            Solver("smoothed L0", f"σ to {1e3 * smallest:g} mN", smoothed(smallest), ("cold",), same_objective=False)
+            for smallest in SMALLEST_N
+        ),
+    ]
+
+
+def _observed(solve: Callable[..., Values]) -> Run:
+    """Return a run of `solve` that lasts as long as the largest number asks and keeps the estimates on its way."""
+
+    def run(counts: set[int], start: Values | None) -> dict[int, Values]:
+        kept: dict[int, Values] = {}
+
+        def observe(iteration: int, estimate: Values) -> None:
+            if iteration in counts:
+                kept[iteration] = estimate.copy()
+
+        solve(iterations=max(counts), start=start, observe=observe)
+        return kept
+
+    return run
+
+
+def _smoothed(phi: Operator, psi: Basis, sums_n: Values, smallest_n: float, count: int) -> Values:
+    """Return smoothed L0's result with σ falling so fast that some `count` steps bring it to its last."""
+    inner = 3 if count >= 9 else 1
+    turns = max(1, round(count / inner))
+    widest = 2 * float(np.abs(psi.forward(phi.adjoint(sums_n).reshape(SIDE, SIDE))).max()) / phi.norm_squared
+    # The loop runs while σ is above its last: a hair less than `turns` shrinkages would leave one more.
+    shrink = min(0.99, (smallest_n / widest) ** (1 / turns) * (1 - 1e-9))
+    return smoothed_l0(phi, psi, sums_n, tolerance_n=TOLERANCE_N, smallest_n=smallest_n, shrink=shrink, inner=inner)
+
+
+def _costs_s(solvers: Sequence[Solver]) -> dict[str, float]:
     """Return the least time of one iteration of each method, all taking turns."""
     least: dict[str, float] = {}
     for _ in range(REPEATS):
-        for each in contenders:
+        for each in solvers:
             started_s = time.perf_counter()
             each.run({TIMED}, None)
             spent_s = (time.perf_counter() - started_s) / TIMED
@@ -131,37 +209,7 @@ def _costs_s(contenders: Sequence[Contender]) -> dict[str, float]:
     return least
 
 
-def _notes(rows: list[Row], frames: int, options: Options) -> list[str]:
-    at = 20
-    cold, warm = (
-        _ranking([row for row in rows if row["start"] == start and row["in_time_of"] == at]) for start in STARTS
-    )
-    return [
-        objects_note(options),
-        (
-            f"Means over {frames} frames, {SUMS} sums, tensor Haar, λ = {PENALTY:g} N for FISTA and ADMM. Plain NumPy "
-            "forms with the same operators, times from the same process; each runs as many iterations as fit the time "
-            "of so many of the paper's FISTA."
-        ),
-        (
-            "ADMM may choose its coupling ρ, and smoothed L0 its last σ, for each budget by the mean result; FISTA "
-            "chooses nothing. A gap is (F - F*) / F* of the objective; smoothed L0 has another one."
-        ),
-        (
-            f"In the time of {at} iterations, from a cold start: {cold}; from the frame before: {warm}. The paper "
-            "reports that it found FISTA faster, without numbers. ADMM profits from ΦΨ(ΦΨ)ᵀ = B I, which makes its "
-            "linear systems closed forms; with a contourlet, or any Ψ that is not orthonormal, it has none."
-        ),
-    ]
-
-
-def _ranking(rows: list[Row]) -> str:
-    """Return methods and their PSNR, the best first."""
-    ranked = sorted(rows, key=lambda row: -row["ours"])
-    return ", ".join(f"{row['method']} {row['ours']:.2f} dB" for row in ranked)
-
-
-def _draw(rows: list[Row]) -> Any:
+def _draw(rows: list[Row]) -> "Figure":
     curves: dict[str, tuple[list[float], list[float]]] = {}
     for row in rows:
         if row["start"] == "cold":

@@ -1,1 +1,1 @@
-"""How well objects and postures are told apart, ours beside the paper's."""
+"""How well objects and postures are recognised, ours beside the paper's."""

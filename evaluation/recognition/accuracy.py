@@ -8,9 +8,9 @@ import numpy.typing as npt
 
 from classifier.dagsvm import DagSvm
 from classifier.validation import C_GRID, Chosen, choose_C, global_scale, part_of
-from evaluation.findings import Row
-from evaluation.observations.signals import LABELS, OBJECTS, Values, signal
+from evaluation.observations.signals import LABELS, OBJECTS, signal
 from evaluation.observations.splits import Split, draw_split
+from evaluation.result import Row, Values
 
 #: Longer signals are trained on their inner products, made once for all splits.
 GRAM_FROM: Final = 1024

@@ -4,12 +4,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Picture, Row
-from evaluation.recognition.beyond_notes import caption, notes
+from evaluation.recognition.gains import draw_gains, gain_row
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
-from evaluation.recognition.pictures import draw_gains
+from evaluation.result import Options, Picture, Result, Row
+from evaluation.result_cache import measure_cells
 from skin.sources import DEFAULT_OBJECTS
 from touch.objects import CATALOGUE
 
@@ -24,25 +23,28 @@ _NOT_FOR_MANY: Final = tuple(name for name in METHODS if name.startswith(("rows 
 _QUICK: Final = (PLAIN, "rows chosen", "10 % missing: as 0, rehearsed", "10 % missing: estimated")
 
 
-def evaluate(options: Options) -> Findings:
+def evaluate(options: Options) -> Result:
     """Measure every method against the plain DAGSVM, then the live service."""
     methods = _method_rows(options)
-    live, unmet = _live_rows(options)
-    pictures = [Picture("methods", caption(methods), lambda: draw_gains(methods))]
-    told = notes(methods, unmet, options)
-    return Findings("Recognition beyond the paper, and as a service", [*methods, *live], told, pictures)
+    pictures = [Picture("methods", _CAPTION, lambda: draw_gains(methods))]
+    return Result("Recognition beyond the paper, and as a service", [*methods, *_live_rows(options)], pictures)
+
+
+_CAPTION: Final = (
+    "Accuracy of each method beside the plain DAGSVM (dotted) on the same sums and training data; whiskers span the "
+    "draws of Φ."
+)
 
 
 def _method_rows(options: Options) -> list[Row]:
-    draws = options.draws or (1 if options.quick else DRAWS)
+    draws = options.draws_or(DRAWS)
     cells = [
         {
             "method": method,
             "size": size,
             "draw": draw,
             "splits": [draw % 10],
-            "meshes": str(options.meshes) if options.meshes else None,
-            "seed": options.seed,
+            **options.shared,
         }
         for size in ((16,) if options.quick else SIZES)
         for method in (_QUICK if options.quick else METHODS)
@@ -52,27 +54,17 @@ def _method_rows(options: Options) -> list[Row]:
     results = measure_cells(measure_method, cells, options, "recognition")
     groups: dict[tuple[Any, ...], list[tuple[float, float]]] = {}
     for cell, result in zip(cells, results, strict=True):
-        pairs = zip(result["accuracy"], result["plain"], strict=True)
-        groups.setdefault((cell["method"], cell["size"]), []).extend(pairs)
-    return [_row(method, size, 100 * np.array(pairs)) for (method, size), pairs in groups.items()]
+        found = zip(result["accuracy"], result["plain"], strict=True)
+        groups.setdefault((cell["method"], cell["size"]), []).extend(found)
+    rows = []
+    for (method, size), pairs in groups.items():
+        ours, plain = 100 * np.array(pairs).T
+        rows.append(gain_row(method, size, runs=len(ours), ours=ours, plain=plain, parts=ours.tolist()))
+    return rows
 
 
-def _row(what: str, size: int, percents: Any) -> Row:
-    ours, plain = percents.T
-    return {
-        "what": what,
-        "sums": size,
-        "runs": len(ours),
-        "ours": round(float(ours.mean()), 2),
-        "plain": round(float(plain.mean()), 2),
-        "gain": round(float((ours - plain).mean()), 2),
-        "least": round(float(ours.min()), 2),
-        "most": round(float(ours.max()), 2),
-    }
-
-
-def _live_rows(options: Options) -> tuple[list[Row], list[tuple[str, float]]]:
-    """Return the rows of the live service, and each object never met with the percent of it called unknown."""
+def _live_rows(options: Options) -> list[Row]:
+    """Return the rows of the live service: of objects it knows, and of objects the model never met."""
     conditions = CONDITIONS[:1] if options.quick else CONDITIONS
     touches = 1 if options.quick else 3
     known: list[Row] = [
@@ -92,12 +84,10 @@ def _live_rows(options: Options) -> tuple[list[Row], list[tuple[str, float]]]:
             _live_row(f"{named}: right", cell, result, "right"),
             _live_row(f"{named}: called unknown", cell, result, "unknown"),
         ]
-    called = []
-    for cell, result in zip(unmet, results[len(known) :], strict=True):
-        name = cell["names"][0]
-        rows.append(_live_row(f"live, {name}, never met: called unknown", cell, result, "unknown"))
-        called.append((name, rows[-1]["ours"]))
-    return rows, called
+    return rows + [
+        _live_row(f"live, {cell['names'][0]}, never met: called unknown", cell, result, "unknown")
+        for cell, result in zip(unmet, results[len(known) :], strict=True)
+    ]
 
 
 def _live_row(what: str, cell: Row, result: Row, share: str) -> Row:
@@ -106,8 +96,5 @@ def _live_row(what: str, cell: Row, result: Row, share: str) -> Row:
         "sums": result["sums"],
         "runs": cell["touches"],
         "ours": round(100 * result[share], 2),
-        "plain": None,
-        "gain": None,
-        "least": None,
-        "most": None,
+        **dict.fromkeys(("plain", "gain", "least", "most")),
     }

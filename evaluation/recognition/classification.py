@@ -4,21 +4,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Picture, Row, beside
 from evaluation.observations.signals import KINDS
 from evaluation.recognition.accuracy import measure_accuracy
-from evaluation.recognition.classification_notes import (
-    NAMES,
-    confusion_caption,
-    notes,
-    size_caption,
-    training_caption,
-)
-from evaluation.recognition.pictures import draw_confusions, draw_sizes, draw_training
+from evaluation.recognition.pictures import draw_accuracies, draw_confusions
 from evaluation.recognition.printed import ACCURACIES, CONFUSION_SIZE, CONFUSIONS, FULL, THREE_PERCENT, TRAINING
-from touch.perturbations import CLASSIFICATION_OBJECTS
+from evaluation.result import Options, Picture, Result, Row, beside
+from evaluation.result_cache import measure_cells
+from touch.classification_poses import CLASSIFICATION_OBJECTS
 
+NAMES: Final = {"sbhe": "SBHE", "noiselet": "noiselet", "averaged": "sensor", "large": "sensor, large taxels"}
 SIZES: Final = (4096, 1024, 256, 64, 16, 4, 1)
 DRAWS: Final = 10
 SPLITS: Final = 10
@@ -26,7 +20,7 @@ SPLITS: Final = 10
 _COMPARED_SIZES: Final = (64, 16)
 
 
-def evaluate(options: Options) -> Findings:
+def evaluate(options: Options) -> Result:
     """Measure accuracies over signal size and training size, and the confusion matrices."""
     cells = _cells(options)
     results = measure_cells(measure_accuracy, cells, options, "classification")
@@ -37,17 +31,35 @@ def evaluate(options: Options) -> Findings:
         kind: _confusion([one for one in measured if _is(one, kind, CONFUSION_SIZE, THREE_PERCENT)])
         for kind in ("sbhe", "noiselet")
     }
-    confused = confusion_caption(confusions, CONFUSION_SIZE, _percent(THREE_PERCENT))
     pictures = [
-        Picture("signal-size", size_caption(sizes), lambda: draw_sizes(sizes)),
-        Picture("training-size", training_caption(training), lambda: draw_training(training)),
-        Picture("confusion", confused, lambda: draw_confusions(confusions, CLASSIFICATION_OBJECTS)),
+        Picture(
+            "signal-size",
+            f"Accuracy over signal size, {_percent(FULL):g} % training. {_MARKS}",
+            lambda: draw_accuracies(sizes, "size", "signal size (values per observation)", lambda row: row["signal"]),
+        ),
+        Picture(
+            "training-size",
+            f"Accuracy over training size, development and validation set together. {_MARKS}",
+            lambda: draw_accuracies(
+                training,
+                "training_percent",
+                "training size (% of the perturbations)",
+                lambda row: f"{row['signal']}, {row['size']}",
+            ),
+        ),
+        Picture(
+            "confusion",
+            f"Confusion, percent of the true object (row) called the column, {CONFUSION_SIZE} sums, "
+            f"{_percent(THREE_PERCENT):g} % training.",
+            lambda: draw_confusions(confusions, CLASSIFICATION_OBJECTS),
+        ),
     ]
     accuracies = [*sizes, *(row for row in training if row["training_percent"] != _percent(FULL))]
     title = "Objects from sums: signal size, training size, confusions"
-    return Findings(title, [*accuracies, *_confused(confusions)], notes(accuracies, options), pictures)
+    return Result(title, [*accuracies, *_confused(confusions)], pictures)
 
 
+_MARKS: Final = "Bars span the draws of Φ, crosses are the paper's numbers, the dotted line is guessing."
 #: Signals of the training-size figure.
 _CURVES: Final = (("sbhe", 16), ("noiselet", 16), ("averaged", 4096), ("averaged", 16))
 
@@ -59,7 +71,7 @@ def _cells(options: Options) -> list[Row]:
     wanted += [(kind, CONFUSION_SIZE, THREE_PERCENT) for kind in ("sbhe", "noiselet")]
     if options.quick:
         wanted = [one for one in wanted if one[1] in _COMPARED_SIZES and one[2] in {FULL, THREE_PERCENT}]
-    draws = options.draws or (1 if options.quick else DRAWS)
+    draws = options.draws_or(DRAWS)
     return [
         {
             "kind": kind,
@@ -68,8 +80,7 @@ def _cells(options: Options) -> list[Row]:
             "splits": _splits(size, draw, shares[0], options),
             "development": shares[0],
             "validation": shares[1],
-            "meshes": str(options.meshes) if options.meshes else None,
-            "seed": options.seed,
+            **options.shared,
         }
         for kind, size, shares in wanted
         for draw in range(_draws(kind, size, draws))

@@ -11,7 +11,7 @@ from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.training import train
-from evaluation.findings import Row
+from evaluation.result import Row
 from skin.errors import InputError
 from skin.layout import load_layout
 from skin.messages import UNKNOWN_OBJECT

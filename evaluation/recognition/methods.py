@@ -11,10 +11,10 @@ from classifier.dagsvm import DagSvm
 from classifier.missing import Completion, fit_factors
 from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale
-from evaluation.findings import Row
-from evaluation.observations.signals import LABELS, Values, all_rows, drawn_sbhe, measured, sensed
+from evaluation.observations.signals import LABELS, all_rows, drawn_sbhe, measured, sensed
 from evaluation.observations.splits import Split, draw_split
 from evaluation.recognition.accuracy import score, trained
+from evaluation.result import Row, Values
 from skin.measurement import Sbhe
 
 #: Development and validation set as in the paper's figure over signal size.

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from classifier.dagsvm import DagSvm
 from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale, part_of
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Picture, Row
 from evaluation.observations.signals import TAXELS, all_rows, drawn_sbhe, measured
 from evaluation.recognition.accuracy import MOST_ITERATIONS
-from evaluation.recognition.pictures import draw_gains
+from evaluation.recognition.gains import draw_gains, gain_row
+from evaluation.result import Options, Picture, Result, Row
+from evaluation.result_cache import measure_cells
 from skin.errors import InputError
 from touch.reading import read_counts
 
@@ -49,12 +49,12 @@ class Postures(NamedTuple):
     people: npt.NDArray[np.intp]
 
 
-def evaluate(options: Options) -> Findings:
+def evaluate(options: Options) -> Result:
     """Recognise the posture of each person by machines trained on all the others."""
     title = "A second task: postures on a real pressure mat"
     if options.recordings is None:
-        return Findings(title, [], ["Needs the recordings of a pressure mat: give their folder with --recordings."])
-    draws = options.draws or (1 if options.quick else DRAWS)
+        return Result(title, [], note="Needs the recordings of a pressure mat: give their folder with --recordings.")
+    draws = options.draws_or(DRAWS)
     people = range(len(people_files(options.recordings)))
     cells: list[Row] = [
         {"recordings": str(options.recordings), "variant": name, "size": size, "draw": draw, "person": person}
@@ -70,9 +70,7 @@ def evaluate(options: Options) -> Findings:
         groups.setdefault((cell["variant"], cell["size"]), []).append((cell["person"], 100 * result["accuracy"]))
     plain = {size: _mean(found) for (name, size), found in groups.items() if name == next(iter(VARIANTS))}
     rows = [_row(name, size, found, plain[size]) for (name, size), found in groups.items()]
-    return Findings(
-        title, rows, _notes(options.recordings, options), [Picture("postures", _CAPTION, lambda: draw_gains(rows))]
-    )
+    return Result(title, rows, [Picture("postures", _CAPTION, lambda: draw_gains(rows))])
 
 
 def measure_postures(*, recordings: str, variant: str, size: int, draw: int, person: int) -> Row:
@@ -153,40 +151,9 @@ def _mean(found: list[tuple[int, float]]) -> float:
 
 
 def _row(name: str, size: int, found: list[tuple[int, float]], plain: float) -> Row:
-    each = [_mean([one for one in found if one[0] == person]) for person in sorted({person for person, _ in found})]
-    return {
-        "what": name,
-        "sums": size,
-        "runs": len(found),
-        "ours": round(_mean(found), 2),
-        "plain": round(plain, 2),
-        "gain": round(_mean(found) - plain, 2),
-        "least": round(min(each), 2),
-        "most": round(max(each), 2),
-    }
-
-
-def _notes(recordings: Path, options: Options) -> list[str]:
-    taken = read_postures(str(recordings))
-    people = int(taken.people.max()) + 1
-    told = [
-        (
-            "Percent of the frames of a person whom neither training nor the choice of C met, mean over people; "
-            f"guessing gives {100 / len(POSTURES):.1f}. {len(POSTURES)} lying postures, {people} people, "
-            f"{len(taken.frames)} frames: one of {STRIDE}, each in the middle of {_SIDE} x {_SIDE} taxels."
-        ),
-        (
-            "Least and most: the worst and the best person. The machines learn from "
-            f"{people - 1} people: the accuracy of {TAXELS} taxels is what the data allow, not what compression costs."
-        ),
-        (
-            "Roots: each taxel gives the root of its pressure, which heavy and light people have more alike; the sums "
-            "are formed of the roots. Unit length: the sums of a frame are divided by their length."
-        ),
-    ]
-    if options.quick:
-        told.append(f"A quick look: one draw, {SIZES[-1]} sums alone; it judges no figure.")
-    return told
+    people = sorted({person for person, _ in found})
+    each = [_mean([one for one in found if one[0] == person]) for person in people]
+    return gain_row(name, size, runs=len(found), ours=_mean(found), plain=plain, parts=each)
 
 
 _CAPTION: Final = (

@@ -6,8 +6,8 @@ import msgspec
 
 from bandwidth.alternatives import with_buses
 from dbc.contract import Contract
+from evaluation.schemes.scenes import Touch
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.touches import Touch
 from skin.layout import load_layout
 
 

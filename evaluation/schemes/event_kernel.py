@@ -1,4 +1,8 @@
-"""Send-on-delta on one bus, compiled: nodes that compare, arbitrate and fill their frames, bit for bit."""
+"""Send-on-delta on one bus, compiled: nodes that compare, arbitrate and fill their frames, bit for bit.
+
+The bus is inside, because a node chooses what its frame carries when the frame wins arbitration: no frame is known
+beforehand, as `bus.core` and `evaluation.schemes.wire` need it. The tests hold the frames against `bus.core`.
+"""
 
 from typing import Any, Final, NamedTuple
 
@@ -29,7 +33,7 @@ _TPDO_BASE: Final = TPDO_BASES[0]
 Integers = npt.NDArray[np.int64]
 
 
-class Wish(NamedTuple):
+class Rule(NamedTuple):
     """When a taxel is sent, and how long a bit is.
 
     Attributes
@@ -88,7 +92,7 @@ def new_nodes(beat_ns: Integers) -> Nodes:
 
 
 @njit(cache=True, nogil=True)
-def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
+def send_on_delta(counts: Any, rule: Rule, nodes: Nodes, record: Record) -> int:
     """Run one bus and return how many frames were sent.
 
     Whenever the bus is free, every node that has something to say takes part with its one identifier; the winner sends
@@ -98,7 +102,7 @@ def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
     ----------
     counts : array of int16, shape (ticks, nodes, TAXELS)
         What every taxel reads, each millisecond.
-    wish : Wish
+    rule : Rule
     nodes : Nodes
         Changed to what is left at the end.
     record : Record
@@ -108,7 +112,7 @@ def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
     now, tick, sent = 0, 0, 0
     while now < ticks * TICK_NS:
         while tick < ticks and tick * TICK_NS <= now:
-            _compare(counts[tick], tick, wish, nodes)
+            _compare(counts[tick], tick, rule, nodes)
             tick += 1
         node, is_beat = _winner(nodes, now)
         if node < 0:
@@ -123,10 +127,10 @@ def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
             _address(row, HEARTBEAT_BASE + node + 1, 1)
         else:
             log[ASKED] = nodes.asked_ns[node]
-            log[COUNT] = _fill(counts[tick - 1, node], tick - 1, wish, nodes.taxels[:, node], (row, record.since[sent]))
+            log[COUNT] = _fill(counts[tick - 1, node], tick - 1, rule, nodes.taxels[:, node], (row, record.since[sent]))
             nodes.pending[node] -= log[COUNT]
             _address(row, _TPDO_BASE + node + 1, 2 * log[COUNT])
-        now += (EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row)) * wish.bit_ns
+        now += (EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row)) * rule.bit_ns
         log[ENDED] = now
         if not is_beat:
             nodes.asked_ns[node] = now
@@ -135,18 +139,18 @@ def send_on_delta(counts: Any, wish: Wish, nodes: Nodes, record: Record) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _compare(now: Any, tick: int, wish: Wish, nodes: Nodes) -> None:
+def _compare(now: Any, tick: int, rule: Rule, nodes: Nodes) -> None:
     """Look at every taxel: since when has it changed, and how many of each node are to be sent."""
     for node in range(now.shape[0]):
         before = nodes.pending[node]
         nodes.pending[node] = 0
         for taxel in range(TAXELS):
-            if abs(now[node, taxel] - nodes.taxels[SENT, node, taxel]) < wish.threshold:
+            if abs(now[node, taxel] - nodes.taxels[SENT, node, taxel]) < rule.threshold:
                 nodes.taxels[SINCE, node, taxel] = -1
                 continue
             if nodes.taxels[SINCE, node, taxel] < 0:
                 nodes.taxels[SINCE, node, taxel] = tick
-            nodes.pending[node] += tick - nodes.taxels[LAST, node, taxel] >= wish.dead_ticks
+            nodes.pending[node] += tick - nodes.taxels[LAST, node, taxel] >= rule.dead_ticks
         if before == 0:
             nodes.asked_ns[node] = tick * TICK_NS
 
@@ -164,15 +168,15 @@ def _winner(nodes: Nodes, now: int) -> tuple[int, bool]:
 
 
 @njit(cache=True, nogil=True)
-def _fill(now: Any, tick: int, wish: Wish, taxels: Any, frame: Any) -> int:
+def _fill(now: Any, tick: int, rule: Rule, taxels: Any, frame: Any) -> int:
     """Write the most changed taxels of a node into its frame, and note them as sent; return how many."""
     row, since = frame
     events = 0
     while events < EVENTS:
-        best, most = -1, wish.threshold - 1
+        best, most = -1, rule.threshold - 1
         for taxel in range(TAXELS):
             change = abs(now[taxel] - taxels[SENT, taxel])
-            if change > most and taxels[SINCE, taxel] >= 0 and tick - taxels[LAST, taxel] >= wish.dead_ticks:
+            if change > most and taxels[SINCE, taxel] >= 0 and tick - taxels[LAST, taxel] >= rule.dead_ticks:
                 best, most = taxel, change
         if best < 0:
             break

@@ -17,7 +17,7 @@ from evaluation.schemes.event_kernel import (
     SINCE,
     VALUE_BITS,
     Record,
-    Wish,
+    Rule,
     new_nodes,
     send_on_delta,
 )
@@ -29,22 +29,6 @@ BIT_NS: Final = 1000
 #: No classic frame is shorter, so that a bus cannot send more in a tick.
 FRAMES_PER_TICK: Final = TICK_NS // (EMPTY_BITS * BIT_NS) + 1
 _FIRST_BYTE: Final = FRAME.fields["can_id"][1]  # type: ignore[index]  # FRAME has fields
-
-
-@dataclass(frozen=True)
-class EventRule:
-    """When a taxel is sent.
-
-    Attributes
-    ----------
-    threshold_n : float
-        By how much it must differ from what was sent last.
-    dead_ms : int
-        How long it is silent after each sending.
-    """
-
-    threshold_n: float
-    dead_ms: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +56,10 @@ class EventRun:
     frame_of: npt.NDArray[np.int64]
     waiting_ns: npt.NDArray[np.int64]
 
-    def without(self, lost: npt.NDArray[np.bool_]) -> Updates:
-        """Return the updates when the `lost` frames, shape (frames,), do not reach the receiver."""
-        left = ~lost[self.frame_of]
-        return Updates(self.updates.ready_ns[left], self.updates.taxel[left], self.updates.force_n[left])
 
-
-def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, rule: EventRule) -> EventRun:
+def run_events(
+    counts: npt.NDArray[np.int16], newton_per_count: float, threshold_n: float, dead_ms: int = 1
+) -> EventRun:
     """Run the skin of 64 x 64 taxels on its buses.
 
     Parameters
@@ -86,11 +67,15 @@ def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, rule: Eve
     counts : array of int16, shape (ticks, 4096)
         What every taxel reads, each millisecond.
     newton_per_count : float
-    rule : EventRule
+    threshold_n : float
+        By how much a taxel must differ from what was sent last.
+    dead_ms : int
+        How long it is silent after each sending.
     """
     side = round(counts.shape[1] ** 0.5)
     held = patches(side)
-    parts = [_run_bus(counts, mine, newton_per_count, rule) for mine in held]
+    rule = Rule(max(1, round(threshold_n / newton_per_count)), dead_ms, BIT_NS)
+    parts = [_run_bus(counts, mine, rule) for mine in held]
     bus = np.repeat(np.arange(len(held)), [len(part[0]) for part in parts])
     sent, log, since, unsent = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     wire = Sent(Asked(sent, bus, log[:, ASKED]), log[:, ENDED], lines_of(side), len(counts))
@@ -106,7 +91,7 @@ def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, rule: Eve
 
 
 def _run_bus(
-    counts: npt.NDArray[np.int16], held: npt.NDArray[np.int64], newton_per_count: float, rule: EventRule
+    counts: npt.NDArray[np.int16], held: npt.NDArray[np.int64], rule: Rule
 ) -> tuple[Frames, npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return frames, log, and since when events had waited, those of every frame and those never sent."""
     capacity = len(counts) * FRAMES_PER_TICK
@@ -114,7 +99,6 @@ def _run_bus(
     rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, _FIRST_BYTE:]
     record = Record(rows, np.empty((capacity, 5), np.int64), np.empty((capacity, EVENTS), np.int64))
     nodes = new_nodes(first_beats_ns(len(held)))
-    wish = Wish(max(1, round(rule.threshold_n / newton_per_count)), rule.dead_ms, BIT_NS)
-    count = send_on_delta(np.ascontiguousarray(counts[:, held]), wish, nodes, record)
+    count = send_on_delta(np.ascontiguousarray(counts[:, held]), rule, nodes, record)
     unsent = nodes.taxels[SINCE]
     return sent[:count].copy(), record.log[:count], record.since[:count], unsent[unsent >= 0]

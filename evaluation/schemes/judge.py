@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.findings import Row
-from evaluation.schemes.judge_kernel import judge_images, judge_updates
+from evaluation.result import Row
 from evaluation.schemes.wire import TICK_NS
 from skin.psnr import decibels
 from skin.taxel import FORCE_MAX_N
@@ -33,12 +32,9 @@ class Images:
     ready_ns: npt.NDArray[np.int64]
     force_n: Force
 
-    def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
-        """Compare with the truth, shape (ticks, n); see `judge_images`."""
-        ticks = np.arange(len(true_n), dtype=np.int64) * TICK_NS
-        used = np.searchsorted(self.ready_ns, ticks, side="right") - 1
-        found: npt.NDArray[np.float64] = judge_images(true_n, self.force_n, used, WRONG_N)
-        return found
+    def used(self, times_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
+        """Return the number of the image in use at each time; -1 before the first."""
+        return np.asarray(np.searchsorted(self.ready_ns, times_ns, side="right") - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +52,9 @@ class Updates:
     taxel: npt.NDArray[np.int64]
     force_n: Force
 
-    def judged(self, true_n: Force) -> npt.NDArray[np.float64]:
-        """Compare with the truth, shape (ticks, n); see `judge_images`."""
-        order = np.argsort(self.ready_ns, kind="stable")
-        ticks = -(-self.ready_ns[order] // TICK_NS)
-        found: npt.NDArray[np.float64] = judge_updates(true_n, ticks, self.taxel[order], self.force_n[order], WRONG_N)
-        return found
+    def kept(self, places: npt.NDArray[np.bool_]) -> "Updates":
+        """Return the updates at `places`, shape (k,)."""
+        return Updates(self.ready_ns[places], self.taxel[places], self.force_n[places])
 
     def held(self, ready_ns: npt.NDArray[np.int64], taxels: int) -> Images:
         """Return the images that are shown at `ready_ns`, ascending."""
@@ -91,13 +84,24 @@ def quality(true_n: Force, shown: Images | Updates) -> Row:
         and ``touched_error_mn``, root mean square over all ticks of all taxels and of those that are touched;
         ``longest_wrong_ms``, for how long any one taxel was off by more than `WRONG_N`.
     """
-    total, touched, count, wrong = shown.judged(true_n).T
-    psnr_db = np.minimum(decibels(total / true_n.shape[1], FORCE_MAX_N), PSNR_MOST_DB)
+    ticks, taxels = true_n.shape
+    times_ns = np.arange(ticks, dtype=np.int64) * TICK_NS
+    images = shown.held(times_ns, taxels) if isinstance(shown, Updates) else shown
+    total, touched = np.empty(ticks), np.empty(ticks)
+    wrong_ms, longest_wrong_ms, nothing = np.zeros(taxels, np.int64), 0, np.zeros(taxels, np.float32)
+    for tick, (true, used) in enumerate(zip(true_n, images.used(times_ns).tolist(), strict=True)):
+        error = (images.force_n[used] if used >= 0 else nothing) - true.astype(np.float64)
+        square = error * error
+        total[tick], touched[tick] = square.sum(), square[true > 0].sum()
+        wrong_ms = (wrong_ms + 1) * (np.abs(error) > WRONG_N)
+        longest_wrong_ms = max(longest_wrong_ms, int(wrong_ms.max()))
+    psnr_db = np.minimum(decibels(total / taxels, FORCE_MAX_N), PSNR_MOST_DB)
+    count = np.count_nonzero(true_n > 0)
     return {
         "psnr_mean_db": float(psnr_db.mean()),
         "psnr_least_db": float(psnr_db.min()),
         "psnr_peak_db": float(psnr_db.max()),
-        "error_mn": 1e3 * float(np.sqrt(total.mean() / true_n.shape[1])),
-        "touched_error_mn": 1e3 * float(np.sqrt(touched.sum() / count.sum())) if count.any() else None,
-        "longest_wrong_ms": int(wrong.max()),
+        "error_mn": 1e3 * float(np.sqrt(total.mean() / taxels)),
+        "touched_error_mn": 1e3 * float(np.sqrt(touched.sum() / count)) if count else None,
+        "longest_wrong_ms": longest_wrong_ms,
     }

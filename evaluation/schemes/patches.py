@@ -1,4 +1,4 @@
-"""Which cells a node of a rival holds: patches of neighbours, dealt out so that a touch meets all buses alike."""
+"""Which cells a node of a baseline holds: patches of neighbours, dealt out so that a touch meets all buses alike."""
 
 from functools import cache
 from typing import Final

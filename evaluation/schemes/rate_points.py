@@ -1,7 +1,7 @@
 """Layouts that trade rate, sums and bits at the same bus time, each one that `skin plan` finds no fault with."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import msgspec
@@ -28,40 +28,15 @@ WIRES: Final = {
 }
 
 
-@dataclass(frozen=True)
-class Point:
-    """One way to use the wires.
+def points() -> Iterator[tuple[str, Layout]]:
+    """Yield every combination that can be laid out with its wires, with as many blocks per node as make it fastest.
 
-    Attributes
-    ----------
-    wires : str
-        Of `WIRES`.
-    rows, bits : int
-        Sums of each block, and of what width.
-    layout : Layout
-        At the highest rate that keeps `BUDGET` and the window (1007h).
+    Each layout has the highest rate that keeps `BUDGET` and the window (1007h).
     """
-
-    wires: str
-    rows: int
-    bits: int
-    layout: Layout
-
-    @property
-    def text(self) -> str:
-        """The layout as TOML."""
-        return layout_text(self.layout)
-
-
-def points() -> Iterator[Point]:
-    """Yield every combination that can be laid out, with as many blocks per node as make it fastest."""
-    for wires in WIRES:
-        for rows in ROWS:
-            for bits in SUM_BITS:
-                made = list(_layouts(wires, rows, bits))
-                if made:
-                    fastest = max(made, key=lambda layout: layout.sync.rate_hz)
-                    yield Point(wires, rows, bits, fastest)
+    for wires, rows, bits in product(WIRES, ROWS, SUM_BITS):
+        found = list(_layouts(wires, rows, bits))
+        if found:
+            yield wires, max(found, key=lambda layout: layout.sync.rate_hz)
 
 
 def _layouts(wires: str, rows: int, bits: int) -> Iterator[Layout]:

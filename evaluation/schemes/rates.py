@@ -1,37 +1,37 @@
 """``skin evaluate rates``: how many sums, of how many bits, how often: what the same bus time is best used for."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Row, refuse_draws
-from evaluation.schemes.rate_notes import notes
-from evaluation.schemes.rate_pictures import pictures
-from evaluation.schemes.rate_points import WIRES, Point, points
-from evaluation.schemes.scenes import SHAKING, SLIDES, recordings_in
+from evaluation.result import Options, Picture, Result, Row, new_figure, refuse_draws
+from evaluation.result_cache import measure_cells
+from evaluation.schemes.rate_points import WIRES, points
+from evaluation.schemes.scenes import SHAKING, SLIDES, Touch, recordings_in
 from evaluation.schemes.shown import Shown
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.touches import Touch
 from skin.errors import InputError
-from skin.layout import parse_layout
+from skin.layout import Layout, layout_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Milliseconds of a slide and of a recording; boxes shake for half as long.
 TICKS: Final = 2000
 QUICK_TICKS: Final = 500
 #: Points of a quick look.
-QUICK_ROWS, QUICK_BITS = (4, 8), (8, 16)
+QUICK_SUMS, QUICK_BITS = (512, 1024), (8, 16)
 #: PSNR columns, and the touches they are the mean of; recordings come on top.
 _KINDS: Final = ("slides", "shaking", "recordings")
 
 
-def evaluate(options: Options) -> Findings:
+def evaluate(options: Options) -> Result:
     """Measure every point on every touch, and choose one for each kind of wires.
 
     Parameters
@@ -45,42 +45,50 @@ def evaluate(options: Options) -> Findings:
         If `draws` are given, the recordings cannot be read, or the layouts cannot be written.
     """
     refuse_draws(options, "rates")
-    looked_at = [
-        point for point in points() if not options.quick or (point.rows in QUICK_ROWS and point.bits in QUICK_BITS)
-    ]
+    looked_at = [point for point in points() if not options.quick or _is_quick(point[1])]
     touches = _touches(options)
     rows = _measured(looked_at, touches, options)
     for kind in touches:
         for wires in WIRES:
-            rows[_best(rows, wires, kind)]["best_for"].append(kind)
-    chosen = {wires: _best(rows, wires, "slides") for wires in WIRES}
-    if options.out is not None:
-        for wires, index in chosen.items():
-            _write(options.out / f"{wires.replace(' ', '-')}.toml", looked_at[index].text)
-    words = {kind: ", ".join(touch.words for touch in mine) for kind, mine in touches.items()}
-    return Findings(
+            best = _best(rows, wires, kind)
+            rows[best]["best_for"].append(kind)
+            if options.out is not None and kind == "slides":
+                _write(options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[best][1]))
+    rows = [row | {"best_for": " ".join(row["best_for"])} for row in rows]
+    return Result(
         "Rate against quality: what the same bus time is best used for",
-        [row | {"best_for": " ".join(row["best_for"])} for row in rows],
-        notes(rows, [rows[index] for index in chosen.values()], touches, options),
-        pictures(rows, words),
+        rows,
+        [
+            Picture(
+                f"rates-{kind}",
+                f"Mean PSNR ({', '.join(touch.words for touch in mine)}), every square the same bus time; below the "
+                "decibels the rate, the best framed. To the right fewer bits and to the top fewer sums, both for more "
+                "rate.",
+                partial(_surface, rows, kind),
+            )
+            for kind, mine in touches.items()
+        ],
     )
 
 
-def _measured(looked_at: list[Point], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
+def _measured(looked_at: list[tuple[str, Layout]], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
     """Return a row for every point; its ``best_for`` is a list that is empty yet."""
-    cells = [
-        {"text": point.text, "touch": asdict(touch)}
-        for point in looked_at
-        for mine in touches.values()
-        for touch in mine
-    ]
+    every = [touch for mine in touches.values() for touch in mine]
+    cells = [{"layout": layout, "touch": touch} for _, layout in looked_at for touch in every]
     results = iter(measure_cells(measure_point, cells, options, "rates"))
-    return [_row(point, {kind: [next(results) for _ in mine] for kind, mine in touches.items()}) for point in looked_at]
+    return [
+        _row(wires, layout, {kind: [next(results) for _ in mine] for kind, mine in touches.items()})
+        for wires, layout in looked_at
+    ]
 
 
-def measure_point(text: str, touch: dict[str, Any]) -> Row:
-    """Return the figures of a layout, TOML, on one touch."""
-    what, contract = Touch(**touch).load(), Contract.from_layout(parse_layout(text.encode(), "point"))
+def _is_quick(layout: Layout) -> bool:
+    return layout.measurement.sums in QUICK_SUMS and layout.encoding.sum_bits in QUICK_BITS
+
+
+def measure_point(layout: Layout, touch: Touch) -> Row:
+    """Return the figures of a layout on one touch."""
+    what, contract = touch.load(), Contract.from_layout(layout)
     run = run_sums(contract, what.counts)
     return Shown(run.sent, run.latency_ns, run.images(contract), contract.layout.sync.rate_hz).figures(what)
 
@@ -89,7 +97,7 @@ def _touches(options: Options) -> dict[str, list[Touch]]:
     """Return the touches of each kind that is looked at."""
     if options.quick:
         return {"slides": [Touch("golf-ball", ticks=QUICK_TICKS, seed=options.seed)]}
-    meshes = str(options.meshes) if options.meshes else None
+    meshes = options.shared["meshes"]
     found = {
         "slides": [Touch(name, ticks=TICKS, meshes=meshes, seed=options.seed) for name in SLIDES],
         "shaking": [Touch(SHAKING, ticks=TICKS // 2, meshes=meshes, seed=options.seed)],
@@ -98,17 +106,17 @@ def _touches(options: Options) -> dict[str, list[Touch]]:
     return {kind: mine for kind, mine in found.items() if mine}
 
 
-def _row(point: Point, found: dict[str, list[Row]]) -> Row:
+def _row(wires: str, layout: Layout, found: dict[str, list[Row]]) -> Row:
     """Return one row of the table: the layout, its plan, and the means over the touches."""
-    plans = planned(point.layout, Disturbance())
-    bus = point.layout.bus[0]
+    plans = planned(layout, Disturbance())
+    bus = layout.bus[0]
     row: Row = {
-        "wires": point.wires,
-        "rows_of_32": point.rows,
-        "sums": point.layout.measurement.sums,
-        "bits": point.bits,
-        "rate_hz": point.layout.sync.rate_hz,
-        "nodes": f"{len(point.layout.bus)} x {bus.nodes} of {bus.blocks_per_node}",
+        "wires": wires,
+        "rows_of_32": layout.measurement.sums // layout.blocks,
+        "sums": layout.measurement.sums,
+        "bits": layout.encoding.sum_bits,
+        "rate_hz": layout.sync.rate_hz,
+        "nodes": f"{len(layout.bus)} x {bus.nodes} of {bus.blocks_per_node}",
         "load_worst": round(max(plan.load_worst for plan in plans), 3),
         "load": round(float(np.mean([each["load"] for each in found["slides"]])), 3),
     }
@@ -136,3 +144,29 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
+
+
+def _surface(rows: list[Row], kind: str) -> "Figure":
+    key = f"psnr_{kind}_db"
+    wires = list(dict.fromkeys(row["wires"] for row in rows))
+    heights = sorted({row["rows_of_32"] for row in rows})
+    widths = sorted({row["bits"] for row in rows}, reverse=True)
+    figure = new_figure(4 * len(wires), 4)
+    panels = figure.subplots(1, len(wires), squeeze=False)[0]
+    values = [row[key] for row in rows]
+    for panel, name in zip(panels, wires, strict=True):
+        surface = np.full((len(heights), len(widths)), np.nan)
+        for row in (row for row in rows if row["wires"] == name):
+            down, across = heights.index(row["rows_of_32"]), widths.index(row["bits"])
+            surface[down, across] = row[key]
+            bright = row[key] < (min(values) + max(values)) / 2
+            text = f"{row[key]:.1f} dB\n{row['rate_hz']:g} Hz"
+            panel.text(across, down, text, ha="center", va="center", color="white" if bright else "black")
+            if kind in row["best_for"]:
+                panel.plot(across, down, "s", markersize=48, markerfacecolor="none", color="red")
+        drawn = panel.imshow(surface, vmin=min(values), vmax=max(values), cmap="viridis", aspect="auto")
+        panel.set_xticks(range(len(widths)), [str(bits) for bits in widths])
+        panel.set_yticks(range(len(heights)), [str(height) for height in heights])
+        panel.set(title=name, xlabel="bits of a sum", ylabel="rows of 32 that are sent")
+    figure.colorbar(drawn, ax=panels, label="mean PSNR, dB")
+    return figure

@@ -7,7 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.canopen import TPDO_BASES
+from dbc.codec import encode
 from dbc.frame import Frames, frames
+from dbc.packing import Packing
 from evaluation.schemes.judge import Updates
 from evaluation.schemes.patches import lines_of, patches
 from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
@@ -81,7 +83,9 @@ def _frames(raw: npt.NDArray[np.int64], bits: int, turns: int) -> Frames:
     """Return the frames of values of shape (scans, buses, nodes, values), shape (scans, buses, nodes, turns)."""
     scans, buses, nodes, values = raw.shape
     sent = frames(scans * buses * nodes * turns).reshape(scans, buses, nodes, turns)
-    sent["data"][..., :8] = _pack(raw, bits, turns)
+    payloads = encode(raw.ravel(), np.arange(raw.size).reshape(-1, values), Packing(bits, scale=1, offset=0))
+    padded = np.pad(payloads, ((0, 0), (0, turns * 8 - payloads.shape[1])))
+    sent["data"][..., :8] = padded.reshape(*sent.shape, 8)
     sent["length"] = np.minimum(8, -(-(values * bits - FRAME_BITS * np.arange(turns)) // 8))
     sent["can_id"] = np.array(TPDO_BASES[:turns]) + np.arange(1, nodes + 1)[:, None]
     return sent
@@ -99,14 +103,3 @@ def _sync_times(ticks: int, rate_hz: float, turns: int) -> Nanoseconds:
     scans = int(ticks * TICK_NS / (step_ns * turns) + 1e-9)
     times: Nanoseconds = np.rint(np.arange(scans * turns) * step_ns).astype(np.int64)
     return times.reshape(scans, turns)
-
-
-def _pack(raw: npt.NDArray[np.int64], bits: int, turns: int) -> npt.NDArray[np.uint8]:
-    """Pack the values of each node, the last axis, from the lowest bit of the first byte on, into `turns` frames."""
-    lead = raw.shape[:-1]
-    octets = np.ascontiguousarray(raw, "<u2").view(np.uint8)
-    spread = np.unpackbits(octets.reshape(*lead, -1, 2), axis=-1, bitorder="little")
-    joined = np.packbits(spread[..., :bits].reshape(*lead, -1), axis=-1, bitorder="little")
-    padded = np.zeros((*lead, turns * 8), np.uint8)
-    padded[..., : joined.shape[-1]] = joined
-    return padded.reshape(*lead, turns, 8)

@@ -18,15 +18,7 @@ from touch.objects import spheres_of
 from touch.primitives import ball
 from touch.reading import read_counts
 from touch.recording import Recording
-from touch.trajectory import (
-    ACQUISITION_OBJECTS,
-    PAPER_DEPTH_M,
-    PAPER_PRESS_M_PER_STEP,
-    PAPER_PRESS_STEPS,
-    PAPER_STEP_S,
-    paper_pose,
-    trajectory,
-)
+from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M, PAPER_PRESS_STEPS, paper_pose, trajectory
 
 _ARRAY: Final = Taxels()
 #: The default skin's array: taxels of a side, and of all; newtons of one count of its converters.
@@ -41,8 +33,10 @@ RECORDED_MS: Final = 100
 RECORDED_FRAMES: Final = 24
 #: When the slap begins.
 SLAP_MS: Final = 300
+SLAP: Final = "three boxes slapped on"
 SHAKING: Final = "two boxes shaking"
 #: How the two boxes shake: rates that no scan keeps step with, mean depth, and the part of it by which they swing.
+#: They are pressed up to 26 times as fast as the paper's objects.
 SHAKING_HZ: Final = (7.3, 9.1)
 SHAKING_DEPTH_M: Final = 0.005
 SHAKING_SWING: Final = 0.9
@@ -97,12 +91,6 @@ def _shaking(tick: int) -> Iterator[tuple[str, Pose]]:
         yield name, Pose(x, y, 0.1, SHAKING_DEPTH_M * min(1.0, tick / 300) * swing)
 
 
-def shaking_speed_ratio() -> float:
-    """Return how many times as fast the boxes are pressed at their fastest as the paper's objects are."""
-    fastest_m_per_s = 2 * math.pi * max(SHAKING_HZ) * SHAKING_SWING * SHAKING_DEPTH_M
-    return fastest_m_per_s * PAPER_STEP_S / PAPER_PRESS_M_PER_STEP
-
-
 def _nothing(tick: int) -> Iterator[tuple[str, Pose]]:
     del tick
     yield from ()
@@ -114,40 +102,73 @@ OWN: Final[dict[str, Callable[[int], Iterator[tuple[str, Pose]]]]] = {
     "golf ball at rest": _resting,
     "five fingertips": _fingertips,
     "faint box": _faint,
-    "three boxes slapped on": _slap,
+    SLAP: _slap,
     SHAKING: _shaking,
 }
 SLIDES: Final = tuple(ACQUISITION_OBJECTS)
 
 
-@lru_cache(maxsize=1)
-def scene(
-    name: str, *, ticks: int | None = None, noise_n: float = NOISE_N, meshes: Path | None = None, seed: int = 0
-) -> Scene:
-    """Return a touch of `SLIDES` or `OWN`, or of a file of recordings.
+@dataclass(frozen=True)
+class Touch:
+    """What happens, how noisy the sensor is, and what the buses lose.
 
-    Parameters
+    Attributes
     ----------
     name : str
-        Or the path of an ``.npz`` whose first arrays are laid side by side until the skin is full.
+        Of `SLIDES` or `OWN`, or the path of an ``.npz`` whose first arrays are laid side by side, until the skin is
+        full.
     ticks : int, optional
-        Only the first so many.
+        Only the first so many milliseconds; without it, all of the scene.
     noise_n : float
-        Of the simulated sensor, standard deviation; a recording has its own.
-    meshes : pathlib.Path, optional
-        Folder of meshes.
+        Standard deviation of the simulated sensor's noise, newtons; a recording has its own.
+    loss_ratio : float
+        Part of all frames that never reach the receiver, 0 to 1.
+    meshes : str, optional
+        Folder of meshes that take the place of the shapes that ship.
     seed : int
-        Of the noise.
+        Of noise and losses.
     """
-    if name not in SLIDES and name not in OWN:
-        felt = _recorded(Path(name), ticks)
+
+    name: str
+    ticks: int | None = None
+    noise_n: float = NOISE_N
+    loss_ratio: float = 0.0
+    meshes: str | None = None
+    seed: int = 0
+
+    @property
+    def words(self) -> str:
+        """What it is called in a table."""
+        name = f"recording {Path(self.name).stem}" if self.name.endswith(".npz") else self.name
+        noise = f", noise {1e3 * self.noise_n:g} mN" if self.noise_n != NOISE_N else ""
+        return name + noise + (f", {self.loss_ratio:.0%} of frames lost" if self.loss_ratio else "")
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether noise is the paper's and nothing is lost."""
+        return self.noise_n == NOISE_N and not self.loss_ratio
+
+    def arrives(self, frames: int) -> npt.NDArray[np.bool_]:
+        """Draw which of so many frames reach the receiver."""
+        return np.random.default_rng(self.seed).random(frames) >= self.loss_ratio
+
+    def load(self) -> Scene:
+        """Return the scene itself; the last one is kept."""
+        return _scene(self)
+
+
+@lru_cache(maxsize=1)
+def _scene(touch: Touch) -> Scene:
+    if touch.name not in SLIDES and touch.name not in OWN:
+        felt = _recorded(Path(touch.name), touch.ticks)
         return Scene(felt, felt, _counts(felt), is_recorded=True)
-    if name in SLIDES:
-        true = trajectory(name, meshes=meshes, steps=ticks or SLIDE_TICKS)
+    meshes = Path(touch.meshes) if touch.meshes else None
+    if touch.name in SLIDES:
+        true = trajectory(touch.name, meshes=meshes, steps=touch.ticks or SLIDE_TICKS)
     else:
-        true = np.stack([_pressed(OWN[name](tick), meshes) for tick in range(ticks or TICKS)])
+        true = np.stack([_pressed(OWN[touch.name](tick), meshes) for tick in range(touch.ticks or TICKS)])
     flat = true.reshape(len(true), TAXELS)
-    felt = sense(flat, np.random.default_rng(seed), noise_n)
+    felt = sense(flat, np.random.default_rng(touch.seed), touch.noise_n)
     return Scene(flat, felt, _counts(felt))
 
 

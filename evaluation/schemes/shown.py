@@ -1,14 +1,13 @@
-"""What every contender gives: frames, latencies, images; and the figures of them."""
+"""What every scheme gives: frames, latencies, images; and the figures of them."""
 
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
 
-from evaluation.findings import Row
+from evaluation.result import Row
 from evaluation.schemes.judge import Images, Updates, quality
-from evaluation.schemes.scenes import Scene
-from evaluation.schemes.touches import Touch
+from evaluation.schemes.scenes import Scene, Touch
 from evaluation.schemes.wire import Nanoseconds, Sent
 from skin.errors import InputError
 
@@ -19,7 +18,7 @@ Family = Literal["sums", "scan", "coarse", "events"]
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What a contender sent of a touch, and what its receiver had in use.
+    """What a scheme sent of a touch, and what its receiver had in use.
 
     Attributes
     ----------
@@ -47,7 +46,7 @@ class Shown:
         return self.sent.traffic() | late | quality(what.true_n, self.images) | {"rate_hz": self.rate_hz}
 
 
-class Contender(Protocol):
+class Scheme(Protocol):
     """A way to acquire a touch."""
 
     @property

@@ -1,4 +1,4 @@
-"""What a receiver can make of a rival's values: our own live reconstruction, and arrays made finer."""
+"""What a receiver can make of a baseline's values: our own live reconstruction, and arrays made finer."""
 
 from dataclasses import replace
 from functools import cache

@@ -79,7 +79,7 @@ def test_train_writes_a_model_and_tells(
     offer: Offer, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.npz"
-    train(layout=small, objects="dome, plate,dome", touches=240, out=out, json_=True)
+    train(layout=small, objects="dome, plate,dome", touches=240, out=out, json=True)
     told = json.loads(capsys.readouterr().out)
     assert offer.calls == [(["dome", "plate"], 240)]
     assert told["model"] == str(out)

@@ -1,16 +1,15 @@
 """The verb ``skin dataset``."""
 
 import contextlib
-import json as json_format
 import os
-import sys
 import time
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from skin.errors import InputError
 from skin.parallel import in_parallel
-from touch.arrays import ARRAYS
+from skin.terminal import Json, print_json, print_table, progress
+from touch.coarse_arrays import ARRAYS
 from touch.datasets.folder import DatasetFolder, alone
 from touch.datasets.options import AcquisitionOptions, ClassificationOptions, TaxelOptions
 from touch.datasets.plan import DatasetPlan, plan_acquisition, plan_classification
@@ -37,7 +36,7 @@ def dataset(
     slides: AcquisitionOptions = _SLIDES,
     touches: ClassificationOptions = _TOUCHES,
     taxels: TaxelOptions = _TAXELS,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Make one of the paper's two data sets in a folder.
 
@@ -115,27 +114,21 @@ def fill(plan: DatasetPlan, out: Path, jobs: int, cluster: str | None = None) ->
     SkinError
         If the folder, the number of jobs or the cluster cannot be used, or a file cannot be written.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     began_s = time.monotonic()
     folder = DatasetFolder(out, plan.about)
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("looking", total=len(plan.tasks))
+    with progress("looking", len(plan.tasks)) as bar:
         missing = []
         for task in plan.tasks:
             if all(folder.holds(name) for name in task.files):
-                progress.advance(bar)
+                bar.advance()
             else:
                 missing.append(task)
-        progress.update(bar, description=plan.about["data_set"])
+        bar.update(len(plan.tasks) - len(missing), plan.about["data_set"])
         calls = [task.make for task in missing]
         with contextlib.closing(in_parallel(calls, jobs, cluster=cluster, ahead=_AHEAD)) as work:
             for place, arrays in work:
                 folder.put(missing[place].files, arrays)
-                progress.advance(bar)
+                bar.advance()
     return _summary(folder, plan, sum(len(task.files) for task in missing), time.monotonic() - began_s)
 
 
@@ -159,17 +152,12 @@ def _summary(folder: DatasetFolder, plan: DatasetPlan, files_made: int, seconds:
 
 def _show(done: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
-        json_format.dump(done, sys.stdout)
-        print()
+        print_json(done)
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("object", "made of", "files", "MB")
-    for name, about in done["objects"].items():
-        table.add_row(name, about["made_of"], str(about["files"]), f"{about['bytes'] / 1e6:.1f}")
-    table.add_row("all", "", str(done["files"]), f"{done['bytes'] / 1e6:.1f}")
-    Console(file=sys.stdout).print(table)
+    sizes = {name: (about["made_of"], about["files"], about["bytes"]) for name, about in done["objects"].items()}
+    sizes["all"] = ("", done["files"], done["bytes"])
+    rows = [(name, made_of, files, f"{size / 1e6:.1f}") for name, (made_of, files, size) in sizes.items()]
+    print_table(("object", "made of", "files", "MB"), rows)
     kept = done["files"] - done["files_made"]
     before = f", {kept} were there" if kept else ""
     print(f"{done['folder']}: {done['files_made']} files made in {done['seconds']} s{before}")

@@ -7,8 +7,8 @@ from cyclopts import Group, Parameter
 
 from skin.defects import KINDS, make_defects
 from skin.taxel import FORCE_MAX_N, NOISE_N, TaxelModel
-from touch.arrays import ARRAYS, Kind
-from touch.perturbations import PERTURBATIONS
+from touch.classification_poses import PERTURBATIONS
+from touch.coarse_arrays import ARRAYS, Kind
 
 EVERY_ARRAY: Final = ",".join(map(str, ARRAYS))
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from skin.errors import InputError
 from skin.taxel import TaxelModel
-from touch.arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of
+from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
+from touch.coarse_arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of
 from touch.contact import Force, Grid, Pose, Spheres, press_along
 from touch.objects import checked_names, made_of, spheres_of
-from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
 from touch.trajectory import ACQUISITION_OBJECTS, PAPER_STEP_S, paper_pose, start_of, trajectory_range
 
 #: Steps of a trajectory in one chunk; 11 MB of each signal.
@@ -117,9 +117,9 @@ def plan_classification(
     names : sequence of str, optional
         Objects of the catalogue; default the paper's 16.
     meshes, kind, perturbations
-        As for `touch.perturbations.observations`.
+        As for `touch.classification_poses.observations`.
     sides : sequence of int
-        Arrays, some of `touch.arrays.ARRAYS`.
+        Arrays, some of `touch.coarse_arrays.ARRAYS`.
     model : TaxelModel
         What makes the sensor signal. An observation is one moment: without damper and drift.
     seed : int

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evaluation.observations.signals import LABELS, all_rows, phi_of, sensed, signal, true_force_n
-from touch.arrays import averaged
+from touch.coarse_arrays import averaged
 
 
 def test_sums_are_those_of_what_the_taxels_felt() -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from evaluation.observations.signals import LABELS, OBJECTS
 from evaluation.observations.splits import draw_split
-from touch.perturbations import PERTURBATIONS
+from touch.classification_poses import PERTURBATIONS
 
 
 @given(st.integers(0, 50), st.sampled_from([(0.4, 0.2), (0.02, 0.01), (0.0066, 0.0033)]))

@@ -10,12 +10,11 @@ import pytest
 
 from evaluation import command
 from evaluation.command import evaluate
-from evaluation.findings import Findings, Options, Row
-from evaluation.paper import figures, iterations, solvers, sparsity
-from evaluation.paper.columns import DRAWS
-from evaluation.paper.contenders import Contender
+from evaluation.paper import figures, solvers, tables
 from evaluation.paper.printed import SENSOR, BasisName
 from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method
+from evaluation.paper.solvers import Solver
+from evaluation.result import Options, Result, Row
 from skin.errors import InputError
 
 BASES = get_args(BasisName)
@@ -42,13 +41,12 @@ def test_every_cell_of_a_table_stands_beside_the_papers(
     subject: str, count: int, capsys: pytest.CaptureFixture[str], folder: Path
 ) -> None:
     evaluate(subject, quick=True, jobs=2, out=folder, json=True)  # type: ignore[arg-type]
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["rows"]) == count
-    for row in told["rows"]:
+    printed = json.loads(capsys.readouterr().out)
+    assert len(printed["rows"]) == count
+    for row in printed["rows"]:
         assert row["difference"] == pytest.approx(row["ours"] - row["paper"], abs=0.011)
-    assert any("A quick look" in note for note in told["notes"])
-    assert any("cells within" in note for note in told["notes"])
-    golf = [row for row in told["rows"] if row["object"] == "golf-ball" and row.get("basis") == "haar"]
+        assert row["within"] in {True, False, None}
+    golf = [row for row in printed["rows"] if row["object"] == "golf-ball" and row.get("basis") == "haar"]
     assert all(abs(row["difference"]) < 2.5 for row in golf)
 
 
@@ -80,22 +78,22 @@ def test_all_hands_draws_only_to_those_that_average(
     asked: dict[str, int | None] = {}
 
     def subject_of(module: str) -> SimpleNamespace:
-        def subject(options: Options) -> Findings:
+        def subject(options: Options) -> Result:
             asked[module.rpartition(".")[2]] = options.draws
-            return Findings(module, [])
+            return Result(module, [])
 
-        return SimpleNamespace(evaluate=subject)
+        return SimpleNamespace(evaluate=subject, compression=subject, iterations=subject)
 
     monkeypatch.setattr(command, "import_module", subject_of)
     evaluate("all", draws=3, out=tmp_path, json=True)
     assert json.loads(capsys.readouterr().out) == {"rows": [], "notes": []}
-    averaging = {"compression", "iterations", "classification", "beyond", "postures"}
+    averaging = {"tables", "classification", "beyond", "postures"}
     assert {name for name, draws in asked.items() if draws == 3} == averaging
     assert {name for name, draws in asked.items() if draws is None} == {
         "sparsity",
         "figures",
         "solvers",
-        "rivals",
+        "comparison",
         "rates",
     }
 
@@ -103,28 +101,18 @@ def test_all_hands_draws_only_to_those_that_average(
 def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     counted: Counter[str] = Counter()
 
-    def made(_measure: object, cells: list[Row], _options: Options, what: str, **_: int) -> list[Row]:
+    def canned(_measure: object, cells: list[Row], _options: Options, what: str, **_: int) -> list[Row]:
         if what != RECONSTRUCTIONS:
-            return [dict.fromkeys((f"{basis} {count}" for basis in BASES for count in iterations.ITERATIONS), 1.0)]
-        counted.update(each["method"][0] for each in cells)
+            return [dict.fromkeys((f"{basis} {count}" for basis in BASES for count in tables.ITERATIONS), 1.0)]
+        counted.update(each["method"].matrix for each in cells)
         return [{"mean": 30.0, "least": 29.0, "most": 31.0}] * len(cells)
 
-    monkeypatch.setattr(iterations, "measure_cells", made)
-    for draws, sbhe, noiselet in ((3, 3, 3), (None, DRAWS, iterations.NOISELET_DRAWS)):
+    monkeypatch.setattr(tables, "measure_cells", canned)
+    for draws, sbhe, noiselet in ((3, 3, 3), (None, tables.DRAWS, tables.NOISELET_DRAWS)):
         counted.clear()
-        iterations.evaluate(Options(draws=draws))
-        cells = len(OBJECTS) * len(BASES) * len(iterations.ITERATIONS)
+        tables.iterations(Options(draws=draws))
+        cells = len(OBJECTS) * len(BASES) * len(tables.ITERATIONS)
         assert counted == {"sbhe": sbhe * cells, "noiselet": noiselet * cells}
-
-
-def test_table_ones_caption_names_the_fewest_that_were_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def made(_measure: object, cells: list[Row], *_: object) -> list[Row]:
-        fewest = {"drill": "dct", "cup": "d4"}
-        return [{"mean": 2.0 if fewest.get(each["name"], "haar") == each["basis"] else 3.0, "max": 4} for each in cells]
-
-    monkeypatch.setattr(sparsity, "measure_cells", made)
-    (picture,) = sparsity.evaluate(Options()).pictures
-    assert "haar for golf-ball, granola-box, clamp; dct for drill; d4 for cup." in picture.caption
 
 
 @pytest.mark.slow
@@ -152,15 +140,15 @@ def test_the_cost_of_an_iteration_is_the_least_of_all_that_were_timed(monkeypatc
     clock, waits_s = FakeClock(), {"a": iter([0.5, 0.3, 0.4]), "b": iter([0.2, 0.7, 0.6]), "c": iter([0.9, 0.1, 0.8])}
     monkeypatch.setattr("evaluation.paper.solvers.time.perf_counter", clock)
 
-    def contender(method: str, name: str) -> Contender:
+    def solver(method: str, name: str) -> Solver:
         def run(counts: set[int], start: object) -> dict[int, object]:
             assert (counts, start) == ({solvers.TIMED}, None)
             clock.now_s += next(waits_s[name]) * solvers.TIMED
             return {}
 
-        return Contender(method, name, run)  # type: ignore[arg-type]
+        return Solver(method, name, run)  # type: ignore[arg-type]
 
-    found = solvers._costs_s([contender("one", "a"), contender("two", "b"), contender("two", "c")])
+    found = solvers._costs_s([solver("one", "a"), solver("two", "b"), solver("two", "c")])
     assert found == pytest.approx({"one": 0.3, "two": 0.1})
 
 
@@ -170,8 +158,8 @@ def test_times_are_medians_of_the_steps_that_count(monkeypatch: pytest.MonkeyPat
 
     class Solver:
         def __init__(self, milliseconds: int) -> None:
-            slow = [1000 if step == iterations.UNTIMED_STEPS else milliseconds for step in range(20)]
-            slow[: iterations.UNTIMED_STEPS] = [10 * milliseconds] * iterations.UNTIMED_STEPS
+            slow = [1000 if step == tables.UNTIMED_STEPS else milliseconds for step in range(20)]
+            slow[: tables.UNTIMED_STEPS] = [10 * milliseconds] * tables.UNTIMED_STEPS
             self.waits_ms = iter(slow)
 
         def new_estimate(self) -> None: ...
@@ -182,7 +170,7 @@ def test_times_are_medians_of_the_steps_that_count(monkeypatch: pytest.MonkeyPat
         def deliver(self, _: object) -> None:
             clock.now_s += 0.5e-3
 
-    monkeypatch.setattr("evaluation.paper.iterations.time.perf_counter", clock)
+    monkeypatch.setattr("evaluation.paper.tables.time.perf_counter", clock)
     monkeypatch.setattr(Method, "make", lambda self, seed: (make(self, seed)[0], Solver(self.iterations)))
-    found = iterations.measure_times(meshes=None, seed=0, steps=3)
+    found = tables.measure_times(meshes=None, seed=0, steps=3)
     assert found == {f"{basis} {count}": count + 0.5 for basis in BASES for count in (20, 10, 5)}

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.findings import Options
 from evaluation.recognition.postures import POSTURES, evaluate, measure_postures, people_files, read_postures
+from evaluation.result import Options
 from skin.errors import InputError
 
 
@@ -43,7 +43,7 @@ def test_person_never_met_is_recognised(folder: Path, variant: str) -> None:
 
 
 def test_subject_says_what_it_needs(folder: Path, tmp_path: Path) -> None:
-    assert "--recordings" in evaluate(Options()).notes[0]
+    assert "--recordings" in evaluate(Options()).note
     found = evaluate(Options(quick=True, recordings=folder))
     assert {row["sums"] for row in found.rows} == {16}
     assert all(row["ours"] > 100 / 17 for row in found.rows)

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from evaluation.findings import Options, Row
 from evaluation.recognition import beyond, classification
 from evaluation.recognition.accuracy import measure_accuracy
-from evaluation.recognition.beyond_notes import caption, notes
 from evaluation.recognition.live import measure_live
-from evaluation.recognition.methods import PLAIN, measure_method
+from evaluation.recognition.methods import measure_method
+from evaluation.result import Options
 from skin.errors import InputError
 
 SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}
@@ -51,7 +50,6 @@ def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pyt
     both = [subject.evaluate(Options(quick=True)) for subject in (classification, beyond)]
     for found in both:
         assert len({tuple(row) for row in found.rows}) == 1
-        assert found.notes[-1].startswith("A quick look")
         for picture in found.pictures:
             picture.draw()
     named = {row["figure"]: row for row in both[0].rows}
@@ -70,21 +68,3 @@ def test_service_names_a_known_object_in_nearly_every_cycle() -> None:
     assert known["sums"] == 1024
     with pytest.raises(InputError, match="1 touch or more, got 0"):
         measure_live(names=["ring"], touches=0, lost_ratio=0.0, noise_ratio=1.0, seed=0)
-
-
-def test_notes_tell_what_was_measured_and_not_what_is_known_from_elsewhere() -> None:
-    def row(what: str, sums: int, ours: float, gain: float) -> Row:
-        return {"what": what, "sums": sums, "ours": ours, "gain": gain}
-
-    methods = [
-        row(PLAIN, 64, 98.0, 0.0),
-        row(PLAIN, 16, 90.0, 0.0),
-        row("rows chosen", 16, 80.0, -10.0),
-        row("10 % missing: as 0", 16, 70.0, -20.0),
-        row("10 % missing: estimated", 16, 60.0, -30.0),
-    ]
-    told = " ".join(notes(methods, [("cup", 40.0), ("banana", 30.0)], Options()))
-    assert "Least is lost with 16 sums 'as 0' (-20.0 points)." in told
-    assert "banana, 30 %" in told
-    assert "quick" not in told
-    assert "16 chosen sums are right in 80.0 %, 64 drawn ones in 98.0 %" in caption(methods)

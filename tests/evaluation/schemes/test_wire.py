@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from bus.simulated_bus import SimulatedBus
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
-from evaluation.schemes.events import EventRule, run_events
+from evaluation.schemes.events import run_events
 from evaluation.schemes.scan import run_scan
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.wire import Asked, Sent, carry
@@ -63,7 +63,7 @@ def counts_of(felt_n: np.ndarray) -> np.ndarray:
 
 
 def test_bursts_of_events_end_when_the_arbitrated_bus_ends_them() -> None:
-    run = run_events(counts_of(felt(60)), NEWTON_PER_COUNT, EventRule(3e-3))
+    run = run_events(counts_of(felt(60)), NEWTON_PER_COUNT, 3e-3)
     assert len(run.sent.asked) > 1000
     same(run.sent)
 

@@ -7,9 +7,9 @@ import pytest
 from skin.defects import Damper, Drift
 from skin.errors import InputError
 from skin.taxel import TaxelModel
+from touch.classification_poses import observations
 from touch.contact import Force
 from touch.datasets.plan import DatasetPlan, plan_acquisition, plan_classification
-from touch.perturbations import observations
 from touch.trajectory import trajectory
 
 PLAIN = TaxelModel()

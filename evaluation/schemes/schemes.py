@@ -1,24 +1,23 @@
-"""The contenders: what each sends of a touch, how late, and what its receiver shows."""
+"""The schemes: what each sends of a touch, how late, and what its receiver shows."""
 
-from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Final, Literal, get_args
+from dataclasses import dataclass
+from typing import ClassVar, Final, Literal, get_args
 
 import numpy as np
 
-from evaluation.findings import Row
+from evaluation.result import Row
 from evaluation.schemes.default_skin import default_kbit_per_s, skin_of
-from evaluation.schemes.events import EventRule, run_events
+from evaluation.schemes.events import run_events
 from evaluation.schemes.judge import Images, Updates
 from evaluation.schemes.scan import ScanRun, run_scan
-from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS
-from evaluation.schemes.shown import Contender, Family, Receiver, Shown, check_receiver
+from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS, Touch
+from evaluation.schemes.shown import Family, Receiver, Scheme, Shown, check_receiver
 from evaluation.schemes.smoothing import CELLS_PENALTY_N, EVENTS_PENALTY_N, SCAN_PENALTY_N, refined, smoothed
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.touches import Touch
 from evaluation.schemes.wire import TICK_NS
 from skin.layout import load_layout
 from skin.taxel import sense
-from touch.arrays import averaged
+from touch.coarse_arrays import averaged
 from touch.contact import Force
 
 #: What a cell of a coarse array is: one with the noise of any taxel, or what the node makes of its taxels.
@@ -68,9 +67,9 @@ class Sums:
         if self.bits != load_layout().encoding.sum_bits:
             trial = run_sums(skin_of(self.bits, rate_hz), what.counts).sent.traffic()["kbit_per_s"]
             rate_hz *= share * default_kbit_per_s() / trial
-        made = skin_of(self.bits, rate_hz)
-        run = run_sums(made, what.counts, touch.loss_ratio, touch.seed)
-        images = run.images(made, touch.noise_n if self.receiver == "noise known" else None)
+        contract = skin_of(self.bits, rate_hz)
+        run = run_sums(contract, what.counts, touch.loss_ratio, touch.seed)
+        images = run.images(contract, touch.noise_n if self.receiver == "noise known" else None)
         return Shown(run.sent, run.latency_ns, images, rate_hz)
 
 
@@ -130,7 +129,7 @@ class Scan:
         return coarse if averages else sense(coarse, np.random.default_rng(touch.seed + 1), touch.noise_n)
 
     def _received(self, run: ScanRun, touch: Touch) -> Images | Updates:
-        updates = _left(run, touch)
+        updates = run.updates.kept(touch.arrives(len(run.sent.asked))[run.frame_of])
         if self.receiver == "plain" and self.family == "scan":
             return updates
         held = updates.held(run.scan_ns, self.side**2)
@@ -179,10 +178,10 @@ class Events:
         """Send the changes of `touch`, with whatever bits they take: `share` has no effect."""
         del share
         what = touch.load()
-        run = run_events(what.counts, NEWTON_PER_COUNT, EventRule(self.threshold_n, self.dead_ms))
-        lost = np.random.default_rng(touch.seed).random(len(run.sent.asked)) < touch.loss_ratio
+        run = run_events(what.counts, NEWTON_PER_COUNT, self.threshold_n, self.dead_ms)
+        updates = run.updates.kept(touch.arrives(len(run.sent.asked))[run.frame_of])
         latency_ns = np.concatenate([run.latency_ns, run.waiting_ns])
-        return Shown(run.sent, latency_ns, self._received(run.without(lost), len(what.counts)), None)
+        return Shown(run.sent, latency_ns, self._received(updates, len(what.counts)), None)
 
     def _received(self, updates: Updates, ticks: int) -> Images | Updates:
         if self.receiver == "plain":
@@ -191,42 +190,6 @@ class Events:
         return smoothed(held, EVENTS_PENALTY_N, temporal_filter=False)
 
 
-_KINDS: Final[dict[str, Any]] = {kind.__name__: kind for kind in (Sums, Scan, Events)}
-
-
-def cell_of(contender: Any, touch: Touch, share: float) -> Row:
-    """Return the keyword arguments of `measure_contender` as JSON can hold them."""
-    return {"kind": type(contender).__name__, "form": asdict(contender), "touch": asdict(touch), "share": share}
-
-
-def measure_contender(kind: str, form: Row, touch: Row, share: float) -> Row:
-    """Return the figures of one contender on one touch.
-
-    Parameters
-    ----------
-    kind : str
-        ``Sums``, ``Scan`` or ``Events``.
-    form : dict
-        Its attributes.
-    touch : dict
-        Those of the `Touch`.
-    share : float
-        Part of the default skin's bits a second.
-
-    Returns
-    -------
-    dict
-        Of `Shown.figures`.
-    """
-    met = Touch(**touch)
-    contender: Contender = _KINDS[kind](**form)
-    return contender.show(met, share).figures(met.load())
-
-
-def _left(run: ScanRun, touch: Touch) -> Updates:
-    """Return the updates of the frames that were not lost."""
-    if not touch.loss_ratio:
-        return run.updates
-    came = np.random.default_rng(touch.seed).random(len(run.sent.asked)) >= touch.loss_ratio
-    left, every = came[run.frame_of], run.updates
-    return Updates(every.ready_ns[left], every.taxel[left], every.force_n[left])
+def measure_scheme(scheme: Scheme, touch: Touch, share: float) -> Row:
+    """Return the figures of one scheme on one touch, see `Shown.figures`; `share` of the default skin's bits."""
+    return scheme.show(touch, share).figures(touch.load())

@@ -11,6 +11,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from evaluation.result import Values
+from evaluation.solvers.noiselet import Noiselet, butterflies
 from reconstructor.checks import check_estimate, check_grid, check_settings, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.addresses import tensor_addresses
@@ -28,10 +30,8 @@ from reconstructor.kernels.problem import checked
 from reconstructor.kernels.steps import aligned, deliver, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 from skin.errors import InputError
-from skin.noiselet import Noiselet, butterflies
 
 Prior = Literal["haar-tensor", "contourlet"]
-Values = npt.NDArray[np.floating[Any]]
 Table = npt.NDArray[np.uint16]
 Steps = npt.NDArray[np.int64]
 

@@ -1,4 +1,4 @@
-"""What an evaluation is asked, and what it answers: rows beside the paper's, notes, pictures."""
+"""What an evaluation is asked, and what it answers: rows beside the paper's, and pictures."""
 
 import math
 from collections.abc import Callable
@@ -6,12 +6,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
+
 from skin.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = dict[str, Any]
+#: Numbers of any floating type.
+Values = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -25,9 +30,9 @@ class Options:
     meshes : pathlib.Path, optional
         Folder of meshes that take the place of the shapes that ship.
     recordings : pathlib.Path, optional
-        Folder of real pressure recordings, for what needs them.
+        Folder of real pressure recordings.
     out : pathlib.Path, optional
-        Folder of measured cells, which a later run takes up; without it nothing is kept.
+        Folder of measured results, which a later run takes up; without it nothing is kept.
     jobs : int
         Processes that measure at the same time.
     draws : int, optional
@@ -59,6 +64,15 @@ class Options:
             if number is not None and number < least:
                 raise InputError(f"{name} needs a whole number of {least} or more: got {number}")
 
+    @property
+    def shared(self) -> Row:
+        """The arguments ``meshes``, a path as text or None, and ``seed`` of what is measured."""
+        return {"meshes": str(self.meshes) if self.meshes else None, "seed": self.seed}
+
+    def draws_or(self, draws: int) -> int:
+        """Return the draws that were asked for, else 1 for a quick look, else `draws`."""
+        return self.draws or (1 if self.quick else draws)
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -69,7 +83,7 @@ class Picture:
     name : str
         Of its file, without ending.
     caption : str
-        What it shows and what to see in it.
+        What the plot shows.
     draw : callable
         Makes the figure.
     """
@@ -80,7 +94,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Findings:
+class Result:
     """What one evaluation found.
 
     Attributes
@@ -89,30 +103,34 @@ class Findings:
         One line.
     rows : list of dict
         All with the same keys in the same order; ``ours``, ``paper`` and ``difference`` where the paper has a number.
-    notes : list of str
-        What a reader must know to judge the rows: what is fitted, what falls short and the likely cause.
     pictures : list of Picture
         Plots of the rows.
+    note : str
+        Below the table.
     """
 
     title: str
     rows: list[Row]
-    notes: list[str] = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
+    note: str = ""
 
 
 def beside(ours: float, paper: float | None, digits: int = 2) -> Row:
     """Return the columns ``ours``, ``paper`` and ``difference``, the last two None where the paper has no number."""
-    if paper is None or not math.isfinite(ours):
-        return {"ours": _finite(ours, digits), "paper": paper, "difference": None}
-    return {"ours": round(ours, digits), "paper": paper, "difference": round(ours - paper, digits) + 0.0}  # no -0.0
-
-
-def _finite(number: float, digits: int) -> float | None:
-    return round(number, digits) if math.isfinite(number) else None
+    if not math.isfinite(ours):
+        return {"ours": None, "paper": paper, "difference": None}
+    difference = None if paper is None else round(ours - paper, digits) + 0.0  # no -0.0
+    return {"ours": round(ours, digits), "paper": paper, "difference": difference}
 
 
 def refuse_draws(options: Options, subject: str) -> None:
     """Raise InputError where draws are asked of a subject that has one Φ alone."""
     if options.draws is not None:
         raise InputError(f"'{subject}' averages over no draws of Φ, got {options.draws} draws: leave out --draws")
+
+
+def new_figure(width: float, height: float) -> "Figure":
+    """Return a figure of that size in inches, whose panels do not overlap."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")

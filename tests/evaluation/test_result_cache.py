@@ -1,13 +1,12 @@
 """Measured cells: their order, what is kept, and what is measured again."""
 
-import json
 from pathlib import Path
 
 import pytest
 
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, beside
 from evaluation.report import write_report
+from evaluation.result import Options, Result, beside
+from evaluation.result_cache import measure_cells
 from skin.errors import InputError
 
 _calls: list[int] = []
@@ -22,6 +21,11 @@ CELLS = [{"number": number} for number in (3, 1, 2)]
 DOUBLED = [{"double": number} for number in (6, 2, 4)]
 
 
+@pytest.fixture(autouse=True)
+def _no_calls() -> None:
+    _calls.clear()
+
+
 def test_results_come_in_the_order_of_the_cells_from_one_process_and_from_two() -> None:
     assert measure_cells(double, CELLS, Options(), "cells") == DOUBLED
     assert measure_cells(double, CELLS, Options(jobs=2), "cells") == DOUBLED
@@ -29,25 +33,32 @@ def test_results_come_in_the_order_of_the_cells_from_one_process_and_from_two() 
 
 def test_a_run_that_was_cut_short_goes_on(tmp_path: Path) -> None:
     options = Options(out=tmp_path)
+    measure_cells(double, CELLS[:2], options, "cells")
+    assert measure_cells(double, CELLS, options, "cells") == DOUBLED
+    assert measure_cells(double, CELLS, options, "others") == DOUBLED
+    assert _calls == [3, 1, 2]
+
+
+def test_a_damaged_result_is_measured_again(tmp_path: Path) -> None:
+    options = Options(out=tmp_path)
     measure_cells(double, CELLS, options, "cells")
-    path = tmp_path / "cells.jsonl"
-    lines = path.read_text().splitlines()
-    path.write_bytes("\n".join(lines[:2]).encode() + b"\n\xff\xfe{}\n" + lines[2][:20].encode())
-    _calls.clear()
+    next(tmp_path.rglob("output.pkl")).write_bytes(b"\x80")
     assert measure_cells(double, CELLS, options, "cells") == DOUBLED
-    assert _calls == [2]
-    assert json.loads(path.read_text(errors="replace").splitlines()[-1])["cell"] == {"number": 2}
-    assert measure_cells(double, CELLS, options, "cells") == DOUBLED
-    assert _calls == [2]
+    assert len(_calls) == 4
 
 
 def test_other_code_is_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = Options(out=tmp_path)
     measure_cells(double, CELLS, options, "cells")
-    _calls.clear()
-    monkeypatch.setattr("evaluation.cells._code", lambda: "changed")
+    monkeypatch.setattr("evaluation.result_cache._code", lambda: "changed")
     measure_cells(double, CELLS, options, "cells")
-    assert _calls == [3, 1, 2]
+    assert _calls == [3, 1, 2, 3, 1, 2]
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "results").write_text("")
+    with pytest.raises(InputError, match=r"cannot be made: .*give another --out"):
+        measure_cells(double, CELLS, Options(out=tmp_path), "cells")
 
 
 def test_options_that_cannot_be_used(tmp_path: Path) -> None:
@@ -67,7 +78,7 @@ def test_beside_the_paper() -> None:
 
 
 def test_the_report_shows_what_it_is_given_and_no_markup_of_it(tmp_path: Path) -> None:
-    found = Findings("Table of <things>", [{"object": "a & b", **beside(1.5, 2.0)}], ["one <note>"])
+    found = Result("Table of <things>", [{"object": "a & b", **beside(1.5, 2.0)}], note="one <note>")
     text = write_report({"things": found}, Options(quick=True), tmp_path).read_text()
     for shown in ("Table of &lt;things&gt;", "a &amp; b", "<td>-0.5</td>", "one &lt;note&gt;", "A quick look"):
         assert shown in text

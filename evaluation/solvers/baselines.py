@@ -5,19 +5,16 @@ Then the linear systems inside them have closed forms.
 """
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from evaluation.result import Values
 from reconstructor.bases import Basis
 from reconstructor.checks import check_above_zero, check_iterations, check_penalty
 from reconstructor.fista import Observer, check_problem
 from reconstructor.proximal import soft
 from skin.errors import InputError
 from skin.operator import Operator
-
-Values = npt.NDArray[np.floating[Any]]
 
 
 def admm(

@@ -3,14 +3,13 @@
 from collections.abc import Iterator
 from typing import Final
 
-from evaluation.cells import measure_cells
-from evaluation.findings import Findings, Options, Row, refuse_draws
-from evaluation.schemes.contenders import Events, Scan, Sums, cell_of, measure_contender
-from evaluation.schemes.rival_notes import chosen_rules, notes
-from evaluation.schemes.rival_pictures import pictures
-from evaluation.schemes.scenes import OWN, SLIDES, recordings_in
-from evaluation.schemes.shown import Contender
-from evaluation.schemes.touches import Touch
+from evaluation.result import Options, Result, Row, refuse_draws
+from evaluation.result_cache import measure_cells
+from evaluation.schemes.comparison_pictures import pictures
+from evaluation.schemes.default_skin import default_kbit_per_s
+from evaluation.schemes.scenes import OWN, SHAKING, SLAP, SLIDES, Touch, recordings_in
+from evaluation.schemes.schemes import Events, Scan, Sums, measure_scheme
+from evaluation.schemes.shown import Scheme
 
 #: Thresholds in newtons and dead times in milliseconds that event-triggered taxels are tried with.
 _THRESHOLDS_N: Final = (2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 5e-3)
@@ -19,8 +18,8 @@ _QUICK_RULES: Final = RULES[3:5]
 #: Parts of the default skin's bits at which the curves are measured.
 SHARES: Final = (0.125, 0.25, 0.5)
 #: Touches that are measured at all shares, and who is.
-CURVES: Final = (*SLIDES, "golf ball at rest", "three boxes slapped on", "two boxes shaking")
-CURVED: Final[tuple[Contender, ...]] = (
+CURVES: Final = (*SLIDES, "golf ball at rest", SLAP, SHAKING)
+CURVED: Final[tuple[Scheme, ...]] = (
     Sums(16),
     Sums(8),
     Scan(64, 10),
@@ -28,7 +27,7 @@ CURVED: Final[tuple[Contender, ...]] = (
     Scan(32, 10, "solved"),
 )
 #: Who goes by the clock.
-CLOCKED: Final[tuple[Contender, ...]] = (
+CLOCKED: Final[tuple[Scheme, ...]] = (
     Sums(16),
     Sums(12),
     Sums(8),
@@ -44,7 +43,7 @@ CLOCKED: Final[tuple[Contender, ...]] = (
     Scan(32, 10, "solved", cells="mean"),
     Scan(16, 10),
 )
-_QUICK: Final[tuple[Contender, ...]] = (Sums(16), Sums(8), Scan(64, 10), Scan(32, 10, "solved"))
+_QUICK: Final[tuple[Scheme, ...]] = (Sums(16), Sums(8), Scan(64, 10), Scan(32, 10, "solved"))
 #: Columns of the table, and places after the point.
 _DIGITS: Final = {
     "kbit_per_s": 0,
@@ -62,8 +61,8 @@ _DIGITS: Final = {
 }
 
 
-def evaluate(options: Options) -> Findings:
-    """Measure every contender on every touch.
+def evaluate(options: Options) -> Result:
+    """Measure every scheme on every touch.
 
     Parameters
     ----------
@@ -80,19 +79,18 @@ def evaluate(options: Options) -> Findings:
     measured = [*_clocked(touches, options), *_events(touches, options)]
     clocked = [row | {"rule": None} for row in measured if row["share"] == 1.0 and row["family"] != "events"]
     shown = sorted(clocked + chosen_rules(measured), key=lambda row: touches.index(row["touch"]))
-    return Findings(
-        "Rivals on the same four classic buses, at the bits a second of the default skin",
+    return Result(
+        "Baselines on the same four classic buses, at the bits a second of the default skin",
         [_table_row(row) for row in shown],
-        notes(measured, options),
         pictures(measured, options),
     )
 
 
 def _touches(options: Options) -> Iterator[Touch]:
-    meshes = str(options.meshes) if options.meshes else None
+    meshes = options.shared["meshes"]
     if options.quick:
         yield Touch("golf-ball", ticks=600, seed=options.seed)
-        yield Touch("three boxes slapped on", ticks=400, seed=options.seed)
+        yield Touch(SLAP, ticks=400, seed=options.seed)
         yield Touch("golf-ball", ticks=600, noise_n=2e-3, seed=options.seed)
         return
     for name in (*SLIDES, *OWN):
@@ -108,9 +106,9 @@ def _clocked(touches: list[Touch], options: Options) -> list[Row]:
     """Measure what is sent by the clock, at the default's bits and, for the curves, at less."""
     wanted = []
     for touch in touches:
-        for contender in _QUICK if options.quick else CLOCKED:
-            curve = contender in CURVED and touch.name in CURVES and touch.is_plain and touch.ticks is None
-            wanted += [(contender, touch, share) for share in ((*SHARES, 1.0) if curve else (1.0,))]
+        for scheme in _QUICK if options.quick else CLOCKED:
+            curve = scheme in CURVED and touch.name in CURVES and touch.is_plain and touch.ticks is None
+            wanted += [(scheme, touch, share) for share in ((*SHARES, 1.0) if curve else (1.0,))]
     return _measured(wanted, options, "rivals-clocked")
 
 
@@ -124,24 +122,50 @@ def _events(touches: list[Touch], options: Options) -> list[Row]:
     return _measured([(rule, touch, 1.0) for touch in touches for rule in rules], options, "rivals-events")
 
 
-def _measured(wanted: list[tuple[Contender, Touch, float]], options: Options, what: str) -> list[Row]:
+def _measured(wanted: list[tuple[Scheme, Touch, float]], options: Options, what: str) -> list[Row]:
     """Return what each row is of, in fields, and its figures."""
-    results = measure_cells(measure_contender, [cell_of(*each) for each in wanted], options, what)
+    cells = [{"scheme": scheme, "touch": touch, "share": share} for scheme, touch, share in wanted]
+    results = measure_cells(measure_scheme, cells, options, what)
     return [
         {
             "touch": touch,
-            "contender": contender,
-            "name": contender.name,
-            "family": contender.family,
-            "receiver": contender.receiver,
+            "scheme": scheme,
+            "name": scheme.name,
+            "family": scheme.family,
+            "receiver": scheme.receiver,
             "share": share,
         }
         | result
-        for (contender, touch, share), result in zip(wanted, results, strict=True)
+        for (scheme, touch, share), result in zip(wanted, results, strict=True)
     ]
+
+
+def chosen_rules(measured: list[Row]) -> list[Row]:
+    """Return for every touch and receiver the row of the rule tuned to it, and that of the one rule for all touches.
+
+    ``rule`` is ``tuned to this touch`` or ``one for all``.
+    """
+    found = []
+    for receiver in ("plain", "solved"):
+        rules = [row for row in measured if row["family"] == "events" and row["receiver"] == receiver]
+        best = _one_rule(rules)
+        for touch in dict.fromkeys(row["touch"] for row in rules):
+            mine = [row for row in rules if row["touch"] == touch]
+            fits = [row for row in mine if row["kbit_per_s"] <= default_kbit_per_s()] or mine
+            found.append(max(fits, key=lambda row: float(row["psnr_mean_db"])) | {"rule": "tuned to this touch"})
+            found += [row | {"rule": "one for all"} for row in mine if row["name"] == best]
+    return found
+
+
+def _one_rule(rules: list[Row]) -> str:
+    """Return the scheme whose rule has the best mean PSNR over all touches, with whatever bits it then takes."""
+    quality: dict[str, list[float]] = {}
+    for row in rules:
+        quality.setdefault(row["name"], []).append(row["psnr_mean_db"])
+    return max(quality, key=lambda name: sum(quality[name]) / len(quality[name]))
 
 
 def _table_row(found: Row) -> Row:
     """Return what is shown of a measurement, rounded."""
-    shown = {"touch": found["touch"].words, "contender": found["name"], "rule": found["rule"]}
+    shown = {"touch": found["touch"].words, "scheme": found["name"], "rule": found["rule"]}
     return shown | {key: None if found[key] is None else round(found[key], digits) for key, digits in _DIGITS.items()}

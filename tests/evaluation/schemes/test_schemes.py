@@ -1,18 +1,18 @@
-"""What the contenders send and show, where the answer is known."""
+"""What the schemes send and show, where the answer is known."""
 
 import numpy as np
 import pytest
 
 from dbc.contract import Contract
-from evaluation.schemes.contenders import Events, Scan, Sums, cell_of, measure_contender
-from evaluation.schemes.events import EventRule, run_events
+from evaluation.schemes.events import run_events
 from evaluation.schemes.judge import Images, Updates, quality
 from evaluation.schemes.patches import patches
 from evaluation.schemes.scan import run_scan
-from evaluation.schemes.shown import Contender, Receiver
+from evaluation.schemes.scenes import Touch
+from evaluation.schemes.schemes import Events, Scan, Sums, measure_scheme
+from evaluation.schemes.shown import Receiver, Scheme
 from evaluation.schemes.smoothing import refined, smoothed
 from evaluation.schemes.sums import SOLVED_NS, run_sums
-from evaluation.schemes.touches import Touch
 from skin.errors import InputError
 from skin.layout import load_layout
 
@@ -36,7 +36,7 @@ def test_every_cell_has_one_node_and_all_buses_have_as_many(side: int) -> None:
 
 
 def test_a_change_is_sent_once_it_reaches_the_threshold_and_no_smaller_one() -> None:
-    run = run_events(steps(0, 99, 100, 199, 0), NEWTON_PER_COUNT, EventRule(100 * NEWTON_PER_COUNT))
+    run = run_events(steps(0, 99, 100, 199, 0), NEWTON_PER_COUNT, 100 * NEWTON_PER_COUNT)
     shown = np.rint(run.updates.force_n / NEWTON_PER_COUNT).astype(int)
     assert shown.tolist() == [100, 0]
     assert set(run.updates.taxel.tolist()) == {100}
@@ -46,8 +46,7 @@ def test_a_change_is_sent_once_it_reaches_the_threshold_and_no_smaller_one() -> 
 
 
 def test_a_dead_taxel_waits() -> None:
-    rule = EventRule(100 * NEWTON_PER_COUNT, dead_ms=15)
-    run = run_events(steps(0, 500, 0, ticks=10), NEWTON_PER_COUNT, rule)
+    run = run_events(steps(0, 500, 0, ticks=10), NEWTON_PER_COUNT, 100 * NEWTON_PER_COUNT, dead_ms=15)
     assert np.rint(run.updates.force_n / NEWTON_PER_COUNT).astype(int).tolist() == [500, 0]
     assert np.floor(run.latency_ns / 1e6).tolist() == [0, 5]
 
@@ -55,7 +54,7 @@ def test_a_dead_taxel_waits() -> None:
 def test_a_full_bus_leaves_high_node_ids_waiting() -> None:
     random = np.random.default_rng(0)
     counts = random.integers(0, 1024, (80, 4096)).astype(np.int16)
-    run = run_events(counts, NEWTON_PER_COUNT, EventRule(50 * NEWTON_PER_COUNT))
+    run = run_events(counts, NEWTON_PER_COUNT, 50 * NEWTON_PER_COUNT)
     assert run.sent.traffic()["load"] > 0.99
     sent = np.bincount(run.node[run.frame_of], minlength=32)
     assert sent[0] > sent[1] > 0
@@ -64,10 +63,10 @@ def test_a_full_bus_leaves_high_node_ids_waiting() -> None:
 
 
 def test_a_lost_event_stays_wrong_until_the_next() -> None:
-    run = run_events(steps(0, 500, 500, 500), NEWTON_PER_COUNT, EventRule(0.004))
+    run = run_events(steps(0, 500, 500, 500), NEWTON_PER_COUNT, 0.004)
     true = (steps(0, 500, 500, 500) * NEWTON_PER_COUNT).astype(np.float32)
     assert quality(true, run.updates)["longest_wrong_ms"] == 1
-    assert quality(true, run.without(np.ones(len(run.sent.asked), np.bool_)))["longest_wrong_ms"] == 60
+    assert quality(true, run.updates.kept(np.zeros(len(run.frame_of), np.bool_)))["longest_wrong_ms"] == 60
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 16])
@@ -118,8 +117,8 @@ def test_finer_and_smoother_images_keep_a_flat_touch() -> None:
     assert solved.ready_ns.tolist() == [SOLVED_NS, 10_000_000 + SOLVED_NS]
 
 
-def test_contenders_are_named_by_what_they_are() -> None:
-    named: tuple[Contender, ...] = (
+def test_schemes_are_named_by_what_they_are() -> None:
+    named: tuple[Scheme, ...] = (
         Sums(16),
         Sums(8, "noise known"),
         Scan(64, 10),
@@ -142,10 +141,9 @@ def test_receivers_that_cannot_be_are_refused() -> None:
         Events(0.004, 1, "noise known")
 
 
-@pytest.mark.parametrize("contender", [Sums(16), Scan(64, 10), Events(0.004, 1)])
-def test_a_cell_measures_what_the_contender_shows(contender: Contender) -> None:
-    cell = cell_of(contender, SHORT, 1.0)
-    assert measure_contender(**cell) == contender.show(SHORT, 1.0).figures(SHORT.load())
+@pytest.mark.parametrize("scheme", [Sums(16), Scan(64, 10), Events(0.004, 1)])
+def test_what_is_measured_is_what_the_scheme_shows(scheme: Scheme) -> None:
+    assert measure_scheme(scheme, SHORT, 1.0) == scheme.show(SHORT, 1.0).figures(SHORT.load())
 
 
 @pytest.mark.parametrize("receiver", ["plain", "solved"])

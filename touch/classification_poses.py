@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from skin.errors import InputError
-from touch.arrays import Kind, averaged, grid_of
+from touch.coarse_arrays import Kind, averaged, grid_of
 from touch.contact import Force, Pose, Spheres, press_along
 from touch.objects import PAPER_OBJECTS, checked_names, spheres_of
 from touch.trajectory import PAPER_DEPTH_M
@@ -68,9 +68,9 @@ def observations(
     Parameters
     ----------
     side : int
-        Taxels along a side, one of `touch.arrays.ARRAYS`.
+        Taxels along a side, one of `touch.coarse_arrays.ARRAYS`.
     kind : str
-        What a coarse taxel is, see `touch.arrays`.
+        What a coarse taxel is, see `touch.coarse_arrays`.
     perturbations, seed : int
         See `poses`.
     meshes : pathlib.Path, optional

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from evaluation.solvers.noiselet import fast_noiselet, noiselet
 from skin.errors import InputError
 from skin.measurement import sbhe
-from skin.noiselet import fast_noiselet, noiselet
 from skin.operator import Operator
 
 MAKERS: dict[str, Callable[[int], Operator]] = {

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from skin.errors import InputError
-from touch.arrays import Kind
+from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations, poses
+from touch.coarse_arrays import Kind
 from touch.contact import Grid, Pose, press
 from touch.objects import spheres_of
-from touch.perturbations import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations, poses
 
 KINDS: tuple[Kind, ...] = ("large", "sparse")
 

@@ -1,16 +1,12 @@
 """Basis pursuit: the sparsest coefficients of an image in an overcomplete Ψ, in the sense of their sum (Table I)."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
+from evaluation.result import Values
 from reconstructor.bases import Basis
 from reconstructor.checks import check_above_zero, check_iterations, check_values
 from reconstructor.proximal import soft
 from skin.errors import InputError
-
-Values = npt.NDArray[np.floating[Any]]
 
 
 def basis_pursuit(

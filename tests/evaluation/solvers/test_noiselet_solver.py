@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evaluation.solvers.noiselet import noiselet
+from evaluation.solvers.noiselet_solver import NoiseletSolver
 from reconstructor.bases import make_basis
 from reconstructor.fista import fista
-from reconstructor.kernels.noiselet import NoiseletSolver
 from skin.errors import InputError
-from skin.noiselet import noiselet
 
 
 @pytest.mark.parametrize(("prior", "columns"), [("haar-tensor", 16), ("haar-tensor", 32), ("contourlet", 32)])

@@ -1,39 +1,41 @@
-"""Plots of the rivals: error against bits, latency, traffic that noise makes, and the images themselves."""
+"""Plots of the schemes: error against bits, latency, traffic that noise makes, and the images themselves."""
 
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from evaluation.figure import new_figure
-from evaluation.findings import Options, Picture, Row
-from evaluation.schemes.contenders import Scan, Sums
-from evaluation.schemes.rival_images import caption, images_figure
-from evaluation.schemes.rival_notes import OURS
-from evaluation.schemes.scenes import SLIDES
+from evaluation.psnr import psnr_db
+from evaluation.result import Options, Picture, Row, new_figure
+from evaluation.schemes.judge import Updates
+from evaluation.schemes.scenes import SHAKING, SIDE, SLAP, SLAP_MS, SLIDES, TAXELS, Touch
+from evaluation.schemes.schemes import Events, Scan, Sums
+from evaluation.schemes.shown import Scheme
+from evaluation.schemes.wire import TICK_NS
 from skin.layout import load_layout
+from touch.contact import Force
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: The default skin.
+OURS: Final = Sums(16)
 #: Panels of the curves: mean over these touches.
-PANELS: Final = {
-    "five slides": SLIDES,
-    "golf ball at rest": ("golf ball at rest",),
-    "three boxes slapped on": ("three boxes slapped on",),
-    "two boxes shaking": ("two boxes shaking",),
-}
-#: What the latency plot shows beside the rules.
-_LATE: Final = (Sums(16), Sums(8), Scan(64, 10), Scan(32, 10))
-#: Touches of the latency plot, and the one of the noise plot.
-_LATE_TOUCHES: Final = ("golf-ball", "three boxes slapped on", "two boxes shaking")
+PANELS: Final = {"five slides": SLIDES} | {name: (name,) for name in ("golf ball at rest", SLAP, SHAKING)}
+#: What the latency plot shows beside the rules, and on which touches; the touch of the noise plot.
+_LATE: Final = (OURS, Sums(8), Scan(64, 10), Scan(32, 10))
+_LATE_TOUCHES: Final = ("golf-ball", SLAP, SHAKING)
 _NOISE_TOUCH: Final = "golf-ball"
+#: Touches and instants of the images, milliseconds from their beginning, and the schemes.
+INSTANTS: Final = ((SLAP, SLAP_MS + 15), (SLAP, SLAP_MS + 25), ("faint box", 700))
+_SHOWN: Final[tuple[Scheme, ...]] = (OURS, Scan(64, 10), Scan(32, 10, "solved"), Events(4e-3, 1))
+SCALE_MN: Final = 10.0
 
 
 def pictures(measured: list[Row], options: Options) -> list[Picture]:
-    """Return the plots of what was measured."""
+    """Return the plots of what was measured; a quick look has no images."""
     found = [
         Picture(
             "rivals-curves",
@@ -50,19 +52,17 @@ def pictures(measured: list[Row], options: Options) -> list[Picture]:
         Picture(
             "rivals-noise",
             "Bits that an event-triggered skin sends under a sliding golf ball, by threshold and sensor noise. The "
-            "grey line is what the sums take; above the dotted one there is no room.",
+            "grey line is what the sums take, the dotted line what the buses carry.",
             partial(_noise, measured),
         ),
+        Picture(
+            "rivals-images",
+            f"What is in use {INSTANTS[0][1] - SLAP_MS} and {INSTANTS[1][1] - SLAP_MS} ms after three boxes were "
+            f"slapped on, and while a faint box slides, with the PSNR of each image. 0 to {SCALE_MN:g} mN.",
+            images_figure,
+        ),
     ]
-    if not options.quick:
-        found.append(
-            Picture(
-                "rivals-images",
-                caption(),
-                images_figure,
-            )
-        )
-    return found
+    return found[:-1] if options.quick else found
 
 
 def _curves(measured: list[Row]) -> "Figure":
@@ -74,13 +74,11 @@ def _curves(measured: list[Row]) -> "Figure":
     panels = np.atleast_1d(figure.subplots(-(-len(shown) // 2), 2, squeeze=False).ravel())
     for panel, (name, touches) in zip(panels, shown.items(), strict=False):
         mine = _of(measured, touches)
-        for contender, style in styles.items():
-            points = sorted(_means(mine, contender))
-            panel.plot(*zip(*points, strict=True), style, markersize=5, label=contender)
+        for scheme, style in styles.items():
+            points = sorted(_means(mine, scheme))
+            panel.plot(*zip(*points, strict=True), style, markersize=5, label=scheme)
         for receiver, mark in (("plain", "kx"), ("solved", "k+")):
-            rules = dict.fromkeys(
-                row["name"] for row in mine if row["family"] == "events" and row["receiver"] == receiver
-            )
+            rules = dict.fromkeys(row["name"] for row in _events(mine, receiver))
             points = [point for rule in rules for point in _means(mine, rule)]
             if points:
                 panel.plot(*zip(*points, strict=True), mark, label=f"events, {receiver}")
@@ -92,7 +90,7 @@ def _curves(measured: list[Row]) -> "Figure":
 
 
 def _styles(measured: list[Row]) -> dict[str, str]:
-    """Return for all who go by the clock a colour for each family and a mark for each member."""
+    """Return for every scheme that sends by the clock a colour for its family and a mark of its own."""
     families: dict[str, dict[str, None]] = {}
     for row in measured:
         if row["family"] != "events":
@@ -112,6 +110,10 @@ def _label(panel: "Axes", name: str) -> None:
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.5)))
     panel.grid(alpha=0.3, which="both")
+
+
+def _events(rows: list[Row], receiver: str) -> list[Row]:
+    return [row for row in rows if row["family"] == "events" and row["receiver"] == receiver]
 
 
 def _of(measured: list[Row], touches: tuple[str, ...]) -> list[Row]:
@@ -135,8 +137,7 @@ def _means(rows: list[Row], name: str) -> Iterator[tuple[float, float]]:
 def _latencies(measured: list[Row]) -> "Figure":
     plain = [row for row in measured if row["touch"].is_plain and row["share"] == 1.0]
     touches = [name for name in _LATE_TOUCHES if any(row["touch"].name == name for row in plain)]
-    rules = [row["name"] for row in plain if row["family"] == "events" and row["receiver"] == "plain"]
-    names = [*(each.name for each in _LATE), *dict.fromkeys(rules)]
+    names = [*(each.name for each in _LATE), *dict.fromkeys(row["name"] for row in _events(plain, "plain"))]
     figure = new_figure(11, 1.2 + 0.32 * len(names))
     panels = figure.subplots(1, len(touches), sharey=True, squeeze=False)[0]
     for panel, touch in zip(panels, touches, strict=True):
@@ -157,20 +158,48 @@ def _noise(measured: list[Row]) -> "Figure":
     panel = figure.subplots()
     mine = [row for row in measured if row["touch"].name == _NOISE_TOUCH]
     for noise_n in dict.fromkeys(row["touch"].noise_n for row in mine):
-        rules = [row for row in mine if row["family"] == "events" and row["receiver"] == "plain"]
         points = sorted(
-            (1e3 * row["contender"].threshold_n, row["kbit_per_s"])
-            for row in rules
-            if row["contender"].dead_ms == 1 and row["touch"].noise_n == noise_n
+            (1e3 * row["scheme"].threshold_n, row["kbit_per_s"])
+            for row in _events(mine, "plain")
+            if row["scheme"].dead_ms == 1 and row["touch"].noise_n == noise_n
         )
         panel.plot(*zip(*points, strict=True), "o-", label=f"events, noise {1e3 * noise_n:g} mN")
-    ours = next(row["kbit_per_s"] for row in mine if row["contender"] == OURS and row["share"] == 1.0)
+    ours = next(row["kbit_per_s"] for row in mine if row["scheme"] == OURS and row["share"] == 1.0)
     buses = load_layout().bus
+    full = sum(bus.bitrate for bus in buses) / 1e3
     panel.axhline(ours, color="grey", label=OURS.name)
-    panel.axhline(
-        sum(bus.bitrate for bus in buses) / 1e3, color="black", linestyle=":", label=f"{len(buses)} full buses"
-    )
+    panel.axhline(full, color="black", linestyle=":", label=f"{len(buses)} full buses")
     panel.set(xlabel="threshold, mN", ylabel="kbit/s", yscale="log", title=f"sliding {_NOISE_TOUCH}")
     panel.grid(alpha=0.3, which="both")
     panel.legend(fontsize="small")
     return figure
+
+
+def images_figure() -> "Figure":
+    """Draw truth and schemes side by side."""
+    figure = new_figure(12, 2.7 * len(INSTANTS))
+    panels = figure.subplots(len(INSTANTS), 1 + len(_SHOWN), squeeze=False)
+    for row, (name, tick) in zip(panels, INSTANTS, strict=True):
+        touch = Touch(name)
+        true = touch.load().true_n[tick]
+        _draw(row[0], f"{name},\n{tick} ms: truth", true)
+        for panel, scheme in zip(row[1:], _SHOWN, strict=True):
+            image = in_use(scheme, touch, tick)
+            drawn = _draw(panel, f"{scheme.name}\n{psnr_db(true, image):.1f} dB", image)
+    figure.colorbar(drawn, ax=panels, label="mN", shrink=0.7)
+    return figure
+
+
+def _draw(panel: Any, title: str, force_n: Force) -> Any:
+    panel.set_title(title, fontsize="small")
+    panel.set_axis_off()
+    return panel.imshow(1e3 * force_n.reshape(SIDE, SIDE), vmin=0, vmax=SCALE_MN, cmap="viridis")
+
+
+def in_use(scheme: Scheme, touch: Touch, tick: int) -> Force:
+    """Return what a scheme has in use at a millisecond, newtons, shape (TAXELS,)."""
+    shown, now_ns = scheme.show(touch, 1.0).images, np.array([tick * TICK_NS])
+    images = shown.held(now_ns, TAXELS) if isinstance(shown, Updates) else shown
+    used = int(images.used(now_ns)[0])
+    force_n: Force = images.force_n[used] if used >= 0 else np.zeros(TAXELS, np.float32)
+    return force_n

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from skin.errors import InputError
-from touch.arrays import ARRAYS, SIDE_M, averaged, grid_of
+from touch.coarse_arrays import ARRAYS, SIDE_M, averaged, grid_of
 
 
 def test_the_seven_arrays_have_the_papers_taxels() -> None:

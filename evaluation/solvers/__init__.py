@@ -1,0 +1,1 @@
+"""Solvers and measurement operators of the paper's comparisons, which no running skin needs."""
