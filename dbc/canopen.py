@@ -3,6 +3,8 @@
 from enum import IntEnum, IntFlag
 from typing import Final
 
+from skin.messages import NmtState as NmtState  # noqa: PLC0414 - the page shows the states, too
+
 #: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and those to which a node adds its node-ID.
 NMT_COB_ID: Final = 0x000
 SYNC_COB_ID: Final = 0x080
@@ -41,15 +43,6 @@ NMT_BYTES: Final = 2
 SDO_BYTES: Final = 8
 EMCY_BYTES: Final = 8
 HEARTBEAT_BYTES: Final = 1
-
-
-class NmtState(IntEnum):
-    """NMT states as the heartbeat reports them (CiA 301, 7.2.8.3.2)."""
-
-    INITIALISING = 0
-    STOPPED = 4
-    OPERATIONAL = 5
-    PRE_OPERATIONAL = 127
 
 
 class NmtCommand(IntEnum):

@@ -8,9 +8,19 @@ cantools writes the text, so the committed files change with its version: its bo
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
-from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
+from dbc.canopen import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    NmtCommand,
+    NmtState,
+)
 from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD
@@ -22,16 +32,6 @@ if TYPE_CHECKING:
 
 GATEWAY: Final = "Gateway"
 UNIT: Final = "count"
-
-NMT_COMMANDS: Final = {
-    1: "Start",
-    2: "Stop",
-    128: "Enter pre-operational",
-    129: "Reset node",
-    130: "Reset communication",
-}
-NMT_STATES: Final = {0: "Boot-up", 4: "Stopped", 5: "Operational", 127: "Pre-operational"}
-
 
 #: What a frame can be, by the number that the attribute VFrameFormat has.
 FRAME_FORMATS: Final = (
@@ -167,7 +167,7 @@ def _message(
 
 def _network(contract: Contract) -> list["Message"]:
     """Return what the gateway sends to all nodes."""
-    command = _signal("Command", 0, 8, receiver=None, meanings=NMT_COMMANDS)
+    command = _signal("Command", 0, 8, receiver=None, meanings=_in_words(NmtCommand))
     node_id, counter = _signal("NodeId", 8, 8, receiver=None), _signal("Counter", 0, 8, receiver=None)
     return [
         _message("NMT", NMT_COB_ID, 2, GATEWAY, [command, node_id], comment="NMT command; node-ID 0 is all nodes"),
@@ -191,7 +191,11 @@ def _node(contract: Contract, node: NodeContract) -> list["Message"]:
         _signal("ErrorRegister", 16, 8, receiver=GATEWAY),
         _signal("ManufacturerField", 24, 40, receiver=GATEWAY),
     ]
-    state = [_signal("State", 0, 8, receiver=GATEWAY, meanings=NMT_STATES)]
+    state = [
+        _signal(
+            "State", 0, 8, receiver=GATEWAY, meanings=_in_words(NmtState) | {NmtState.INITIALISING.value: "Boot-up"}
+        )
+    ]
     beats = _message(f"{name}_Heartbeat", HEARTBEAT_BASE + node_id, 1, name, state, cycle_ms=HEARTBEAT_MS)
     return [
         *(_sums(contract, node, tpdo) for tpdo in node.tpdos),
@@ -240,3 +244,8 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
 
 def _milliseconds(period_s: float) -> int:
     return round(1000 * period_s)
+
+
+def _in_words(codes: type[IntEnum]) -> dict[int, str]:
+    """Return the names of an enumeration as a value table has them, such as ``Enter pre-operational``."""
+    return {code.value: code.name.replace("PRE_", "PRE-").replace("_", " ").capitalize() for code in codes}

@@ -5,6 +5,7 @@ Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock (comparabl
 one machine), ``time_ns`` of the wall clock.
 """
 
+from enum import IntEnum
 from typing import Final
 
 import msgspec
@@ -142,6 +143,15 @@ class FrameCounts(msgspec.Struct, kw_only=True):
     def received(self) -> int:
         """Frames with the identifier of a sums' PDO."""
         return self.accepted + self.late + self.duplicate + self.malformed
+
+
+class NmtState(IntEnum):
+    """NMT states as the heartbeat reports them (CiA 301, 7.2.8.3.2)."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
 
 
 #: Stands in `BusState.nmt` for a node whose heartbeat is overdue.

@@ -5,11 +5,16 @@ from typing import Final
 
 import msgspec
 
-from skin.messages import SILENT
+from skin.messages import SILENT, NmtState
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
 #: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2).
-OFF_DUTY: Final = {0: "booting", 4: "stopped", 127: "pre-operational", SILENT: "silent"}
+OFF_DUTY: Final = {
+    NmtState.INITIALISING: "booting",
+    NmtState.STOPPED: "stopped",
+    NmtState.PRE_OPERATIONAL: "pre-operational",
+    SILENT: "silent",
+}
 REFUSED: Final = "refused by the gateway: not of this skin"
 #: What the gateway's own controller says of a bus, when a person must be told.
 LINKS: Final = {
