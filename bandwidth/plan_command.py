@@ -13,6 +13,7 @@ from dbc.contract import Contract
 from dbc.packing import rounding_error_n
 from skin.errors import InputError, RunError
 from skin.layout import layout_text, load_layout
+from skin.output import write_file
 from skin.service import say
 from skin.terminal import Json, print_json
 
@@ -130,7 +131,7 @@ def _search(required: Requirement, allowed: Disturbance, out: Path | None, *, as
     text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
         try:
-            out.write_text(text, encoding="utf-8")
+            write_file(out, text)
         except OSError as error:
             raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
     if as_json:

@@ -12,6 +12,7 @@ from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO
 from skin.errors import InputError
 from skin.layout import Layout
+from skin.output import save_figure
 
 _WIRES: Final = {None: "classic CAN", 2_000_000: "FD 2 Mbit/s", 5_000_000: "FD 5 Mbit/s", 8_000_000: "FD 8 Mbit/s"}
 
@@ -28,7 +29,7 @@ def write_plots(contract: Contract, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, figure in (("rates.png", rates_figure(contract.layout)), ("cycle.png", cycle_figure(contract))):
-            figure.savefig(folder / name, dpi=120, bbox_inches="tight")
+            save_figure(figure, folder / name, dpi=120, bbox_inches="tight")
             written.append(folder / name)
     except OSError as error:
         raise InputError(f"{folder}: cannot write the plots: {error.strerror or error}") from error

@@ -7,6 +7,7 @@ from dbc.contract import Contract
 from dbc.database import database
 from dbc.eds import eds, node_types
 from skin.errors import InputError
+from skin.output import write_file
 
 #: The files of the default skin that come with the project.
 DEFAULT_FOLDER: Final = Path(__file__).parent / "files" / "default"
@@ -32,7 +33,7 @@ def write_files(contract: Contract, folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in contract_files(contract).items():
             path = folder / name
-            path.write_text(text, encoding="ascii", newline="\n")
+            write_file(path, text.encode("ascii"))
             written.append(path)
     except OSError as error:
         raise InputError(f"{folder}: cannot write the contract files: {error.strerror or error}") from error

@@ -1,12 +1,11 @@
 """The picture of a run: what was there, what the sensor felt, what was rebuilt, and the difference."""
 
-import io
 from pathlib import Path
 
 import matplotlib as mpl
 
 from demo.score import Snapshot
-from skin.output import write_file
+from skin.output import save_figure
 from skin.psnr import psnr_db
 
 mpl.use("Agg")
@@ -49,7 +48,5 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
         axis.set_xticks([])
         axis.set_yticks([])
         figure.colorbar(shown, ax=axis, shrink=0.85, label="mN")
-    content = io.BytesIO()
-    figure.savefig(content, format=path.suffix[1:], dpi=110)
+    save_figure(figure, path, dpi=110)
     plt.close(figure)
-    write_file(path, content.getvalue())

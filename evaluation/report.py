@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from evaluation.result import Options, Picture, Result, Row
 from skin.errors import InputError
+from skin.output import write_file
 
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 80rem; margin: 2rem auto; padding: 0 1rem; color: #1a1a1a; }
@@ -44,7 +45,7 @@ def write_report(results: Mapping[str, Result], options: Options, folder: Path) 
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_file(path, text)
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
     return path

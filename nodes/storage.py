@@ -5,6 +5,7 @@ from pathlib import Path
 import msgspec
 
 from skin.errors import InputError
+from skin.output import write_file
 
 #: Values by index and sub-index, in the bytes of an SDO transfer.
 Parameters = dict[int, dict[int, bytes]]
@@ -57,9 +58,7 @@ class Storage:
                 for index, entries in parameters.items()
                 for subindex, data in entries.items()
             }
-            unfinished = self._path.with_suffix(".tmp")
-            unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(_Stored(self._phi, flat))))
-            unfinished.replace(self._path)
+            write_file(self._path, msgspec.json.format(msgspec.json.encode(_Stored(self._phi, flat))))
         self.parameters = parameters
 
     def clear(self) -> None:

@@ -1,10 +1,11 @@
 """Files that a verb writes: whether a path can be used, found out before the work, and the writing in one step."""
 
 import contextlib
+import io
 import os
 import secrets
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from skin.errors import InputError
 
@@ -41,6 +42,19 @@ def check_output_path(path: Path, what: str) -> None:
             path.unlink()
     except OSError as error:
         raise InputError(f"{path}: cannot write the {what} there: {error.strerror or error}") from error
+
+
+def save_figure(figure: Any, path: Path, **options: Any) -> None:
+    """Write a Matplotlib figure in one step, as `write_file` does; the suffix of `path` gives the format.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix[1:].lower(), **options)
+    write_file(path, content.getvalue())
 
 
 def write_file(path: Path, content: bytes | str) -> None:

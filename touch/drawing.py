@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from skin.errors import InputError
+from skin.output import save_figure
 from touch.contact import Force
 
 #: The darkest shade: about the largest force of the paper's data.
@@ -56,6 +57,6 @@ def save_images(images: Mapping[str, Force], path: Path) -> None:
         axes.set_axis_off()
     figure.colorbar(shown, ax=panels, label="force, mN", shrink=0.8)
     try:
-        figure.savefig(path, dpi=110)
+        save_figure(figure, path, dpi=110)
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error}") from error

@@ -14,6 +14,7 @@ from reconstructor.engine import Reconstructor
 from reconstructor.settings import preset
 from skin.layout import load_layout
 from skin.measurement import Sbhe
+from skin.output import save_figure
 
 METHODS: Final = ("live", "variation", "spun", "paper")
 #: Of 128, drawn at random and the same for every method.
@@ -69,4 +70,4 @@ def draw(result: dict[str, Any], path: Path) -> None:
         axes.set_ylabel("PSNR, dB")
         axes.grid(alpha=0.3)
         axes.legend()
-    figure.savefig(path)
+    save_figure(figure, path)

@@ -18,6 +18,7 @@ from evaluation.schemes.shown import Shown
 from evaluation.schemes.sums import run_sums
 from skin.errors import InputError
 from skin.layout import Layout, layout_text
+from skin.output import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -141,7 +142,7 @@ def _best(rows: list[Row], wires: str, kind: str) -> int:
 def _write(path: Path, text: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_file(path, text)
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
 

@@ -121,7 +121,7 @@ def test_full_disk_is_an_abort_and_loses_nothing(
     board.write(OD_OFFSET, 3, 100, 2)
     board.write(OD_STORE, 1, SAVE, 4)
     board.write(OD_OFFSET, 3, 7, 2)
-    monkeypatch.setattr(Path, "write_bytes", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     assert board.write(OD_STORE, 1, SAVE, 4) == Abort.HARDWARE
     monkeypatch.undo()
     assert Board(contract, tmp_path).offset == 100.0
