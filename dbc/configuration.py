@@ -15,6 +15,7 @@ from dbc.dictionary import Object, dictionary
 from dbc.indices import (
     BITS,
     OD_BLOCK,
+    OD_CYCLE_PERIOD_US,
     OD_EMCY_COB_ID,
     OD_ENCODING,
     OD_HEARTBEAT_MS,
@@ -38,6 +39,7 @@ _COMPARED: Final = {OD_IDENTITY: (1, 2)}
 _COMPARED_OF_TPDO: Final = (1, 2, 6)
 _WHOLE: Final = (
     OD_SYNC_COB_ID,
+    OD_CYCLE_PERIOD_US,
     OD_WINDOW_US,
     OD_EMCY_COB_ID,
     OD_HEARTBEAT_MS,

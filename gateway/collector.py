@@ -16,6 +16,8 @@ from dbc.contract import PHASES, Contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from skin.messages import FrameCounts
 
+#: SYNCs that end within this part of a period of each other are too close. The gateway itself keeps half a period.
+CLOSE: Final = 0.4
 #: After this many cycles a node is said to have its phases swapped.
 SWAPPED_CYCLES: Final = 5
 
@@ -72,6 +74,9 @@ class Collector:
         self._awaited = np.zeros(rows, np.bool_)
         #: Frames that the cycle of a phase still waits for, by bus.
         self._waiting = np.zeros((PHASES, len(contract.layout.bus)), np.intp)
+        #: When the newest SYNC ended on each bus, 0 where that is not known, and what is too close to it.
+        self._sync_ns = [0] * len(contract.layout.bus)
+        self._too_close_ns = round(CLOSE * contract.layout.sync.period_s * 1e9)
         #: Counter of the newest SYNC on each bus, 0 before the first.
         self._on_wire = [0] * len(contract.layout.bus)
 
@@ -96,6 +101,8 @@ class Collector:
         """Begin the cycle of SYNC `counter`, before that SYNC is sent."""
         phase = phase_of(counter)
         rows = self._of_phase[phase]
+        # A bus that has taken no SYNC since the counter came round must not pass for being in this cycle.
+        self._on_wire = [0 if now == counter else now for now in self._on_wire]
         self._seen[rows] = False
         self._spoilt[rows] = self._disturbed[self._table.bus[rows]]
         self._disturbed[:] = False
@@ -117,12 +124,12 @@ class Collector:
         syncs = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
         if (syncs & (arrived["can_id"] == SYNC_COB_ID)).any():
             # Nodes have answered a SYNC that is not of this skin's cycles.
-            self._disturbed[bus] = True
-            self._spoilt[self._table.bus == bus] = True
+            self._spoil(bus)
         sent = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ECHO | ERROR) == ECHO)
         for place in np.flatnonzero(sent):
             self._take(bus, arrived[begin:place])
             self._on_wire[bus] = int(arrived["data"][place, 0])
+            self._check_spacing(bus, int(arrived["time_ns"][place]))
             begin = int(place) + 1
         self._take(bus, arrived[begin:])
 
@@ -143,6 +150,17 @@ class Collector:
         decode(self._payload[good], self._table.gather[good], self._packing, sums)
         sums[~self._phi.sums_of_blocks(valid)] = 0
         return Gathered(sums, valid)
+
+    def _spoil(self, bus: int) -> None:
+        """Use no sums of a bus in the cycles under way, nor in the next."""
+        self._disturbed[bus] = True
+        self._spoilt[self._table.bus == bus] = True
+
+    def _check_spacing(self, bus: int, time_ns: int) -> None:
+        """Spoil a bus where SYNCs that waited in the controller come close together: their answers overtake them."""
+        last_ns, self._sync_ns[bus] = self._sync_ns[bus], time_ns
+        if time_ns and last_ns and time_ns - last_ns < self._too_close_ns:
+            self._spoil(bus)
 
     def _judge_phases(self, rows: npt.NDArray[np.intp]) -> None:
         """Note which nodes sent nothing but PDOs of the other phase in the cycle of `rows`."""

@@ -14,7 +14,7 @@ from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID, NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from gateway.collector import Collector, Gathered
-from gateway.cycles import SyncClock
+from gateway.cycles import LATEST, SyncClock
 from gateway.load import BusLoad
 from gateway.nmt_master import NmtMaster
 from skin.messages import BusState, GatewayStatus, Measurement
@@ -43,7 +43,7 @@ class _Cycle:
 
 
 @dataclass
-class _Line:
+class _Bus:
     """One bus and what is kept about it."""
 
     name: str
@@ -90,8 +90,8 @@ class GatewayLoop:
         self._period_s = contract.layout.sync.period_s
         self._say, self._complain = say, complain
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
-        self._lines = {number: self._line(number, send, now_s) for number, send in sends.items()}
-        self._numbers = sorted(self._lines)
+        self._buses = {number: self._bus(number, send, now_s) for number, send in sends.items()}
+        self._numbers = sorted(self._buses)
         self._flying: deque[_Cycle] = deque()
         self._patience_s = now_s + BOOT_PATIENCE_S
         self._look_s = now_s
@@ -113,19 +113,19 @@ class GatewayLoop:
         """Use the frames that arrived on a bus, in the order of the wire."""
         if not len(arrived):
             return
-        line = self._lines[number]
+        bus = self._buses[number]
         # Doubts of the master come before the sums: what it reads here may say what these sums are.
-        line.master.take(arrived, now_s)
+        bus.master.take(arrived, now_s)
         self.collector.take(number, arrived)
-        line.load.take(arrived)
-        line.foreign_syncs += int(((arrived["flags"] == 0) & (arrived["can_id"] == SYNC_COB_ID)).sum())
+        bus.load.take(arrived)
+        bus.foreign_syncs += int(((arrived["flags"] == 0) & (arrived["can_id"] == SYNC_COB_ID)).sum())
 
     def tick(self, now_s: float) -> None:
         """Do what time calls for, but for SYNC and the end of cycles."""
-        for line in self._lines.values():
-            line.master.tick(now_s)
+        for bus in self._buses.values():
+            bus.master.tick(now_s)
         if not self.sync.runs and self.sync.counter == 0:
-            passed = all(line.master.passed for line in self._lines.values())
+            passed = all(bus.master.passed for bus in self._buses.values())
             if passed or now_s >= self._patience_s:
                 self._start_sync(now_s)
         if now_s >= self._look_s:
@@ -153,13 +153,14 @@ class GatewayLoop:
         sync["data"][0, 0] = counter
         # When it was due, so that on a virtual bus a late turn of this loop is no jitter of the SYNC.
         sync["time_ns"] = sync_ns = round(due_s * 1e9)
-        for line in self._lines.values():
-            if line.send(sync):
-                if line.refused_syncs:
-                    self._say(f"{line.name} takes SYNC again, after {line.refused_syncs} that it did not take")
-                line.refused_syncs = 0
+        sync["expires_ns"] = sync_ns + round(LATEST * self._period_s * 1e9)
+        for bus in self._buses.values():
+            if bus.send(sync):
+                if bus.refused_syncs:
+                    self._say(f"{bus.name} takes SYNC again, after {bus.refused_syncs} that it did not take")
+                bus.refused_syncs = 0
             else:
-                line.refused_syncs += 1
+                bus.refused_syncs += 1
         closes_s = due_s + (1 + GRACE) * self._period_s
         self._flying.append(_Cycle(self.sync.sent, counter, sync_ns, sync_ns + wall_offset_ns, closes_s))
         return closed
@@ -176,8 +177,8 @@ class GatewayLoop:
 
     def stop(self) -> None:
         """Leave all nodes PRE-OPERATIONAL."""
-        for line in self._lines.values():
-            line.master.stop()
+        for bus in self._buses.values():
+            bus.master.stop()
 
     def status(self, links: Mapping[int, tuple[State, int]], now_s: float) -> GatewayStatus:
         """Return all counters.
@@ -199,14 +200,14 @@ class GatewayLoop:
 
     def explain_refused_syncs(self, states: Mapping[int, State]) -> None:
         """Say once why a bus takes no SYNC."""
-        for number, line in self._lines.items():
-            if line.refused_syncs and number not in self._explained:
+        for number, bus in self._buses.items():
+            if bus.refused_syncs and number not in self._explained:
                 self._explained.add(number)
-                self._say(f"{line.name} takes no SYNC: {_WHY_REFUSED[states[number]]}")
-            elif not line.refused_syncs:
+                self._say(f"{bus.name} takes no SYNC: {_WHY_REFUSED[states[number]]}")
+            elif not bus.refused_syncs:
                 self._explained.discard(number)
 
-    def _line(self, number: int, send: Send, now_s: float) -> _Line:
+    def _bus(self, number: int, send: Send, now_s: float) -> _Bus:
         def send_one(can_id: int, data: bytes) -> None:
             frame = frames(1)
             frame["can_id"], frame["length"] = can_id & BASE_ID_MASK, len(data)
@@ -216,7 +217,7 @@ class GatewayLoop:
         wires = self._contract.layout.bus[number]
         master = NmtMaster(self._contract, number, send_one, self._trust, self._say)
         places = [(place, node) for place, node in enumerate(self._contract.nodes) if node.bus == number]
-        return _Line(wires.name, send, master, BusLoad(wires, now_s), places)
+        return _Bus(wires.name, send, master, BusLoad(wires, now_s), places)
 
     def _trust(self, node: NodeContract, proven: bool) -> None:
         """Use a node's sums from now on, or no longer."""
@@ -226,44 +227,44 @@ class GatewayLoop:
 
     def _start_sync(self, now_s: float) -> None:
         self.sync.start(now_s + SETTLE_S)
-        for line in self._lines.values():
-            line.load.restart(now_s + SETTLE_S)
-            absent = line.master.awaited
+        for bus in self._buses.values():
+            bus.load.restart(now_s + SETTLE_S)
+            absent = bus.master.awaited
             if absent:
-                self._say(f"{line.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
+                self._say(f"{bus.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
 
     def _look_after_nodes(self, now_s: float) -> None:
         """Wait for operational nodes only, and pass on what the collector noticed."""
         for place in self.collector.take_swapped():
             node = self._contract.nodes[place]
-            if node.bus in self._lines:
-                self._lines[node.bus].master.swapped(node.node_id, now_s)
-        for line in self._lines.values():
-            nmt = line.master.nmt
-            for (place, _), state in zip(line.places, nmt, strict=True):
+            if node.bus in self._buses:
+                self._buses[node.bus].master.swapped(node.node_id, now_s)
+        for bus in self._buses.values():
+            nmt = bus.master.nmt
+            for (place, _), state in zip(bus.places, nmt, strict=True):
                 # A node that sends sums is operational, whatever its last heartbeat said.
                 self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
-            for node_id, code in line.master.emergencies:
-                self._complain(f"EMCY {code:04X}h from node {node_id} on {line.name}")
-            line.master.emergencies.clear()
-            if line.foreign_syncs:
-                self._complain(f"another SYNC producer on {line.name}: its cycles are not valid")
-                line.foreign_syncs = 0
+            for node_id, code in bus.master.emergencies:
+                self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
+            bus.master.emergencies.clear()
+            if bus.foreign_syncs:
+                self._complain(f"another SYNC producer on {bus.name}: its cycles are not valid")
+                bus.foreign_syncs = 0
         self.collector.heard[:] = False
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
-        line, collector = self._lines[number], self.collector
-        places = [place for place, _ in line.places]
+        bus, collector = self._buses[number], self.collector
+        places = [place for place, _ in bus.places]
         return BusState(
-            name=line.name,
-            load_ratio=line.load.look(now_s),
-            mean_load_ratio=line.load.mean_ratio(now_s),
-            nodes=line.master.node_ids,
-            nmt=line.master.nmt.tobytes(),
+            name=bus.name,
+            load_ratio=bus.load.look(now_s),
+            mean_load_ratio=bus.load.mean_ratio(now_s),
+            nodes=bus.master.node_ids,
+            nmt=bus.master.nmt.tobytes(),
             missing=collector.missing_of_node[places].tolist(),
             late=collector.late_of_node[places].tolist(),
-            emcy=line.master.emcy,
-            refused=line.master.refused,
+            emcy=bus.master.emcy,
+            refused=bus.master.refused,
             link=state.name.lower(),
             overrun=dropped,
         )
@@ -273,7 +274,7 @@ class GatewayLoop:
         self._closed += 1
         self._complete += gathered.complete
         # One bus per cycle, now that the burst is over and the loop has time.
-        self._lines[self._numbers[self._closed % len(self._numbers)]].load.account()
+        self._buses[self._numbers[self._closed % len(self._numbers)]].load.account()
         return Measurement(
             cycle=cycle.number,
             sync_counter=cycle.counter,

@@ -46,6 +46,8 @@ STABLE_S: Final = 10.0
 UNDER_WAY_S: Final = 0.1
 #: The SDO channel of a node has to be quiet for this long before the gateway uses it after somebody else.
 SDO_QUIET_S: Final = 0.05
+#: A block download of another master goes on while its frames are this close.
+BLOCK_DOWNLOAD_S: Final = 1.0
 #: Dialogues at the same time; their frames come behind those of the sums.
 DIALOGUES: Final = 16
 #: An emergency explains why a node left when it came at most this long before.
@@ -74,8 +76,6 @@ class NmtMaster:
     Attributes
     ----------
     node_ids : list of int
-    foreign_nmt : int
-        NMT commands of another master since the start.
     """
 
     def __init__(
@@ -96,7 +96,6 @@ class NmtMaster:
             for settings in [configuration(contract, node)]
         }
         self.node_ids = list(self._nodes)
-        self.foreign_nmt = 0
         self._round_s = proof_period_s(contract, bus)
         self._slot_s = self._tick_s = -np.inf
         self._lines = GroupedLines(self._name, say)
@@ -165,14 +164,16 @@ class NmtMaster:
             self._foreign_sdo(node, data, now_s)
         elif base == EMCY_BASE and len(data) == EMCY_BYTES:
             node.emcy = int.from_bytes(data[:2], "little")
+            node.emcy_s = now_s if node.emcy else -np.inf
             if node.emcy:
-                node.emcy_s = now_s
                 self.emergencies.append((node.contract.node_id, node.emcy))
 
     def _heartbeat(self, node: NodeRecord, state: int, now_s: float) -> None:
         was_silent = node.nmt == SILENT
         node.heard_s = now_s
         if state == NmtState.INITIALISING:
+            if was_silent:
+                node.tries = 0
             node.nmt = NmtState.PRE_OPERATIONAL
             self._booted(node, now_s)
             return
@@ -190,10 +191,9 @@ class NmtMaster:
     def _booted(self, node: NodeRecord, now_s: float) -> None:
         """Doubt a node that has booted: nothing is known of it until it is proven."""
         node.dialogue = None
+        if node.refusal or node.hint:  # somebody has looked after it
+            node.tries = 0
         node.refusal = ""
-        if not node.is_own_reset:
-            node.tries = min(node.tries, len(PAUSES_S) - 1)
-        node.is_own_reset = False
         if node.trusted:
             self._lose(node, f"booted again{node.hint or self._explanation(node, now_s)}", now_s)
         elif node.lost_s is None:
@@ -203,23 +203,34 @@ class NmtMaster:
         node.hint = ""
 
     def _foreign_nmt(self, command: int, node_id: int, now_s: float) -> None:
-        self.foreign_nmt += 1
         nodes = self._nodes.values() if node_id == 0 else filter(None, [self._nodes.get(node_id)])
         for node in nodes:
-            if command in COMMANDED and command != NmtCommand.START and node.trusted:
+            if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
-                self._lose(node, f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command", now_s)
+                if node.trusted:
+                    self._lose(
+                        node, f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command", now_s
+                    )
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
 
     def _foreign_sdo(self, node: NodeRecord, data: bytes, now_s: float) -> None:
         """Doubt a node whose configuration somebody else writes, until it is proven again."""
-        node.foreign_sdo_s = now_s
         kind = data[0] >> 5
+        if node.in_block_download and now_s - node.foreign_sdo_s < BLOCK_DOWNLOAD_S:
+            kind = 0  # the data of a block download: its first byte is a number
+        else:
+            node.in_block_download = kind == 6
+        node.foreign_sdo_s = now_s
         if kind in (1, 6):  # a download begins, in segments or blocks
             node.is_sdo_suspect = int.from_bytes(data[1:3], "little") in node.compared
-        if kind not in (0, 1, 6) or not node.is_sdo_suspect:
-            return
+        if kind in (0, 1, 6) and node.is_sdo_suspect:
+            self._doubt_written(node, now_s)
+        elif kind and node.dialogue is not None:  # the node answers one client at a time
+            node.dialogue, node.began_s = None, node.proven_s
+            node.prove_at_s = max(node.prove_at_s, now_s + SDO_QUIET_S)
+
+    def _doubt_written(self, node: NodeRecord, now_s: float) -> None:
         node.dialogue = None
         if node.trusted:
             self._lose(node, "doubted: another master writes its configuration", now_s)
@@ -231,8 +242,9 @@ class NmtMaster:
         """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
         node = self._nodes[node_id]
         if node.trusted:
-            self._lose(node, "answers odd SYNC counters with its PDOs for even ones: communication reset", now_s)
-            node.is_own_reset = True
+            self._lose(
+                node, "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset", now_s
+            )
             self._command(NmtCommand.RESET_COMMUNICATION, node_id)
 
     # What time calls for
@@ -250,7 +262,8 @@ class NmtMaster:
             self._check_times(node, limit_s, now_s)
         free = DIALOGUES - sum(node.dialogue is not None for node in self._nodes.values())
         out = [node for node in self._nodes.values() if not node.trusted and node.dialogue is None]
-        for node in [node for node in out if now_s >= node.prove_at_s][: max(0, free)]:
+        due = sorted((node for node in out if now_s >= node.prove_at_s), key=lambda node: node.prove_at_s)
+        for node in due[: max(0, free)]:
             self._bring_back(node, now_s)
         self._prove_in_turn(now_s)
         self._lines.tick(now_s)
@@ -263,13 +276,13 @@ class NmtMaster:
     def _check_times(self, node: NodeRecord, limit_s: float, now_s: float) -> None:
         """Find a heartbeat or a proof that is overdue."""
         if node.nmt != SILENT and now_s - node.heard_s > SILENT_AFTER_S:
-            node.nmt = SILENT
+            node.nmt, node.refusal = SILENT, ""
             if node.trusted:
                 self._lose(node, f"silent: no heartbeat for {SILENT_AFTER_S:g} s", now_s)
         if node.trusted and now_s - node.trusted_s > STABLE_S:
             node.tries = 0
         if node.trusted and now_s - node.proven_s > limit_s:
-            self._lose(node, f"not proven for {now_s - node.proven_s:.0f} s: no answer by SDO", now_s)
+            self._lose(node, f"not proven for {now_s - node.proven_s:.0f} s", now_s)
 
     def _bring_back(self, node: NodeRecord, now_s: float) -> None:
         """Begin to prove a node that is out; it is started when the proof is there."""
@@ -313,22 +326,25 @@ class NmtMaster:
         node.dialogue, node.asked = None, True
         proof = dialogue.result
         if not isinstance(proof, Proof):
-            self._pause(node, now_s)
+            if not node.trusted:
+                self._pause(node, now_s)
             return
-        node.cost = 1 if proof.signed else dialogue.transfers
-        for line in proof.written:
-            self._lines.add(node.contract.node_id, f"set right: {line}", now_s)
+        node.cost = 1 if proof.has_signature else len(node.settings) + 1
+        if proof.written:
+            self._lines.add(node.contract.node_id, f"set right: {proof.written}", now_s)
         if proof.refusal:
             if proof.refusal != node.refusal:
                 self._lines.add(node.contract.node_id, f"refused: {proof.refusal}", now_s)
             node.refusal, node.prove_at_s = proof.refusal, now_s + LATER_S
             return
-        node.refusal, node.proven_s = "", node.began_s
+        # The last transfer has read the signature; without signature the first object was read first.
+        node.refusal, node.proven_s = "", dialogue.asked_s if proof.has_signature else node.began_s
         if not node.trusted:
             self._let_in(node, now_s)
 
     def _let_in(self, node: NodeRecord, now_s: float) -> None:
-        node.trusted, node.trusted_s = True, now_s
+        """Use the sums of a node that is proven, and start it; tries that were made before it was ever in count not."""
+        node.trusted, node.trusted_s, node.hint = True, now_s, ""
         self._trust(node.contract, True)
         if node.nmt != NmtState.OPERATIONAL:
             self._command(NmtCommand.START, node.contract.node_id)
@@ -360,7 +376,8 @@ class NmtMaster:
     def _command(self, command: NmtCommand, node_id: int) -> None:
         self._send(NMT_COB_ID, bytes((command, node_id)))
 
-    def _explanation(self, node: NodeRecord, now_s: float) -> str:
+    @staticmethod
+    def _explanation(node: NodeRecord, now_s: float) -> str:
         return f" after EMCY {node.emcy:04X}h" if now_s - node.emcy_s < EXPLAINS_S else ""
 
 

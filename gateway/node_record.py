@@ -30,7 +30,18 @@ class NodeRecord:
     tries : int
         Dialogues since it was last in for a while.
     asked : bool
-        The gateway has asked it at least once, and it has answered or not.
+        Its first dialogue has ended.
+    heard_s, emcy_s, trusted_s, began_s, foreign_sdo_s : float
+        Newest heartbeat, newest emergency that is not over, newest time of coming in, beginning of its newest dialogue,
+        newest SDO request of another master.
+    refusal : str
+        Why its sums must not be used, empty where nothing is against it.
+    dialogue : SdoDialogue or None
+        The dialogue under way.
+    hint : str
+        What explains the next boot.
+    in_block_download : bool
+        Another master sends it a value in blocks.
     lost_s : float or None
         When it went out; None while it is in, or was never in.
     """
@@ -55,8 +66,7 @@ class NodeRecord:
     asked: bool = False
     lost_s: float | None = None
     hint: str = ""
-    #: The gateway itself has reset the node, so that its boot is no sign of a repair.
-    is_own_reset: bool = False
     #: The download that another master has begun is of an object that is compared.
     is_sdo_suspect: bool = True
     foreign_sdo_s: float = -np.inf
+    in_block_download: bool = False

@@ -5,7 +5,7 @@ After CiA 302-2, boot NMT slave. One read is enough where the node computes the 
 """
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 from dbc.canopen import COB_ID_INVALID
@@ -39,15 +39,15 @@ class Proof:
     ----------
     refusal : str
         Why the node's sums must not be used; empty when they may.
-    written : list of str
-        Objects that were set right, and what they held.
-    signed : bool
+    written : str
+        Objects that were set right, and their values before.
+    has_signature : bool
         The node computes its signature, so that the next proof is one transfer.
     """
 
     refusal: str = ""
-    written: list[str] = field(default_factory=list)
-    signed: bool = False
+    written: str = ""
+    has_signature: bool = False
 
 
 def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]) -> Steps:
@@ -68,16 +68,16 @@ def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]
         If the node does not answer.
     """
     proof = Proof()
-    if (yield from _is_signed(settings, proof)):
+    if (yield from _signature_is_right(settings, proof)):
         return proof
     try:
         wrong = yield from _differences(settings)
-        if wrong or proof.signed:
+        if wrong or proof.has_signature:
             doubt()
         if wrong and write and all(setting.is_writable for setting, _ in wrong):
             yield from _write([setting for setting, _ in wrong], settings)
-            proof.written = [_difference(setting, data) for setting, data in wrong]
-            if (yield from _is_signed(settings, proof)):
+            proof.written = _in_words(wrong)
+            if (yield from _signature_is_right(settings, proof)):
                 return proof
             wrong = yield from _differences(settings)
     except SdoAbortedError as error:
@@ -87,19 +87,19 @@ def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]
     fixed = [(setting, data) for setting, data in wrong if not setting.is_writable]
     if wrong:
         proof.refusal = _in_words(fixed or wrong)
-    elif proof.signed:
+    elif proof.has_signature:
         proof.refusal = f"its objects are right, but not their signature ({OD_SIGNATURE:04X}h)"
     return proof
 
 
-def _is_signed(settings: Sequence[Setting], proof: Proof) -> Generator[Transfer, bytes, bool]:
+def _signature_is_right(settings: Sequence[Setting], proof: Proof) -> Generator[Transfer, bytes, bool]:
     """Read the signature; tell whether it is that of the contract."""
     try:
         found = int.from_bytes((yield Read(OD_SIGNATURE)), "little")
     except SdoAbortedError:
         return False
-    proof.signed = found != NO_SIGNATURE
-    return proof.signed and found == expected_signature(settings)
+    proof.has_signature = found != NO_SIGNATURE
+    return proof.has_signature and found == expected_signature(settings)
 
 
 def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list[tuple[Setting, bytes]]]:
@@ -119,7 +119,7 @@ def _write(wrong: Sequence[Setting], settings: Sequence[Setting]) -> _Part:
     of_tpdos = {_tpdo(setting.index) for setting in wrong} - {None}
     for setting in wrong:
         if setting.index == OD_SYNC_OVERFLOW:
-            yield from _write_overflow(setting)
+            yield from _write_overflow(setting, settings)
         elif setting.index == OD_EMCY_COB_ID:
             # The identifier may change only while the message does not exist (CiA 301, 7.5.2.17).
             yield Write(setting.index, 0, _invalid(setting.data))
@@ -130,12 +130,12 @@ def _write(wrong: Sequence[Setting], settings: Sequence[Setting]) -> _Part:
         yield from _write_tpdo(tpdo, settings)
 
 
-def _write_overflow(setting: Setting) -> _Part:
+def _write_overflow(setting: Setting, settings: Sequence[Setting]) -> _Part:
     """Write 1019h, which may change only while 1006h is 0 (CiA 301, 7.5.2.22)."""
-    period = yield Read(OD_CYCLE_PERIOD_US)
+    period = next(each for each in settings if each.index == OD_CYCLE_PERIOD_US)
     yield Write(OD_CYCLE_PERIOD_US, 0, bytes(4))
     yield Write(setting.index, setting.subindex, setting.data)
-    yield Write(OD_CYCLE_PERIOD_US, 0, period[:4].ljust(4, b"\0"))
+    yield Write(OD_CYCLE_PERIOD_US, 0, period.data)
 
 
 def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:

@@ -80,8 +80,8 @@ class SdoDialogue:
         What the generator returned.
     error : SdoError or None
         What ended the dialogue, where the generator did not catch it.
-    transfers : int
-        Transfers that were begun, those begun again included.
+    asked_s : float
+        When the newest transfer was begun.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class SdoDialogue:
         self.done = False
         self.result: object = None
         self.error: SdoError | None = None
-        self.transfers = 0
+        self.asked_s = now_s
         self._cob_id = SDO_REQUEST_BASE + node_id
         self._steps = steps
         self._send = send
@@ -108,17 +108,12 @@ class SdoDialogue:
         self._due_s = float("inf")
         self._go_on(lambda: next(steps), now_s)
 
-    @property
-    def due_s(self) -> float:
-        """When `tick` has something to do."""
-        return self._due_s
-
     def tick(self, now_s: float) -> None:
         """Begin the transfer again when its answer is overdue."""
         if self.done or now_s < self._due_s:
             return
         self._abort(Abort.TIMEOUT)
-        self._again(now_s)
+        self._retry(now_s)
 
     def take(self, data: bytes, now_s: float) -> None:
         """Use an answer of the node; answers to somebody else are passed over."""
@@ -150,10 +145,11 @@ class SdoDialogue:
     def _segment(self, value: bytearray, data: bytes, now_s: float) -> None:
         if data[0] & _TOGGLE != self._toggle:
             return
-        value += data[1 : SDO_BYTES - (data[0] >> 1 & 0x07)]
+        came = data[1 : SDO_BYTES - (data[0] >> 1 & 0x07)]
+        value += came
         if data[0] & 0x01:
             self._answered(bytes(value), now_s)
-        elif len(value) > LONGEST_VALUE:
+        elif not came or len(value) > LONGEST_VALUE:  # a transfer without end
             self._abort(Abort.MEMORY)
             self._fail(SdoAbortedError(self._transfer, Abort.MEMORY), now_s)
         else:
@@ -166,12 +162,14 @@ class SdoDialogue:
 
     def _aborted(self, data: bytes, now_s: float) -> None:
         code = int.from_bytes(data[4:8], "little")
+        if not self._is_mine(data) and data[1:4] != bytes(3):
+            return
         if code < FIRST_ABORT_OF_THE_OBJECT:
-            self._again(now_s)  # the transfer was disturbed, which says nothing of the object
-        elif self._is_mine(data):
+            self._retry(now_s)  # the transfer was disturbed, which says nothing of the object
+        else:
             self._fail(SdoAbortedError(self._transfer, code), now_s)
 
-    def _again(self, now_s: float) -> None:
+    def _retry(self, now_s: float) -> None:
         if self._tried >= self._attempts:
             index, subindex = self._transfer.index, self._transfer.subindex
             self._fail(SdoTimeoutError(f"no answer to object {index:04X}h:{subindex}"), now_s)
@@ -180,7 +178,7 @@ class SdoDialogue:
 
     def _begin(self, now_s: float) -> None:
         self._tried += 1
-        self.transfers += 1
+        self.asked_s = now_s
         self._value = None
         self._due_s = now_s + TIMEOUT_S
         to = self._transfer

@@ -62,6 +62,12 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
         raise SdoAbortedError(Abort.STATE)  # CiA 301, 7.5.2.22
 
 
+def is_allowed(index: int, value: float) -> bool:
+    """Tell whether an object can have a value at all, whatever the state of the node."""
+    rule = _VALUES.get(_first_block(index))
+    return rule is None or rule(value)
+
+
 def _first_block(index: int) -> int:
     return split_block(index)[1] if index >= OD_MANUFACTURER else index
 

@@ -45,7 +45,7 @@ from dbc.indices import (
     of_block,
     split_block,
 )
-from nodes.access import check_write
+from nodes.access import check_write, is_allowed
 from nodes.emcy import EmcyProducer
 from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from nodes.network import SegmentNetwork
@@ -146,6 +146,7 @@ class SkinNode:
             self._reset_electronics()
         self._signature = None
         self.emcy.reset()
+        self.watched = HeartbeatConsumer()
         self.health[:] = 0
         self._changed = True
         self.refresh(now_s)
@@ -160,7 +161,9 @@ class SkinNode:
         found = self.local.variable(index, subindex)
         if found is None or not found.writable or index in _COMMANDS or index == OD_ERROR_FIELD:
             return False
-        return len(data) * 8 == BITS.get(found.data_type or 0) and split_block(index)[1] != OD_TEST_PATTERN
+        if index >= OD_MANUFACTURER and split_block(index)[1] == OD_TEST_PATTERN:
+            return False
+        return len(data) * 8 == BITS.get(found.data_type or 0) and is_allowed(index, _number(found.data_type, data))
 
     def _reset_electronics(self) -> None:
         """Give the electronics the calibration that the dictionary holds now, and no test pattern."""
@@ -285,8 +288,7 @@ class SkinNode:
         return int(self.contract.packing.raw(self._sampler.sums[first : first + 1])[0]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
-        value = struct.unpack("<f", data)[0] if od.data_type == REAL32 else int.from_bytes(data, "little")
-        check_write(self.local, index, subindex, value)
+        check_write(self.local, index, subindex, _number(od.data_type, data))
         if index == OD_ERROR_FIELD:
             self.emcy.clear_history()
         elif index == OD_STORE:
@@ -307,3 +309,8 @@ class SkinNode:
                 self._storage.clear()
         except OSError as error:
             raise canopen.SdoAbortedError(Abort.HARDWARE) from error
+
+
+def _number(data_type: int | None, data: bytes) -> float:
+    """Return the value of an object's bytes; whole numbers as unsigned."""
+    return float(struct.unpack("<f", data)[0]) if data_type == REAL32 else int.from_bytes(data, "little")

@@ -109,6 +109,8 @@ def _read(node: LocalNode, communication: int, mapping: int) -> Tpdo | None:
     length = (sum(entry & 0xFF for entry in entries) + 7) // 8
     if cob_id & COB_ID_INVALID or not entries or length > node.pdo_bytes:
         return None
+    if any(node.mappable_bits(entry >> 16, entry >> 8 & 0xFF) != entry & 0xFF for entry in entries):
+        return None
     return Tpdo(
         cob_id=cob_id & BASE_ID_MASK,
         every=node.unsigned(communication, 2),

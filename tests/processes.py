@@ -7,11 +7,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
+from importlib.resources import files
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
 PATIENCE_S: Final = 60.0
+
+
+def slow_layout(folder: Path, rate_hz: float) -> Path:
+    """Write the default skin's layout at a rate that every machine keeps; return its path."""
+    text = files("skin.layouts").joinpath("default.toml").read_text()
+    assert "rate_hz = 100.0" in text
+    path = folder / "slow.toml"
+    path.write_text(text.replace("rate_hz = 100.0", f"rate_hz = {rate_hz:.1f}"))
+    return path
 
 
 class Processes:
@@ -28,8 +39,13 @@ class Processes:
     def __exit__(
         self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
     ) -> None:
-        for name in reversed(list(self._running)):
-            self.stop(name)
+        # All are told at once and all are ended: what is left running with real-time priority starves the other tests.
+        for process in self._running.values():
+            if process.poll() is None:
+                process.terminate()
+        with ExitStack() as stack:
+            for name in self._running:
+                stack.callback(self.stop, name)
 
     def skin(self, name: str, *arguments: str) -> None:
         """Start ``skin ARGUMENTS``."""

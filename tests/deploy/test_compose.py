@@ -15,11 +15,13 @@ from ruamel.yaml import YAML
 
 from skin.fabric import Fabric
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
-from tests.processes import Processes, free_endpoint
+from tests.processes import Processes, free_endpoint, slow_layout
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
 IN_ORDER_OF_THE_DATA = ["bus", "nodes", "gateway", "reconstructor", "classifier", "viewer"]
+#: Verbs that read a layout.
+IN_THE_SKIN = ("nodes", "gateway", "reconstruct", "classify", "view")
 Service = dict[str, Any]
 
 
@@ -81,7 +83,10 @@ def test_the_image_holds_every_package() -> None:
 
 @dataclass(frozen=True)
 class Outside:
-    """What the words of a command are outside a container: names are loopback, ports free ones, programs ours."""
+    """What the words of a command are outside a container: names are loopback, ports free ones, programs ours.
+
+    The skin is the default one at a rate that every machine keeps.
+    """
 
     folder: Path
     endpoint: str
@@ -91,6 +96,8 @@ class Outside:
         """Translate a command."""
         programs = {"skin-alive": [sys.executable, str(ROOT / "deploy/alive.py")], "python": [sys.executable]}
         words = [self._word(word) for word in command]
+        if words[0] in IN_THE_SKIN:
+            words += ["--layout", str(slow_layout(self.folder, 20))]
         return [*programs.get(words[0], words[:1]), *words[1:]]
 
     def environment(self) -> dict[str, str]:

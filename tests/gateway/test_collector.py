@@ -161,3 +161,18 @@ def test_any_frames_are_counted_and_never_raise(seed: int) -> None:
         counter = next_counter(counter)
     assert received(collector) == given_frames
     assert collector.counts.accepted + collector.counts.missing == 6 * 256
+
+
+def test_syncs_that_waited_in_the_controller_spoil_their_bus() -> None:
+    """Three leave back to back when the bus comes back: the answers to the first pass for those to the third."""
+    collector = new_collector()
+    for counter, end_ns in ((1, 10_000_000), (2, 30_000_000), (3, 30_200_000)):
+        collector.open(counter)
+        for bus in range(4):
+            start = echo(counter)
+            start["time_ns"] = end_ns if bus == 0 else counter * 10_000_000
+            collector.take(bus, np.concatenate((start, burst(bus, counter))))
+    assert not collector.close(2).valid[:32].any()
+    late = collector.close(3)
+    assert not late.valid[:32].any()
+    assert late.valid[32:].all()

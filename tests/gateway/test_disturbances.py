@@ -96,7 +96,7 @@ def drive(contract: Contract, actions: list[tuple], store: Path, *, gateway_lose
     world = World(contract, store)
     world.until_whole(2.0)
     changed_s = np.full(contract.phi.blocks, -np.inf)
-    limit_s = max(line.master.proof_limit_s for line in world.gateway._lines.values())
+    limit_s = max(line.master.proof_limit_s for line in world.gateway._buses.values())
     for what in actions:
         for block in disturb(world, what, gateway_loses=gateway_loses):
             changed_s[block] = world.now_s

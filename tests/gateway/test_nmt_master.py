@@ -5,15 +5,17 @@ from typing import Final
 import numpy as np
 import pytest
 
-from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID, NmtCommand, NmtState
+from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.frame import ECHO
 from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS
 from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
-from gateway.nmt_master import LATER_S, PAUSES_S, SILENT_AFTER_S, STABLE_S
+from gateway.nmt_master import DIALOGUES, LATER_S, PAUSES_S, SILENT_AFTER_S, STABLE_S, TICK_S, NmtMaster
+from gateway.sdo import TIMEOUT_S
+from skin.layout import parse_layout
 from skin.messages import SILENT
-from tests.gateway.world import PERIOD_S, EndOfWire, World, valid
+from tests.gateway.world import PERIOD_S, SMALL, EndOfWire, World, valid
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
@@ -87,7 +89,7 @@ def test_silent_node_is_said_once_and_comes_back(world: World) -> None:
     assert valid(world.measured[-1])[2:].all()
     silent = [line for line in world.lines if "silent" in line]
     assert silent == ["nodes 1-2 on bus0 silent: no heartbeat for 1.5 s"]
-    assert world.gateway._lines[0].master.nmt.tolist() == [SILENT, SILENT]
+    assert world.gateway._buses[0].master.nmt.tolist() == [SILENT, SILENT]
     world.run(20)
     assert [line for line in world.lines if "silent" in line] == silent
     wire.loses = None
@@ -116,7 +118,7 @@ def test_every_try_is_a_fresh_one_after_a_stable_time(world: World) -> None:
         world.nmt(0, NmtCommand.STOP, 1)
         world.run(3 * PERIOD_S)
         world.until_whole(SOON_S)
-        world.gateway._lines[0].master._nodes[1].trusted_s -= STABLE_S  # the time itself takes long
+        world.gateway._buses[0].master._nodes[1].trusted_s -= STABLE_S  # the time itself takes long
         world.run(2 * PERIOD_S)
 
 
@@ -124,7 +126,7 @@ def test_heartbeat_that_was_under_way_is_no_news(small: Contract) -> None:
     world = World(small)
     world.until_whole(2.0)
     world.wires[0].put(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
-    master = world.gateway._lines[0].master
+    master = world.gateway._buses[0].master
     for node in master._nodes.values():
         node.trusted_s = world.now_s
     world.run(2 * PERIOD_S)
@@ -172,7 +174,7 @@ def test_emergency_of_a_node_is_complained_of(world: World) -> None:
     world.wires[0].put(EMCY_BASE + 1, bytes((0x10, 0xFF, 0x81, 0, 0, 0, 0, 0)))
     world.run(0.5)
     assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
-    assert world.gateway._lines[0].master.emcy == [0xFF10, 0]
+    assert world.gateway._buses[0].master.emcy == [0xFF10, 0]
 
 
 def test_heartbeat_time_is_kept(world: World) -> None:
@@ -213,7 +215,9 @@ def test_node_with_swapped_phases_is_named_and_set_right(world: World) -> None:
     assert all(valid(each)[1] for each in came)
     world.until_whole(SOON_S + 2 * PERIOD_S)
     world.run(0.5)
-    assert world.lines[0] == "node 1 on bus0 answers odd SYNC counters with its PDOs for even ones: communication reset"
+    assert world.lines[0] == (
+        "node 1 on bus0 answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
+    )
     assert board.resets == 1
 
 
@@ -223,3 +227,52 @@ def test_node_whose_phases_stay_swapped_is_not_reset_for_ever(world: World) -> N
     world.run(60)
     assert len(PAUSES_S) - 2 <= board.resets <= len(PAUSES_S) + 2
     assert not any(world.wrong_blocks(each) for each in world.measured[-200:])
+
+
+def test_node_that_was_without_power_for_long_comes_back_at_once(world: World) -> None:
+    wire = world.wires[0]
+    wire.loses = lambda _, each: not each["flags"] & ECHO
+    world.run(30)
+    assert world.gateway._buses[0].master._nodes[1].tries >= len(PAUSES_S)
+    wire.loses = None
+    world.segments[0].boot(world.now_s)
+    world.until_whole(SOON_S)
+
+
+def test_node_that_boots_after_every_start_is_given_up(world: World) -> None:
+    """As a board whose supply breaks down when it begins to measure."""
+    for _ in range(2400):
+        world.step()
+        node = world.segments[0].nodes[0]
+        if node.state is NmtState.OPERATIONAL:
+            node.boot(world.now_s)
+    assert any("node 1 on bus0 given up after 8 tries" in line for line in world.lines)
+    assert len(world.lines) < 3 * (len(PAUSES_S) + 3)
+
+
+def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World) -> None:
+    """The node is doubted, so that a proof is under way, when the other master sends it PRE-OPERATIONAL."""
+    world.write(0, 1, 0x1007, 0, (40_000).to_bytes(4, "little"))
+    world.step()
+    world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
+    world.step()
+    world.until_whole(SOON_S + 2 * PERIOD_S)
+    assert state_of(world, 0, 1) is NmtState.OPERATIONAL
+
+
+def test_absent_nodes_do_not_take_the_turns_of_others() -> None:
+    """63 of 64 nodes are not there: the last is asked in its turn."""
+    layout = SMALL.format(top="").replace("rows = 8", "rows = 64").replace("columns = 16", "columns = 64")
+    layout = layout.replace("sums = 32", "sums = 512").replace("nodes = 2", "nodes = 64")
+    contract = Contract.from_layout(parse_layout(layout.encode(), "wide"))
+    asked: dict[int, float] = {}
+    now_s = 0.0
+
+    def send(can_id: int, data: bytes) -> None:
+        asked.setdefault(can_id - SDO_REQUEST_BASE, now_s)
+
+    master = NmtMaster(contract, 0, send, lambda *_: None, lambda _: None)
+    while len(asked) < 64:
+        master.tick(now_s)
+        now_s += TICK_S
+        assert now_s < 64 / DIALOGUES * (TIMEOUT_S + 2 * TICK_S)

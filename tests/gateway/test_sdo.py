@@ -61,7 +61,7 @@ def test_upload_in_segments() -> None:
     answer(dialogue, "0061626364656667")  # the same again: its toggle bit has had its turn
     answer(dialogue, "1968696a00000000")
     assert far.take() == ["4002200000000000", "6000000000000000", "7000000000000000"]
-    assert dialogue.result == b"abcdefghij"[:10]
+    assert dialogue.result == b"abcdefghij"
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,6 @@ def test_silence_is_asked_again_and_then_an_error() -> None:
         dialogue.tick(now_s)
     assert isinstance(dialogue.error, SdoTimeoutError)
     assert far.take() == ["4017100000000000", "8017100000000405"] * ATTEMPTS
-    assert dialogue.transfers == ATTEMPTS
     answer(dialogue, "4f17100005000000")  # too late
     assert dialogue.result is None
 
@@ -140,3 +139,10 @@ def test_a_dialogue_may_live_with_an_abort() -> None:
     answer(dialogue, "8006200000000206")
     answer(dialogue, "4b00200007000000")
     assert dialogue.result == "0700"
+
+
+def test_transfer_of_nothing_without_end_is_left() -> None:
+    dialogue, _ = begin(Read(0x1008))
+    answer(dialogue, "4108100000000000")
+    answer(dialogue, "0e00000000000000")
+    assert isinstance(dialogue.error, SdoAbortedError)

@@ -142,9 +142,17 @@ def test_parameters_of_another_skin_are_refused(tmp_path: Path) -> None:
 
 def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tmp_path: Path) -> None:
     """A file that was written by hand can put nothing into a node that an SDO write could not."""
-    parameters = {0x1000: {0: b"\1\0\0\0"}, 0x1017: {0: b"\1"}, 0x5000: {0: b"\1"}, OD_TEST_PATTERN: {0: b"\2"}}
+    parameters = {
+        0x1000: {0: b"\1\0\0\0"},
+        0x1017: {0: b"\1"},
+        0x1029: {1: b"\x09"},
+        0x1A00: {1: bytes.fromhex("10c80021")},
+        0x5000: {0: b"\1"},
+        OD_TEST_PATTERN: {0: b"\2"},
+    }
     Storage(contract.phi.fingerprint, tmp_path / "bus0-1.json").save(parameters)
     board = Board(contract, tmp_path)
     assert (board.read(0x1000), board.read(OD_HEARTBEAT_MS), board.sampler.pattern(0)) == (0, 1000, 0)
+    assert board.read(0x1029, 1) == 0
     give(board.segment, board.link, frame(0, bytes((1, 1))))
-    assert give(board.segment, board.link, sync(1))
+    assert {can_id for can_id, _ in give(board.segment, board.link, sync(1))} == {0x281}  # the first is mapped wrongly

@@ -11,18 +11,16 @@ from demo.supervisor import Supervisor
 from skin.fabric import Fabric
 from skin.layout import load_layout
 from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Image, Label, Measurement
+from tests import processes
 from tests.processes import free_endpoint
 
-DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
 PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="session")
 def slow_layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The default skin with 20 cycles a second."""
-    path = tmp_path_factory.mktemp("layout") / "slow.toml"
-    path.write_text(DEFAULT.replace("rate_hz = 100.0", "rate_hz = 20.0"))
-    return path
+    return processes.slow_layout(tmp_path_factory.mktemp("layout"), 20)
 
 
 class Chain:

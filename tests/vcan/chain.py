@@ -3,7 +3,6 @@
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from skin.fabric import Fabric
 from skin.layout import Layout, load_layout
 from skin.messages import GATEWAY, MEASUREMENT, TRUTH, GatewayStatus, Measurement, Truth
-from tests.processes import Processes, free_endpoint
+from tests.processes import Processes, free_endpoint, slow_layout
 
 #: A rate that a guest kernel on one slow processor carries.
 RATE_HZ: Final = 10
@@ -96,19 +95,10 @@ def complete(measurement: Measurement) -> bool:
     return bool(valid(measurement).all())
 
 
-def slow_layout(folder: Path) -> Path:
-    """Write the default skin's layout at `RATE_HZ`."""
-    text = files("skin.layouts").joinpath("default.toml").read_text()
-    assert "rate_hz = 100.0" in text
-    path = folder / "slow.toml"
-    path.write_text(text.replace("rate_hz = 100.0", f"rate_hz = {RATE_HZ}.0"))
-    return path
-
-
 @contextmanager
 def running_chain(folder: Path) -> Iterator[Chain]:
     """Start the nodes, then the gateway, on vcan0 to vcan3; wait for the first complete measurements."""
-    path = slow_layout(folder)
+    path = slow_layout(folder, RATE_HZ)
     layout = load_layout(path)
     endpoint = free_endpoint()
     fabric = Fabric(layout.name, "test", endpoint, hub=True)
