@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-PATIENCE_S: Final = 60.0
+PATIENCE_S: Final = 240.0
 
 
 def slow_layout(folder: Path, rate_hz: float) -> Path:

@@ -14,7 +14,7 @@ from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Ima
 from tests import processes
 from tests.processes import free_endpoint
 
-PATIENCE_S = 60.0
+PATIENCE_S = 240.0
 
 
 @pytest.fixture(scope="session")
