@@ -62,7 +62,8 @@ class Electronics:
         )
         counts = to_counts(signal.ravel(), self.taxels)
         corrected = counts.astype(np.float32)
-        corrected *= self.gain
+        with np.errstate(over="ignore"):  # a gain that an SDO write made huge: the range cuts it off
+            corrected *= self.gain
         corrected += self.offset
         np.rint(corrected, out=corrected)
         np.clip(corrected, 0, self.taxels.count_max, out=corrected)

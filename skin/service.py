@@ -8,13 +8,14 @@ import json
 import os
 import signal
 import sys
-import threading
 import time
 from types import FrameType
 from typing import Final
 
 #: Just above everything without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
+#: A service that waits looks this often whether it shall end.
+LOOK_S: Final = 0.02
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
 
@@ -24,10 +25,14 @@ class Stopped(Exception):  # noqa: N818 - no error
 
 
 class StopSignal:
-    """Set by SIGINT or SIGTERM; services look at it between two turns of their loop."""
+    """Set by SIGINT or SIGTERM; services look at it between two turns of their loop.
+
+    A plain flag and no `threading.Event`: a handler that comes while another one holds the event's lock, as with two
+    signals in a row, would wait for itself.
+    """
 
     def __init__(self) -> None:
-        self._event = threading.Event()
+        self._is_set = False
 
     def install(self) -> "StopSignal":
         """Catch SIGINT and SIGTERM from now on; call it in the main thread."""
@@ -38,18 +43,21 @@ class StopSignal:
 
     def set(self) -> None:
         """Ask the service to end."""
-        self._event.set()
+        self._is_set = True
 
     def is_set(self) -> bool:
         """Tell whether the service shall end."""
-        return self._event.is_set()
+        return self._is_set
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the service shall end, at most `timeout_s`; tell whether it shall."""
-        return self._event.wait(timeout_s)
+        give_up_s = time.monotonic() + timeout_s
+        while not self._is_set and (left_s := give_up_s - time.monotonic()) > 0:
+            time.sleep(min(left_s, LOOK_S))
+        return self._is_set
 
     def _caught(self, _number: int, _frame: FrameType | None) -> None:
-        self._event.set()
+        self._is_set = True
 
 
 class Complaints:

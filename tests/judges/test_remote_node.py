@@ -14,6 +14,7 @@ NODES = 3
 SUMS, TEST_PATTERN, GAIN, FINGERPRINT = 0x2100, 0x2021, 0x2010, 0x2002
 RAMP = 2
 BOOT_UP, PRE_OPERATIONAL = 0, 127
+ERROR_FIELD = 0x1003
 SYNC_LENGTH, HEARTBEAT_LOST, NO_ERROR = 0x8240, 0x8130, 0x0000
 
 
@@ -87,7 +88,11 @@ def test_every_object_of_the_eds_can_be_read(node: canopen.RemoteNode) -> None:
     read = 0
     for entry in node.object_dictionary.values():
         for variable in entry.values() if hasattr(entry, "values") else (entry,):
-            if variable.readable:
+            if variable.index == ERROR_FIELD and variable.subindex:
+                with pytest.raises(canopen.SdoAbortedError) as raised:  # no error has come (CiA 301, 7.5.2.4)
+                    node.sdo.upload(variable.index, variable.subindex)
+                assert raised.value.code == 0x0800_0024
+            elif variable.readable:
                 assert len(node.sdo.upload(variable.index, variable.subindex)) >= len(variable) // 8
                 read += 1
     assert read > 100
