@@ -286,7 +286,8 @@ class NmtMaster:
 
     def _bring_back(self, node: NodeRecord, now_s: float) -> None:
         """Begin to prove a node that is out; it is started when the proof is there."""
-        if node.nmt == NmtState.STOPPED:  # a stopped node answers no SDO (CiA 301, 7.3.2.2.4)
+        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and one without heartbeat may be stopped.
+        if node.nmt == NmtState.STOPPED or (node.nmt == SILENT and node.tries):
             self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
         node.tries += 1
         self._begin(node, now_s)

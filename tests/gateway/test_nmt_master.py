@@ -276,3 +276,16 @@ def test_absent_nodes_do_not_take_the_turns_of_others() -> None:
         master.tick(now_s)
         now_s += TICK_S
         assert now_s < 64 / DIALOGUES * (TIMEOUT_S + 2 * TICK_S)
+
+
+def test_stopped_node_without_heartbeat_is_not_lost(world: World) -> None:
+    """The gateway sees neither the write that ends the heartbeat nor the command that stops the node."""
+    wire = world.wires[0]
+    wire.loses = lambda end, each: bool(end is wire.gateway and not each["flags"] & ECHO)
+    world.write(0, 1, OD_HEARTBEAT_MS, 0, bytes(2))
+    world.step()
+    world.nmt(0, NmtCommand.STOP, 1)
+    world.run(SILENT_AFTER_S + 0.5)
+    wire.loses = None
+    assert state_of(world, 0, 1) in {NmtState.STOPPED, NmtState.PRE_OPERATIONAL}
+    world.until_whole(max(PAUSES_S) + HEARTBEAT_S + SOON_S)

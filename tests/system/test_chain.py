@@ -97,8 +97,10 @@ def test_killed_node_process_is_invalid_from_then_on(chain: Chain) -> None:
     chain.until("a complete cycle", lambda: is_complete(chain))
 
     os.kill(pid, signal.SIGKILL)
-    chain.until("the block invalid", lambda: not is_complete(chain))
+    chain.until("the block invalid", lambda: 37 in invalid_blocks(chain.measurements[-1]))
+    first = len(chain.measurements)
     await_steady(chain, [37])
+    assert all(37 in invalid_blocks(one) for one in chain.measurements[first:])
     last = chain.measurements[-1].cycle
     chain.until("its image", lambda: chain.images[-1].cycle >= last)
     assert chain.images[-1].valid_sums == 1016
