@@ -43,7 +43,7 @@ LATER_S: Final = 60.0
 #: A node that stays in for this long starts again with the shortest pause.
 STABLE_S: Final = 10.0
 #: A heartbeat that was on its way when the node was started may come this much later.
-UNDER_WAY_S: Final = 0.1
+UNDER_WAY_S: Final = 0.3
 #: The SDO channel of a node has to be quiet for this long before the gateway uses it after somebody else.
 SDO_QUIET_S: Final = 0.05
 #: A block download of another master goes on while its frames are this close.
