@@ -3,6 +3,9 @@
 from enum import IntEnum, IntFlag
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from skin.messages import NmtState as NmtState  # noqa: PLC0414 - the page shows the states, too
 
 #: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and those to which a node adds its node-ID.
@@ -16,6 +19,12 @@ HEARTBEAT_BASE: Final = 0x700
 TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
 HIGHEST_NODE_ID: Final = 127
 
+
+def is_of_node(can_id: npt.NDArray[np.uint32], base: int) -> npt.NDArray[np.bool_]:
+    """Tell which identifiers are those of a node: `base` and a node-ID."""
+    return (can_id > base) & (can_id <= base + HIGHEST_NODE_ID)
+
+
 #: COB-IDs that no PDO, EMCY or SYNC may be moved to (CiA 301, table 38).
 RESTRICTED_COB_IDS: Final = (
     range(0x001, 0x080),
@@ -27,6 +36,8 @@ RESTRICTED_COB_IDS: Final = (
 )
 #: Bit 31 of a COB-ID object: the PDO or EMCY does not exist (CiA 301, 7.5.2.17 and 7.5.2.37).
 COB_ID_INVALID: Final = 0x8000_0000
+#: Bit 30 of a PDO's COB-ID: no remote frame asks for it.
+COB_ID_NO_RTR: Final = 0x4000_0000
 #: Bit 29 of a COB-ID object: 29-bit identifier.
 COB_ID_EXTENDED: Final = 0x2000_0000
 #: The 11-bit and the 29-bit identifier within a COB-ID object.

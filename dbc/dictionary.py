@@ -7,7 +7,7 @@ that was programmed for another Φ can be read by SDO.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from dbc.canopen import EMCY_BASE, SYNC_COB_ID
+from dbc.canopen import COB_ID_NO_RTR, EMCY_BASE, SYNC_COB_ID
 from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
 from dbc.indices import (
     INTEGER8,
@@ -148,7 +148,7 @@ def _tpdo_communication(tpdo: Tpdo) -> list[Object]:
     index, group = OD_TPDO_COMMUNICATION + tpdo.number - 1, f"TPDO {tpdo.number} communication parameter"
     entries: tuple[tuple[int, str, int, Access, int], ...] = (
         (0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 6),
-        (1, "COB-ID used by TPDO", UNSIGNED32, "rw", 0x4000_0000 | tpdo.cob_id),
+        (1, "COB-ID used by TPDO", UNSIGNED32, "rw", COB_ID_NO_RTR | tpdo.cob_id),
         (2, "Transmission type", UNSIGNED8, "rw", PHASES),
         (3, "Inhibit time", UNSIGNED16, "rw", 0),
         (5, "Event timer", UNSIGNED16, "rw", 0),

@@ -42,3 +42,11 @@ Frames = npt.NDArray[np.void]
 def frames(count: int) -> Frames:
     """Return `count` zeroed frames."""
     return np.zeros(count, FRAME)
+
+
+def one_frame(can_id: int, data: bytes = b"", flags: int = 0) -> Frames:
+    """Return a burst of one frame."""
+    frame = frames(1)
+    frame["can_id"], frame["length"], frame["flags"] = can_id, len(data), flags
+    frame["data"][0, : len(data)] = tuple(data)
+    return frame

@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 
 from bus.link import State
-from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID, NmtState
+from dbc.canopen import SYNC_COB_ID, NmtState
 from dbc.contract import Contract, NodeContract
-from dbc.frame import Frames, frames
+from dbc.frame import Frames, one_frame
 from gateway.collector import Collector, Gathered
 from gateway.cycles import LATEST, SyncClock
 from gateway.load import BusLoad
@@ -53,6 +53,8 @@ class _Bus:
     places: list[tuple[int, NodeContract]]
     #: SYNCs in a row that found no room.
     refused_syncs: int = 0
+    #: Why it takes none has been said.
+    is_explained: bool = False
     foreign_syncs: int = 0
 
 
@@ -96,7 +98,6 @@ class GatewayLoop:
         self._patience_s = now_s + BOOT_PATIENCE_S
         self._look_s = now_s
         self._closed = self._complete = 0
-        self._explained: set[int] = set()
 
     @property
     def in_flight(self) -> int:
@@ -148,9 +149,7 @@ class GatewayLoop:
         closed = [self._close(self._flying.popleft()) for _ in range(len(self._flying) - 1)]
         counter = self.sync.counter
         self.collector.open(counter)
-        sync = frames(1)
-        sync["can_id"], sync["length"] = SYNC_COB_ID, 1
-        sync["data"][0, 0] = counter
+        sync = one_frame(SYNC_COB_ID, bytes((counter,)))
         # When it was due, so that on a virtual bus a late turn of this loop is no jitter of the SYNC.
         sync["time_ns"] = sync_ns = round(due_s * 1e9)
         sync["expires_ns"] = sync_ns + round(LATEST * self._period_s * 1e9)
@@ -201,18 +200,13 @@ class GatewayLoop:
     def explain_refused_syncs(self, states: Mapping[int, State]) -> None:
         """Say once why a bus takes no SYNC."""
         for number, bus in self._buses.items():
-            if bus.refused_syncs and number not in self._explained:
-                self._explained.add(number)
+            if bus.refused_syncs and not bus.is_explained:
                 self._say(f"{bus.name} takes no SYNC: {_WHY_REFUSED[states[number]]}")
-            elif not bus.refused_syncs:
-                self._explained.discard(number)
+            bus.is_explained = bool(bus.refused_syncs)
 
     def _bus(self, number: int, send: Send, now_s: float) -> _Bus:
         def send_one(can_id: int, data: bytes) -> None:
-            frame = frames(1)
-            frame["can_id"], frame["length"] = can_id & BASE_ID_MASK, len(data)
-            frame["data"][0, : len(data)] = tuple(data)
-            send(frame)
+            send(one_frame(can_id, data))
 
         wires = self._contract.layout.bus[number]
         master = NmtMaster(self._contract, number, send_one, self._trust, self._say)

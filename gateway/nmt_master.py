@@ -23,6 +23,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     NmtCommand,
     NmtState,
+    is_of_node,
 )
 from dbc.configuration import PROOF_ROUNDS, configuration, proof_period_s
 from dbc.contract import Contract, NodeContract
@@ -142,7 +143,7 @@ class NmtMaster:
         """Use frames seen on the bus, in their order."""
         can_id, flags = arrived["can_id"], arrived["flags"]
         plain = flags & (ERROR | ECHO | EXTENDED | REMOTE) == 0
-        ours = (can_id == NMT_COB_ID) | (can_id > SDO_RESPONSE_BASE) | _of(can_id, EMCY_BASE)
+        ours = (can_id == NMT_COB_ID) | (can_id > SDO_RESPONSE_BASE) | is_of_node(can_id, EMCY_BASE)
         for frame in arrived[plain & ours]:
             identifier = int(frame["can_id"])
             node = self._nodes.get(identifier & HIGHEST_NODE_ID)
@@ -380,10 +381,6 @@ class NmtMaster:
     @staticmethod
     def _explanation(node: NodeRecord, now_s: float) -> str:
         return f" after EMCY {node.emcy:04X}h" if now_s - node.emcy_s < EXPLAINS_S else ""
-
-
-def _of(can_id: npt.NDArray[np.uint32], base: int) -> npt.NDArray[np.bool_]:
-    return (can_id > base) & (can_id <= base + HIGHEST_NODE_ID)
 
 
 def _state_text(state: int) -> str:

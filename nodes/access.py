@@ -40,10 +40,9 @@ from dbc.indices import (
     SIGNATURE_SAVE,
     split_block,
 )
+from nodes.electronics import PATTERN_FULL
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
-
-TEST_PATTERNS: Final = 4
 
 
 def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
@@ -81,7 +80,7 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_SYNC_OVERFLOW: lambda value: value == 0 or 2 <= value <= LAST_SYNCHRONOUS,
     OD_ERROR_BEHAVIOUR: lambda value: value <= 2,
     OD_GAIN: math.isfinite,
-    OD_TEST_PATTERN: lambda value: value < TEST_PATTERNS,
+    OD_TEST_PATTERN: lambda value: value <= PATTERN_FULL,
 }
 
 

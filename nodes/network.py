@@ -3,7 +3,7 @@
 import canopen
 
 from bus.link import Link
-from dbc.frame import frames
+from dbc.frame import one_frame
 
 
 class SegmentNetwork(canopen.Network):
@@ -32,10 +32,6 @@ class SegmentNetwork(canopen.Network):
         return bool(accepted)
 
     def _send(self, can_id: int, data: bytes, flags: int) -> int:
-        frame = frames(1)
-        frame["can_id"] = can_id
-        frame["length"] = len(data)
-        frame["flags"] = flags
+        frame = one_frame(can_id, data, flags)
         frame["port"] = can_id & 0x7F
-        frame["data"][0, : len(data)] = tuple(data)
         return self._link.send(frame)

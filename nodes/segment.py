@@ -19,6 +19,7 @@ from dbc.canopen import (
     Emergency,
     NmtCommand,
     NmtState,
+    is_of_node,
 )
 from dbc.configuration import configuration
 from dbc.contract import Contract, NodeContract
@@ -143,8 +144,8 @@ class Segment:
         can_id = arrived["can_id"]
         there = arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0
         plain = there & (arrived["flags"] & ECHO == 0)
-        heartbeat = (can_id > HEARTBEAT_BASE) & (can_id <= HEARTBEAT_BASE + HIGHEST_NODE_ID)
-        request = (can_id > SDO_REQUEST_BASE) & (can_id <= SDO_REQUEST_BASE + HIGHEST_NODE_ID)
+        heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
+        request = is_of_node(can_id, SDO_REQUEST_BASE)
         # The nodes behind this link hear each other's heartbeats as echoes.
         for frame in arrived[there & heartbeat | plain & (request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
             self._handle(frame, now_s)
