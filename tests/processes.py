@@ -13,6 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
+import pytest
+
 PATIENCE_S: Final = 240.0
 
 
@@ -82,15 +84,16 @@ class Processes:
         """Wait until a process has said `words`."""
         self.until(lambda: words in self.log(name).read_text(errors="replace"), f"{name} to say '{words}'")
 
-    def until(self, is_so: Callable[[], bool], what: str) -> None:
+    def until(self, is_so: Callable[[], bool], what: str, every_s: float = 0.01) -> None:
         """Wait for something, but not longer than all processes live."""
         give_up_s = time.monotonic() + PATIENCE_S
         while not is_so():
             for name, process in self._running.items():
-                said = self.log(name).read_text(errors="replace")
-                assert process.poll() is None, f"{name} ended with {process.returncode}: {said}"
+                if process.poll() is not None:
+                    said = self.log(name).read_text(errors="replace")
+                    pytest.fail(f"{name} ended with {process.returncode}: {said}")
             assert time.monotonic() < give_up_s, f"waited {PATIENCE_S:g} s in vain for {what}"
-            time.sleep(0.01)
+            time.sleep(every_s)
 
 
 def free_port() -> int:

@@ -19,11 +19,12 @@ from dbc.configuration import PROOF_BITS, proof_period_s
 from dbc.contract import Contract
 from skin.messages import GatewayStatus
 from tests.processes import Processes
-from tests.vcan.chain import RATE_HZ, Chain, complete, ip_link, running_chain
+from tests.vcan.chain import RATE_HZ, Chain, ip_link, running_chain
 
 #: Looks at the load, of which one has to be without a stall.
-LOOKS = 5
-TOO_SLOW = "THE GUEST KERNEL IS TOO SLOW: it does not keep 10 cycles a second, so that nothing can be compared"
+LOOKS = 10
+#: Bytes of frames that a socket of candump holds: a slow guest does not always let it run in time.
+CANDUMP_BUFFER = 32_000_000
 
 
 @pytest.fixture(scope="module")
@@ -38,30 +39,32 @@ def _from_a_whole_skin(chain: Chain) -> None:
 
 
 def test_measurements_are_complete_and_equal_the_sums_the_nodes_computed(chain: Chain) -> None:
-    measured = chain.await_cycles(60)
-    if sum(map(complete, measured)) < 30:
-        pytest.skip(TOO_SLOW)
-    assert [each.cycle for each in measured] == list(range(measured[0].cycle, measured[0].cycle + 60))
-    for measurement in filter(complete, measured):
+    before = len(chain.measurements)
+    known = chain.await_known(30)
+    cycles = [each.cycle for each in chain.measurements[before:]]
+    assert cycles == list(range(cycles[0], cycles[0] + len(cycles)))
+    for measurement in known:
         sums = np.frombuffer(measurement.sums, "<i4")
         assert np.array_equal(sums, chain.true_sums(measurement))
         assert measurement.fingerprint == chain.phi.fingerprint
-    assert any(np.frombuffer(each.sums, "<i4").any() for each in measured)
+    assert any(np.frombuffer(each.sums, "<i4").any() for each in known)
 
 
 def test_what_candump_logs_decodes_to_the_sums_the_nodes_computed(chain: Chain) -> None:
     names = [
         f"Block{block:03}_Row{row:02}" for block, row in zip(chain.phi.block_of_sum, chain.phi.row_of_sum, strict=True)
     ]
-    with candump(chain.processes, "-L", "vcan0", "vcan1", "vcan2", "vcan3") as log:
-        measured = chain.await_cycles(40)
+    buffer = ("-r", str(CANDUMP_BUFFER))
+    with candump(chain.processes, "-L", *buffer, "vcan0", "vcan1", "vcan2", "vcan3") as log:
+        known = chain.await_known(20)
+        # What waits in candump's sockets is logged before it ends.
+        last = f"080#{chain.measurements[-1].sync_counter:02X}"
+        chain.processes.until(
+            lambda: all(f"vcan{bus} {last}" in end_of(log) for bus in range(4)), "candump's last SYNCs", every_s=0.5
+        )
     gathered = sums_in_log(chain, log)
-    # On a slow guest candump itself misses frames.
-    whole = {counter for counter, sums in gathered.items() if sums.keys() == set(names)}
-    inside = [each for each in filter(complete, measured) if each.sync_counter in whole][1:-1]
-    if len(inside) < 15:
-        pytest.skip(TOO_SLOW)
-    for measurement in inside:
+    # candump starts and ends inside a cycle.
+    for measurement in known[1:-1]:
         sums = gathered[measurement.sync_counter]
         assert np.array_equal([sums[name] for name in names], chain.true_sums(measurement))
 
@@ -90,7 +93,7 @@ def test_load_is_what_canbusload_and_the_plan_say(chain: Chain) -> None:
                 wrong.append(f"{bus.name}: {theirs} {ours} {planned[number].load_touched} + {proofs}")
         assert not wrong
         return
-    pytest.skip(TOO_SLOW)
+    pytest.fail(f"the guest kernel did not keep {RATE_HZ} cycles a second in any of {LOOKS} looks")
 
 
 def elapsed(statuses: list[GatewayStatus]) -> npt.NDArray[np.float64]:
@@ -134,8 +137,8 @@ def test_an_interface_that_goes_takes_only_its_own_blocks_and_comes_back(
     chain.await_complete()
     cycles = [each.cycle for each in chain.measurements[before:]]
     assert cycles == list(range(cycles[0], cycles[0] + len(cycles)))
-    measurement = next(each for each in reversed(chain.measurements) if complete(each))
-    assert np.array_equal(np.frombuffer(measurement.sums, "<i4"), chain.true_sums(measurement))
+    for measurement in chain.await_known(1):
+        assert np.array_equal(np.frombuffer(measurement.sums, "<i4"), chain.true_sums(measurement))
 
 
 def test_strange_frames_are_counted_and_harm_nothing(chain: Chain) -> None:
@@ -164,6 +167,13 @@ def candump(processes: Processes, *arguments: str) -> Iterator[Path]:
         yield processes.log("candump")
     finally:
         processes.stop("candump", signal.SIGINT)
+
+
+def end_of(log: Path) -> str:
+    """Return the last half megabyte of a log: a few cycles of four buses."""
+    with log.open("rb") as lines:
+        lines.seek(max(0, log.stat().st_size - 500_000))
+        return lines.read().decode("ascii")
 
 
 def sums_in_log(chain: Chain, log: Path) -> dict[int, dict[str, int]]:
