@@ -1,7 +1,7 @@
 """From frames to one measurement: the frames of one SYNC, each used once, none of another cycle.
 
-A frame counts when it comes from its own bus, has the length of its PDO, and the newest SYNC on that bus is the one
-its cycle belongs to. Everything else is counted by kind and never used.
+A frame is used when it comes from its own bus, has the length of its PDO, and belongs to the cycle of the newest SYNC
+on that bus. Every other frame is counted by kind and not used.
 """
 
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from dbc.contract import PHASES, Contract, next_counter, phase_of
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from skin.messages import FrameCounts
 
-#: SYNCs that end within this part of a period of each other are too close. The gateway itself keeps half a period.
+#: Two SYNCs whose ends are nearer than this part of a period are too close. The gateway itself keeps half a period.
 CLOSE: Final = 0.4
-#: After this many cycles a node is said to have its phases swapped.
+#: A node whose phases are swapped for this many cycles in a row is reported.
 SWAPPED_CYCLES: Final = 5
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """What one cycle brought: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,)."""
+    """The sums of one cycle: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,)."""
 
     sums: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
@@ -36,18 +36,18 @@ class Gathered:
 
 
 class Collector:
-    """Gathers the cycles in flight, one per phase; `open` a cycle, `take` what arrives, `close` it.
+    """Gathers the sums of the open cycles, at most one per phase: `open` a cycle, `take` frames, `close` the cycle.
 
-    A cycle ends on a bus where the next SYNC's echo stands in the stream, not when the host gets to read it: what
-    was on the wire before that SYNC still counts for the old cycle, whatever came after it never does.
+    On each bus the echo of the next SYNC ends a cycle. Frames before this echo belong to the old cycle, however late
+    the host reads them. Frames after the echo do not.
     """
 
     def __init__(self, contract: Contract) -> None:
         self.counts = FrameCounts()
-        #: Of the counts above, each node's part, by place in the contract.
+        #: `counts.late` and `counts.missing` of each node, by place in the contract.
         self.late_of_node = np.zeros(len(contract.nodes), np.int64)
         self.missing_of_node = np.zeros(len(contract.nodes), np.int64)
-        #: Nodes that sent anything that looks like sums since somebody cleared this.
+        #: Nodes that sent a TPDO since the array was last cleared.
         self.heard = np.zeros(len(contract.nodes), np.bool_)
         self._table = contract.table
         self._phi = contract.phi
@@ -57,31 +57,31 @@ class Collector:
         self._seen = np.zeros(rows, np.bool_)
         self._spoilt = np.zeros(rows, np.bool_)
         self._of_phase = [np.flatnonzero(contract.table.phase == phase) for phase in range(PHASES)]
-        #: Of the frames with sums on each bus: classic or CAN FD.
+        #: Frame format of the TPDOs on each bus: classic or CAN FD.
         self._kind = [FD if bus.fd else 0 for bus in contract.layout.bus]
-        #: Blocks whose node is proven now, and those that were during the whole cycle of a phase.
+        #: Blocks whose node is proven now; blocks whose node was proven during the whole cycle of a phase.
         self._trusted = np.zeros(contract.phi.blocks, np.bool_)
         self._proven = np.zeros((PHASES, contract.phi.blocks), np.bool_)
-        #: Buses on which somebody else has sent a SYNC since the newest cycle was opened.
+        #: Buses with a foreign SYNC since the newest cycle was opened.
         self._disturbed = np.zeros(len(contract.layout.bus), np.bool_)
-        #: Cycles in a row in which a node sent PDOs of the other phase and none of the right one.
+        #: Cycles in a row in which a node sent PDOs of the wrong phase only.
         self._swapped = np.zeros(len(contract.nodes), np.intp)
         self._strayed = np.zeros(len(contract.nodes), np.bool_)
-        #: Nodes a cycle waits for, by place in the contract; the frames of others are welcome, but not awaited.
+        #: Nodes that a cycle waits for, by place in the contract; other nodes' frames are used when in time.
         self.expected = np.ones(len(contract.nodes), np.bool_)
-        #: Counter of the SYNC that a phase is gathering for, 0 when none.
+        #: Counter of the SYNC whose cycle is open in a phase, 0 for none.
         self._gathering = np.zeros(PHASES, np.intp)
         self._awaited = np.zeros(rows, np.bool_)
         #: Frames that the cycle of a phase still waits for, by bus.
         self._waiting = np.zeros((PHASES, len(contract.layout.bus)), np.intp)
-        #: When the newest SYNC ended on each bus, 0 where that is not known, and what is too close to it.
+        #: When the newest SYNC ended on each bus, 0 if unknown, and the shortest time allowed to the next.
         self._sync_ns = [0] * len(contract.layout.bus)
         self._too_close_ns = round(CLOSE * contract.layout.sync.period_s * 1e9)
         #: Counter of the newest SYNC on each bus, 0 before the first.
         self._on_wire = [0] * len(contract.layout.bus)
 
     def trust(self, blocks: slice, *, proven: bool) -> None:
-        """Use the sums of some blocks from the next cycle on, or no longer, not even in the cycles under way."""
+        """Use the sums of `blocks` from the next cycle on if `proven`; else stop at once, in open cycles too."""
         self._trusted[blocks] = proven
         if not proven:
             self._proven[:, blocks] = False
@@ -92,16 +92,16 @@ class Collector:
         return self._trusted.copy()
 
     def take_swapped(self) -> list[int]:
-        """Return the places of the nodes that answer each SYNC with the PDOs of the other phase, once."""
+        """Return, once, the places of the nodes that answer each SYNC with the PDOs of the other phase."""
         found = np.flatnonzero(self._swapped >= SWAPPED_CYCLES)
         self._swapped[found] = 0
         return [int(place) for place in found]
 
     def open(self, counter: int) -> None:
-        """Begin the cycle of SYNC `counter`, before that SYNC is sent."""
+        """Begin the cycle of SYNC `counter`; call it before this SYNC is sent."""
         phase = phase_of(counter)
         rows = self._of_phase[phase]
-        # A bus that has taken no SYNC since the counter came round must not pass for being in this cycle.
+        # A bus without SYNC since this counter was last used is not in this cycle.
         self._on_wire = [0 if now == counter else now for now in self._on_wire]
         self._seen[rows] = False
         self._spoilt[rows] = self._disturbed[self._table.bus[rows]]
@@ -113,17 +113,17 @@ class Collector:
         self._waiting[phase] = np.bincount(self._table.bus[awaited], minlength=self._waiting.shape[1])
 
     def is_settled(self, counter: int) -> bool:
-        """Tell whether a cycle need not wait: on every bus, all expected frames are there or the next SYNC is."""
+        """Tell whether a cycle can be closed: every bus has sent all expected frames, or the next SYNC."""
         following = next_counter(counter)
         waiting = self._waiting[phase_of(counter)]
         return all(count == 0 or now == following for count, now in zip(waiting, self._on_wire, strict=True))
 
     def take(self, bus: int, arrived: Frames) -> None:
-        """Use what arrived on a bus, in the order of the wire; a SYNC's echo starts its cycle there."""
+        """Use the frames that arrived on a bus, in bus order; the echo of a SYNC starts its cycle on the bus."""
         begin = 0
         syncs = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
         if (syncs & (arrived["can_id"] == SYNC_COB_ID)).any():
-            # Nodes have answered a SYNC that is not of this skin's cycles.
+            # A foreign SYNC: nodes have answered it outside the gateway's cycles.
             self._spoil(bus)
         sent = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ECHO | ERROR) == ECHO)
         for place in np.flatnonzero(sent):
@@ -134,7 +134,7 @@ class Collector:
         self._take(bus, arrived[begin:])
 
     def close(self, counter: int) -> Gathered:
-        """End a cycle and return what it brought."""
+        """End a cycle and return its sums."""
         phase = phase_of(counter)
         rows = self._of_phase[phase]
         self._gathering[phase] = 0
@@ -152,18 +152,18 @@ class Collector:
         return Gathered(sums, valid)
 
     def _spoil(self, bus: int) -> None:
-        """Use no sums of a bus in the cycles under way, nor in the next."""
+        """Use no sums of a bus in the open cycles, nor in the next cycle."""
         self._disturbed[bus] = True
         self._spoilt[self._table.bus == bus] = True
 
     def _check_spacing(self, bus: int, time_ns: int) -> None:
-        """Spoil a bus where SYNCs that waited in the controller come close together: their answers overtake them."""
+        """Spoil a bus whose SYNCs waited in the controller and end too close: sums may answer either SYNC."""
         last_ns, self._sync_ns[bus] = self._sync_ns[bus], time_ns
         if time_ns and last_ns and time_ns - last_ns < self._too_close_ns:
             self._spoil(bus)
 
     def _judge_phases(self, rows: npt.NDArray[np.intp]) -> None:
-        """Note which nodes sent nothing but PDOs of the other phase in the cycle of `rows`."""
+        """Count, for each node, the cycles in a row with PDOs of the wrong phase only."""
         is_right = np.zeros(len(self._strayed), np.bool_)
         is_right[self._table.node[rows[self._seen[rows]]]] = True
         self._swapped = np.where(self._strayed & ~is_right, self._swapped + 1, 0)
@@ -207,7 +207,7 @@ class Collector:
             self._again(row[~first], payload[~first])
 
     def _again(self, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
-        """Count copies; a copy that differs means two nodes with one node-ID, and spoils the block."""
+        """Count repeated frames; a repeated frame with other data (two nodes share a node-ID) spoils the block."""
         self.counts.duplicate += len(row)
         differs = (self._payload[row] != payload).any(axis=1)
         self._spoilt[row[differs]] = True

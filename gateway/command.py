@@ -26,9 +26,9 @@ def gateway(
     bus
         CAN interface and channels.
     listen
-        Endpoint where the other services reach the gateway, which is the fabric's hub.
+        Endpoint of the fabric's hub, which the gateway runs; the other services connect to this endpoint.
     connect
-        Use a hub elsewhere instead of being it.
+        Endpoint of another hub; the gateway then runs none.
 
     Examples
     --------

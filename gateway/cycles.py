@@ -1,10 +1,10 @@
-"""When SYNC is due: absolute times, never two close together, and what is due too late is skipped and counted."""
+"""When each SYNC is due. Times are absolute; two SYNCs are never close together; late SYNCs are skipped and counted."""
 
 from typing import Final
 
 from dbc.contract import next_counter
 
-#: A SYNC that is this part of a period late is not sent any more; nor one this close to the SYNC before it.
+#: Part of a period. A SYNC is skipped when it is later than this, or nearer than this to the SYNC before.
 LATEST: Final = 0.5
 
 
@@ -22,7 +22,7 @@ class SyncClock:
     counter : int
         Counter of the newest SYNC, 0 before the first.
     sent, skipped : int
-        SYNCs since the start.
+        Number of SYNCs since the start.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -46,10 +46,10 @@ class SyncClock:
         self.due_s = float("inf")
 
     def take(self, now_s: float) -> float | None:
-        """Return when the SYNC was due that is to be sent now, None when none is.
+        """Return the due time of the SYNC to send now, None when no SYNC is due.
 
-        The lateness of one SYNC does not move the next. A stalled loop skips what it has missed: nodes would answer
-        two SYNCs close together with two bursts that the bus cannot carry.
+        A late SYNC does not move the next. After a stall the missed SYNCs are skipped: nodes would answer two SYNCs
+        close together with two bursts, more than the bus carries.
         """
         if now_s < self.due_s:
             return None

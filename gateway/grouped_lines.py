@@ -1,11 +1,11 @@
-"""Lines of the log that several nodes share: said once, with all of them."""
+"""Log lines that are equal for several nodes: written once, with all node-IDs."""
 
 from collections.abc import Callable
 from typing import Final
 
 from skin.ranges import ranges_text
 
-#: Lines are put together when they come within this time.
+#: Equal lines within this time become one line.
 GATHER_S: Final = 0.2
 
 
@@ -27,17 +27,17 @@ class GroupedLines:
         self._since_s = float("inf")
 
     def add(self, node_id: int, text: str, now_s: float) -> None:
-        """Keep a line until `GATHER_S` have passed since the first that is kept."""
+        """Keep a line until `GATHER_S` after the oldest kept line."""
         self._nodes_of.setdefault(text, []).append(node_id)
         self._since_s = min(self._since_s, now_s)
 
     def tick(self, now_s: float) -> None:
-        """Say the lines that have been kept for long enough."""
+        """Log the kept lines when `GATHER_S` have passed."""
         if now_s - self._since_s >= GATHER_S:
             self.flush()
 
     def flush(self) -> None:
-        """Say all lines now."""
+        """Log all kept lines now."""
         for text, node_ids in self._nodes_of.items():
             self._say(f"node{'s' * (len(node_ids) > 1)} {ranges_text(node_ids)} on {self._bus} {text}")
         self._nodes_of.clear()

@@ -1,4 +1,4 @@
-"""How full a bus is: the time its frames took, with exact stuffing, over the time that passed."""
+"""Load of a bus: time of its frames (exact stuffing) / time that passed."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from skin.layout import Bus
 
 
 class BusLoad:
-    """Load of one bus, since the last look and since SYNC started.
+    """Load of one bus, since the last `look` and since SYNC started.
 
     Parameters
     ----------
@@ -25,11 +25,11 @@ class BusLoad:
         self._since_s = self._start_s = now_s
 
     def take(self, arrived: Frames) -> None:
-        """Keep frames seen on the bus, own ones included, until `account`."""
+        """Keep frames of the bus, the gateway's own included, until `account`."""
         self._waiting.append(arrived)
 
     def account(self) -> None:
-        """Add up the time of the frames taken so far; cheap for many frames, not for few."""
+        """Add up the time of the kept frames; one call for many frames is cheaper than many calls."""
         if not self._waiting:
             return
         taken = np.concatenate(self._waiting)
@@ -40,13 +40,13 @@ class BusLoad:
         self._total_busy_ns += busy_ns
 
     def restart(self, now_s: float) -> None:
-        """Forget the load so far and count from `now_s`: when SYNC starts."""
+        """Clear the load and count from `now_s`, the start of SYNC."""
         self._waiting.clear()
         self._busy_ns = self._total_busy_ns = 0
         self._since_s = self._start_s = now_s
 
     def look(self, now_s: float) -> float:
-        """Return the load since the last look."""
+        """Return the load since the last call."""
         self.account()
         load_ratio = _ratio(self._busy_ns, now_s - self._since_s)
         self._busy_ns, self._since_s = 0, now_s

@@ -1,4 +1,4 @@
-"""The gateway apart from its input and output: frames and times in, frames and measurements out."""
+"""The gateway without its input and output: frames and times in, frames and measurements out."""
 
 import time
 from collections import deque
@@ -20,16 +20,16 @@ from gateway.nmt_master import NmtMaster
 from skin.messages import BusState, GatewayStatus, Measurement
 from skin.ranges import ranges_text
 
-#: How often `look_after_nodes` compares what nodes say with what is awaited of them.
+#: Period of `_look_after_nodes`.
 LOOK_PERIOD_S: Final = 0.2
-#: SYNC starts when every node has been asked, or after this time.
+#: SYNC starts when every node has answered or timed out, at the latest after this time.
 BOOT_PATIENCE_S: Final = 3.0
-#: The last node that was started gets this long to be ready.
+#: Time from the start of the last node to the first SYNC.
 SETTLE_S: Final = 0.1
-#: A cycle is closed this fraction of a period after the next SYNC, if a bus does not show that SYNC.
+#: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
 
-#: Sends frames on a bus; returns how many, from the first, found room.
+#: Sends frames on a bus; returns how many of them, counted from the first, the transmit queue accepted.
 Send = Callable[[Frames], int]
 
 
@@ -44,16 +44,16 @@ class _Cycle:
 
 @dataclass
 class _Bus:
-    """One bus and what is kept about it."""
+    """State of one bus."""
 
     name: str
     send: Send
     master: NmtMaster
     load: BusLoad
     places: list[tuple[int, NodeContract]]
-    #: SYNCs in a row that found no room.
+    #: SYNCs in a row that the transmit queue did not accept.
     refused_syncs: int = 0
-    #: Why it takes none has been said.
+    #: The log names the cause already.
     is_explained: bool = False
     foreign_syncs: int = 0
 
@@ -69,7 +69,7 @@ class GatewayLoop:
     now_s : float
         Monotonic time.
     say, complain : callable
-        Take a line for the log: of a change, and of what may come many times.
+        Write a line to the log: `say` for a change, `complain` for a line that may come many times.
 
     Attributes
     ----------
@@ -101,28 +101,28 @@ class GatewayLoop:
 
     @property
     def in_flight(self) -> int:
-        """Cycles that are not closed yet."""
+        """Number of open cycles."""
         return len(self._flying)
 
     @property
     def due_s(self) -> float:
-        """When something is due besides arriving frames."""
+        """When the next SYNC is due or the oldest cycle must be closed, whichever comes first."""
         closes_s = self._flying[0].closes_s if self._flying else float("inf")
         return min(self.sync.due_s, closes_s)
 
     def take(self, number: int, arrived: Frames, now_s: float) -> None:
-        """Use the frames that arrived on a bus, in the order of the wire."""
+        """Use the frames that arrived on a bus, in bus order."""
         if not len(arrived):
             return
         bus = self._buses[number]
-        # Doubts of the master come before the sums: what it reads here may say what these sums are.
+        # The master first: a frame may make it doubt the node whose sums come next.
         bus.master.take(arrived, now_s)
         self.collector.take(number, arrived)
         bus.load.take(arrived)
         bus.foreign_syncs += int(((arrived["flags"] == 0) & (arrived["can_id"] == SYNC_COB_ID)).sum())
 
     def tick(self, now_s: float) -> None:
-        """Do what time calls for, but for SYNC and the end of cycles."""
+        """Do all that is due at `now_s`, except SYNC and the end of cycles."""
         for bus in self._buses.values():
             bus.master.tick(now_s)
         if not self.sync.runs and self.sync.counter == 0:
@@ -134,14 +134,14 @@ class GatewayLoop:
             self._look_after_nodes(now_s)
 
     def send_sync(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
-        """Send the SYNC that is due, on every bus; return what had to be closed to make room for its cycle.
+        """Send the SYNC that is due on every bus; return the measurements of cycles that were closed for it.
 
         Parameters
         ----------
         now_s : float
-            The time of the sending itself: with an older one SYNCs would bunch after a stall.
+            Time of this call. With an older time, SYNCs would come close together after a stall.
         wall_offset_ns : int
-            Wall clock less monotonic clock.
+            Wall clock minus monotonic clock.
         """
         due_s = self.sync.take(now_s)
         if due_s is None:
@@ -150,7 +150,7 @@ class GatewayLoop:
         counter = self.sync.counter
         self.collector.open(counter)
         sync = one_frame(SYNC_COB_ID, bytes((counter,)))
-        # When it was due, so that on a virtual bus a late turn of this loop is no jitter of the SYNC.
+        # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns = round(due_s * 1e9)
         sync["expires_ns"] = sync_ns + round(LATEST * self._period_s * 1e9)
         for bus in self._buses.values():
@@ -165,7 +165,7 @@ class GatewayLoop:
         return closed
 
     def close_settled(self, now_s: float) -> list[Measurement]:
-        """End the cycles that need not wait any longer."""
+        """End the cycles that are settled or out of time; return their measurements."""
         closed = []
         while self._flying:
             oldest = self._flying[0]
@@ -175,7 +175,7 @@ class GatewayLoop:
         return closed
 
     def stop(self) -> None:
-        """Leave all nodes PRE-OPERATIONAL."""
+        """Command all nodes to PRE-OPERATIONAL."""
         for bus in self._buses.values():
             bus.master.stop()
 
@@ -185,7 +185,7 @@ class GatewayLoop:
         Parameters
         ----------
         links : mapping of int to (State, int)
-            By number of the bus: state of the gateway's own controller, frames lost on the receive side.
+            By number of the bus: state of the gateway's controller, and frames that its receive side lost.
         """
         return GatewayStatus(
             time_ns=time.time_ns(),
@@ -198,7 +198,7 @@ class GatewayLoop:
         )
 
     def explain_refused_syncs(self, states: Mapping[int, State]) -> None:
-        """Say once why a bus takes no SYNC."""
+        """Log once why the transmit queue of a bus accepts no SYNC."""
         for number, bus in self._buses.items():
             if bus.refused_syncs and not bus.is_explained:
                 self._say(f"{bus.name} takes no SYNC: {_WHY_REFUSED[states[number]]}")
@@ -214,7 +214,7 @@ class GatewayLoop:
         return _Bus(wires.name, send, master, BusLoad(wires, now_s), places)
 
     def _trust(self, node: NodeContract, proven: bool) -> None:
-        """Use a node's sums from now on, or no longer."""
+        """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
         self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
         if proven:
             self.collector.expected[self._place[node.bus, node.node_id]] = True
@@ -228,7 +228,7 @@ class GatewayLoop:
                 self._say(f"{bus.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
 
     def _look_after_nodes(self, now_s: float) -> None:
-        """Wait for operational nodes only, and pass on what the collector noticed."""
+        """Let cycles wait for operational nodes only; report swapped phases, emergencies and foreign SYNCs."""
         for place in self.collector.take_swapped():
             node = self._contract.nodes[place]
             if node.bus in self._buses:
@@ -236,7 +236,7 @@ class GatewayLoop:
         for bus in self._buses.values():
             nmt = bus.master.nmt
             for (place, _), state in zip(bus.places, nmt, strict=True):
-                # A node that sends sums is operational, whatever its last heartbeat said.
+                # A node that sends sums is operational, whatever state its last heartbeat had.
                 self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
@@ -267,7 +267,7 @@ class GatewayLoop:
         gathered: Gathered = self.collector.close(cycle.counter)
         self._closed += 1
         self._complete += gathered.complete
-        # One bus per cycle, now that the burst is over and the loop has time.
+        # One bus per cycle: the burst is over, so the loop has time.
         self._buses[self._numbers[self._closed % len(self._numbers)]].load.account()
         return Measurement(
             cycle=cycle.number,

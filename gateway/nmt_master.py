@@ -1,6 +1,6 @@
-"""The NMT master of one bus: proves what every node sends, starts it, and brings it back when it leaves OPERATIONAL.
+"""The NMT master of one bus: proves each node's configuration, starts the node, and restarts lost nodes.
 
-After CiA 302-2, boot NMT slave and error control. Time and frames are arguments, so that nothing here waits.
+After CiA 302-2, boot NMT slave and error control. Time and frames are arguments; no function waits.
 """
 
 from collections.abc import Callable
@@ -35,23 +35,23 @@ from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, SdoDialogue
 from skin.messages import SILENT
 
-#: A node is silent when its heartbeat is missing for this many periods.
+#: A node is silent after this many heartbeat periods without a heartbeat.
 PATIENCE: Final = 1.5
 SILENT_AFTER_S: Final = PATIENCE * HEARTBEAT_MS / 1000
-#: Pause before each try to bring a node back; a node that is still out after the last is asked once every `LATER_S`.
+#: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`.
 PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0)
 LATER_S: Final = 60.0
-#: A node that stays in for this long starts again with the shortest pause.
+#: After this long in OPERATIONAL, the next loss begins with the shortest pause.
 STABLE_S: Final = 10.0
-#: A heartbeat that was on its way when the node was started may come this much later.
+#: A heartbeat with the old state may come this much later than the NMT start.
 UNDER_WAY_S: Final = 0.3
-#: The SDO channel of a node has to be quiet for this long before the gateway uses it after somebody else.
+#: After another client's request the gateway leaves the node's SDO channel alone for this long.
 SDO_QUIET_S: Final = 0.05
-#: A block download of another master goes on while its frames are this close.
+#: A block download of another master has ended when no frame of it comes for this long.
 BLOCK_DOWNLOAD_S: Final = 1.0
-#: Dialogues at the same time; their frames come behind those of the sums.
+#: Most SDO dialogues at the same time. SDO frames have a lower priority than TPDOs.
 DIALOGUES: Final = 16
-#: An emergency explains why a node left when it came at most this long before.
+#: An emergency at most this long before a node left is logged as the reason.
 EXPLAINS_S: Final = 2.0
 #: How often `tick` looks at every node.
 TICK_S: Final = 0.01
@@ -60,7 +60,7 @@ Send = Callable[[int, bytes], None]
 
 
 class NmtMaster:
-    """Looks after the nodes of one bus.
+    """NMT master of the nodes of one bus.
 
     Parameters
     ----------
@@ -72,11 +72,12 @@ class NmtMaster:
     trust : callable
         Called with a node and whether its sums may be used.
     say : callable
-        Takes a line for the log.
+        Writes a line to the log.
 
     Attributes
     ----------
     node_ids : list of int
+        In the order of the contract; `nmt` and `emcy` have the same order.
     """
 
     def __init__(
@@ -100,19 +101,19 @@ class NmtMaster:
         self._round_s = proof_period_s(contract, bus)
         self._slot_s = self._tick_s = -np.inf
         self._lines = GroupedLines(self._name, say)
-        #: Emergencies since the last look: node-ID and error code.
+        #: Emergencies since the list was last cleared: node-ID and error code.
         self.emergencies: list[tuple[int, int]] = []
 
     # What is known
 
     @property
     def passed(self) -> bool:
-        """Whether every node has been asked once and has answered or not."""
+        """Whether every node's first dialogue has ended, with or without an answer."""
         return all(node.asked for node in self._nodes.values())
 
     @property
     def nmt(self) -> npt.NDArray[np.uint8]:
-        """NMT state of every node by its last heartbeat, `SILENT` when that is overdue; shape (nodes,)."""
+        """NMT state in every node's last heartbeat, `SILENT` when the heartbeat is overdue; shape (nodes,)."""
         return np.array([node.nmt for node in self._nodes.values()], np.uint8)
 
     @property
@@ -122,17 +123,17 @@ class NmtMaster:
 
     @property
     def refused(self) -> list[int]:
-        """Node-IDs that are there and must not be used."""
+        """Node-IDs that answer, but whose sums must not be used."""
         return [node_id for node_id, node in self._nodes.items() if node.refusal]
 
     @property
     def awaited(self) -> list[int]:
-        """Node-IDs of which nothing is proven and nothing refused: most often they are not there."""
+        """Node-IDs neither proven nor refused; in most cases the node is absent."""
         return [node_id for node_id, node in self._nodes.items() if not node.trusted and not node.refusal]
 
     @property
     def proof_limit_s(self) -> float:
-        """How long a block may stay valid after its node was proven last."""
+        """How long a block stays valid after the last proof of its node."""
         nodes = self._nodes.values()
         mean_cost = sum(node.cost for node in nodes) / len(nodes)
         return PROOF_ROUNDS * self._round_s * mean_cost + ATTEMPTS * TIMEOUT_S
@@ -140,7 +141,7 @@ class NmtMaster:
     # What arrives
 
     def take(self, arrived: Frames, now_s: float) -> None:
-        """Use frames seen on the bus, in their order."""
+        """Use the frames of the bus, in bus order."""
         can_id, flags = arrived["can_id"], arrived["flags"]
         plain = flags & (ERROR | ECHO | EXTENDED | REMOTE) == 0
         ours = (can_id == NMT_COB_ID) | (can_id > SDO_RESPONSE_BASE) | is_of_node(can_id, EMCY_BASE)
@@ -190,9 +191,9 @@ class NmtMaster:
             node.prove_at_s = min(node.prove_at_s, now_s)
 
     def _booted(self, node: NodeRecord, now_s: float) -> None:
-        """Doubt a node that has booted: nothing is known of it until it is proven."""
+        """Use no sums of a node that has booted until the node is proven again."""
         node.dialogue = None
-        if node.refusal or node.hint:  # somebody has looked after it
+        if node.refusal or node.hint:  # somebody has worked on the node
             node.tries = 0
         node.refusal = ""
         if node.trusted:
@@ -216,7 +217,7 @@ class NmtMaster:
                 node.hint = ", reset by another master"
 
     def _foreign_sdo(self, node: NodeRecord, data: bytes, now_s: float) -> None:
-        """Doubt a node whose configuration somebody else writes, until it is proven again."""
+        """Use no sums of a node whose configuration somebody else writes until the node is proven again."""
         kind = data[0] >> 5
         if node.in_block_download and now_s - node.foreign_sdo_s < BLOCK_DOWNLOAD_S:
             kind = 0  # the data of a block download: its first byte is a number
@@ -251,7 +252,7 @@ class NmtMaster:
     # What time calls for
 
     def tick(self, now_s: float) -> None:
-        """Ask, start and give up nodes; call it many times a second."""
+        """Check times, begin dialogues, and start proven nodes; call it many times a second."""
         if now_s < self._tick_s:
             return
         self._tick_s = now_s + TICK_S
@@ -270,7 +271,7 @@ class NmtMaster:
         self._lines.tick(now_s)
 
     def stop(self) -> None:
-        """Leave all nodes PRE-OPERATIONAL."""
+        """Command all nodes to PRE-OPERATIONAL."""
         self._command(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
         self._lines.flush()
 
@@ -286,15 +287,15 @@ class NmtMaster:
             self._lose(node, f"not proven for {now_s - node.proven_s:.0f} s", now_s)
 
     def _bring_back(self, node: NodeRecord, now_s: float) -> None:
-        """Begin to prove a node that is out; it is started when the proof is there."""
-        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and one without heartbeat may be stopped.
+        """Begin to prove a node that is not in use; the node is started when the proof succeeds."""
+        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and a node without heartbeat may be stopped.
         if node.nmt == NmtState.STOPPED or (node.nmt == SILENT and node.tries):
             self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
         node.tries += 1
         self._begin(node, now_s)
 
     def _prove_in_turn(self, now_s: float) -> None:
-        """Prove the node whose proof is oldest, as often as the bus's part for proofs allows."""
+        """Prove the node whose proof is oldest, as often as the share of the bus for proofs allows."""
         if now_s < self._slot_s:
             return
         share_s = self._round_s / len(self._nodes)
@@ -316,12 +317,12 @@ class NmtMaster:
 
         node.began_s = now_s
         steps = prove(node.settings, write=self._write, doubt=doubt)
-        # A node that was never heard is not waited for: it says so when it comes.
+        # One attempt for a silent node: the boot-up message or heartbeat tells when the node is there.
         attempts = 1 if node.nmt == SILENT else ATTEMPTS
         node.dialogue = SdoDialogue(node.contract.node_id, steps, self._send, now_s, attempts=attempts)
 
     def _finish(self, node: NodeRecord, now_s: float) -> None:
-        """Draw the conclusion of a dialogue that has ended."""
+        """Act on the result of a dialogue that has ended."""
         dialogue = node.dialogue
         if dialogue is None or not dialogue.done:
             return
@@ -339,13 +340,13 @@ class NmtMaster:
                 self._lines.add(node.contract.node_id, f"refused: {proof.refusal}", now_s)
             node.refusal, node.prove_at_s = proof.refusal, now_s + LATER_S
             return
-        # The last transfer has read the signature; without signature the first object was read first.
+        # A proof holds from its oldest read: with a signature the last transfer, without a signature the first.
         node.refusal, node.proven_s = "", dialogue.asked_s if proof.has_signature else node.began_s
         if not node.trusted:
             self._let_in(node, now_s)
 
     def _let_in(self, node: NodeRecord, now_s: float) -> None:
-        """Use the sums of a node that is proven, and start it; tries that were made before it was ever in count not."""
+        """Use the sums of a proven node and start it; attempts before its first start are not counted."""
         node.trusted, node.trusted_s, node.hint = True, now_s, ""
         self._trust(node.contract, True)
         if node.nmt != NmtState.OPERATIONAL:
@@ -355,10 +356,10 @@ class NmtMaster:
             self._lines.add(node.contract.node_id, f"back after {now_s - node.lost_s:.1f} s", now_s)
             node.lost_s = None
         else:
-            node.tries = 0  # it was not out: it had not been in yet
+            node.tries = 0  # the first start, not a restart
 
     def _lose(self, node: NodeRecord, why: str, now_s: float) -> None:
-        """Use the sums of a node no longer, and bring it back after a pause."""
+        """Use no more sums of a node; try to restart it after a pause."""
         node.trusted = False
         self._trust(node.contract, False)
         if node.lost_s is None:
@@ -367,7 +368,7 @@ class NmtMaster:
         self._pause(node, now_s)
 
     def _pause(self, node: NodeRecord, now_s: float) -> None:
-        """Set when a node that is out is asked next."""
+        """Set the time of the next attempt for a node that is not in use."""
         is_over = node.tries >= len(PAUSES_S)
         node.prove_at_s = now_s + (LATER_S if is_over else PAUSES_S[node.tries])
         if node.tries == len(PAUSES_S) and node.nmt != SILENT:

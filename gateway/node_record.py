@@ -1,4 +1,4 @@
-"""What the gateway knows of one node."""
+"""The gateway's record of one node."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,32 +18,32 @@ class NodeRecord:
     Attributes
     ----------
     compared : frozenset of int
-        Indices of the objects that its proof compares.
+        Indices of the objects that the proof compares.
     nmt : int
-        NMT state by its newest heartbeat, `SILENT` when that is overdue.
+        NMT state in the newest heartbeat, `SILENT` when the heartbeat is overdue.
     trusted : bool
-        Its sums are used.
+        The node's sums are used.
     proven_s : float
-        When the newest proof that succeeded began.
+        When the newest successful proof read its oldest value.
     prove_at_s : float
-        When a node that is out is asked next.
+        When the next dialogue of a node that is not in use begins.
     tries : int
-        Dialogues since it was last in for a while.
+        Dialogues since the node was last stable in OPERATIONAL.
     asked : bool
-        Its first dialogue has ended.
+        The first dialogue has ended.
     heard_s, emcy_s, trusted_s, began_s, foreign_sdo_s : float
-        Newest heartbeat, newest emergency that is not over, newest time of coming in, beginning of its newest dialogue,
-        newest SDO request of another master.
+        Times of the newest heartbeat, the newest active emergency, the newest start of use, the beginning of the
+        newest dialogue, and the newest SDO request of another master.
     refusal : str
-        Why its sums must not be used, empty where nothing is against it.
+        Why the node's sums must not be used; empty if they may.
     dialogue : SdoDialogue or None
-        The dialogue under way.
+        The open dialogue.
     hint : str
-        What explains the next boot.
+        The reason that the log gives for the next boot.
     in_block_download : bool
-        Another master sends it a value in blocks.
+        Another master sends the node a value by block download.
     lost_s : float or None
-        When it went out; None while it is in, or was never in.
+        When the node's sums were given up; None while they are used, or before their first use.
     """
 
     contract: NodeContract
@@ -60,13 +60,13 @@ class NodeRecord:
     dialogue: SdoDialogue | None = None
     began_s: float = -np.inf
     prove_at_s: float = 0.0
-    #: Transfers that its last proof took.
+    #: Transfers of the last proof.
     cost: int = 1
     tries: int = 0
     asked: bool = False
     lost_s: float | None = None
     hint: str = ""
-    #: The download that another master has begun is of an object that is compared.
+    #: The object that another master writes is compared by the proof.
     is_sdo_suspect: bool = True
     foreign_sdo_s: float = -np.inf
     in_block_download: bool = False

@@ -1,7 +1,7 @@
-"""The dialogue that proves what a node's sums are: its configuration is compared with the contract, and set right.
+"""The dialogue that proves a node: its configuration is compared with the contract, and corrected where it differs.
 
-After CiA 302-2, boot NMT slave. One read is enough where the node computes the signature of its configuration
-(2006h); every object is read where it does not, or where the signature differs.
+After CiA 302-2, boot NMT slave. One read is enough for a node that computes the signature of its configuration
+(2006h). Every object is read when the node computes none, or when the signature differs.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -22,9 +22,9 @@ from dbc.indices import (
 )
 from gateway.sdo import Read, SdoAbortedError, Transfer, Write
 
-#: A signature of 0: the board does not compute one.
+#: Value of 2006h in a board that computes no signature.
 NO_SIGNATURE: Final = 0
-#: Objects that a refusal names before it says how many more there are.
+#: Most objects that a refusal names; of the others it gives the number.
 NAMED: Final = 3
 
 Steps = Generator[Transfer, bytes, "Proof"]
@@ -33,16 +33,16 @@ _Part = Generator[Transfer, bytes, None]
 
 @dataclass
 class Proof:
-    """What a dialogue found.
+    """Result of a dialogue.
 
     Attributes
     ----------
     refusal : str
-        Why the node's sums must not be used; empty when they may.
+        Why the node's sums must not be used; empty if they may.
     written : str
-        Objects that were set right, and their values before.
+        Objects that were written, with their old values.
     has_signature : bool
-        The node computes its signature, so that the next proof is one transfer.
+        The node computes its signature, so the next proof is one transfer.
     """
 
     refusal: str = ""
@@ -58,9 +58,9 @@ def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]
     settings : sequence of Setting
         From `dbc.configuration.configuration`.
     write : bool
-        Set right what differs and can be written; else refuse the node.
+        Write the objects that differ, if all of them can be written; else refuse the node.
     doubt : callable
-        Called as soon as anything differs, before anything is written.
+        Called when the first difference is found, before any write.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _signature_is_right(settings: Sequence[Setting], proof: Proof) -> Generator[
 
 
 def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list[tuple[Setting, bytes]]]:
-    """Return the objects that differ, with what they hold; those of another device end the comparison."""
+    """Return the objects that differ, with their values; a different identity (1018h) ends the comparison."""
     wrong = []
     for setting in settings:
         data = yield Read(setting.index, setting.subindex)
@@ -115,7 +115,7 @@ def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list
 
 
 def _write(wrong: Sequence[Setting], settings: Sequence[Setting]) -> _Part:
-    """Write what differs, in the order that CiA 301 asks for."""
+    """Write the objects that differ, in the order of CiA 301."""
     of_tpdos = {_tpdo(setting.index) for setting in wrong} - {None}
     for setting in wrong:
         if setting.index == OD_SYNC_OVERFLOW:
@@ -156,7 +156,7 @@ def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
 
 
 def _tpdo(index: int) -> int | None:
-    """Return the number of the TPDO whose record this is."""
+    """Return the number of the TPDO that the record at `index` describes; None for other objects."""
     if OD_TPDO_COMMUNICATION <= index < OD_MANUFACTURER:
         return index % 0x200 + 1
     return None

@@ -1,7 +1,7 @@
 """SDO transfers of a client as a state machine (CiA 301, 7.2.4): frames in, frames out, time as an argument.
 
-The ``canopen`` library's client waits for each answer in a thread. The gateway asks many nodes at once and must not
-block. A dialogue with a node is a generator that yields `Read` and `Write` and is sent the answers.
+The client of the ``canopen`` library blocks a thread until the answer comes. The gateway asks many nodes at once and
+must not block. A dialogue with a node is a generator: it yields `Read` and `Write`, and receives the answers.
 """
 
 from collections.abc import Callable, Generator
@@ -11,9 +11,9 @@ from typing import Final
 from dbc.canopen import FIRST_ABORT_OF_THE_OBJECT, SDO_BYTES, SDO_REQUEST_BASE, Abort
 from dbc.contract import LONGEST_VALUE
 
-#: An answer waits behind a whole burst of sums; five SYNC periods of 100 Hz are ample.
+#: Time limit of an answer. Answers wait for the whole burst of sums: less than one period, 10 ms at 100 Hz.
 TIMEOUT_S: Final = 0.3
-#: How often a transfer is begun before the node counts as not answering.
+#: Attempts of a transfer before the node counts as not answering.
 ATTEMPTS: Final = 3
 
 _TOGGLE: Final = 0x10
@@ -37,20 +37,20 @@ class Write:
 
 
 Transfer = Read | Write
-#: Yields transfers, is sent the value read (empty after a write), returns whatever it found out.
+#: Yields transfers, receives the value read (empty after a write), and returns a result.
 Dialogue = Generator[Transfer, bytes, "object"]
 
 
 class SdoError(Exception):
-    """A transfer came to nothing."""
+    """A transfer failed."""
 
 
 class SdoTimeoutError(SdoError):
-    """The node did not answer, `ATTEMPTS` times."""
+    """The node answered none of the attempts."""
 
 
 class SdoAbortedError(SdoError):
-    """The node refused; `code` says why (CiA 301, table 22)."""
+    """The node aborted the transfer; `code` is the abort code (CiA 301, table 22)."""
 
     def __init__(self, transfer: Transfer, code: int) -> None:
         try:
@@ -68,7 +68,7 @@ class SdoDialogue:
     ----------
     node_id : int
     steps : generator
-        The dialogue; `SdoError` is thrown into it where a transfer fails.
+        The dialogue; a failed transfer raises `SdoError` inside the generator.
     send : callable
         Sends a frame: COB-ID and data.
     now_s : float
@@ -77,11 +77,11 @@ class SdoDialogue:
     ----------
     done : bool
     result : object
-        What the generator returned.
+        Return value of the generator.
     error : SdoError or None
-        What ended the dialogue, where the generator did not catch it.
+        Error that the generator did not catch.
     asked_s : float
-        When the newest transfer was begun.
+        When the newest transfer began.
     """
 
     def __init__(
@@ -109,14 +109,14 @@ class SdoDialogue:
         self._go_on(lambda: next(steps), now_s)
 
     def tick(self, now_s: float) -> None:
-        """Begin the transfer again when its answer is overdue."""
+        """Repeat the transfer when its answer is overdue."""
         if self.done or now_s < self._due_s:
             return
         self._abort(Abort.TIMEOUT)
         self._retry(now_s)
 
     def take(self, data: bytes, now_s: float) -> None:
-        """Use an answer of the node; answers to somebody else are passed over."""
+        """Use an answer of the node; answers to another client are ignored."""
         if self.done or len(data) != SDO_BYTES:
             return
         kind = data[0] & 0xE0
@@ -165,7 +165,7 @@ class SdoDialogue:
         if not self._is_mine(data) and data[1:4] != bytes(3):
             return
         if code < FIRST_ABORT_OF_THE_OBJECT:
-            self._retry(now_s)  # the transfer was disturbed, which says nothing of the object
+            self._retry(now_s)  # the transfer failed, not the access to the object
         else:
             self._fail(SdoAbortedError(self._transfer, code), now_s)
 

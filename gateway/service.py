@@ -1,4 +1,4 @@
-"""The gateway's process: links in, SYNC out at absolute times, one measurement per cycle to the fabric."""
+"""The gateway's process: receives frames, sends SYNC at absolute times, publishes one measurement per cycle."""
 
 import select
 import time
@@ -14,12 +14,12 @@ from skin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
 from skin.service import Complaints, StopSignal, be_punctual, say
 
 STATUS_PERIOD_S: Final = 0.2
-#: Time is looked at least this often.
+#: Longest wait for frames.
 TURN_S: Final = 0.01
 
 
 class Publisher(Protocol):
-    """Where messages go: the fabric."""
+    """Publishes messages: the fabric, or a test's stand-in."""
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         """Publish one message."""
@@ -27,7 +27,7 @@ class Publisher(Protocol):
 
 
 class GatewayService:
-    """Master of a skin's buses.
+    """Runs a `GatewayLoop` on links and a fabric.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class GatewayService:
         self._status_at_s = 0.0
 
     def run(self, stop: StopSignal) -> None:
-        """Boot the nodes, then serve until `stop`; cycles in flight are finished first."""
+        """Boot the nodes, then serve until `stop`; open cycles are finished before the return."""
         be_punctual()
         while not stop.is_set():
             self.turn()
@@ -77,12 +77,12 @@ class GatewayService:
         self._fabric.publish(GATEWAY, self.loop.status(states, self._clock()))
 
     def turn(self) -> None:
-        """Wait for frames until the next thing is due, use them, and do what is due.
+        """Wait for frames until the next SYNC or end of a cycle, use them, and do what is due.
 
-        The clock is read anew before each step: any step may be held up, and a SYNC must know how late it is.
+        The clock is read before each step: any step may be delayed, and the lateness of SYNC must be known.
         """
         timeout_s = max(0.0, min(self.loop.due_s - self._clock(), TURN_S))
-        # select() and not epoll: its timeout has microseconds.
+        # select() and not epoll: the timeout of select() has a resolution of microseconds.
         ready, _, _ = select.select(list(self._links.values()), [], [], timeout_s)
         for number, link in self._links.items():
             if link in ready:

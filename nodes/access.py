@@ -1,6 +1,6 @@
-"""What an SDO write may change, and when: the rules of the communication profile as one function per object.
+"""Checks of SDO writes: the rules of the communication profile, one function per object.
 
-Each raises the abort code the standard gives for the case (CiA 301, table 22).
+Each function raises the abort code of the standard (CiA 301, table 22).
 """
 
 import math
@@ -46,7 +46,7 @@ from nodes.objects import LocalNode
 
 
 def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
-    """Raise `canopen.SdoAbortedError` when `value`, a whole number but for REAL32, must not be written now."""
+    """Raise `canopen.SdoAbortedError` if `value` must not be written now; only REAL32 values may be fractions."""
     if OD_TPDO_COMMUNICATION <= index < OD_TPDO_MAPPING:
         _communication(node, index, subindex, int(value))
     elif OD_TPDO_MAPPING <= index < OD_MANUFACTURER:
@@ -62,7 +62,7 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
 
 
 def is_allowed(index: int, value: float) -> bool:
-    """Tell whether an object can have a value at all, whatever the state of the node."""
+    """Tell whether an object accepts a value in some state of the node."""
     rule = _VALUES.get(_first_block(index))
     return rule is None or rule(value)
 
@@ -71,7 +71,7 @@ def _first_block(index: int) -> int:
     return split_block(index)[1] if index >= OD_MANUFACTURER else index
 
 
-#: Values an object accepts, where not all of its type.
+#: Accepted values of the objects that do not accept every value of their type.
 _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_ERROR_FIELD: lambda value: value == 0,
     OD_SYNC_COB_ID: lambda value: value == SYNC_COB_ID,  # a consumer, on the predefined identifier
@@ -96,7 +96,7 @@ def _communication(node: LocalNode, index: int, subindex: int, value: int) -> No
 
 
 def _cob_id(present: int, value: int) -> None:
-    """Check the COB-ID of a PDO or EMCY: free for this use, and the same while the message exists."""
+    """Check the COB-ID of a PDO or EMCY: it must be free, and must not change while the message exists."""
     can_id = value & EXTENDED_ID_MASK
     is_free = 0 < can_id <= BASE_ID_MASK and can_id != SYNC_COB_ID and not value & COB_ID_EXTENDED
     if not value & COB_ID_INVALID and (not is_free or any(can_id in block for block in RESTRICTED_COB_IDS)):
@@ -113,7 +113,7 @@ def _emcy(node: LocalNode, value: int) -> None:
 
 
 def _consumer_heartbeat(node: LocalNode, subindex: int, value: int) -> None:
-    """Check an entry of 1016h: every node-ID is watched once (CiA 301, 7.5.2.18)."""
+    """Check an entry of 1016h: no node-ID is watched twice (CiA 301, 7.5.2.18)."""
     others = [
         node.unsigned(OD_CONSUMER_HEARTBEAT, each) for each in range(1, HEARTBEATS_WATCHED + 1) if each != subindex
     ]
@@ -131,7 +131,7 @@ def _mapping(node: LocalNode, index: int, subindex: int, value: int) -> None:
         if value:
             _check_mappable(node, value)
         return
-    if value > node.pdo_bytes:  # objects of one byte each
+    if value > node.pdo_bytes:  # an object has one byte or more
         raise SdoAbortedError(Abort.PDO_LENGTH)
     entries = [node.unsigned(index, place) for place in range(1, value + 1)]
     for entry in entries:

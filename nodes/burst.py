@@ -1,4 +1,4 @@
-"""The cyclic TPDOs of some nodes as arrays, so that one SYNC costs a few array operations and not hundreds of calls."""
+"""The cyclic TPDOs of many nodes as arrays: one SYNC costs a few array operations, not hundreds of calls."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ from nodes.tpdo import Tpdo
 
 
 class Burst:
-    """Plain TPDOs (`Tpdo.is_plain`), compiled from what the nodes' dictionaries say now.
+    """Plain TPDOs (`Tpdo.is_plain`), compiled from the present values of the nodes' dictionaries.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Burst:
         self._syncs = 0
 
     def frames(self, counter: int, sums: npt.NDArray[np.int32], operational: npt.NDArray[np.bool_]) -> Frames:
-        """Return the frames that SYNC `counter` (0: without counter) calls for, in node order.
+        """Return the frames that answer SYNC `counter` (0: SYNC without counter), in node order.
 
         Parameters
         ----------
@@ -46,7 +46,7 @@ class Burst:
         operational : array of bool, shape (nodes,)
         """
         self._syncs += 1
-        # As `nodes.tpdo.is_turn`, for all rows at once.
+        # `nodes.tpdo.is_turn` for all rows at once.
         turn = np.where((self._start > 0) & (counter > 0), (counter - self._start) % SYNC_OVERFLOW, self._syncs)
         due = operational[self._node] & (turn % self._every == 0)
         burst: Frames = self._template[due]

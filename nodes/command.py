@@ -51,31 +51,31 @@ def nodes(
     connect
         Endpoint of the fabric's hub.
     fabric
-        ``--no-fabric`` runs on the bus alone, without publishing what the skin really felt.
+        ``--no-fabric`` uses the bus only; the true forces are then not published.
     only
         Run only these nodes, as BUS:NODE or BUS:FIRST-LAST, for example bus0:5 or bus2:1-16.
     without
-        Run all but these nodes.
+        Run all nodes except these.
     objects
         Comma-separated names of the objects that touch the skin; default: a series of five.
     input
-        A recording to play instead: .npz, .npy or .csv of shape (time, rows, columns).
+        A recording to play instead of objects: .npz, .npy or .csv of shape (time, rows, columns).
     full_scale
         Value of the recording that stands for the skin's largest force.
     array
-        Name of the array of an .npz; two names are placed side by side.
+        Name of an array in the .npz; two arrays are placed side by side.
     rate
-        Frames a second of the recording; without it, each cycle plays the next frame.
+        Frames per second of the recording; without this option each cycle plays the next frame.
     noise_n
-        Standard deviation of the sensor noise in newtons; 0 for a recording, which has its own.
+        Standard deviation of the sensor noise in newtons. Recordings get none: they contain their own noise.
     defect
-        Defects of the taxels, each KIND or KIND=AMOUNT. Part of the taxels: dead, stuck, saturated, noisy (0.01).
-        Deviation of the gains: gain-spread (0.1). Part of each neighbour's force: cross-talk (0.1). Drift of zero,
-        N/s: drift (0.0001). Damping, N s/m: damper (0.01).
+        Defects of the taxels, each KIND or KIND=AMOUNT (default amount in brackets). Fraction of the taxels: dead,
+        stuck, saturated, noisy (0.01). Standard deviation of the gains: gain-spread (0.1). Fraction of each
+        neighbour's force: cross-talk (0.1). Drift of zero, N/s: drift (0.0001). Damping, N s/m: damper (0.01).
     seed
-        Seed of the touches, of the noise, and of the taxels that a defect meets.
+        Seed of the touches, of the noise, and of the choice of defective taxels.
     store
-        Folder that keeps what 1010h stores, a file per node, as the flash memory of a board does.
+        Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board.
 
     Examples
     --------
@@ -118,12 +118,12 @@ def nodes(
 
 
 def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
-    """Return the node-IDs to run, by number of the bus; buses without any are left out.
+    """Return the node-IDs to run, by number of the bus; buses without nodes to run are left out.
 
     Raises
     ------
     InputError
-        If a choice names a bus or node that the layout does not have, or nothing is left.
+        If a choice names a bus or node that the layout does not have, or no node is left.
     """
     chosen = _parse(contract, only) if only else {(node.bus, node.node_id) for node in contract.nodes}
     chosen -= _parse(contract, without)

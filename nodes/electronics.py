@@ -1,4 +1,4 @@
-"""What the nodes read of their taxels: the sensor signal in ADC counts, the node's calibration, and test patterns."""
+"""The nodes' taxel readings: the sensor signal in ADC counts, the calibration of each node, and test patterns."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ import numpy.typing as npt
 from skin.layout import Taxels
 from skin.taxel import NOISE_N, TaxelModel, to_counts
 
-#: Test patterns (2021h): measure, nothing, one count more from place to place, full scale.
+#: Test patterns (2021h): measured counts; 0; the place in the chain; full scale.
 PATTERN_OFF, PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL = range(4)
 
 
@@ -62,7 +62,7 @@ class Electronics:
         )
         counts = to_counts(signal.ravel(), self.taxels)
         corrected = counts.astype(np.float32)
-        with np.errstate(over="ignore"):  # a gain that an SDO write made huge: the range cuts it off
+        with np.errstate(over="ignore"):  # an SDO write may set a huge gain; the result is clipped
             corrected *= self.gain
         corrected += self.offset
         np.rint(corrected, out=corrected)
@@ -72,7 +72,7 @@ class Electronics:
         return counts
 
     def _with_damper(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float32]:
-        """Return the force with the damper's part: the speed is that since the last step that was read."""
+        """Return the force plus the damper's force; the speed is the mean since the last step that was read."""
         if self._model.damper is None:
             return force_n
         last_step, last_n = self._last or (step, force_n)
@@ -84,7 +84,7 @@ class Electronics:
         return pressed
 
     def set_pattern(self, chain: npt.NDArray[np.intp], pattern: int) -> None:
-        """Let the taxels of one block, in the order of their chain, show a test pattern."""
+        """Set the test pattern of one block; `chain` holds its taxels in chain order."""
         if pattern == PATTERN_RAMP:
             self._pattern[chain] = np.arange(chain.size)
         else:

@@ -1,4 +1,4 @@
-"""Emergency objects (CiA 301, 7.2.7): sent once when an error comes and once when the last one goes, and remembered."""
+"""Emergency objects (CiA 301, 7.2.7): sent once when an error occurs and once when the error is gone."""
 
 import struct
 from collections import deque
@@ -43,7 +43,7 @@ class EmcyProducer:
 
     @property
     def history(self) -> list[int]:
-        """Pre-defined error field (1003h), newest first: error code, and additional information above it."""
+        """Pre-defined error field (1003h), newest first: error code in bits 0 to 15, additional information above."""
         return list(self._history)
 
     @property
@@ -52,17 +52,17 @@ class EmcyProducer:
         return bool(self._waiting)
 
     def clear_history(self) -> None:
-        """Forget the error field (write 0 to 1003h sub 0)."""
+        """Clear the error field (write 0 to 1003h sub 0)."""
         self._history.clear()
 
     def reset(self) -> None:
-        """Forget everything, as a reset does."""
+        """Clear active errors, error field and waiting messages, as a reset does."""
         self._active.clear()
         self._history.clear()
         self._waiting.clear()
 
     def raised(self, error: Emergency, field: int = 0) -> None:
-        """Report an error that is not active yet; `field` goes to the manufacturer's bytes."""
+        """Report an error, unless it is active already; `field` fills the manufacturer's bytes."""
         if error in self._active:
             return
         self._active.add(error)
@@ -70,13 +70,13 @@ class EmcyProducer:
         self._waiting.append(EMCY.pack(error, self.register, (field & 0xFF_FFFF_FFFF).to_bytes(5, "little")))
 
     def gone(self, error: Emergency) -> None:
-        """Report that an active error has gone."""
+        """Report that an active error is gone."""
         if error in self._active:
             self._active.discard(error)
             self._waiting.append(EMCY.pack(Emergency.NONE, self.register, error.to_bytes(5, "little")))
 
     def flush(self, now_s: float, inhibit_s: float) -> None:
-        """Send what waits, one message per inhibit time."""
+        """Send waiting messages, one per inhibit time."""
         while self._waiting and now_s >= self._free_at_s:
             self._send(self._waiting.popleft())
             self._free_at_s = now_s + inhibit_s

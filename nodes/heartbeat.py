@@ -6,16 +6,16 @@ from dbc.canopen import HIGHEST_NODE_ID
 
 
 class HeartbeatProducer:
-    """Sends the NMT state every `period_s`; 0 sends none."""
+    """Sends the NMT state every `period_s`; a period of 0 sends no heartbeat."""
 
     def __init__(self, send: Callable[[], None]) -> None:
         self._send = send
-        #: When the next one is due.
+        #: When the next heartbeat is due.
         self.due_s = float("inf")
         self._period_s = 0.0
 
     def set_period(self, period_s: float, now_s: float, part: float = 1.0) -> None:
-        """Change the period; the next message comes after that `part` of it."""
+        """Change the period; the next heartbeat follows after `part` of the new period."""
         if period_s != self._period_s or part != 1.0:
             self._period_s = period_s
             self.due_s = now_s + part * period_s if period_s else float("inf")
@@ -28,7 +28,7 @@ class HeartbeatProducer:
 
 
 class HeartbeatConsumer:
-    """Watches other nodes; watching one begins with its first heartbeat.
+    """Watches other nodes; the watch on a node begins with its first heartbeat.
 
     Attributes
     ----------
@@ -49,23 +49,23 @@ class HeartbeatConsumer:
 
     @property
     def due_s(self) -> float:
-        """When the first heartbeat that has not come yet is overdue."""
+        """When the next heartbeat of a watched node becomes overdue."""
         return min((due_s for node_id, due_s in self._due_s.items() if node_id not in self.lost), default=float("inf"))
 
     def heard(self, node_id: int, now_s: float) -> None:
-        """Take note of a heartbeat."""
+        """Note a heartbeat of `node_id`."""
         if node_id in self._periods_s:
             self._due_s[node_id] = now_s + self._periods_s[node_id]
             self.lost.discard(node_id)
 
     def check(self, now_s: float) -> None:
-        """Find the heartbeats that are overdue."""
+        """Add the nodes whose heartbeat is overdue to `lost`."""
         for node_id, due_s in self._due_s.items():
             if now_s > due_s:
                 self.lost.add(node_id)
 
 
 def watched_node(entry: int) -> int:
-    """Return the node-ID that an entry of 1016h watches; 0 where the entry is not used."""
+    """Return the node-ID that an entry of 1016h watches; 0 if the entry is unused."""
     node_id, time_ms = entry >> 16, entry & 0xFFFF
     return node_id if time_ms and node_id <= HIGHEST_NODE_ID else 0

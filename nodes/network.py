@@ -1,4 +1,4 @@
-"""The ``canopen`` library's network on a link of ours: it sends through the link and is fed by the segment."""
+"""The ``canopen`` library's network on a `Link`: sends through the link; the segment hands it received frames."""
 
 import canopen
 
@@ -7,12 +7,12 @@ from dbc.frame import one_frame
 
 
 class SegmentNetwork(canopen.Network):
-    """A network without a bus thread of its own; what finds no room in the transmit queue is dropped.
+    """A network without a thread for the bus; frames that the full transmit queue refuses are dropped.
 
     Attributes
     ----------
     pdos_sent, pdos_dropped : int
-        PDOs that found room, and those that found none.
+        PDOs that the transmit queue accepted, and PDOs that it refused.
     """
 
     def __init__(self, link: Link) -> None:
@@ -25,7 +25,7 @@ class SegmentNetwork(canopen.Network):
         self._send(can_id, data, 0)
 
     def send_pdo(self, can_id: int, data: bytes, flags: int) -> bool:
-        """Send a PDO in a frame with the `flags` of its kind (`dbc.frame`); tell whether there was room."""
+        """Send a PDO in a frame with `flags` (`dbc.frame`); tell whether the transmit queue accepted it."""
         accepted = self._send(can_id, data, flags)
         self.pdos_sent += accepted
         self.pdos_dropped += 1 - accepted

@@ -54,7 +54,7 @@ from nodes.sampler import Sampler
 from nodes.storage import Parameters, Storage
 from nodes.tpdo import Tpdo, read_tpdos
 
-#: Writing these does something; reading them says that the node can do it.
+#: Objects whose write is a command; a read tells that the node offers the command.
 _COMMANDS: Final = (OD_STORE, OD_RESTORE)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
@@ -62,27 +62,27 @@ _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
 
 
 class SkinNode:
-    """A virtual SBHE block on the bus.
+    """A virtual CANopen node that measures one or more blocks.
 
     Parameters
     ----------
     contract : NodeContract
     objects : list of Object
-        Its dictionary.
+        The node's object dictionary.
     settings : sequence of Setting
         The objects that the configuration signature (2006h) covers.
     network : SegmentNetwork
     sampler : Sampler
     storage : Storage
-        What 1010h stored.
+        Parameters that 1010h stored.
 
     Attributes
     ----------
     state : NmtState
     health : array of int, shape (4,)
-        SYNCs seen, TPDOs sent, TPDOs dropped outside the window, saturated taxels (2020h).
+        SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
     tpdos : list of Tpdo
-        The PDOs that exist now; read anew by `refresh` after a write.
+        The PDOs that exist now; `refresh` reads them again after a write.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class SkinNode:
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
-        """Run through initialisation: restore parameters, send the boot-up message, be PRE-OPERATIONAL."""
+        """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self.state = NmtState.INITIALISING
         store = self.local.data_store
         for index in [index for index in store if index < OD_MANUFACTURER or not communication_only]:
@@ -152,12 +152,12 @@ class SkinNode:
         self.refresh(now_s)
         self._send_state()
         self.state = NmtState.PRE_OPERATIONAL
-        # Boards that are powered together would all beat together, in the middle of a burst of sums.
+        # Otherwise boards powered together would send their heartbeats together, inside a burst of sums.
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
         self.heartbeat.set_period(self.local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s, part)
 
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
-        """Tell whether a stored value fits an object that can be stored; a test pattern ends with a reset."""
+        """Tell whether a stored value fits an object that can be stored; test patterns cannot."""
         found = self.local.variable(index, subindex)
         if found is None or not found.writable or index in _COMMANDS or index == OD_ERROR_FIELD:
             return False
@@ -166,7 +166,7 @@ class SkinNode:
         return len(data) * 8 == BITS.get(found.data_type or 0) and is_allowed(index, _number(found.data_type, data))
 
     def _reset_electronics(self) -> None:
-        """Give the electronics the calibration that the dictionary holds now, and no test pattern."""
+        """Set the electronics to the dictionary's calibration and to no test pattern."""
         for place in range(self.contract.blocks):
             self._sampler.reset(self.contract.block + place)
         for index, entries in self.local.data_store.items():
@@ -175,7 +175,7 @@ class SkinNode:
                     self._adjust(index, subindex, data)
 
     def _adjust(self, index: int, subindex: int, data: bytes) -> None:
-        """Let the electronics follow an object of the manufacturer's area."""
+        """Pass a value of the manufacturer's area to the electronics."""
         place, first = split_block(index)
         if first == OD_GAIN:
             value = struct.unpack("<f", data)[0]
@@ -184,19 +184,19 @@ class SkinNode:
         self._sampler.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int, now_s: float) -> None:
-        """Obey an NMT command; unknown ones are ignored."""
+        """Execute an NMT command; unknown commands are ignored."""
         if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             self.boot(now_s, communication_only=command == NmtCommand.RESET_COMMUNICATION)
         elif command in COMMANDED:
             self.state = COMMANDED[NmtCommand(command)]
 
     def wants(self, now_s: float) -> bool:
-        """Tell whether `tick` has anything to do: most nodes have not, most of the time."""
+        """Tell whether `tick` has work to do; this quick test saves most calls."""
         waits = self._has_events or self.emcy.is_waiting
         return waits or now_s >= self.heartbeat.due_s or now_s >= self.watched.due_s
 
     def refresh(self, now_s: float) -> bool:
-        """Read what writes have changed since the last call; tell whether anything had."""
+        """Read the objects again if a write has changed any since the last call; tell whether one had."""
         if not self._changed:
             return False
         self._changed = False
@@ -210,7 +210,7 @@ class SkinNode:
         return True
 
     def tick(self, now_s: float) -> None:
-        """Do what time alone calls for: heartbeats out and in, emergencies, event-driven PDOs."""
+        """Do what is due by time: send and watch heartbeats, send emergencies and event-driven PDOs."""
         self.heartbeat.beat(now_s)
         self._watch(now_s)
         if self.state is NmtState.STOPPED:
@@ -239,7 +239,7 @@ class SkinNode:
             self.emcy.gone(Emergency.HEARTBEAT_LOST)
 
     def heard(self, node_id: int, now_s: float) -> None:
-        """Take note of another node's heartbeat."""
+        """Note a heartbeat of another node."""
         before = bool(self.watched.lost)
         self.watched.heard(node_id, now_s)
         if before and not self.watched.lost:
@@ -253,7 +253,7 @@ class SkinNode:
             self._network.send_message(self._emcy_cob_id & BASE_ID_MASK, payload)
 
     def _read(self, *, index: int, subindex: int, **_: object) -> Any:
-        """Return the present value of an object that is not just stored; None for all others."""
+        """Return the present value of a computed object; None for stored objects."""
         reader = self._live.get(index)
         return reader(subindex) if reader else None
 
@@ -266,7 +266,7 @@ class SkinNode:
         return history[subindex - 1]
 
     def _read_signature(self) -> int:
-        """Return the signature of what this node does: its PDOs by the dictionary, its patterns by the electronics."""
+        """Return the signature of the present configuration; test patterns are read from the electronics."""
         if self._signature is None:
             self._signature = signature((each.index, each.subindex, self._value(each)) for each in self._settings)
         return self._signature

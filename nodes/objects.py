@@ -1,4 +1,4 @@
-"""From the dictionary as data to the ``canopen`` library's object dictionary and local node."""
+"""Object dictionary and local node of the ``canopen`` library, made from `dbc.dictionary`."""
 
 import logging
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from dbc.contract import LONGEST_VALUE
 from dbc.dictionary import Object
 from dbc.indices import BITS, OD_SUMS, split_block
 
-# The library logs every request it refuses; the abort on the bus says it already.
+# The library logs every request that it refuses; the abort on the bus is enough.
 logging.getLogger("canopen.sdo.server").setLevel(logging.CRITICAL)
 
 
@@ -33,7 +33,7 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
             dictionary.add_object(variable)
             continue
         if each.index not in dictionary:
-            # Arrays, too: the library's own array has every sub-index that is asked for.
+            # A record for arrays, too: the library's array answers every sub-index.
             dictionary.add_object(ODRecord(each.group, each.index))
         group = dictionary[each.index]
         if isinstance(group, ODRecord):
@@ -42,10 +42,10 @@ def object_dictionary(objects: list[Object]) -> canopen.ObjectDictionary:
 
 
 class StrictSdoServer(SdoServer):
-    """The library's SDO server, held to CiA 301, 7.2.4, where it is more lenient than the standard.
+    """The library's SDO server, made as strict as CiA 301, 7.2.4.
 
-    A segment belongs to a transfer of its own direction that has begun and not ended; a download cannot go on for
-    ever; an expedited download may leave its size to the object; block transfer is refused.
+    A segment must belong to an open transfer of the same direction. A download has a largest length. An expedited
+    download without a size takes the size of the object. Block transfer is refused.
     """
 
     _buffer: bytearray | None
@@ -57,7 +57,7 @@ class StrictSdoServer(SdoServer):
         self._is_upload = False
 
     def init_upload(self, request: bytes) -> None:
-        """Begin an upload (7.2.4.3.5); one of more than four bytes goes on in segments."""
+        """Begin an upload (7.2.4.3.5); a value of more than four bytes follows in segments."""
         self._buffer, self._is_upload = None, True
         super().init_upload(request)  # type: ignore[no-untyped-call]
 
@@ -91,7 +91,7 @@ class StrictSdoServer(SdoServer):
             self._buffer = None
 
     def block_upload(self, data: bytes) -> None:
-        """Switch to an upload in segments, where the client allows it for a value of this size (7.2.4.3.12)."""
+        """Switch to an upload in segments if the client allows the switch for this size (7.2.4.3.12)."""
         index, subindex, switch_below = int.from_bytes(data[1:3], "little"), data[3], data[5]
         self._index, self._subindex = index, subindex
         if data[0] & 0x03 or len(self._local.get_data(index, subindex)) > switch_below:
@@ -104,13 +104,13 @@ class StrictSdoServer(SdoServer):
         super().request_aborted(data)  # type: ignore[no-untyped-call]
 
     def abort(self, abort_code: int = 0x0800_0000) -> None:
-        """End the transfer and say why."""
+        """End the transfer with an abort code."""
         self._buffer = None
         super().abort(abort_code)  # type: ignore[no-untyped-call]
 
 
 class LocalNode(canopen.LocalNode):
-    """The library's local node for its dictionary and SDO server only; NMT and heartbeat are `nodes.node`'s.
+    """The library's local node, used for dictionary and SDO server only; `nodes.node` does NMT and heartbeat.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class LocalNode(canopen.LocalNode):
         self._read_callbacks.append(callback)
 
     def _find_object(self, index: int, subindex: int) -> ODVariable:
-        """Return the description of an object; the library would give a variable any sub-index."""
+        """Return the description of an object; the library would accept any sub-index of a variable."""
         found = self.variable(index, subindex)
         if found is None:
             raise canopen.SdoAbortedError(Abort.NO_SUBINDEX if index in self.object_dictionary else Abort.NO_OBJECT)

@@ -1,4 +1,4 @@
-"""One instant of touch for all nodes: at a SYNC every block measures the same moment."""
+"""At a SYNC every block samples the same instant of the touch."""
 
 from collections import deque
 from typing import Final
@@ -14,19 +14,19 @@ from skin.messages import Truth
 from skin.sources import TaxelSource
 from skin.taxel import to_newtons
 
-#: SYNC frames of one cycle reach the buses within this time of each other: frames without a counter, and frames with
-#: the same counter. A busy master may take longer; the counter comes again after 120 ms at the earliest.
+#: Longest time between the SYNC frames of one cycle on different buses: frames without counter, and frames with the
+#: same counter. A busy master delays frames. A counter returns after 240 periods, 120 ms or more.
 UNNUMBERED_SYNC_SPREAD_NS: Final = 2_000_000
 NUMBERED_SYNC_SPREAD_NS: Final = 100_000_000
-#: One bus may be read up to the newest SYNC while another has some of these waiting.
+#: Cycles whose sums are kept, because some buses are read later than others.
 KEPT_CYCLES: Final = 8
 
 
 class Sampler:
-    """Turns SYNC counters into sums, once per cycle however many buses ask.
+    """Turns SYNC counters into sums, once per cycle for all buses.
 
-    The step of the taxel source follows the SYNC counter, so that several processes of nodes that were
-    started before the first SYNC feel the same touch, also when one of them misses a SYNC.
+    The step of the taxel source follows the SYNC counter. So all processes of nodes that were started before the
+    first SYNC measure the same touch, even if one process misses a SYNC.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Sampler:
         self._truth: Truth | None = None
 
     def first_sum(self, block: int) -> int:
-        """Return where the sums of `block` begin."""
+        """Return the index of the first sum of `block`."""
         return int(self._phi.starts[block])
 
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
@@ -62,7 +62,7 @@ class Sampler:
             self._patterns[block] = int(value)
 
     def reset(self, block: int) -> None:
-        """Give a block gain 1, offset 0 and no test pattern, as its defaults are."""
+        """Set a block to the defaults: gain 1, offset 0, no test pattern."""
         chain = self._chain(block)
         self._electronics.gain[chain] = 1
         self._electronics.offset[chain] = 0
@@ -70,7 +70,7 @@ class Sampler:
         self._patterns[block] = PATTERN_OFF
 
     def pattern(self, block: int) -> int:
-        """Return the test pattern that the electronics of a block show."""
+        """Return the test pattern of a block."""
         return int(self._patterns[block])
 
     def saturated(self, block: int) -> int:
@@ -78,7 +78,7 @@ class Sampler:
         return int((self._counts[self._chain(block)] >= self._electronics.taxels.count_max).sum())
 
     def _chain(self, block: int) -> npt.NDArray[np.intp]:
-        """Return the taxels of a block in the order of their daisy chain."""
+        """Return the taxels of a block in chain order."""
         size = self._phi.block_size
         return self._phi.order[block * size : (block + 1) * size]
 
@@ -108,6 +108,6 @@ class Sampler:
         return self.sums
 
     def take_truth(self) -> Truth | None:
-        """Return what the skin felt in the newest cycle, once."""
+        """Return the true forces and the sensor signal of the newest cycle, once."""
         truth, self._truth = self._truth, None
         return truth

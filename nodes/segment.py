@@ -1,4 +1,4 @@
-"""All virtual nodes of one bus behind one link: what comes in, and what answers."""
+"""All virtual nodes of one bus behind one link: frames in, answers out."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -35,13 +35,13 @@ from nodes.storage import Storage
 from nodes.tpdo import Tpdo
 from skin.service import Complaints
 
-#: A node answers this long after the end of the SYNC frame, on the bus's clock, as a microcontroller would.
+#: Time from the end of the SYNC frame to a node's answer, on the clock of the bus; typical of a microcontroller.
 REACTION_NS: Final = 100_000
 #: Resolution of heartbeats, event timers and inhibit times.
 TICK_S: Final = 0.005
-#: When the next SYNC is due, in periods after the last.
+#: The next SYNC is expected within these times after the last SYNC, in periods.
 QUIET_FROM, QUIET_TO = 0.7, 2.0
-#: 1007h is 0: there is no limit.
+#: Window when 1007h is 0: no limit.
 NO_WINDOW_NS: Final = 1 << 62
 
 
@@ -54,16 +54,16 @@ class Segment:
     bus : int
         Number of the bus in the layout.
     node_ids : collection of int
-        Which of its nodes live here.
+        The nodes of the bus that this process runs.
     link : Link
     sampler : Sampler
     store : Path, optional
-        Folder for what 1010h stores, a file per node; without it the parameters end with the process.
+        Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
 
     Attributes
     ----------
     frames_rejected : int
-        Received frames that made the CANopen library raise; they are dropped.
+        Number of received frames that made the CANopen library raise; they are dropped.
     """
 
     def __init__(
@@ -108,25 +108,24 @@ class Segment:
 
     @property
     def frames_sent(self) -> int:
-        """TPDOs handed to the controllers, but for those they gave back."""
+        """Number of TPDOs that the controllers accepted and did not discard."""
         return self._sent + self._network.pdos_sent
 
     @property
     def frames_dropped(self) -> int:
-        """TPDOs that found no room in the controllers, or none on the bus in time."""
+        """Number of TPDOs that the controllers refused, or could not send within the window."""
         return self._dropped + self._network.pdos_dropped
 
     def boot(self, now_s: float) -> None:
-        """Power all nodes up."""
+        """Boot all nodes."""
         for node in self.nodes:
             node.boot(now_s)
         self._compile()
 
     def tick(self, now_s: float) -> None:
-        """Do what time alone calls for, but not while the next SYNC is due.
+        """Do what is due by time, but not while the next SYNC is expected.
 
-        A heartbeat that is sent when the SYNC waits to be read would be on the bus before the burst that
-        answers it.
+        A heartbeat sent while a SYNC waits to be read would delay the burst that answers this SYNC.
         """
         since_s = now_s - self._sync_at_s
         quiet = QUIET_FROM * self._period_s < since_s < QUIET_TO * self._period_s
@@ -138,7 +137,7 @@ class Segment:
                 node.tick(now_s)
 
     def receive(self, now_s: float) -> None:
-        """Handle every frame that waits on the link."""
+        """Handle every frame that waits in the link."""
         arrived = self.link.receive()
         self._count_expired(arrived[arrived["flags"] & DISCARDED == DISCARDED])
         can_id = arrived["can_id"]
@@ -146,7 +145,7 @@ class Segment:
         plain = there & (arrived["flags"] & ECHO == 0)
         heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
         request = is_of_node(can_id, SDO_REQUEST_BASE)
-        # The nodes behind this link hear each other's heartbeats as echoes.
+        # The nodes behind this link receive each other's heartbeats as echoes.
         for frame in arrived[there & heartbeat | plain & (request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
             self._handle(frame, now_s)
 
@@ -190,10 +189,10 @@ class Segment:
                     node.send(tpdo, payload)
 
     def _count_expired(self, unsent: Frames) -> None:
-        """Take note of TPDOs that found no room on the bus within the window (1007h), and report them."""
+        """Count and report the TPDOs that could not be sent within the window (1007h)."""
         if not len(unsent):
             return
-        unsent = unsent[np.isin(unsent["can_id"], self._pdo_ids)]  # a controller that goes bus-off gives all back
+        unsent = unsent[np.isin(unsent["can_id"], self._pdo_ids)]  # a controller in bus-off discards other frames, too
         self._sent -= len(unsent)
         self._dropped += len(unsent)
         for node_id, count in zip(*np.unique(unsent["port"], return_counts=True), strict=True):
@@ -203,7 +202,7 @@ class Segment:
                 node.emcy.raised(Emergency.WINDOW_MISSED, int(node.health[2]))
 
     def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
-        """Report a SYNC whose length is not what 1019h says (CiA 301, 7.2.5.2: EMCY 8240h)."""
+        """Report a SYNC whose length does not agree with 1019h (CiA 301, 7.2.5.2: EMCY 8240h)."""
         for node in listening:
             node.health[0] += 1
             if length == self._sync_length[node.contract.node_id]:
@@ -226,18 +225,18 @@ class Segment:
             return
         try:
             self._network.notify(can_id, bytearray(data), now_s)
-        except Exception:  # noqa: BLE001 - nothing that arrives may end the receive loop
+        except Exception:  # noqa: BLE001 - no received frame may end the receive loop
             self.frames_rejected += 1
         if node.refresh(now_s):
             self._compile()
 
     def _compile(self) -> None:
-        """Split the TPDOs into those a burst of arrays can carry and the others."""
+        """Split the TPDOs into plain TPDOs, which `Burst` sends as arrays, and the others."""
         plain: list[tuple[int, NodeContract, Tpdo]] = []
         self._mixed: list[tuple[SkinNode, Tpdo]] = []
         self._sync_length: dict[int, int] = {}
         self._pdo_ids = [tpdo.cob_id for node in self.nodes for tpdo in node.tpdos]
-        # Latest start of a frame after the SYNC: it has to end inside the window.
+        # Latest start of a frame after the SYNC, so that the frame ends inside the window.
         self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
         for place, node in enumerate(self.nodes):
             node_id = node.contract.node_id

@@ -1,4 +1,4 @@
-"""The loop of a process of virtual nodes: links in, bursts out, heartbeats, and what the skin really felt."""
+"""The loop of a process of virtual nodes: receives SYNC, sends TPDOs and heartbeats, publishes the true forces."""
 
 import os
 import selectors
@@ -15,7 +15,7 @@ from skin.fabric import Fabric
 from skin.messages import NODES, TRUTH, NodesStatus
 from skin.service import StopSignal, be_punctual
 
-#: Time is looked at least this often.
+#: Longest wait for frames.
 TURN_S: Final = 0.005
 STATUS_PERIOD_S: Final = 0.2
 
@@ -29,12 +29,12 @@ class NodesService:
     links : mapping of int to Link
         By number of the bus.
     node_ids : mapping of int to collection of int
-        Which nodes of each bus live here.
+        The nodes of each bus that this process runs.
     sampler : Sampler
     fabric : Fabric or None
-        Where counters and, of a simulated skin, the true touch are published.
+        Where counters and true forces are published.
     store : Path, optional
-        Folder for what 1010h stores.
+        Folder for the parameters that 1010h stores.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class NodesService:
         self._status_at_s = 0.0
 
     def run(self, stop: StopSignal) -> None:
-        """Power up, then serve until `stop`."""
+        """Boot the nodes, then serve until `stop`."""
         with selectors.DefaultSelector() as selector:
             for segment in self.segments:
                 selector.register(segment.link.fileno(), selectors.EVENT_READ, segment)

@@ -1,4 +1,4 @@
-"""What 1010h stores of one node (CiA 301, 7.5.2.13): kept in memory, and in a file where a folder is given."""
+"""The parameters of one node that 1010h stores (CiA 301, 7.5.2.13): in memory, and in a file if a folder is given."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ Parameters = dict[int, dict[int, bytes]]
 
 
 class _Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The file: whose parameters these are, and the values in hexadecimal by ``INDEX:SUBINDEX``."""
+    """Content of the file: fingerprint of Φ, and the values in hexadecimal by ``INDEX:SUBINDEX``."""
 
     phi: str
     parameters: dict[str, str]
@@ -31,7 +31,7 @@ class Storage:
     Attributes
     ----------
     parameters : dict
-        What was stored last; empty after `clear`.
+        The stored values; empty after `clear`.
 
     Raises
     ------
@@ -45,12 +45,12 @@ class Storage:
         self.parameters: Parameters = {} if path is None else self._load(path)
 
     def save(self, parameters: Parameters) -> None:
-        """Store `parameters` in place of all before.
+        """Store `parameters`; they replace all stored values.
 
         Raises
         ------
         OSError
-            If the file cannot be written; the parameters stored before stay.
+            If the file cannot be written; the old values stay.
         """
         if self._path is not None:
             flat = {
@@ -62,7 +62,7 @@ class Storage:
         self.parameters = parameters
 
     def clear(self) -> None:
-        """Forget what was stored: the next reset restores the defaults.
+        """Delete the stored values: the next reset restores the defaults.
 
         Raises
         ------

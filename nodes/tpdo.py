@@ -1,4 +1,4 @@
-"""One transmit PDO as its records describe it now (CiA 301, 7.2.2), and when it is due."""
+"""A transmit PDO as its records describe it now (CiA 301, 7.2.2), and when the PDO is due."""
 
 from dataclasses import dataclass, field
 
@@ -18,11 +18,11 @@ class Tpdo:
     Attributes
     ----------
     every : int
-        Transmission type: 0 acyclic synchronous, 1 to 240 every so many SYNCs, 254 and 255 event-driven.
+        Transmission type: 0 acyclic synchronous, n = 1 to 240 every n-th SYNC, 254 and 255 event-driven.
     start : int
-        SYNC start value; 0 counts SYNCs from the first.
+        SYNC start value; with 0 the node counts SYNCs from the first.
     inhibit_s, event_s : float
-        Least time between two, and longest time without one; 0 for none. Event-driven PDOs only.
+        Inhibit time and event timer, of event-driven PDOs only; 0 for none.
     mapped : list of (int, int, int)
         Index, sub-index and bits of each mapped object, in the order of the bits.
     length : int
@@ -42,7 +42,7 @@ class Tpdo:
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is cyclic and carries nothing but sums, so that a burst can be made of arrays."""
+        """Whether the PDO is cyclic and carries sums only, so that `Burst` can send it."""
         return 1 <= self.every <= LAST_SYNCHRONOUS and all(
             split_block(index)[1] == OD_SUMS for index, _, _ in self.mapped
         )
@@ -57,7 +57,7 @@ class Tpdo:
         return packed.to_bytes(self.length, "little")
 
     def at_sync(self, counter: int, node: LocalNode) -> bytes | None:
-        """Return the payload when SYNC `counter` calls for it."""
+        """Return the payload if the PDO is due at SYNC `counter`, else None."""
         self._syncs += 1
         if self.every > LAST_SYNCHRONOUS or not is_turn(self.every or 1, self.start, counter, self._syncs):
             return None
@@ -68,7 +68,7 @@ class Tpdo:
         return payload
 
     def at_event(self, now_s: float, node: LocalNode) -> bytes | None:
-        """Return the payload of an event-driven PDO when it has changed or its event timer has run out."""
+        """Return the payload of an event-driven PDO if it has changed or the event timer has expired, else None."""
         if self.every < EVENT_MANUFACTURER or now_s < self._sent_at_s + self.inhibit_s:
             return None
         payload = self.payload(node)
@@ -82,8 +82,8 @@ class Tpdo:
 def is_turn(every: int, start: int, counter: int, syncs: int) -> bool:
     """Tell whether a cyclic PDO is due at a SYNC.
 
-    With a SYNC start value the counter decides and not the number of SYNCs seen, so that a missed SYNC does
-    not shift the turn.
+    With a SYNC start value the counter of the SYNC decides, not the number of SYNCs received. So a missed SYNC does
+    not shift later transmissions.
     """
     if start and counter:
         return (counter - start) % SYNC_OVERFLOW % every == 0
@@ -91,7 +91,7 @@ def is_turn(every: int, start: int, counter: int, syncs: int) -> bool:
 
 
 def read_tpdos(node: LocalNode, numbers: list[int]) -> list[Tpdo]:
-    """Read the TPDOs that exist from a node's dictionary; one whose mapping cannot be read does not exist."""
+    """Read the existing TPDOs from a node's dictionary; a TPDO with an unreadable mapping does not exist."""
     found = []
     for number in numbers:
         try:
