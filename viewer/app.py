@@ -1,4 +1,4 @@
-"""The page's server: the page and its files, the live frames, and the state for programs."""
+"""The HTTP server: the page and its files, frames by WebSocket, and the state as JSON."""
 
 import asyncio
 import contextlib
@@ -26,8 +26,8 @@ STATIC: Final = str(files("viewer") / "static")
 def build_app(feed: Feed, hosts: Collection[str] | None = LOOPBACK) -> Starlette:
     """Return the application that shows `feed`.
 
-    Paths: ``/`` the page, ``/static`` its files, ``/ws`` a greeting as text and then frames (`viewer.wire`), of
-    which the page acknowledges each with a text message, ``/api/state`` the snapshot as JSON, ``/healthz``.
+    Paths: ``/`` the page; ``/static`` its files; ``/ws`` a greeting as text, then frames (`viewer.wire`), and the page
+    answers each frame with a text message; ``/api/state`` the snapshot as JSON; ``/healthz``.
 
     Parameters
     ----------

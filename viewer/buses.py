@@ -1,4 +1,4 @@
-"""The wires' part of a snapshot: what the gateway and the processes of nodes count."""
+"""Buses and nodes in a snapshot, from the counters of the gateway and of the processes of nodes."""
 
 from typing import Final
 
@@ -7,18 +7,18 @@ import msgspec
 from skin.messages import SILENT, BusState, GatewayStatus, NodesStatus
 from viewer.snapshot import BusView, GatewayState, NodesState
 
-#: What a gateway's controller says when it can neither send nor receive.
+#: States of the gateway's controller in which it neither sends nor receives.
 DEAD_LINKS: Final = ("lost", "bus_off")
 
 
 def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:
-    """Return what the page shows of the gateway's counters."""
+    """Return the gateway's counters as the page shows them."""
     buses = list(map(_bus_view, status.buses))
     return GatewayState(**{**msgspec.structs.asdict(status), "age_s": age_s, "stale": stale, "buses": buses})
 
 
 def nodes_state(status: NodesStatus, age_s: float, *, stale: bool) -> NodesState:
-    """Return what the page shows of one process of nodes."""
+    """Return the counters of one process of nodes as the page shows them."""
     return NodesState(**{**msgspec.structs.asdict(status), "age_s": age_s, "stale": stale})
 
 

@@ -1,4 +1,4 @@
-"""Whether a message that decoded well also fits the skin shown: sizes and ranges, before anything is drawn."""
+"""Checks that a decoded message fits the skin shown: sizes and ranges."""
 
 import math
 
@@ -21,7 +21,7 @@ def truth_fits(truth: Truth, layout: Layout) -> bool:
 
 
 def label_fits(label: Label) -> bool:
-    """Tell whether a label's confidence is one."""
+    """Tell whether a label's confidence is within 0 to 1."""
     return 0.0 <= label.confidence <= 1.0
 
 

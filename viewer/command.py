@@ -18,7 +18,7 @@ from viewer.feed import Feed
 from viewer.guard import LOOPBACK
 
 BACKLOG: Final = 64
-#: Pages are told to come again and get this long to hang up when the server ends.
+#: When the server ends, pages get this long to close their connections.
 FAREWELL_S: Final = 1
 #: Pages send acknowledgements only.
 MESSAGE_LIMIT_BYTES: Final = 1024
@@ -40,9 +40,9 @@ def view(
     connect
         Endpoint of the fabric's hub, usually the gateway.
     host
-        Address to listen on. Anything but loopback shows the skin to the whole network.
+        Address to listen on. With an address other than loopback, everybody on the network can see the skin.
     port
-        Port to listen on; 0 takes a free one and prints it.
+        Port to listen on; 0 takes a free port and prints it.
 
     Examples
     --------
@@ -63,10 +63,10 @@ def view(
 
 
 class _Server(uvicorn.Server):
-    """Says where the page is once it can be opened."""
+    """Logs the address of the page when the page can be opened."""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start serving, then say so."""
+        """Start serving, then log the address."""
         await super().startup(sockets)
         for listener in sockets or []:
             host, port = listener.getsockname()[:2]
@@ -82,7 +82,7 @@ def _serve(feed: Feed, listener: socket.socket, host: str) -> None:
         lifespan="on",
         server_header=False,
         ws_max_size=MESSAGE_LIMIT_BYTES,
-        # Frames are floats that change at every turn: deflating them costs more than the loopback gains.
+        # Frames are floats that change each time: compression costs more time than it saves on loopback.
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=FAREWELL_S,
     )
@@ -90,7 +90,7 @@ def _serve(feed: Feed, listener: socket.socket, host: str) -> None:
 
 
 def _hosts(host: str) -> Collection[str] | None:
-    """Return the host names a server bound to `host` answers to; None when nobody can list them."""
+    """Return the host names that a server bound to `host` answers to; None for a host bound to all addresses."""
     try:
         address = ip_address(host)
     except ValueError:
@@ -99,7 +99,7 @@ def _hosts(host: str) -> Collection[str] | None:
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Open the socket the page is served on.
+    """Open the socket on which the page is served.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listener.close()
         if error.errno == errno.EADDRINUSE:
             raise InputError(
-                f"port {port} of {host} is in use: give another with --port, or --port 0 for a free one"
+                f"port {port} of {host} is in use: give another port with --port; --port 0 takes a free port"
             ) from error
         raise InputError(f"--host {host} --port {port}: cannot listen there: {error.strerror or error}") from error
     return listener

@@ -1,4 +1,4 @@
-"""From the fabric to the model: every message is noted under a lock, and a snapshot can be taken at any time."""
+"""From the fabric to `ViewState`: a lock lets messages come and snapshots be taken at any time."""
 
 import threading
 import time
@@ -29,7 +29,7 @@ class Feed:
         self._fabric: Fabric | None = None
 
     def join(self, fabric: Fabric) -> None:
-        """Subscribe to everything the page shows."""
+        """Subscribe to all topics that the page shows."""
         state = self._state
         handlers: tuple[tuple[Topic, Callable[[Any, float], None]], ...] = (
             (IMAGE, state.take_image),
@@ -44,7 +44,7 @@ class Feed:
         fabric.watch_peers(self._changed)
 
     def snapshot(self) -> tuple[Snapshot, Pictures]:
-        """Return what the page shows now."""
+        """Return the snapshot and the pictures of now."""
         undecodable = self._fabric.malformed if self._fabric else 0
         with self._lock:
             return self._state.snapshot(time.monotonic(), undecodable)

@@ -1,4 +1,4 @@
-"""Who may talk to the page's server, and what a browser may do with its answers."""
+"""Access to the page's server: which hosts and origins are served, and the security headers for browsers."""
 
 from collections.abc import Collection
 from typing import Final
@@ -26,14 +26,14 @@ LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
 class Guard:
     """Middleware: refuse foreign hosts and origins, and add the security headers to every answer.
 
-    A page of another site can neither open the WebSocket (its ``Origin`` differs from ``Host``) nor read
-    through a name it points at this machine (its ``Host`` is not one of `hosts`).
+    A page of another site cannot open the WebSocket, because its ``Origin`` differs from ``Host``. DNS rebinding does
+    not help it either: a request under a foreign name has a ``Host`` that is not in `hosts`.
 
     Parameters
     ----------
     app : ASGI application
     hosts : collection of str, or None
-        Host names the server answers to; None answers to any.
+        Host names that the server answers to; None: all.
     """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str] | None) -> None:

@@ -1,4 +1,4 @@
-"""What a person must be told, from the state alone: what stopped, since when, and because of whom."""
+"""Notices for the user, made from the snapshot alone: what stopped, when, and which service is the cause."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -8,7 +8,7 @@ import msgspec
 from skin.messages import SILENT, NmtState
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
-#: NMT states a node is asked about by name (CiA 301, 7.2.8.3.2).
+#: Names of the NMT states in which a node sends no sums (CiA 301, 7.2.8.3.2).
 OFF_DUTY: Final = {
     NmtState.INITIALISING: "booting",
     NmtState.STOPPED: "stopped",
@@ -16,19 +16,19 @@ OFF_DUTY: Final = {
     SILENT: "silent",
 }
 REFUSED: Final = "refused by the gateway: not of this skin"
-#: What the gateway's own controller says of a bus, when a person must be told.
+#: States of the gateway's controller that a notice reports.
 LINKS: Final = {
     "lost": "dead: the gateway has lost its interface",
     "bus_off": "dead: the gateway's controller is bus-off",
     "passive": "troubled: the gateway's controller is error passive",
 }
-#: Node-IDs named in one notice; the tiles show the rest.
+#: Most node-IDs named in one notice; the tiles show the others.
 NAMED: Final = 8
 
 
 def notices(state: Snapshot) -> Snapshot:
-    """Return `state` with its notices, the gravest first."""
-    if state.cut_off:  # who else is gone cannot be told from here
+    """Return `state` with its notices, errors first."""
+    if state.cut_off:  # the state of the other services is then unknown
         text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
         found = [_error(text, state.services["viewer"].since_time_s)]
     else:
@@ -55,7 +55,7 @@ def _gateway(state: Snapshot) -> Iterator[Notice]:
 
 
 def _misfits(state: Snapshot) -> Iterator[Notice]:
-    """Name services that work with another Φ or another version."""
+    """Name services with another Φ or another version."""
     for service in state.services.values():
         if service.alive and service.difference:
             yield _error(service.difference, service.since_time_s)
@@ -73,7 +73,7 @@ def _images(state: Snapshot) -> Iterator[Notice]:
 
 
 def _why(state: Snapshot, token: Service | None) -> str:
-    """Name the service that keeps images from coming."""
+    """Name the service because of which no images come."""
     if token is None or not token.alive:
         return "reconstructor is gone"
     gateway = state.services.get("gateway")

@@ -1,4 +1,4 @@
-"""What the page shows at one instant, as plain data: the answer of ``/api/state`` and the header of every frame."""
+"""Content of the page at one instant: the answer of ``/api/state`` and the header of every frame."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,14 @@ Pixels = npt.NDArray[np.float32]
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
-    """One line a person should read.
+    """One line of text for the user.
 
     Attributes
     ----------
     level : str
-        "info" (something is still to come), "warning" (degraded) or "error" (stopped).
+        "info" (start is not finished), "warning" (degraded) or "error" (stopped).
     since_time_s : float or None
-        Wall-clock time when it began.
+        Wall-clock time when the condition began.
     """
 
     level: str
@@ -28,20 +28,20 @@ class Notice(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Service(msgspec.Struct, frozen=True, kw_only=True):
-    """A service as its liveliness token and its messages tell.
+    """State of a service, from its liveliness token and its messages.
 
     Attributes
     ----------
     alive : bool
-        Its process is there.
+        The process runs: its token exists.
     silent : bool
-        It is there and sends nothing, though it should.
+        The process runs and has input, but sends nothing.
     since_time_s : float
-        When it came or went.
+        Wall-clock time when the token came or went.
     version, fingerprint : str
-        What it says of itself; see `skin.peers.Peer`.
+        From the token; see `skin.peers.Peer`.
     difference : str
-        Why it cannot work with this page's skin; empty when it can.
+        Why the service cannot work with this page's skin; empty if it can.
     """
 
     alive: bool
@@ -53,12 +53,12 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ImageState(msgspec.Struct, frozen=True, kw_only=True):
-    """The newest image; ``stale`` when it must not be taken for what the skin feels now.
+    """The newest image; ``stale`` when it is too old to be the present touch.
 
     Attributes
     ----------
     invalid_blocks : list of int
-        Blocks that were not measured in this cycle; the pixels of their taxels are guesses.
+        Blocks without valid sums in this cycle; the solver has estimated the forces of their taxels.
     """
 
     cycle: int
@@ -70,7 +70,7 @@ class ImageState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TruthState(msgspec.Struct, frozen=True, kw_only=True):
-    """The true and the sensor image; ``of_image`` when they belong to the very cycle of the image shown."""
+    """The true and the sensor image; ``of_image`` when they belong to the cycle of the image shown."""
 
     step: int
     label: str
@@ -80,12 +80,12 @@ class TruthState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LabelState(msgspec.Struct, frozen=True, kw_only=True):
-    """What the classifier said last; an empty ``label`` means no contact, but only where ``measured``.
+    """The classifier's newest label; an empty ``label`` means no contact if ``measured`` is true.
 
     Attributes
     ----------
     measured : bool
-        False when too little of the skin was measured to say anything; see `skin.labels.is_measured`.
+        False when too few sums were valid for a label; see `skin.labels.is_measured`.
     """
 
     label: str
@@ -96,20 +96,20 @@ class LabelState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
-    """Figures of the last seconds; None where nothing was measured.
+    """Figures of the last seconds; None without a measurement.
 
     Attributes
     ----------
     images_hz : float
-        Images that show something measured.
+        Rate of the images with at least one valid sum.
     latency_p50_s, latency_p99_s : float or None
-        SYNC to such an image.
+        Time from SYNC to the publication of such an image, median and 99th percentile.
     psnr_image_db, psnr_sensor_db : float or None
-        Mean over the contact cycles of the last second, against the truth.
+        Mean PSNR over the cycles with contact of the last second; the reference is the truth.
     sensor_adds_noise : bool or None
-        False when the sensor only rounds to its ADC's steps, as with a recording.
+        False when the sensor only rounds to ADC counts, as with a recording.
     valid_blocks, valid_blocks_low : int or None
-        Blocks measured in the newest image, and the fewest in the last second.
+        Number of valid blocks in the newest image, and the smallest such number in the last second.
     """
 
     images_hz: float
@@ -124,16 +124,16 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BusView(BusState, frozen=True, kw_only=True):
-    """One bus: what the gateway says of it, and what follows.
+    """One bus: the gateway's counters, and conclusions from them.
 
     Attributes
     ----------
     nmt : list of int
         State of each node.
     dead : bool
-        Nothing passes between the gateway and this bus.
+        The gateway can neither send nor receive on this bus.
     synced : bool
-        SYNC reaches a node: without any, no frame of the gateway is acknowledged.
+        SYNC reaches at least one node: without nodes no frame of the gateway is acknowledged.
     """
 
     nmt: list[int]  # type: ignore[assignment]  # numbers in JSON, where bytes would be Base64
@@ -142,22 +142,22 @@ class BusView(BusState, frozen=True, kw_only=True):
 
 
 class GatewayState(GatewayStatus, frozen=True, kw_only=True):
-    """The gateway's newest counters, and how old they are."""
+    """The gateway's newest counters, and their age."""
 
     age_s: float
     stale: bool
-    buses: list[BusView]  # type: ignore[assignment]  # which are the gateway's, and more
+    buses: list[BusView]  # type: ignore[assignment]  # with more fields than `BusState`
 
 
 class NodesState(NodesStatus, frozen=True, kw_only=True):
-    """The newest counters of one process of virtual nodes, and how old they are."""
+    """The newest counters of one process of virtual nodes, and their age."""
 
     age_s: float
     stale: bool
 
 
 class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything the page shows, but the pixels; ``cut_off`` when the viewer itself hears nobody.
+    """Content of the page without pixels; ``cut_off`` when the viewer has lost the hub.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Pictures:
-    """The pixels that go with a snapshot, newtons, shape (rows, columns); None where there is nothing to show."""
+    """The pixels of a snapshot, newtons, shape (rows, columns); None for a picture that is not shown."""
 
     image: Pixels | None
     true: Pixels | None

@@ -1,4 +1,4 @@
-"""The page's model: messages in, one snapshot out. No clock, no thread and no connection of its own."""
+"""The page's model: messages in, snapshots out. Time is an argument; there is no thread and no connection here."""
 
 from typing import Final, Generic, NamedTuple, TypeVar
 
@@ -30,15 +30,15 @@ from viewer.window import Window
 
 #: Images, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
-#: The gateway and the nodes publish their counters a few times a second.
+#: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
 STATUS_FRESH_S: Final = 1.5
-#: Nobody publishes the truth any more: hide it.
+#: A truth older than this is hidden.
 TRUTH_GONE_S: Final = 3.0
-#: Processes of nodes shown at most; a name nobody has used for long makes room.
+#: Most processes of nodes shown; the one with the oldest message is dropped first.
 PROCESSES: Final = 64
-#: Services known at most; the one that is gone for longest makes room.
+#: Most services kept; the service that has been gone for longest is dropped first.
 SERVICES: Final = 64
-#: Tokens of services known at most, those of other skins included.
+#: Most tokens kept, tokens of other skins included.
 PEERS: Final = 256
 LATENCY_SPAN_S: Final = 5.0
 SPAN_S: Final = 1.0
@@ -47,21 +47,21 @@ Message = TypeVar("Message")
 
 
 class Last(NamedTuple, Generic[Message]):
-    """A message and when it came."""
+    """A message and the time when it came."""
 
     message: Message
     at_s: float
 
 
 class ViewState:
-    """What is known of one skin.
+    """State of one skin as the page shows it.
 
     Parameters
     ----------
     layout : Layout
         Of the skin shown; messages that do not fit it are counted in `ignored` and not shown.
     epoch_s : float
-        Wall-clock time of ``now_s = 0``, so that notices can say since when.
+        Wall-clock time of ``now_s = 0``; notices give wall-clock times.
     """
 
     def __init__(self, layout: Layout, epoch_s: float = 0.0) -> None:
@@ -139,7 +139,7 @@ class ViewState:
         self._services[name] = Service(alive=alive, since_time_s=self._epoch_s + now_s)
 
     def take_peer(self, peer: Peer, alive: bool, now_s: float) -> None:
-        """Note that a service of this or another skin came or went at `now_s`; of a name, the last to go counts."""
+        """Note that a peer came or went at `now_s`; a service is gone when its last peer of this name is gone."""
         if not alive:
             self._peers.pop(peer.key, None)
         elif len(self._peers) < PEERS:
@@ -149,7 +149,7 @@ class ViewState:
             self.take_service(peer.service, there, now_s)
 
     def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
-        """Return what the page shows at `now_s`; `undecodable` messages never got here but are told of."""
+        """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored."""
         truth, gateway = self._truth_shown(now_s), self._gateway_state(now_s)
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
@@ -196,7 +196,7 @@ class ViewState:
         )
 
     def _truth_shown(self, now_s: float) -> tuple[TruthState, Truth] | None:
-        """Choose the truth of the image shown while images come, else the newest; None when nobody says it."""
+        """Return the truth of the image shown if images come, else the newest truth; None if there is none."""
         if self._truth is None or now_s - self._truth.at_s > TRUTH_GONE_S:
             return None
         age_s = now_s - self._truth.at_s
@@ -237,7 +237,7 @@ class ViewState:
         )
 
     def _service(self, name: str, gateway: GatewayState | None, now_s: float) -> Service:
-        """Return what is known of a service; of several of one name, one that differs from this page's skin."""
+        """Return the state of a service; of several with one name, a service that differs from this page's skin."""
         own = [each for each in self._peers.values() if (each.skin, each.service) == (self._layout.name, name)]
         if not own:
             return self._services[name]
@@ -251,7 +251,7 @@ class ViewState:
         )
 
     def _is_silent(self, name: str, gateway: GatewayState | None, now_s: float) -> bool:
-        """Tell whether a service that is there sends nothing, though it gets what it needs."""
+        """Tell whether a running service has input but sends nothing."""
         if gateway is None or name == "gateway":
             return gateway is not None and gateway.stale
         last = {"reconstructor": self._image, "classifier": self._label}.get(name)
@@ -272,7 +272,7 @@ class ViewState:
         return [nodes_state(status, now_s - at_s, stale=now_s - at_s > STATUS_FRESH_S) for status, at_s in found]
 
     def _is_cut_off(self, now_s: float) -> bool:
-        """Tell whether the fabric's hub is out of reach: even the viewer's own token is gone, and nothing comes."""
+        """Tell whether the hub is out of reach: the viewer's own token is gone, and no message comes."""
         own = self._services.get("viewer")
         if own is None or own.alive:
             return False
@@ -281,7 +281,7 @@ class ViewState:
         return not any(last and last.at_s > gone_s and now_s - last.at_s <= FRESH_S for last in newest)
 
     def _is_stale(self, service: str, at_s: float, now_s: float, fresh_s: float) -> bool:
-        """Tell whether a message of `service` that came at `at_s` is too old, or its sender has gone since."""
+        """Tell whether a message of `service` from `at_s` is too old, or the service has gone since."""
         token = self._services.get(service)
         gone = token is not None and not token.alive and token.since_time_s >= self._epoch_s + at_s
         return gone or now_s - at_s > fresh_s

@@ -1,4 +1,4 @@
-"""One stream of frames for every page: made once per turn, and only while somebody waits for it."""
+"""One stream of frames for all pages: one frame per period, and none while no page waits."""
 
 import asyncio
 from collections.abc import Callable
@@ -7,17 +7,17 @@ from typing import Final
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 PERIOD_S: Final = 0.04
-#: Frames on their way to one page at most; the page acknowledges each, so that a slow one skips frames.
+#: Most unacknowledged frames of one page; a slow page skips frames.
 ON_THE_WAY: Final = 2
 
 
 class FrameStream:
-    """Hands the newest frame, at most one per `period_s`, to everyone who waits.
+    """Gives the newest frame to all pages that wait, at most one frame per `period_s`.
 
     Parameters
     ----------
     make : callable
-        Returns the frame of this instant.
+        Returns the present frame.
     """
 
     def __init__(self, make: Callable[[], bytes], period_s: float = PERIOD_S) -> None:
@@ -44,7 +44,7 @@ class FrameStream:
 
 
 async def serve_page(websocket: WebSocket, stream: FrameStream) -> None:
-    """Send frames to one page until it leaves, never more than it keeps up with."""
+    """Send frames to one page until it disconnects, no faster than it acknowledges them."""
     credit = asyncio.BoundedSemaphore(ON_THE_WAY)
     sending = asyncio.create_task(_send(websocket, stream, credit))
     try:
@@ -52,7 +52,7 @@ async def serve_page(websocket: WebSocket, stream: FrameStream) -> None:
             await websocket.receive_text()
             credit.release()
     except (WebSocketDisconnect, ValueError, KeyError):
-        pass  # it left, acknowledged what was never sent, or sent bytes: either way it is not served any more
+        pass  # the page has disconnected, acknowledged too often, or sent bytes: it is served no more
     finally:
         sending.cancel()
         await asyncio.gather(sending, return_exceptions=True)

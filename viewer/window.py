@@ -1,9 +1,9 @@
-"""Numbers of the last seconds."""
+"""A sliding window of values."""
 
 from collections import deque
 from typing import Final
 
-#: Values kept at most, whatever the rate: five seconds at the fastest SYNC a layout allows.
+#: Most values kept: five seconds at the highest SYNC rate of a layout.
 CAPACITY: Final = 10_000
 
 
@@ -36,12 +36,12 @@ class Window:
         return [value for _, value in self._entries]
 
     def mean(self, now_s: float) -> float | None:
-        """Return the mean of the values, or None without any."""
+        """Return the mean of the values, None without values."""
         values = self.values(now_s)
         return sum(values) / len(values) if values else None
 
     def rate_hz(self, now_s: float) -> float:
-        """Return how many values came per second; right after the first one the time since then counts."""
+        """Return the number of values per second; in the first `span_s`, over the time since the first value."""
         self._forget(now_s)
         if self._first_s is None or len(self._entries) < 2:
             return 0.0

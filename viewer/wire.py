@@ -1,4 +1,4 @@
-"""What travels from the server to the page.
+"""Format of the messages from the server to the page.
 
 A frame is one binary WebSocket message: the length of the header as uint32, the header (the JSON of a
 `viewer.snapshot.Snapshot` and ``pictures``, the names of the pictures that follow), spaces up to a multiple of
@@ -29,7 +29,7 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
 
 
 def greeting(layout: Layout) -> dict[str, Any]:
-    """Return what the page must know of the skin once: its grid, its buses, and which block measures each taxel."""
+    """Return the constants of the skin for the page: grid, buses, and the block of each taxel."""
     taxels, phi = layout.taxels, layout.phi()
     block_of_taxel = np.empty(taxels.count, np.int32)
     block_of_taxel[phi.order] = np.arange(taxels.count) // phi.block_size

@@ -1,9 +1,9 @@
-// The wires: a card for each bus with its load and one tile per node, and the frame counters.
+// A card for each bus with its load and one tile per node, and the frame counters.
 
 import { count, make, percent, span, write } from "./words.js";
 
 const NMT = { 0: "booting", 4: "stopped", 5: "operational", 127: "pre-operational", 255: "silent" };
-// Counter, its name on the page, and whether any of them is bad. Other frames are heartbeats above all.
+// Counter, its name on the page, and whether a value above 0 is bad. Most other frames are heartbeats.
 const COUNTERS = [
   ["accepted", "in time", false],
   ["missing", "missing", true],
@@ -25,7 +25,7 @@ function counter(name) {
 }
 
 export class Buses {
-  /** `pointed(block or null)` is called when the pointer moves over a node. */
+  /** `pointed(block or null)` is called when the pointer enters or leaves a node. */
   constructor(skin, pointed) {
     this.tiles = []; // by block
     this.cards = new Map();
@@ -58,7 +58,7 @@ export class Buses {
     return card;
   }
 
-  /** Draw the gateway's status, or say that there is none. */
+  /** Draw the gateway's status, or a text if there is none. */
   draw(gateway) {
     for (const each of this.cards.values()) {
       const seen = gateway?.buses.find(({ name }) => name === each.bus.name);

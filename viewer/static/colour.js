@@ -1,6 +1,6 @@
 // A perceptually uniform colour map: equal steps of force are equal steps in OKLab (B. Ottosson, 2020).
-// The path runs from near-black blue over teal to pale yellow, with lightness rising evenly, so that it also reads in
-// grey and with any colour vision; it is then cut into pieces of equal length.
+// The path runs from near-black blue over teal to pale yellow. Lightness rises evenly, so the map works in grey and for
+// every colour vision. The path is cut into pieces of equal length.
 
 const STEPS = 256;
 const SAMPLES = 2048;
@@ -21,7 +21,7 @@ function linearFrom(lightness, chroma, hue) {
 
 const inGamut = (rgb) => rgb.every((part) => part >= -1e-4 && part <= 1 + 1e-4);
 
-/** The path's colour at `t` from 0 to 1, with as much of its chroma as a screen can show. */
+/** The path's colour at `t` from 0 to 1, with as much chroma as sRGB can show. */
 function pathAt(t) {
   const lightness = 0.17 + 0.79 * t;
   const hue = 285 - 180 * t ** 1.15;

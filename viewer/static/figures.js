@@ -31,7 +31,7 @@ function drawObject({ label, truth }) {
   document.getElementById("object").classList.toggle("empty", !said);
 }
 
-/** What the image's PSNR is compared with: the sensor's, where the sensor adds noise. */
+/** Text below the PSNR: the sensor's PSNR and the difference, if the sensor adds noise. */
 function comparison({ figures, truth }, stale) {
   const { psnr_image_db: image, psnr_sensor_db: sensor, sensor_adds_noise: isNoisy } = figures;
   if (!truth) return "no truth published";
@@ -40,7 +40,7 @@ function comparison({ figures, truth }, stale) {
   return `sensor ${fixed(sensor, 1)} dB · ${image < sensor ? "−" : "+"}${Math.abs(image - sensor).toFixed(1)} dB`;
 }
 
-/** The rate of SYNC, as far as it reaches the buses. */
+/** Text of the SYNC rate and of the buses that SYNC reaches. */
 function sync(gateway) {
   if (!gateway) return "no gateway";
   if (gateway.stale) return "SYNC unknown";

@@ -1,4 +1,4 @@
-// One tactile image on a canvas: whole device pixels per taxel, hatching over what was not measured.
+// One tactile image on a canvas: whole device pixels per taxel, hatching over taxels of invalid blocks.
 
 import { COLOURS, colourIndex } from "./colour.js";
 
@@ -60,7 +60,7 @@ export class Heatmap {
     if (taxel !== null) this.outline(brush, [taxel], "#ffffff", 2);
   }
 
-  /** Mark the image as old with `text`, or take the mark away. */
+  /** Mark the image as stale with `text`; an empty text removes the mark. */
   setStale(text) {
     this.figure.classList.toggle("stale", Boolean(text));
     this.veil.hidden = !text;

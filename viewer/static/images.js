@@ -7,7 +7,7 @@ import { span, spoken, write } from "./words.js";
 const NAMES = ["image", "true", "sensor"];
 const BAR_PX = 64;
 const GAP_PX = 12;
-// What stands above and below the images, and the smallest taxel worth looking at.
+// Height of everything above and below the images; smallest size of a taxel.
 const AROUND_PX = { beside: 400, alone: 240 };
 const SMALLEST_PX = 5;
 const CAPTION_PX = 30;
@@ -39,7 +39,7 @@ export class Images {
     this.buses.mark(block);
   }
 
-  /** Draw a frame; `lost` says that frames no longer come. */
+  /** Draw a frame; `lost` is the text to show when frames have stopped, else empty. */
   draw({ snapshot, pictures }, lost) {
     this.show(snapshot);
     this.fit(Boolean(snapshot.truth));
@@ -60,7 +60,7 @@ export class Images {
     for (const name of ["true", "sensor"]) this.maps[name].figure.hidden = !truth;
   }
 
-  /** Captions and stale marks. */
+  /** Write captions and stale marks. */
   explain({ image, truth, figures }, lost) {
     const old = (age_s) => `stale: ${span(age_s)} old`;
     const { image: rebuilt, true: real, sensor } = this.maps;
@@ -87,7 +87,7 @@ export class Images {
     return `row ${row}, column ${this.taxel % this.skin.columns}: ${forces.join(" · ")} · ${where}`;
   }
 
-  /** Choose the largest whole number of device pixels per taxel that the window has room for. */
+  /** Choose the largest whole number of device pixels per taxel that fits the window. */
   fit(beside) {
     const width = document.getElementById("images").clientWidth;
     const wanted = `${width} ${innerHeight} ${innerWidth} ${devicePixelRatio} ${beside}`;
@@ -100,7 +100,7 @@ export class Images {
       const lines = Math.ceil(images / perRow);
       return Math.max(SMALLEST_PX, ((innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / lines - (lines > 1 ? CAPTION_PX : 0)) / rows);
     };
-    // In a narrow window the page scrolls; in a wide one, as many images beside each other as makes them largest.
+    // A narrow window scrolls. In a wide window choose the number of images per row that makes them largest.
     let perRow = Math.min(images, innerWidth < 560 ? 1 : 2);
     let size = wide(perRow);
     if (innerWidth >= 960) {

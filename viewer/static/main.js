@@ -1,4 +1,4 @@
-// The page: takes frames from the connection and draws the newest at the screen's own rhythm.
+// The page: takes frames from the connection and draws the newest once per screen refresh.
 
 import { Buses } from "./buses.js";
 import { drawFigures } from "./figures.js";
@@ -7,7 +7,7 @@ import { drawNotices, drawServices } from "./notices.js";
 import { Connection } from "./socket.js";
 import { write } from "./words.js";
 
-// Frames come 25 times a second; without any for this long, nothing on the page is fresh.
+// Frames come 25 times a second. Without frames for this long, the page is stale.
 const LOST_MS = 1000;
 
 let skin = "";

@@ -1,4 +1,4 @@
-// What a person must be told, and which services are there.
+// The notices, and the services.
 
 import { clock, make, span } from "./words.js";
 
@@ -8,7 +8,7 @@ const bar = document.getElementById("notices");
 const list = document.getElementById("services");
 let written = "";
 
-/** Show notices; one that began at a known time says since when and for how long. */
+/** Show notices; a notice with a known begin shows that time and the duration. */
 export function drawNotices(notices, time_s) {
   const lines = notices.map(({ level, text, since_time_s }) => {
     const since = since_time_s === null ? "" : ` (since ${clock(since_time_s)}, ${span(Math.max(0, Math.floor(time_s - since_time_s)))})`;
@@ -20,7 +20,7 @@ export function drawNotices(notices, time_s) {
   bar.replaceChildren(...lines.map(({ level, text }) => make("p", level, text)));
 }
 
-/** What a service is: there, silent, of another skin, gone, out of reach with the whole fabric, or not seen yet. */
+/** State of a service: there, silent, differs, gone, unreached (the viewer has lost the hub), or unseen. */
 function state(service, isCutOff) {
   if (!service) return "unseen";
   if (!service.alive) return isCutOff ? "unreached" : "gone";
@@ -30,7 +30,7 @@ function state(service, isCutOff) {
 
 const about = (service) => [service?.version && `canskin ${service.version}`, service?.fingerprint && `Φ ${service.fingerprint}`].filter(Boolean).join(", ");
 
-/** One chip per service; its title says which version and which Φ the service has. */
+/** One chip per service; its title shows the version and Φ of the service. */
 export function drawServices({ services, cut_off: isCutOff }) {
   const names = [...EXPECTED, ...Object.keys(services).filter((name) => name.startsWith("nodes"))];
   const chips = names.map((name) => ({ name, state: state(services[name], isCutOff), title: about(services[name]) }));

@@ -1,14 +1,14 @@
-// The colour scale: its top, fixed or following the images, and the bar that explains it.
+// The colour scale: its top, fixed or automatic, and the bar with its labels.
 
 import { COLOURS, roundUp } from "./colour.js";
 
 const MN = 1000;
-// Parts of the scale between its labels, by the leading digits of its top, so that the labels are short.
+// Number of parts between the labels, by the leading digits of the top: these parts give short labels.
 const PARTS = { 1: 5, 1.5: 3, 3: 3, 5: 5, 6: 3 };
 const OTHER_PARTS = 4;
-// Of the largest force: below it, an automatic scale would only show noise.
+// Smallest top of the automatic scale, as a part of the largest force; a smaller top would show noise only.
 const LEAST = 0.25;
-// An automatic scale shrinks only when the images stay below this part of it for HOLD_MS.
+// The automatic scale shrinks when the images stay below this part of its top for HOLD_MS.
 const SHRINK_BELOW = 0.8;
 const HOLD_MS = 1500;
 

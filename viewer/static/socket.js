@@ -1,10 +1,10 @@
-// The connection to the viewer: frames in, one acknowledgement each, and a new attempt whenever it is lost.
+// The connection to the viewer: acknowledges each frame, and reconnects when the connection is lost.
 
 const FIRST_DELAY_MS = 250;
 const LONGEST_DELAY_MS = 2000;
 const SILENT_MS = 5000;
 
-/** Take a frame apart: the snapshot, and the pictures by name. */
+/** Decode a frame: the snapshot, and the pictures by name. */
 function parse(buffer, taxels) {
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
@@ -51,12 +51,12 @@ export class Connection {
     this.openedAt = performance.now();
   }
 
-  /** How long no frame came, in milliseconds; infinite before the first. */
+  /** Time since the newest frame in milliseconds; infinite before the first. */
   silence() {
     return this.frameAt === null ? Infinity : performance.now() - this.frameAt;
   }
 
-  /** Hang up when nothing comes over a connection that looks open. */
+  /** Close a connection that looks open but brings nothing. */
   watch() {
     const quiet = Math.min(this.silence(), performance.now() - this.openedAt);
     if (quiet > SILENT_MS && this.socket.readyState <= WebSocket.OPEN) this.socket.close();

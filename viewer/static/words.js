@@ -1,4 +1,4 @@
-// Numbers and times as the page writes them.
+// Text of numbers and times.
 
 const NONE = "–";
 
@@ -7,17 +7,17 @@ export const percent = (ratio, digits = 0) => (ratio === null || ratio === undef
 export const count = (value) => value.toLocaleString("en").replaceAll(",", "\u202f");
 export const clock = (time_s) => new Date(1000 * time_s).toLocaleTimeString("en-GB");
 
-/** A duration as a person says it: 0.8 s, 12 s, 3 min, 2 h. */
+/** Text of a duration: 0.8 s, 12 s, 3 min, 2 h. */
 export function span(seconds) {
   if (seconds < 10) return `${Math.max(0, seconds).toFixed(1)} s`;
   if (seconds < 120) return `${Math.round(seconds)} s`;
   return seconds < 7200 ? `${Math.round(seconds / 60)} min` : `${Math.round(seconds / 3600)} h`;
 }
 
-/** What a label says to a person: golf-ball is a golf ball. */
+/** Text of a label: golf-ball becomes golf ball. */
 export const spoken = (label) => label.replaceAll(/[-_]/g, " ");
 
-/** Write `text` into `element` if it is not there yet: a page that changes nothing repaints nothing. */
+/** Write `text` into `element` if it differs: an unchanged element is not repainted. */
 export function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
