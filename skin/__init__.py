@@ -1,1 +1,1 @@
-"""The shared vocabulary: layout, measurement operator, messages, fabric and the ``skin`` command."""
+"""Shared definitions: layout, measurement operator, taxel model, messages, fabric, and the ``skin`` command."""

@@ -1,4 +1,4 @@
-"""The ``skin`` command: one table of verbs, each loaded only when it is called."""
+"""The ``skin`` command: a table of verbs; the code of a verb is loaded when the verb is called."""
 
 import logging
 import signal
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 FAILED: Final = 1
 WRONG_INPUT: Final = 2
-#: 128 and SIGINT or SIGTERM, as shells have it.
+#: 128 + number of SIGINT or SIGTERM, as in shells.
 INTERRUPTED: Final = 130
 TERMINATED: Final = 143
 
-#: Verb: where its function lives. Strings, so that this folder imports none of the others.
+#: Verb: module and function. Strings, because this folder imports no other folder.
 VERBS: Final = {
     "demo": "demo.command:demo",
     "bus": "bus.command:bus",
@@ -46,20 +46,20 @@ HELP_FLAGS: Final = ("--help", "-h")
 
 
 def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
-    """Return the command line with every verb registered, and with the help texts that `arguments` ask for.
+    """Return the command line with every verb, and with the help texts that `arguments` need.
 
     Options of the whole command (``--verbose``, ``--quiet``, ``--log-json``) are those of `cyclopts.App.meta`, which
-    hands everything else to the verb: call ``build_app(...).meta(arguments)``.
+    passes all other arguments to the verb: call ``build_app(...).meta(arguments)``.
     """
     import cyclopts
 
     everywhere = cyclopts.Group("Of every verb", sort_key=1)
     app = cyclopts.App(
         name="skin",
-        help="A distributed robot skin on CAN: sums from CANopen nodes, images by FISTA, objects by name.",
+        help="A robot skin on CAN: sums of taxels from CANopen nodes, tactile images, names of touching objects.",
         version=lambda: version("canskin"),
         version_flags=["--version"],
-        # A list takes every value up to the next option; a default that says nothing is not shown.
+        # A list takes every value up to the next option; empty defaults are not shown.
         default_parameter=cyclopts.Parameter(consume_multiple=(1, None), negative_iterable=(), show_default=_default),
         result_action="return_value",
         exit_on_error=False,
@@ -88,11 +88,11 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         Parameters
         ----------
         verbose
-            Say more on stderr: every repeated warning, who joins and leaves, the log of the libraries.
+            Write more to stderr: every repeated warning, services that come and go, the log of the libraries.
         quiet
-            Say nothing on stderr but errors.
+            Write errors only to stderr.
         log_json
-            Say what is said on stderr as JSON, one object a line.
+            Write stderr as JSON, one object per line.
         """
         if verbose and quiet:
             raise InputError("expected --verbose or --quiet, got both")
@@ -105,17 +105,17 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
 
 
 def _default(value: object) -> str | None:
-    """Return how the help shows a default; None for one that says nothing: a flag's, or an empty one."""
+    """Return the text of a default in the help; None for flags and empty defaults."""
     return None if value is None or isinstance(value, bool) or value in ("", [], ()) else str(value)
 
 
 def main() -> None:
-    """Run one verb; 0 is success, 1 a run that failed, 2 a wrong input."""
-    # What a verb has begun, processes included, is then ended as after Ctrl-C; services take both signals themselves.
+    """Run one verb; exit code 0: success, 1: the run failed, 2: wrong input."""
+    # SIGTERM then ends a verb and its processes as Ctrl-C does; services handle both signals themselves.
     signal.signal(signal.SIGTERM, _terminated)
     try:
         sys.exit(_run(sys.argv[1:]))
-    except KeyboardInterrupt:  # also while libraries are being loaded, which takes longer than this module
+    except KeyboardInterrupt:  # also while libraries are loaded, which takes longest
         sys.exit(INTERRUPTED)
 
 
@@ -136,10 +136,10 @@ def _run(arguments: Sequence[str]) -> int:
     except Stopped:
         return 0
     except BrokenPipeError:
-        sys.stderr.close()  # where Python would complain of the same once more
+        sys.stderr.close()  # else Python reports the same error again
         return FAILED
-    except OSError as error:  # a full disk behind standard output, for one
-        sys.stdout = None  # what it still holds cannot be written at the end either
+    except OSError as error:  # for example a full disk
+        sys.stdout = None  # its buffer cannot be written at exit either
         return _complain(error, FAILED)
     return status if isinstance(status, int) else 0
 

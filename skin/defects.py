@@ -1,7 +1,7 @@
-"""Defects of taxels: each a small value class, off unless `skin.taxel.TaxelModel` is given one.
+"""Defects of taxels, each a small value class; `skin.taxel.TaxelModel` applies the defects that it is given.
 
-A defect belongs to a taxel and not to a run: which taxels it meets, and how much, is drawn from its own seed. None of
-the defects is in the paper's data; a damper is named there, without a value.
+Each defect has its own seed, which selects its taxels and their amounts: the same seed gives the same defective skin in
+every run. The paper's data have no defects; the paper names a damper, without a value.
 """
 
 import math
@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from skin.errors import InputError
 
-#: Spring of one taxel: force in newtons is compression in metres times this (section V).
+#: Spring of one taxel: force in newtons = STIFFNESS_N_PER_M x compression in metres (section V).
 STIFFNESS_N_PER_M: Final = 1.0
-#: Noise of a noisy taxel, standard deviation as a part of its range.
+#: Standard deviation of a noisy taxel's noise / range.
 NOISY_RATIO: Final = 0.25
-#: Streams of random numbers, so that defects of one seed do not meet the same taxels.
+#: Streams of random numbers: defects of one seed select different taxels.
 _GAIN, _DRIFT, _STUCK, _DEAD, _SATURATED, _NOISY = range(6)
 
 Force = npt.NDArray[np.float32]
@@ -29,8 +29,8 @@ Force = npt.NDArray[np.float32]
 class Damper:
     """A damper beside each spring: force grows with the speed of compression (section V, without a value).
 
-    The damper adds to the force while the taxel is pressed, and takes from the force of a released taxel, at most
-    down to 0.
+    The damper increases the force while the compression grows, and decreases the force, at most to 0, while the
+    compression falls.
     """
 
     damping_n_s_per_m: float
@@ -39,7 +39,7 @@ class Damper:
         _need_ratio("damping_n_s_per_m", self.damping_n_s_per_m, math.inf)
 
     def __call__(self, force_n: Force, period_s: float) -> Force:
-        """Return forces (steps, ...) with the damper's part; the first step counts as at rest."""
+        """Return forces (steps, ...) plus the force of the damper; the speed at the first step is 0."""
         compression_m = force_n / np.float32(STIFFNESS_N_PER_M)
         speed = np.diff(compression_m, axis=0, prepend=compression_m[:1]) / np.float32(period_s)
         return np.maximum(force_n + np.float32(self.damping_n_s_per_m) * speed, np.float32(0.0))
@@ -47,7 +47,7 @@ class Damper:
 
 @dataclass(frozen=True)
 class CrossTalk:
-    """Each taxel also reads a part of each of its four neighbours' force."""
+    """Each taxel also reads `ratio` times the force of each of its four neighbours."""
 
     ratio: float
 
@@ -55,7 +55,7 @@ class CrossTalk:
         _need_ratio("ratio", self.ratio, 1.0)
 
     def __call__(self, force_n: Force) -> Force:
-        """Return forces (..., rows, columns) with the neighbours' part."""
+        """Return forces (..., rows, columns) with cross-talk."""
         mixed = force_n.copy()
         part = np.float32(self.ratio) * force_n
         mixed[..., 1:, :] += part[..., :-1, :]
@@ -67,7 +67,7 @@ class CrossTalk:
 
 @dataclass(frozen=True)
 class GainSpread:
-    """Each taxel reads its force times a gain of its own, normal around 1 and never below 0."""
+    """Each taxel reads gain x force; the gains are normal around 1 and never below 0."""
 
     deviation: float
     seed: int = 0
@@ -76,13 +76,13 @@ class GainSpread:
         _need_ratio("deviation", self.deviation, 1.0)
 
     def gains(self, taxels: tuple[int, ...]) -> Force:
-        """Return the gain of each taxel of an array of that shape, read-only."""
+        """Return the gain of each taxel of an array of shape `taxels`, read-only."""
         return _gains(self, taxels)
 
 
 @dataclass(frozen=True)
 class Drift:
-    """The zero of each taxel moves at a constant rate of its own, normal around 0."""
+    """The zero point of each taxel drifts at a constant rate; the rates are normal around 0."""
 
     deviation_n_per_s: float
     seed: int = 0
@@ -97,7 +97,7 @@ class Drift:
 
 @dataclass(frozen=True)
 class _PartOfTaxels:
-    """A defect of a part of the taxels: of at least one taxel unless the part is 0."""
+    """A defect of `ratio` of the taxels: of at least one taxel unless `ratio` is 0."""
 
     ratio: float
     seed: int = 0
@@ -108,10 +108,10 @@ class _PartOfTaxels:
 
 @dataclass(frozen=True)
 class Noisy(_PartOfTaxels):
-    """A part of the taxels has a noise of `NOISY_RATIO` times the range."""
+    """A fraction of the taxels has noise with a standard deviation of `NOISY_RATIO` x range."""
 
     def noise_n(self, taxels: tuple[int, ...], noise_n: float, force_max_n: float) -> Force:
-        """Return the standard deviation of each taxel's noise, newtons; `noise_n` is that of the other taxels."""
+        """Return the standard deviation of each taxel's noise, newtons; normal taxels have `noise_n`."""
         noise = np.full(math.prod(taxels), noise_n, np.float32)
         noise[_chosen(self, _NOISY, taxels)] = NOISY_RATIO * force_max_n
         return noise.reshape(taxels)
@@ -119,16 +119,16 @@ class Noisy(_PartOfTaxels):
 
 @dataclass(frozen=True)
 class Stuck(_PartOfTaxels):
-    """A part of the taxels always reads one value of the range."""
+    """A fraction of the taxels always reads one value of the range."""
 
     def values(self, taxels: tuple[int, ...], force_max_n: float) -> tuple[npt.NDArray[np.intp], Force]:
-        """Return flat indices of the stuck taxels and what each reads, newtons."""
+        """Return flat indices of the stuck taxels and their readings, newtons."""
         return _stuck_values(self, taxels, force_max_n)
 
 
 @dataclass(frozen=True)
 class Saturated(_PartOfTaxels):
-    """A part of the taxels always reads the end of the range."""
+    """A fraction of the taxels always reads the end of the range."""
 
     def taxels(self, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
         """Return flat indices of the saturated taxels."""
@@ -137,7 +137,7 @@ class Saturated(_PartOfTaxels):
 
 @dataclass(frozen=True)
 class Dead(_PartOfTaxels):
-    """A part of the taxels always reads 0."""
+    """A fraction of the taxels always reads 0."""
 
     def taxels(self, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
         """Return flat indices of the dead taxels."""
@@ -145,21 +145,21 @@ class Dead(_PartOfTaxels):
 
 
 class DefectKind(NamedTuple):
-    """A kind of defect, as options name it.
+    """A kind of defect.
 
     Attributes
     ----------
     make : callable
         Called with amount and seed.
     amount : float
-        Taken where none is given.
+        Default amount.
     """
 
     make: Callable[[float, int], Any]
     amount: float
 
 
-#: By the attribute of `skin.taxel.TaxelModel`; options spell it with a hyphen. Amounts as in `skin dataset`.
+#: Kind by attribute name of `skin.taxel.TaxelModel`; options write a hyphen for the underscore.
 KINDS: Final = {
     "damper": DefectKind(lambda amount, _seed: Damper(amount), 0.01),
     "cross_talk": DefectKind(lambda amount, _seed: CrossTalk(amount), 0.1),
@@ -180,7 +180,7 @@ def make_defects(amounts: dict[str, float], seed: int) -> dict[str, Any]:
     amounts : dict
         Amount by kind, one of `KINDS`.
     seed : int
-        Of the taxels that each defect meets.
+        Seed of the choice of taxels.
 
     Raises
     ------
@@ -197,14 +197,14 @@ def make_defects(amounts: dict[str, float], seed: int) -> dict[str, Any]:
 
 
 def parse_defects(texts: Iterable[str], seed: int) -> dict[str, Any]:
-    """Return the defects that options ask for, as keyword arguments of `skin.taxel.TaxelModel`.
+    """Return the defects of an option, as keyword arguments of `skin.taxel.TaxelModel`.
 
     Parameters
     ----------
     texts : iterable of str
-        Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; of a kind that comes twice, the last.
+        Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; the last amount of a kind counts.
     seed : int
-        Of the taxels that each defect meets.
+        Seed of the choice of taxels.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def _stream(seed: int, defect: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(defect,)))
 
 
-# Drawn once per array: live nodes ask in every cycle.
+# Drawn once per array, because live nodes need them in every cycle.
 @lru_cache(maxsize=8)
 def _gains(spread: GainSpread, taxels: tuple[int, ...]) -> Force:
     drawn = _stream(spread.seed, _GAIN).normal(1.0, spread.deviation, taxels)

@@ -1,25 +1,24 @@
-"""Errors a user can mend.
+"""Errors that a user can correct.
 
-Every error raised on purpose derives from one class, and its message is one line that says what was
-expected, what came, and what to do::
+Every deliberate error derives from one class. The message is one line: what was expected, what came, what to do::
 
     SkinError
-    ├── LayoutError       a skin's TOML is wrong; names the path of the key
-    ├── InputError        a file, array or option a user gave cannot be used
+    ├── LayoutError       a layout file is wrong; the message names the path of the key
+    ├── InputError        a file, array or option from the user cannot be used
     ├── ModelError        a trained model cannot be read or belongs to another Φ
     ├── BusError          a CAN interface or the fabric cannot be opened or reached
-    └── RunError          nothing was wrong with the input, but a run failed
+    └── RunError          the input was right, but the run failed
 
 The command line prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
 """
 
 
 class SkinError(Exception):
-    """Base of every error whose message is meant for the person at the terminal."""
+    """Base of every error whose message is meant for the user."""
 
 
 class LayoutError(SkinError):
-    """A layout file has a wrong, missing or unknown key; the message names its path."""
+    """A layout file has a wrong, missing or unknown key; the message names the path of the key."""
 
 
 class InputError(SkinError):

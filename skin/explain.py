@@ -1,4 +1,4 @@
-"""What a verb says of itself, read from its source: importing every room for a list of verbs would take seconds."""
+"""Help texts of verbs, read from the source: importing every folder for a list of verbs would take seconds."""
 
 import ast
 import inspect
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def docstring(where: str) -> str:
-    """Return the docstring of the function at ``module:function``, empty when it has none."""
+    """Return the docstring of the function at ``module:function``, empty without docstring."""
     module, _, name = where.partition(":")
     spec = find_spec(module)
     if spec is None or spec.origin is None:
@@ -24,8 +24,8 @@ def summary(text: str) -> str:
 
 
 def examples(text: str) -> str:
-    """Return the Examples section of a NumPy docstring as Markdown, one line each, empty when there is none."""
+    """Return the Examples section of a NumPy docstring as Markdown, one line per example; empty without section."""
     _, heading, section = inspect.cleandoc(text).partition("Examples\n--------\n")
     lines = textwrap.dedent(section).strip().splitlines()
-    # Not a code block: around one, empty lines are shown.
+    # No code block: empty lines would be shown around the block.
     return "\\\n".join(["Examples:", *(f"`{line}`" for line in lines if line)]) if heading else ""

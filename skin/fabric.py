@@ -1,7 +1,7 @@
-"""The fabric that joins the services: zenoh, with explicit endpoints and no multicast.
+"""The fabric that connects the services: zenoh with explicit endpoints and no multicast.
 
-One process, the hub, listens; every other connects to it, and connects again by itself when the hub comes back.
-Nothing that arrives can raise out of decoding: what cannot be decoded is counted in `Fabric.malformed`.
+One process, the hub, listens. Every other process connects to the hub, and reconnects when the hub returns. Messages
+that cannot be decoded raise no error; `Fabric.malformed` counts them.
 """
 
 import json
@@ -23,11 +23,11 @@ from skin.service import Stopped, StopSignal, Talk, say
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
-#: After this long without a hub a service says that it waits.
+#: After this time without a hub a service logs that it waits.
 SILENT_S: Final = 3.0
-#: How soon a service that waits for its hub notices that it shall end.
+#: A service that waits for the hub checks the stop signal at least this often.
 TRY_S: Final = 1.0
-#: What zenoh has links for; those before ``serial`` need a port.
+#: Protocols of zenoh's links; those before ``serial`` need a port.
 PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
 PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
 HIGHEST_PORT: Final = 65535
@@ -36,7 +36,7 @@ Message = TypeVar("Message", bound=msgspec.Struct)
 
 
 class Mailbox(Generic[Message]):
-    """The newest messages of one topic; a reader that falls behind loses the oldest, and can see how many."""
+    """The newest messages of one topic; a slow reader loses the oldest messages, which are counted."""
 
     def __init__(self, depth: int) -> None:
         self._messages: deque[Message] = deque(maxlen=depth)
@@ -51,7 +51,7 @@ class Mailbox(Generic[Message]):
             self._arrived.notify()
 
     def get(self, timeout_s: float | None = None) -> Message | None:
-        """Return the oldest waiting message, or None when none came in `timeout_s`."""
+        """Return the oldest waiting message, or None if no message came within `timeout_s`."""
         with self._arrived:
             if not self._arrived.wait_for(lambda: bool(self._messages), timeout_s):
                 return None
@@ -59,30 +59,30 @@ class Mailbox(Generic[Message]):
 
 
 class Fabric:
-    """One service's connection to the others.
+    """Connection of one service to the other services.
 
     Parameters
     ----------
     skin : str
-        The skin's name; services of different skins do not hear each other.
+        Name of the skin; services of different skins exchange no messages.
     service : str
-        Announced to the others for as long as the connection lives; see `watch`. Several may have the same name.
+        Name that the others see while the connection exists; see `watch`. Several services may have the same name.
     endpoint : str
-        zenoh endpoint, ``tcp/HOST:PORT``.
+        zenoh endpoint, for example ``tcp/HOST:PORT``.
     hub : bool
         Listen on the endpoint instead of connecting to it.
     stop : StopSignal, optional
-        Raises `skin.service.Stopped` if it is set while this waits for its hub.
+        If set while the constructor waits for the hub, `skin.service.Stopped` is raised.
     fingerprint : str
-        Of the Φ this service works with. It is announced, and services that work with another one, or are of another
-        skin or version, are named on stderr.
+        Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
+        version are named on stderr.
     patience_s : float
-        How long to wait for the hub. Services wait without end: they may be started in any order.
+        Longest wait for the hub. By default a service waits without limit, so services start in any order.
 
     Raises
     ------
     BusError
-        If the endpoint cannot be used, or no hub came in time.
+        If the endpoint cannot be used, or no hub answered in time.
     """
 
     def __init__(
@@ -110,17 +110,17 @@ class Fabric:
             self.watch_peers(self._compare)
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        """Send `message` to every subscriber of `topic`; one that falls behind loses it, and nobody waits."""
+        """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
-            # Never BLOCK: a page that hangs would hold up the SYNC of the gateway for seconds.
+            # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
             key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
             publisher = self._session.declare_publisher(key, congestion_control=control)
             self._publishers[topic.name] = publisher
         publisher.put(self._encoder.encode(message))
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
-        """Call `handler` with every message of `topic`, from the fabric's own thread: be brief."""
+        """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
         decoder = msgspec.msgpack.Decoder(topic.message)
 
         def receive(sample: Any) -> None:
@@ -140,9 +140,9 @@ class Fabric:
         return mailbox
 
     def watch(self, changed: Callable[[str, bool], None]) -> None:
-        """Call ``changed(service, alive)`` for every service that is there, comes or goes.
+        """Call ``changed(service, alive)`` for every service that is present, comes or goes.
 
-        Several services of one name count as one: it comes with the first and goes with the last of them.
+        Several services of one name count as one service, present from the first to the last of them.
         """
         there = Roll()
 
@@ -153,7 +153,7 @@ class Fabric:
         self.watch_peers(note)
 
     def watch_peers(self, changed: Callable[[Peer, bool], None]) -> None:
-        """Call ``changed(peer, alive)`` for every service of every skin on the hub that is there, comes or goes."""
+        """Call ``changed(peer, alive)`` for every service of every skin on the hub that is present, comes or goes."""
 
         def receive(sample: Any) -> None:
             changed(peer_of_key(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
@@ -161,11 +161,11 @@ class Fabric:
         self._kept.append(self._session.liveliness().declare_subscriber(EVERY_KEY, receive, history=True))
 
     def close(self) -> None:
-        """Leave the fabric; what was published before is sent first."""
+        """Close the connection after all published messages are sent."""
         self._session.close()
 
     def _compare(self, peer: Peer, alive: bool) -> None:
-        """Say of a service that it cannot work with this one, once for each difference."""
+        """Log, once per difference, that a service cannot work with this service."""
         if peer == self._peer:
             return
         say(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", Talk.VERBOSE)
@@ -184,7 +184,7 @@ def _check_endpoint(endpoint: str) -> None:
 
 
 def _listen(endpoint: str) -> Any:
-    """Open a session that others connect to."""
+    """Open the session of the hub."""
     try:
         return zenoh.open(_config(endpoint, hub=True))
     except zenoh.ZError as error:
@@ -192,7 +192,7 @@ def _listen(endpoint: str) -> Any:
 
 
 def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: float) -> Any:
-    """Open a session to the hub, which may be still starting; in short tries, for inside one no signal is heeded."""
+    """Open a session to the hub, in short attempts: signals are handled only between attempts."""
     started_s, said = time.monotonic(), False
     while True:
         left_s = patience_s - (time.monotonic() - started_s)
@@ -203,7 +203,7 @@ def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: f
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
             if waited_s >= patience_s:
-                raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give its --connect") from error
+                raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give another --connect") from error
         else:
             if said:
                 say(service, "the hub is there")
@@ -214,7 +214,7 @@ def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: f
 
 
 def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any:
-    """Build a zenoh configuration that talks to `endpoint` and to nothing else."""
+    """Build a zenoh configuration that uses `endpoint` only."""
     config = zenoh.Config()
     settings = {
         "mode": "router" if hub else "client",
@@ -231,5 +231,5 @@ def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any
 
 
 def _first_sentence(error: BaseException) -> str:
-    """Shorten zenoh's nested message to its cause."""
+    """Return the cause from zenoh's nested message."""
     return str(error).split(" at ")[0].strip().rstrip(".")

@@ -1,4 +1,4 @@
-"""The ground truth of a cycle: which truth belongs to an image or a label, and whether anything touches."""
+"""The ground truth of a cycle: pairs of truth and image or label, and the test for contact."""
 
 from typing import Final, Generic, TypeVar
 
@@ -7,12 +7,12 @@ import numpy.typing as npt
 
 from skin.messages import Image, Label, Truth
 
-#: Messages with equal SYNC counters belong to one cycle if their SYNCs lie within this time of each other: the counter
-#: comes round, after 2.4 s at 100 Hz.
+#: Messages with equal SYNC counters belong to one cycle if their SYNCs are nearer than this: the counter repeats, after
+#: 2.4 s at 100 Hz.
 PAIRED_WITHIN_NS: Final = 1_000_000_000
-#: SYNC counters run from 1 to 240 (CiA 301, 7.2.5.1): more cycles cannot be told apart.
+#: Messages kept: SYNC counters run from 1 to 240 (CiA 301, 7.2.5.1), so older cycles would be ambiguous.
 REMEMBERED: Final = 240
-#: Images are judged while the largest true force is at least this part of the range: twice the sensor noise.
+#: A cycle has contact if the largest true force is at least this part of the range: twice the sensor noise.
 CONTACT_RATIO: Final = 0.1
 
 Made = TypeVar("Made", Image, Label)
@@ -20,14 +20,14 @@ Kept = TypeVar("Kept", Image, Label, Truth)
 
 
 class Pairing(Generic[Made]):
-    """Images or labels, and truths, in any order; every pair is handed out once, when its second half comes."""
+    """Pairs of truth and image or label of one cycle; messages come in any order, each pair is returned once."""
 
     def __init__(self) -> None:
         self._truths: dict[int, Truth] = {}
         self._waiting: dict[int, Made] = {}
 
     def take_truth(self, truth: Truth) -> Made | None:
-        """Remember `truth`; return the waiting message of its cycle."""
+        """Keep `truth`; return the waiting message of its cycle, if any."""
         _remember(self._truths, truth)
         message = self._waiting.get(truth.sync_counter)
         if message is None or not _near(message, truth):
@@ -35,20 +35,20 @@ class Pairing(Generic[Made]):
         return self._waiting.pop(truth.sync_counter)
 
     def take(self, message: Made) -> Truth | None:
-        """Return the truth of the message's cycle, or remember the message until it comes."""
+        """Return the truth of the message's cycle, or keep the message until this truth comes."""
         truth = self.truth_of(message)
         if truth is None:
             _remember(self._waiting, message)
         return truth
 
     def truth_of(self, message: Made) -> Truth | None:
-        """Return the truth of the message's cycle, if it is known."""
+        """Return the truth of the message's cycle, None if it has not come."""
         truth = self._truths.get(message.sync_counter)
         return truth if truth is not None and _near(message, truth) else None
 
 
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:
-    """Tell whether a cycle is a contact cycle, by `CONTACT_RATIO`."""
+    """Tell whether a cycle has contact: largest true force >= `CONTACT_RATIO` x `peak_n`."""
     return float(true.max()) >= CONTACT_RATIO * peak_n
 
 

@@ -1,16 +1,16 @@
-"""When a label tells what the skin feels, and when it does not."""
+"""Whether a label is based on enough sums."""
 
 from typing import Final
 
 from skin.messages import Label
 
-#: With fewer sums than this part of the skin's, a label says nothing, least of all that nothing touches.
+#: A label from less than this part of the skin's sums is void; it does not mean that there is no contact.
 MIN_VALID_RATIO: Final = 0.25
 
 
 def is_measured(label: Label, sums: int) -> bool:
-    """Tell whether enough of a skin of `sums` sums was measured for its label to count.
+    """Tell whether a label of a skin with `sums` sums is based on enough sums.
 
-    An empty label of a dead skin must never be read as "no contact".
+    The empty label of a dead skin does not mean "no contact".
     """
     return not label.blind and label.valid_sums >= MIN_VALID_RATIO * sums

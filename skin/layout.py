@@ -13,17 +13,17 @@ from skin.toml_errors import in_words
 
 #: Names of the layouts that come with the project.
 SHIPPED: Final = ("default", "fd", "one-bus-12bit")
-#: Bit rates of classic CAN and of the nominal phase: the ends of the table in CiA 301.
+#: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
-#: Highest SYNC rate of a layout: beyond any skin, a bound against slips of the pen.
+#: Highest SYNC rate of a layout: far above any skin, to catch typing errors.
 RATE_MAX_HZ: Final = 2000.0
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
-#: Unless the file says otherwise, one sum is sent for so many taxels ...
+#: Default: one sum for this number of taxels.
 SUMS_PART: Final = 4
-#: ... and there are as few buses as hold all blocks, with so many nodes of one block each.
+#: Default: the smallest number of buses with at most this number of nodes, each of one block.
 NODES_PER_BUS: Final = 32
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
@@ -35,7 +35,7 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Taxels(_Table, frozen=True, kw_only=True):
-    """The grid of pressure cells: `rows` x `columns` at `pitch_m`, 0 to `force_max_n` on `adc_bits`."""
+    """The grid of taxels: `rows` x `columns`, `pitch_m` apart; forces from 0 to `force_max_n` in `adc_bits`."""
 
     rows: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
     columns: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
@@ -60,7 +60,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
 
 
 class Measuring(_Table, frozen=True, kw_only=True):
-    """Which sums of taxels are sent: the parameters Φ is drawn from."""
+    """The parameters from which Φ is drawn."""
 
     ensemble: Literal["sbhe"] = "sbhe"
     # The taxels of a block are one array of its node's dictionary, which holds 254 entries.
@@ -73,7 +73,7 @@ class Measuring(_Table, frozen=True, kw_only=True):
 class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h)."""
 
-    # Times of the dictionary are microseconds in 32 bits, and a slower skin would not be one.
+    # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.
     rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=RATE_MAX_HZ)] = 100.0
 
     @property
@@ -83,7 +83,7 @@ class Sync(_Table, frozen=True, kw_only=True):
 
 
 class Encoding(_Table, frozen=True, kw_only=True):
-    """How one sum travels: `sum_bits` in a PDO, in two's complement or, to save stuff bits, `offset_binary`."""
+    """Encoding of a sum in a PDO: `sum_bits`, in two's complement or, with fewer stuff bits, `offset_binary`."""
 
     sum_bits: Literal[16, 12, 8] = 16
     offset_binary: bool = False
@@ -92,7 +92,7 @@ class Encoding(_Table, frozen=True, kw_only=True):
 class Bus(_Table, frozen=True, kw_only=True):
     """One CAN bus: node-IDs 1 to `nodes`, nominal `bitrate` in bit/s.
 
-    With `fd` the sums travel in CAN FD frames of up to 64 bytes, their data phase at `data_bitrate` if given.
+    With `fd` the sums are sent in CAN FD frames of up to 64 bytes, with the data phase at `data_bitrate` if given.
     """
 
     name: Name
@@ -104,7 +104,7 @@ class Bus(_Table, frozen=True, kw_only=True):
 
 
 class Layout(_Table, frozen=True, kw_only=True):
-    """Everything both ends of every wire must agree on.
+    """The layout of a skin: all settings that its services and nodes share.
 
     Examples
     --------
@@ -128,17 +128,17 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
-        wish = self.measurement
+        measurement = self.measurement
         return sbhe(
             self.taxels.count,
-            wish.sums,
-            block_size=wish.block_size,
-            selection=wish.selection,
-            seed=wish.seed,
+            measurement.sums,
+            block_size=measurement.block_size,
+            selection=measurement.selection,
+            seed=measurement.seed,
         )
 
     def first_block(self, bus: int) -> int:
-        """Return the first block that node 1 of bus number `bus` measures; the other nodes follow."""
+        """Return the first block of node 1 on bus number `bus`; the blocks of the other nodes follow."""
         return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
 
 
@@ -148,7 +148,7 @@ def load_layout(path: Path | None = None) -> Layout:
     Raises
     ------
     LayoutError
-        If the file cannot be read, or a key is wrong, missing or unknown; the message names its path.
+        If the file cannot be read, or a key is wrong, missing or unknown; the message names the path of the key.
     """
     name = "default" if path is None else str(path)
     if path is None or (name in SHIPPED and not path.is_file()):
@@ -178,27 +178,27 @@ def parse_layout(content: bytes, origin: str) -> Layout:
 
 
 def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
-    """Fill in the keys whose defaults follow from the size of the skin: its sums and its buses."""
+    """Fill in the defaults that depend on the size of the skin: sums and buses."""
     try:
         taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
         measuring = msgspec.convert(tables.get("measurement", {}), Measuring)
-    except msgspec.ValidationError:  # of which the whole layout's check names the path
+    except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
     blocks = max(1, taxels.count // measuring.block_size)
     tables.setdefault("measurement", {}).setdefault("sums", blocks * max(1, measuring.block_size // SUMS_PART))
     buses = -(-blocks // NODES_PER_BUS)
-    if "taxels" in tables:  # an empty file is a mistake, no skin
+    if "taxels" in tables:  # without taxels and buses the file is no layout
         tables.setdefault("bus", [{"name": f"bus{each}", "nodes": blocks // buses} for each in range(buses)])
     return tables
 
 
 def validated(layout: Layout) -> Layout:
-    """Return a layout that a program has put together, with every value of the type of its key.
+    """Check a layout that a program has built, and return it with every value in the type of its key.
 
     Raises
     ------
     LayoutError
-        If a value is none that a file could have; the message names the path of its key.
+        If a value is not allowed; the message names the path of the key.
     """
     try:
         document = msgspec.to_builtins(layout)
@@ -210,7 +210,7 @@ def validated(layout: Layout) -> Layout:
 
 
 def layout_text(layout: Layout) -> str:
-    """Return TOML that `parse_layout` reads as the same layout."""
+    """Return the layout as TOML; `parse_layout` reads the same layout from it."""
     tables = msgspec.to_builtins(layout)
     # TOML has no null, so such keys are left out. tomli-w would write short tables of buses inline.
     buses = [{key: value for key, value in bus.items() if value is not None} for bus in tables.pop("bus")]
@@ -218,25 +218,29 @@ def layout_text(layout: Layout) -> str:
 
 
 def _check(layout: Layout) -> None:
-    """Check what one key alone cannot tell."""
+    """Check keys that depend on each other."""
     _check_measurement(layout)
     _check_buses(layout)
 
 
 def _check_measurement(layout: Layout) -> None:
-    taxels, wish = layout.taxels, layout.measurement
-    powers = {"taxels.rows": taxels.rows, "taxels.columns": taxels.columns, "measurement.block_size": wish.block_size}
+    taxels, measurement = layout.taxels, layout.measurement
+    powers = {
+        "taxels.rows": taxels.rows,
+        "taxels.columns": taxels.columns,
+        "measurement.block_size": measurement.block_size,
+    }
     for path, size in powers.items():
         if size & (size - 1):
             raise LayoutError(f"expected a power of two, got {size} - at `$.{path}`")
-    if taxels.count % wish.block_size:
+    if taxels.count % measurement.block_size:
         raise LayoutError(f"{taxels.count} taxels do not divide into blocks - at `$.measurement.block_size`")
-    if not layout.blocks <= wish.sums <= taxels.count:
+    if not layout.blocks <= measurement.sums <= taxels.count:
         limits = f"{layout.blocks} (one per block) to {taxels.count} sums"
-        raise LayoutError(f"expected {limits}, got {wish.sums} - at `$.measurement.sums`")
-    if wish.selection == "balanced" and wish.sums % layout.blocks:
+        raise LayoutError(f"expected {limits}, got {measurement.sums} - at `$.measurement.sums`")
+    if measurement.selection == "balanced" and measurement.sums % layout.blocks:
         wanted = f"balanced needs a multiple of {layout.blocks} blocks"
-        raise LayoutError(f"{wanted}, got {wish.sums} - at `$.measurement.sums`")
+        raise LayoutError(f"{wanted}, got {measurement.sums} - at `$.measurement.sums`")
 
 
 def _check_buses(layout: Layout) -> None:

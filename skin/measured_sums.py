@@ -1,4 +1,4 @@
-"""Reading a `Measurement`: checks, decoding, and a word about what was refused."""
+"""Decoding of a `Measurement`: checks it, decodes it, and logs refused measurements."""
 
 import time
 from typing import Final, NamedTuple
@@ -11,7 +11,7 @@ from skin.measurement import Sbhe
 from skin.messages import Measurement
 from skin.service import say
 
-#: The same complaint is not repeated sooner.
+#: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
 
 
@@ -23,7 +23,7 @@ class MeasuredSums(NamedTuple):
     counts : array of int32, shape (m,)
         Sums in ADC counts; read-only.
     valid : array of bool, shape (blocks,)
-        True where every sum of the block came in this very cycle.
+        True if every sum of the block came in this cycle.
     """
 
     counts: npt.NDArray[np.int32]
@@ -51,14 +51,14 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
 
 
 class MeasurementReader:
-    """Decodes the measurements that a service receives; those that do not fit are counted and named on stderr.
+    """Decodes the measurements that a service receives; measurements that do not fit are counted and logged.
 
     Parameters
     ----------
     phi : Sbhe
         The service's Φ.
     service : str
-        Name of the service in its words on stderr.
+        Name of the service in the log lines.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """The measurement operator Φ of a scrambled block Hadamard ensemble (SBHE).
 
 Φ = Q W P (section V of the paper, after Gan, Do and Tran 2008): P permutes the n taxels, W is block
-diagonal with B x B Hadamard matrices of ±1, Q keeps m of its n rows. Every block is one measurement group,
-so every sum can be formed where its B taxels are. W W^T = B I, hence Φ Φ^T = B I exactly.
+diagonal with B x B Hadamard matrices of ±1, Q selects m of its n rows. Every sum is over the B taxels of one block,
+so the board of the block can compute it. W W^T = B I, hence Φ Φ^T = B I exactly.
 """
 
 import hashlib
@@ -52,7 +52,7 @@ class Sbhe:
     Attributes
     ----------
     order : array of int, shape (n,)
-        Permutation P: place r of block b measures the taxel ``order[b * block_size + r]`` (row-major index).
+        Permutation P: the taxel at place r of block b is ``order[b * block_size + r]`` (row-major index).
     kept : array of bool, shape (blocks, block_size)
         Selection Q: which Hadamard rows of each block are sent.
     """
@@ -82,12 +82,12 @@ class Sbhe:
 
     @property
     def norm_squared(self) -> float:
-        """Largest eigenvalue of ΦᵀΦ: B, for every sent row alike."""
+        """Largest eigenvalue of ΦᵀΦ: B."""
         return float(self.block_size)
 
     @cached_property
     def starts(self) -> npt.NDArray[np.intp]:
-        """Where each block's sums start in y, shape (blocks + 1,)."""
+        """Index in y of the first sum of each block, shape (blocks + 1,)."""
         return np.concatenate(([0], np.cumsum(self.kept.sum(axis=1)))).astype(np.intp)
 
     @cached_property
@@ -152,7 +152,7 @@ class Sbhe:
         Raises
         ------
         OverflowError
-            If a sum does not fit 16 bits; those of 32 taxels of 10 bits do.
+            If a sum does not fit 16 bits; the sums of 32 taxels of 10 bits fit.
         """
         sums = self.forward(taxels)
         narrow = sums.astype(np.int16)
@@ -188,8 +188,8 @@ def sbhe(
     taxels, sums : int
         n and m.
     selection : {"balanced", "uniform"}
-        "balanced" keeps the same number of rows in every block; "uniform" draws m of the n rows as the
-        paper does, so that blocks differ in how many sums they send.
+        "balanced" selects the same number of rows in every block; "uniform" draws m of the n rows, as in the
+        paper, so blocks send different numbers of sums.
     seed : int
         Same seed, same Φ, on every platform (NumPy's PCG64).
 
@@ -216,7 +216,7 @@ def sbhe(
 
 
 def _check_sizes(taxels: int, sums: int, block_size: int) -> None:
-    """Raise InputError unless there is an SBHE of these sizes."""
+    """Raise InputError unless an SBHE of these sizes exists."""
     if not all(isinstance(each, int | np.integer) for each in (taxels, sums, block_size)):
         raise InputError(f"expected whole numbers, got {taxels} taxels, {sums} sums and blocks of {block_size}")
     if block_size < 1 or block_size & (block_size - 1):
@@ -228,7 +228,7 @@ def _check_sizes(taxels: int, sums: int, block_size: int) -> None:
 
 
 def seeded(seed: int) -> np.random.Generator:
-    """Return the random numbers that draw a Φ, the same on every platform.
+    """Return the random generator from which Φ is drawn; it is the same on every platform.
 
     Raises
     ------

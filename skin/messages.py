@@ -1,6 +1,6 @@
-"""The messages that travel between the services, and the one table of their topics.
+"""The messages between the services, and the table of their topics.
 
-Arrays travel as little-endian bytes with the dtype named here, so that any language can read them.
+Arrays are little-endian bytes of the dtype named here, so programs in any language can read them.
 Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock (comparable between processes of
 one machine), ``time_ns`` of the wall clock.
 """
@@ -12,24 +12,24 @@ import msgspec
 
 
 class Measurement(msgspec.Struct, frozen=True, kw_only=True):
-    """The sums of one SYNC cycle, published by the gateway once per cycle, complete or not.
+    """The sums of one SYNC cycle; the gateway publishes one measurement per cycle, complete or not.
 
-    `skin.measured_sums` checks and decodes it.
+    `skin.measured_sums` checks and decodes a measurement.
 
     Attributes
     ----------
     cycle : int
-        SYNC cycles since the gateway started, from 1.
+        Number of the cycle since the gateway started, from 1.
     sync_counter : int
-        The counter byte of that SYNC on the wire, 1 to 240 (CiA 301, 7.2.5.1).
+        Counter byte of the SYNC, 1 to 240 (CiA 301, 7.2.5.1).
     sync_mono_ns, time_ns : int
         When the SYNC was sent.
     sums : bytes
         int32, shape (m,), in ADC counts, block by block. Sums of invalid blocks are 0.
     valid : bytes
-        uint8, shape (blocks,): 1 where every sum of the block came in this very cycle.
+        uint8, shape (blocks,): 1 if every sum of the block came in this cycle and its node is proven.
     fingerprint : str
-        The Φ the sums were measured with (`skin.measurement.Sbhe.fingerprint`).
+        Fingerprint of the Φ of the sums (`skin.measurement.Sbhe.fingerprint`).
     """
 
     cycle: int
@@ -49,13 +49,13 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     pixels : bytes
         float32, shape (rows, columns), newtons, never negative.
     valid : bytes
-        The block validity of the measurement it was made from.
+        Validity of the blocks, from the measurement.
     valid_sums : int
-        How many sums entered the solution.
+        Number of sums that the solver used.
     solve_s : float
-        Time the solver took.
+        Time of the solver in seconds.
     published_mono_ns : int
-        When the image was handed to the fabric.
+        When the image was published.
     """
 
     cycle: int
@@ -68,23 +68,23 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     solve_s: float
 
 
-#: The label of a contact that looks like no object the classifier was trained on.
+#: Label of a contact that differs from all objects of the training.
 UNKNOWN_OBJECT: Final = "unknown object"
 
 
 class Label(msgspec.Struct, frozen=True, kw_only=True):
-    """What the classifier says of one cycle.
+    """The classifier's result for one cycle.
 
     Attributes
     ----------
     label : str
-        The object, `UNKNOWN_OBJECT`, or empty when nothing touches the skin.
+        The object, `UNKNOWN_OBJECT`, or empty without contact.
     confidence : float
-        0..1.
+        0 to 1.
     valid_sums : int
-        How many sums came in this very cycle.
+        Number of valid sums in this cycle.
     blind : bool
-        Too few blocks came lately to say anything: the label is empty, but that is no "no contact".
+        Too few blocks came in the last cycles: the label is empty, but does not mean "no contact".
     """
 
     cycle: int
@@ -97,7 +97,7 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
-    """What the taxels really felt in one cycle; only a simulated or replayed skin can publish it.
+    """True forces of one cycle; only simulated nodes publish them.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     true, sensor : bytes
         float32, shape (rows, columns), newtons: before and after noise, clipping and ADC.
     label : str
-        The touching object, empty without contact or when unknown.
+        The touching object; empty without contact, or if the object is unknown.
     """
 
     step: int
@@ -118,18 +118,18 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FrameCounts(msgspec.Struct, kw_only=True):
-    """What became of the frames that carry sums, since the gateway's start.
+    """Numbers of frames since the gateway's start, by what the collector did with them.
 
     Attributes
     ----------
     accepted : int
-        Used for their cycle.
+        Frames with sums that were used.
     late, duplicate, malformed : int
-        After their cycle, a second time, and of a wrong length: never used.
+        Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used.
     missing : int
-        Awaited by a cycle and not come.
+        Frames with sums that did not come in their cycle.
     foreign : int
-        Everything else on the buses.
+        All other frames on the buses.
     """
 
     accepted: int = 0
@@ -141,12 +141,12 @@ class FrameCounts(msgspec.Struct, kw_only=True):
 
     @property
     def received(self) -> int:
-        """Frames with the identifier of a sums' PDO."""
+        """Number of frames with the identifier of a TPDO with sums."""
         return self.accepted + self.late + self.duplicate + self.malformed
 
 
 class NmtState(IntEnum):
-    """NMT states as the heartbeat reports them (CiA 301, 7.2.8.3.2)."""
+    """NMT states in the heartbeat (CiA 301, 7.2.8.3.2)."""
 
     INITIALISING = 0
     STOPPED = 4
@@ -154,31 +154,31 @@ class NmtState(IntEnum):
     PRE_OPERATIONAL = 127
 
 
-#: Stands in `BusState.nmt` for a node whose heartbeat is overdue.
+#: Value in `BusState.nmt` of a node whose heartbeat is overdue.
 SILENT: Final = 255
 
 
 class BusState(msgspec.Struct, frozen=True, kw_only=True):
-    """One bus as the gateway sees it.
+    """State of one bus, from the gateway.
 
     Attributes
     ----------
     load_ratio : float
-        Bits of all frames seen in the last interval over the bits the bus could carry (exact stuffing).
+        Bus load since the last status: time of all frames (exact stuffing) / time that passed.
     mean_load_ratio : float
-        The same since SYNC started.
+        Bus load since SYNC started.
     nmt : bytes
-        uint8 per node of the bus: last heartbeat's NMT state (CiA 301, 7.2.8.3.2), `SILENT` when that is overdue.
+        uint8 per node of the bus: NMT state in the last heartbeat (CiA 301, 7.2.8.3.2), `SILENT` when it is overdue.
     missing, late : list of int
-        Frames per node since the start that a cycle had to do without, and that came too late for theirs.
+        Number of frames per node since the start that did not come in their cycle, and that came too late.
     emcy : list of int
-        Per node the error code of its newest emergency, 0 for none (CiA 301, 7.2.7.1).
+        Error code of each node's newest emergency, 0 for none (CiA 301, 7.2.7.1).
     link : str
-        What the gateway's own controller says: active, warning, passive, bus_off, or lost.
+        State of the gateway's controller: active, warning, passive, bus_off, or lost.
     refused : list of int
-        Node-IDs that are there and not used: they measure something else, or are no skin nodes.
+        Node-IDs that answer but are not used: their configuration differs from the contract.
     overrun : int
-        Frames the gateway's receive buffer lost since the start.
+        Number of frames that the gateway's receive buffer lost since the start.
     """
 
     name: str
@@ -195,14 +195,14 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
-    """The gateway's counters since its start, published a few times a second.
+    """The gateway's counters since its start, published five times a second.
 
     Attributes
     ----------
     cycles, cycles_complete : int
-        Cycles that have ended, and those of them in which every block was valid.
+        Number of cycles that have ended, and of cycles in which every block was valid.
     syncs_skipped : int
-        SYNCs that were not sent, because they were due too long ago.
+        Number of SYNCs that were not sent because they were too late.
     """
 
     time_ns: int
@@ -225,7 +225,7 @@ class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Topic(msgspec.Struct, frozen=True):
-    """One kind of message and the name it travels under."""
+    """A type of message and the name of its topic."""
 
     name: str
     message: type[msgspec.Struct]

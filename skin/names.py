@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 
 def split_names(given: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of a list option, which may be given with spaces, with commas or several times; each once.
+    """Return the names of a list option, without repetition; the user may separate them by spaces or commas.
 
     Examples
     --------

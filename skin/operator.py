@@ -1,4 +1,4 @@
-"""What every linear operator of this project can do: measure, measure back, and say its sizes."""
+"""The interface of the linear operators of this project."""
 
 from typing import Any, Protocol
 
@@ -9,10 +9,10 @@ from skin.errors import InputError
 
 
 class Operator(Protocol):
-    """A matrix that is applied and never formed.
+    """A matrix Φ that is applied without being stored.
 
     `forward` and `adjoint` keep the dtype of floating arrays and take any leading axes. They raise InputError for an
-    array of another length, of NaN or infinity, or of what is no real number.
+    array of another length, with NaN or infinity, or of a type other than real numbers.
     """
 
     @property
@@ -45,7 +45,7 @@ class Operator(Protocol):
 
 
 def check_vectors(name: str, values: Any, size: int) -> None:
-    """Raise InputError unless `values` is an array of real, finite numbers whose last axis has `size` of them."""
+    """Raise InputError unless `values` is an array of real, finite numbers with a last axis of `size`."""
     if not isinstance(values, np.ndarray):
         raise InputError(f"{name}: expected an array with a last axis of {size}, got {type(values).__name__}")
     if values.dtype.kind not in "biuf":

@@ -1,4 +1,4 @@
-"""Files that a verb writes: whether a path can be used, found out before the work, and the writing in one step."""
+"""Output files: paths are checked before the work, and files are written in one step."""
 
 import contextlib
 import io
@@ -34,7 +34,7 @@ def check_output_path(path: Path, what: str) -> None:
         If the folder does not exist, or no file can be written there.
     """
     if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: the folder for the {what} does not exist: make it first, or give another")
+        raise InputError(f"{path}: the folder for the {what} does not exist: make the folder, or give another path")
     is_new = not path.exists()
     try:
         path.open("ab").close()
@@ -58,18 +58,18 @@ def save_figure(figure: Any, path: Path, **options: Any) -> None:
 
 
 def write_file(path: Path, content: bytes | str) -> None:
-    """Write a file in one step: whatever happens, a full disk included, the old file or the whole new one is there.
+    """Write a file in one step: after any failure, a full disk included, the old file is complete.
 
-    The content goes to a file beside `path` that is then renamed. What is no regular file (``/dev/stdout``, a pipe) is
-    written as it is. Text is written as UTF-8.
+    The content is written to a file beside `path`, which is then renamed. ``/dev/stdout`` and pipes are written
+    directly. Text is written as UTF-8.
 
     Raises
     ------
     OSError
-        If the file cannot be written; nothing of it is left.
+        If the file cannot be written; no part of it stays.
     """
     data = content.encode() if isinstance(content, str) else content
-    target = path.resolve()  # a link stays a link
+    target = path.resolve()  # a symbolic link stays a link
     if target.exists() and not target.is_file():
         target.write_bytes(data)
         return

@@ -18,18 +18,18 @@ Call = Callable[[], Result]
 def in_parallel(
     calls: Sequence[Call[Result]], jobs: int, *, cluster: str | None = None, ahead: int | None = None
 ) -> Generator[tuple[int, Result]]:
-    """Yield the place and the result of each call, in the order they are done.
+    """Yield the index and the result of each call, in the order of completion.
 
     Parameters
     ----------
     calls : sequence of callable
-        Without arguments; they and their results must be fit to be sent to another process.
+        Called without arguments; calls and results must be picklable.
     jobs : int
-        Processes at the same time, each on one thread; 1 works in this one. On a cluster it only scales `ahead`.
+        Number of processes, each with one thread; 1 uses this process. On a cluster `jobs` only scales `ahead`.
     cluster : str, optional
         Address of a Dask scheduler whose workers have this project installed.
     ahead : int, optional
-        Calls per job between two gatherings, where results are so large that they must not pile up; default all.
+        Calls per job that run before their results are yielded, to limit the memory of large results; default: all.
 
     Raises
     ------
@@ -52,10 +52,10 @@ def in_parallel(
 
 @contextlib.contextmanager
 def _begun(calls: Sequence[Call[Result]], jobs: int) -> Iterator[Iterator[tuple[int, Result]]]:
-    """Start a batch and give what is done; what is not at the end is given up without a word."""
+    """Start a batch and yield finished results; unfinished calls are cancelled silently."""
     from joblib import Parallel, delayed
 
-    # A terminal sends Ctrl-C to every process: those that work shall leave it to this one to end them.
+    # A terminal sends Ctrl-C to every process: workers ignore it, and this process ends them.
     with _ctrl_c_ignored():
         done = Parallel(n_jobs=jobs, return_as="generator_unordered")(
             delayed(_one)(place, call) for place, call in enumerate(calls)
@@ -73,7 +73,7 @@ def _one(place: int, call: Call[Result]) -> tuple[int, Result]:
 
 @contextlib.contextmanager
 def _ctrl_c_ignored() -> Iterator[None]:
-    """Ignore SIGINT for a moment; processes that start meanwhile ignore it for good."""
+    """Ignore SIGINT inside the ``with``; processes that start inside ignore SIGINT for their whole life."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -94,8 +94,8 @@ def _backend(cluster: str | None) -> Iterator[None]:
             with parallel_config(backend="loky", inner_max_num_threads=1):
                 yield
         finally:
-            # Left to the end of the program, it would wait for its processes where Ctrl-C is not quiet; interrupted,
-            # it would leave them, and the program would wait for them for ever.
+            # Shut down here: at the end of the program, Ctrl-C would print a traceback, and an interrupted executor
+            # would leave processes for which the program then waits without end.
             with _ctrl_c_ignored():
                 get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
         return

@@ -1,4 +1,4 @@
-"""Who is on the fabric: what a service says of itself there, and whether two services can work together."""
+"""The services on the fabric: their liveliness tokens, and whether two services can work together."""
 
 import secrets
 from importlib.metadata import version
@@ -6,9 +6,9 @@ from typing import Final
 
 import msgspec
 
-#: Random bytes that tell services of one name apart.
+#: Random bytes that distinguish services of one name.
 INSTANCE_BYTES: Final = 4
-#: Between the parts of a token's last name; neither a version (PEP 440) nor a fingerprint has one.
+#: Separator in the last part of a token; neither versions (PEP 440) nor fingerprints contain it.
 SEPARATOR: Final = "-"
 
 
@@ -18,14 +18,14 @@ class Peer(msgspec.Struct, frozen=True):
     Attributes
     ----------
     skin : str
-        Name of its layout.
+        Name of the service's layout.
     service : str
     instance : str
-        Tells services of one name apart: of two pages, one may leave.
+        Distinguishes services of one name, for example two pages.
     version : str
-        Of canskin; empty when it is not known.
+        Version of canskin; empty if unknown.
     fingerprint : str
-        Of its Φ (`skin.measurement.Sbhe.fingerprint`); empty for a service that does not depend on one.
+        Fingerprint of its Φ (`skin.measurement.Sbhe.fingerprint`); empty for a service without Φ.
     """
 
     skin: str
@@ -41,7 +41,7 @@ class Peer(msgspec.Struct, frozen=True):
         return f"canskin/{self.skin}/alive/{self.service}/{about}"
 
     def difference(self, other: "Peer") -> str:
-        """Say why `other` cannot work with this service; empty when it can, or when nothing is known of it."""
+        """Return why `other` cannot work with this service; empty if it can, or if too little is known."""
         if not self.fingerprint or not other.fingerprint:
             return ""
         if other.skin != self.skin:
@@ -59,29 +59,29 @@ class Peer(msgspec.Struct, frozen=True):
         return ""
 
 
-#: The keys of every peer of every skin.
+#: Key expression of the peers of all skins.
 EVERY_KEY: Final = "canskin/*/alive/*/*"
 
 
 def new_peer(skin: str, service: str, fingerprint: str) -> Peer:
-    """Return what a service of this installation says of itself."""
+    """Return the peer of a new service of this installation."""
     return Peer(skin, service, secrets.token_hex(INSTANCE_BYTES), version("canskin"), fingerprint)
 
 
 def peer_of_key(key: str) -> Peer:
-    """Return who has the token of `key`."""
+    """Return the peer whose token is `key`."""
     _, skin, _, service, about = key.split("/")
     return Peer(skin, service, *about.split(SEPARATOR, 2))
 
 
 class Roll:
-    """Who is there now: the instances of each service; a name without any takes no memory."""
+    """The present instances of each service."""
 
     def __init__(self) -> None:
         self._instances: dict[str, set[str]] = {}
 
     def note(self, service: str, instance: str, is_there: bool) -> bool:
-        """Note that an instance is there or gone; tell whether the service itself came or went by it."""
+        """Note that an instance came or went; tell whether the service came with its first or went with its last."""
         was_there = self.holds(service)
         instances = self._instances.setdefault(service, set())
         if is_there:
@@ -93,5 +93,5 @@ class Roll:
         return self.holds(service) != was_there
 
     def holds(self, service: str) -> bool:
-        """Tell whether any instance of a service is there."""
+        """Tell whether any instance of a service is present."""
         return service in self._instances

@@ -1,4 +1,4 @@
-"""Peak signal-to-noise ratio: how close an image is to the true force."""
+"""Peak signal-to-noise ratio (PSNR) of an image against the true forces."""
 
 import math
 
@@ -12,14 +12,14 @@ def decibels(mean_square_n2: npt.ArrayLike, peak_n: float) -> npt.NDArray[np.flo
     Parameters
     ----------
     mean_square_n2 : array_like
-        Mean over an image of the squared error, newtons squared; of any shape.
+        Mean squared error of each image, newtons squared; any shape.
     peak_n : float
-        Largest force a taxel can feel, µ.
+        End of the taxels' range, µ.
 
     Returns
     -------
     array of float64, the same shape
-        Decibels; no error gives 200.
+        Decibels; an error of 0 gives 200.
     """
     floored = np.maximum(mean_square_n2, peak_n**2 * 1e-20)
     return np.asarray(10 * np.log10(peak_n**2 / floored), np.float64)
@@ -33,7 +33,7 @@ def psnr_db(true: npt.NDArray[np.floating], other: npt.NDArray[np.floating], pea
     true, other : arrays of float, shape (rows, columns)
         Newtons.
     peak_n : float
-        Largest force a taxel can feel, µ.
+        End of the taxels' range, µ.
 
     Returns
     -------
@@ -44,5 +44,5 @@ def psnr_db(true: npt.NDArray[np.floating], other: npt.NDArray[np.floating], pea
 
 
 def adds_noise(sensor_db: float, adc_bits: int) -> bool:
-    """Tell whether a sensor of this PSNR does more than round to its ADC's steps: half a step everywhere or less."""
+    """Tell whether a sensor's error is larger than that of its ADC, half a step in every taxel."""
     return sensor_db < 20 * math.log10(2 * ((1 << adc_bits) - 1))

@@ -1,4 +1,4 @@
-"""What every service does alike: say that it is ready, and end quietly when it is told to."""
+"""Common parts of all services: log lines, stop signals, real-time scheduling."""
 
 import contextlib
 import ctypes
@@ -12,23 +12,22 @@ import time
 from types import FrameType
 from typing import Final
 
-#: Just above everything without real-time scheduling.
+#: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
-#: A service that waits looks this often whether it shall end.
+#: A service that waits checks the stop signal this often.
 LOOK_S: Final = 0.02
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
 
 
 class Stopped(Exception):  # noqa: N818 - no error
-    """A service was told to end before it had begun; the command line ends with 0."""
+    """A stop signal came before the service had started; the command line ends with 0."""
 
 
 class StopSignal:
-    """Set by SIGINT or SIGTERM; services look at it between two turns of their loop.
+    """A flag set by SIGINT or SIGTERM; services check it in each turn of their loop.
 
-    A plain flag and no `threading.Event`: a handler that comes while another one holds the event's lock, as with two
-    signals in a row, would wait for itself.
+    Not a `threading.Event`: with two signals in a row, the second handler would wait for the lock that the first holds.
     """
 
     def __init__(self) -> None:
@@ -42,15 +41,15 @@ class StopSignal:
         return self
 
     def set(self) -> None:
-        """Ask the service to end."""
+        """Set the flag."""
         self._is_set = True
 
     def is_set(self) -> bool:
-        """Tell whether the service shall end."""
+        """Tell whether the flag is set."""
         return self._is_set
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until the service shall end, at most `timeout_s`; tell whether it shall."""
+        """Wait for the flag, at most `timeout_s`; tell whether it is set."""
         give_up_s = time.monotonic() + timeout_s
         while not self._is_set and (left_s := give_up_s - time.monotonic()) > 0:
             time.sleep(min(left_s, LOOK_S))
@@ -61,10 +60,10 @@ class StopSignal:
 
 
 class Complaints:
-    """Says what goes wrong, but not each time: a cut wire must not flood the log.
+    """Log lines of repeated errors, limited in number: a cut cable must not flood the log.
 
-    The first `BURST` lines of every `PERIOD_S` are printed; how many were not is said when the next one is. A verbose
-    process prints every line.
+    The first `BURST` lines of every `PERIOD_S` are printed. Before the next line comes the number of lines that were
+    not printed. A verbose process prints every line.
     """
 
     PERIOD_S: Final = 10.0
@@ -76,7 +75,7 @@ class Complaints:
         self._said = self._held_back = 0
 
     def complain(self, text: str) -> None:
-        """Print one line, unless too many were printed just now."""
+        """Print one line, unless `BURST` lines were printed in the present period."""
         now_s = time.monotonic()
         if now_s - self._since_s > self.PERIOD_S:
             if self._held_back:
@@ -95,15 +94,15 @@ def _end_with_parent() -> None:
     if parent is None or not sys.platform.startswith("linux"):
         return
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != int(parent):  # it died before the call
+    if os.getppid() != int(parent):  # the supervisor died before this call
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def be_punctual() -> None:
-    """Ask to be run as soon as there is something to do, as the loops that keep the SYNC period need it.
+    """Request real-time scheduling, for loops that must keep the SYNC period.
 
-    Real-time scheduling where the system grants it (root, or an ``rtprio`` limit), else nothing. What start-up has
-    built is taken out of the garbage collector's sight: its pauses would make cycles late.
+    Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is. Objects that exist now are excluded
+    from garbage collection, because its pauses would make cycles late.
     """
     gc.collect()
     gc.freeze()
@@ -113,7 +112,7 @@ def be_punctual() -> None:
 
 
 class Talk(enum.IntEnum):
-    """How much is said on stderr."""
+    """Amount of log lines on stderr."""
 
     QUIET = 0
     NORMAL = 1
@@ -121,14 +120,14 @@ class Talk(enum.IntEnum):
 
 
 class _Setting:
-    """How this process talks."""
+    """Log settings of this process."""
 
     talk = Talk.NORMAL
     as_json = False
 
 
 def set_talk(talk: Talk, *, as_json: bool = False) -> None:
-    """Choose how much this process says on stderr, and whether as JSON; errors of the command line are always said."""
+    """Choose the amount of log lines, and text or JSON; errors of the command line are always printed."""
     _Setting.talk, _Setting.as_json = talk, as_json
 
 
@@ -138,7 +137,7 @@ def talks(talk: Talk) -> bool:
 
 
 def say(service: str, text: str, talk: Talk = Talk.NORMAL) -> None:
-    """Print one line for the person at the terminal, on stderr, if this process talks as much as `talk`."""
+    """Print one line for the user on stderr, if lines of the level `talk` are printed."""
     if not talks(talk):
         return
     line = f"{service}: {text}"

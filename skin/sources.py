@@ -1,15 +1,14 @@
 """Taxel sources and training touches, found by name.
 
-A source is anything that can say what every taxel feels at a given step of the skin's clock: a simulator, a
-recording, a robot's own electronics. An offer of touches draws labelled images to train a classifier on.
-Distributions offer both as entry points:
+A source returns the force on every taxel at each step of the SYNC clock: a simulator, a recording, a robot's own
+electronics. A generator of touches draws labelled images for training. Python packages offer both as entry points:
 
 - ``canskin.sources``: taxel sources. ``touch`` offers ``objects`` and ``recording``; ``nodes``, ``bandwidth`` and
   ``demo`` load them.
 - ``canskin.touches``: labelled touches. ``touch`` offers ``random``; ``classifier`` loads it.
 
-This module is the only place where one package of this distribution reaches another through an entry point. No
-import shows that way, so the import rules cannot see it: a skin with its own source runs without ``touch``.
+This module is the only place where one package of this distribution uses another through an entry point. The import
+rules do not see this use. So a skin with its own source runs without ``touch``.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,23 +24,23 @@ from skin.layout import Layout
 #: Groups of entry points.
 SOURCES: Final = "canskin.sources"
 TOUCHES: Final = "canskin.touches"
-#: The offer of `TOUCHES` that a classifier is trained on: random places, depths and moments.
+#: Name in `TOUCHES` of the touches for training: random places, depths and moments.
 RANDOM: Final = "random"
-#: The objects that touch a simulated skin, and that a classifier knows, when none are named.
+#: Default objects of the simulated skin and of the classifier.
 DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
 
 
 class Frame(NamedTuple):
-    """One instant of touch: ``force_n`` (rows, columns) in newtons and the touching object's name."""
+    """Forces at one instant: ``force_n`` (rows, columns) in newtons, and the name of the touching object."""
 
     force_n: npt.NDArray[np.float32]
     label: str
 
 
 class TaxelSource(Protocol):
-    """What every taxel feels at step 0, 1, 2, … of the SYNC clock."""
+    """The force on every taxel at steps 0, 1, 2, … of the SYNC clock."""
 
-    #: True when the source already holds a real sensor's noise, so that none must be added.
+    #: True if the values contain a real sensor's noise, so no noise is added.
     has_noise: bool
 
     def frame(self, step: int) -> Frame:
@@ -55,7 +54,7 @@ def load_source(name: str, **options: Any) -> TaxelSource:
     Raises
     ------
     InputError
-        If no installed distribution offers a source of that name.
+        If no installed package offers a source of this name.
     """
     source: TaxelSource = _load(SOURCES, name)(**options)
     return source
@@ -69,15 +68,15 @@ class LabelledTouches(NamedTuple):
 
 
 def load_touches(names: Sequence[str], count: int, layout: Layout, *, seed: int) -> LabelledTouches:
-    """Return labelled touches of the named objects, true forces without noise, drawn by the offer `RANDOM`.
+    """Return labelled touches of the named objects, true forces without noise, drawn by the entry point `RANDOM`.
 
-    An offer is called as ``offer(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)`` and returns images
-    and labels. Of the default objects, those that the skin is too small for are left out.
+    The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)`` and returns images
+    and labels. Default objects that are too large for the skin are left out.
 
     Raises
     ------
     InputError
-        If no installed distribution offers such touches, or a name is unknown to the offer.
+        If no installed package offers such touches, or the entry point does not know a name.
     """
     taxels = layout.taxels
     force_n, labels = _load(TOUCHES, RANDOM)(

@@ -1,11 +1,11 @@
 """The taxel and its converter: from the force on a taxel to the sensor signal and to ADC counts.
 
-Nodes, simulators, training and comparisons take noise, range, resolution and defects from here::
+Nodes, simulators, training and comparisons use this model of noise, range, resolution and defects::
 
     force ─▶ damper, cross-talk, gain, drift ─▶ noise ─▶ range ─▶ stuck, saturated, dead ─▶ ADC
              └──────────────────── TaxelModel.signal ──────────────────────────────────┘  to_counts
 
-The paper adds normal noise of 1 mN and clips to 0 to 20 mN (section V); `sense` does that and no more.
+The paper adds normal noise of 1 mN and clips to 0 to 20 mN (section V): this is `sense`.
 """
 
 import math
@@ -71,7 +71,7 @@ def sense(
 
 
 def to_counts(signal_n: npt.NDArray[np.floating], taxels: Taxels) -> npt.NDArray[np.int32]:
-    """Return what the converter makes of a sensor signal: the nearest count within its range, the shape kept."""
+    """Return the ADC counts of a sensor signal, rounded and limited to the range; same shape."""
     counts = signal_n / signal_n.dtype.type(taxels.newton_per_count)
     np.rint(counts, out=counts)
     np.clip(counts, 0, taxels.count_max, out=counts)
@@ -79,13 +79,13 @@ def to_counts(signal_n: npt.NDArray[np.floating], taxels: Taxels) -> npt.NDArray
 
 
 def to_newtons(counts: npt.NDArray[np.integer], taxels: Taxels) -> Force:
-    """Return the force that counts stand for, the shape kept."""
+    """Return the forces of ADC counts; same shape."""
     return counts.astype(np.float32) * np.float32(taxels.newton_per_count)
 
 
 @dataclass(frozen=True)
 class TaxelModel:
-    """How the taxels of one array sense: noise, range and defects.
+    """Noise, range and defects of the taxels of one array.
 
     Damper, cross-talk, gain spread and drift act on the force, in this order. Noise and clipping follow. Stuck,
     saturated and dead taxels come last, in this order: a taxel that is both stuck and dead reads 0.
@@ -95,7 +95,7 @@ class TaxelModel:
     noise_n, force_max_n : float
         As for `sense`.
     damper, cross_talk, gain_spread, drift, noisy, stuck, saturated, dead
-        See `skin.defects`; None where the defect is off.
+        See `skin.defects`; None for no defect.
 
     Raises
     ------
@@ -134,7 +134,7 @@ class TaxelModel:
         Returns
         -------
         numpy.ndarray
-            float32, the same shape. The first step counts as at rest.
+            float32, the same shape. The damper takes a speed of 0 at the first step.
 
         Raises
         ------
@@ -150,7 +150,7 @@ class TaxelModel:
         return self.signal_of_moments(force_n, rng, start_s + period_s * np.arange(len(force_n), dtype=np.float64))
 
     def signal_of_moments(self, force_n: Force, rng: np.random.Generator, time_s: npt.NDArray[np.float64]) -> Force:
-        """Return the sensor signal of moments, without the damper's part.
+        """Return the sensor signal of single moments, without the damper.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""What every verb shows a person or a program: one form of table, one progress bar, one ``--json``."""
+"""Output of all verbs: tables, progress bars, and JSON."""
 
 import io
 import sys
@@ -13,10 +13,10 @@ from skin.service import Talk, talks
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-#: The type of a verb's argument ``json``: the flag ``--json``, without a ``--no-json``.
+#: Type of the argument ``json`` of a verb: the flag ``--json``, without ``--no-json``.
 Json = Annotated[bool, Parameter(name="--json", negative=())]
 
-#: Columns where standard output is no terminal: more than any table needs, so that nothing is wrapped or cut off.
+#: Columns if standard output is no terminal: wider than any table, so no cell is wrapped or cut.
 _UNLIMITED: Final = 10_000
 
 
@@ -26,8 +26,8 @@ def print_json(document: Any) -> None:
     Parameters
     ----------
     document : object
-        What `msgspec` encodes (builtins, structs, dataclasses) and NumPy's numbers. A number that is not finite
-        becomes ``null``.
+        Anything that `msgspec` encodes (builtins, structs, dataclasses), and NumPy's numbers. Numbers that are not
+        finite become ``null``.
     """
     import msgspec
 
@@ -45,13 +45,13 @@ def _builtin(value: Any) -> Any:
 def print_table(headings: Sequence[str], rows: Iterable[Iterable[Any]], *, title: str = "") -> None:
     """Print a table on standard output.
 
-    Under headings, columns with numbers are aligned right, but for the first. A terminal that is too narrow folds
-    cells; elsewhere the table is plain text, and a row is a line.
+    With headings, columns of numbers are aligned right, except the first column. A narrow terminal wraps cells. If
+    standard output is no terminal, the table is plain text with one line per row.
 
     Parameters
     ----------
     headings : sequence of str
-        One for each column; none of them prints rows alone.
+        One heading per column; an empty sequence prints the rows only.
     rows : iterable of iterables
         Cells; ``None`` is shown as an empty cell, anything else by `str`.
     title : str
@@ -66,7 +66,7 @@ def print_table(headings: Sequence[str], rows: Iterable[Iterable[Any]], *, title
     columns = headings or [""] * max(map(len, cells), default=0)
     for place, heading in enumerate(columns):
         is_right = bool(headings) and place > 0 and any(_begins_a_number(row[place]) for row in cells)
-        # Text, for square brackets in a cell are no markup.
+        # Text, because square brackets in a cell are no markup.
         table.add_column(Text(heading), justify="right" if is_right else "left", overflow="fold")
     for row in cells:
         table.add_row(*map(Text, row))
@@ -84,17 +84,17 @@ def _begins_a_number(cell: str) -> bool:
 
 
 class ProgressBar:
-    """A bar that `progress` shows; without a terminal, only `print` shows anything."""
+    """The bar of `progress`; without a terminal, only `print` writes."""
 
     def __init__(self, shown: "Progress", task: "TaskID") -> None:
         self._shown, self._task = shown, task
 
     def advance(self, steps: float = 1) -> None:
-        """Add to what is done."""
+        """Add `steps` to the finished work."""
         self._shown.advance(self._task, steps)
 
     def update(self, done: float, what: str | None = None) -> None:
-        """Say how much is done, and what is being done where that has changed."""
+        """Set the finished work, and the text if `what` is given."""
         self._shown.update(self._task, completed=done, description=what)
 
     def print(self, line: str) -> None:
@@ -104,16 +104,16 @@ class ProgressBar:
 
 @contextmanager
 def progress(what: str, total: float | None, *, done: float = 0) -> Iterator[ProgressBar]:
-    """Show how far the work inside the ``with`` is, on standard error where that is a terminal, else nothing.
+    """Show the progress of the work inside the ``with``, on standard error if it is a terminal.
 
     Parameters
     ----------
     what : str
-        Beside the bar.
+        Text beside the bar.
     total : float, optional
-        Of which an int is counted out ("3/40"); None where the end is unknown, which shows the time since the start.
+        Size of the work. An int is shown as a count ("3/40"); None, for an unknown end, shows the time since the start.
     done : float
-        Of `total`, before the work begins.
+        Part of `total` that is finished before the work begins.
 
     Yields
     ------
@@ -137,7 +137,7 @@ def progress(what: str, total: float | None, *, done: float = 0) -> Iterator[Pro
         counted = [MofNCompleteColumn()] if isinstance(total, int) else []
         columns += [BarColumn(), *counted, TimeRemainingColumn()]
     console = Console(stderr=True)
-    # Without an end the bar only tells that something goes on: redrawn rarely, to leave the processor to the work.
+    # A bar without an end is redrawn rarely, to leave the processor to the work.
     with Progress(
         *columns,
         console=console,

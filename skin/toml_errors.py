@@ -1,6 +1,6 @@
-"""What is wrong with a TOML file, in words for the person who wrote it.
+"""Error messages about a TOML file for its author.
 
-msgspec says what a type expected. The person also needs what came, and which keys and values there are.
+msgspec tells what a type expected. The author also needs the value that came, and the possible keys and values.
 """
 
 import difflib
@@ -21,7 +21,7 @@ _BOUNDS: Final = {">=": "or more", "<=": "or less", ">": "or more, exclusive", "
 
 
 def in_words(problem: str, document: Any, root: type[msgspec.Struct]) -> str:
-    """Return msgspec's message about `document`, converted to `root`, in words: what was expected, what came, where.
+    """Return msgspec's message about `document`, converted to `root`, as text: what was expected, what came, where.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ _WORDS: Final = (
 
 
 def _table(root: type, keys: list[str]) -> type:
-    """Return the struct in which the last of `keys` stands, or that is at `keys`."""
+    """Return the struct at `keys`, or the struct that contains the last of `keys`."""
     table = root
     for key in keys:
         hint = get_type_hints(table).get(key)
