@@ -1,1 +1,1 @@
-"""The bus contract: what every frame on the bus means, made from a layout."""
+"""The bus contract: identifier, content and sender of every frame, computed from a layout."""

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.messages import NmtState as NmtState  # noqa: PLC0414 - the page shows the states, too
+from skin.messages import NmtState as NmtState  # noqa: PLC0414 - re-exported
 
-#: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and those to which a node adds its node-ID.
+#: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and bases to which a node adds its node-ID.
 NMT_COB_ID: Final = 0x000
 SYNC_COB_ID: Final = 0x080
 EMCY_BASE: Final = 0x080
@@ -21,7 +21,7 @@ HIGHEST_NODE_ID: Final = 127
 
 
 def is_of_node(can_id: npt.NDArray[np.uint32], base: int) -> npt.NDArray[np.bool_]:
-    """Tell which identifiers are those of a node: `base` and a node-ID."""
+    """Tell which identifiers are `base` + a node-ID."""
     return (can_id > base) & (can_id <= base + HIGHEST_NODE_ID)
 
 
@@ -36,7 +36,7 @@ RESTRICTED_COB_IDS: Final = (
 )
 #: Bit 31 of a COB-ID object: the PDO or EMCY does not exist (CiA 301, 7.5.2.17 and 7.5.2.37).
 COB_ID_INVALID: Final = 0x8000_0000
-#: Bit 30 of a PDO's COB-ID: no remote frame asks for it.
+#: Bit 30 of a PDO's COB-ID: remote frames are not allowed.
 COB_ID_NO_RTR: Final = 0x4000_0000
 #: Bit 29 of a COB-ID object: 29-bit identifier.
 COB_ID_EXTENDED: Final = 0x2000_0000
@@ -46,7 +46,7 @@ EXTENDED_ID_MASK: Final = 0x1FFF_FFFF
 
 #: Highest cyclic synchronous transmission type, and highest value of 1019h (CiA 301, 7.5.2.38 and 7.5.2.22).
 LAST_SYNCHRONOUS: Final = 240
-#: Lowest event-driven transmission type: the manufacturer's; 255 is the device profile's.
+#: Lowest event-driven transmission type (manufacturer-specific); 255 is specific to the device profile.
 EVENT_MANUFACTURER: Final = 254
 
 #: Lengths of the messages (CiA 301, 7.2).
@@ -94,12 +94,12 @@ class Abort(IntEnum):
     NO_DATA = 0x0800_0024
 
 
-#: Abort codes below speak of the transfer (toggle bit, time-out, command), those from here on of the object.
+#: Lower abort codes concern the transfer (toggle bit, time-out, command), codes from here on the object.
 FIRST_ABORT_OF_THE_OBJECT: Final = 0x0600_0000
 
 
 class Emergency(IntEnum):
-    """Error codes that a skin node can report (CiA 301, table 26; FF00h on are the manufacturer's)."""
+    """Error codes that a skin node can report (CiA 301, table 26; codes from FF00h are manufacturer-specific)."""
 
     NONE = 0x0000
     HEARTBEAT_LOST = 0x8130

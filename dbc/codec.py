@@ -1,4 +1,4 @@
-"""Sums ⇄ bytes: raw values of `dbc.packing`, one after another from the lowest bit of the first byte on.
+"""Sums ⇄ bytes: raw values of `dbc.packing`, one after another from the lowest bit of the first byte.
 
 This is the order of mapped objects in a PDO (CiA 301, 7.3.4) and of Intel signals in a DBC. A sum never spans two
 frames; bits behind the last sum are 0.
@@ -16,9 +16,9 @@ def encode(sums: npt.NDArray[np.integer], gather: npt.NDArray[np.intp], packing:
     Parameters
     ----------
     sums : array of int, shape (m,)
-        In ADC counts, inside what `packing` was made for.
+        In ADC counts, within the range of `packing`.
     gather : array of int, shape (frames, width)
-        Which sums each frame carries; -1 for none.
+        Indices of the sums in each frame; -1 for none.
 
     Returns
     -------

@@ -22,16 +22,17 @@ def dbc(
 ) -> int:
     """Write the contract of a skin as files: a DBC per bus and an EDS per type of node.
 
-    Prints the path of every file; with ``--check``, that of every file that has drifted, and ends with 1 if any has.
+    Prints the path of every file. With ``--check``, prints the files that differ from the layout, and ends with 1 if
+    any file differs.
 
     Parameters
     ----------
     layout
         TOML of the skin; without it the default skin.
     out
-        Folder for the files; with ``--check``, the folder to look at, by default that of the default skin's files.
+        Folder for the files; with ``--check``, the folder to compare. Default of ``--check``: the files of the project.
     check
-        Write nothing; compare the files with what the layout makes of them.
+        Write nothing; compare the files with the layout.
     json
         Print one JSON list.
 
@@ -41,7 +42,7 @@ def dbc(
     skin dbc --check
     """
     if out is None and (layout is not None or not check):
-        raise InputError("expected --out FOLDER: where the contract files are or shall be")
+        raise InputError("expected --out FOLDER: the folder of the contract files")
     contract = Contract.from_layout(load_layout(layout))
     folder = out or DEFAULT_FOLDER
     lines = drifted(contract, folder) if check else [str(path) for path in write_files(contract, folder)]

@@ -1,7 +1,7 @@
-"""What a node's dictionary must hold for its sums to be believed, and a signature of all of it.
+"""The objects of a node that the gateway compares before it uses the node's sums, and their signature.
 
-A TPDO says nothing of how it was mapped. A block counts only while the objects here are known to have the values of
-the contract: identity, identifiers, mapping, SYNC, test pattern, Φ.
+A TPDO does not tell its mapping. A block is valid only while these objects are known to have the values of the
+contract: identity, identifiers, mapping, SYNC, test pattern, Φ.
 """
 
 import struct
@@ -35,7 +35,7 @@ from dbc.indices import (
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
 _COMPARED: Final = {OD_IDENTITY: (1, 2)}
-#: COB-ID, transmission type, SYNC start value: the rest of a communication record is for event-driven PDOs.
+#: COB-ID, transmission type, SYNC start value; the other sub-indices concern event-driven PDOs only.
 _COMPARED_OF_TPDO: Final = (1, 2, 6)
 _WHOLE: Final = (
     OD_SYNC_COB_ID,
@@ -49,13 +49,13 @@ _WHOLE: Final = (
     OD_ENCODING,
 )
 
-#: How long one round of `proof_period_s` takes at least.
+#: Shortest time of a round, see `proof_period_s`.
 PROOF_PERIOD_S: Final = 2.0
-#: The part of a bus that reading signatures may take.
+#: Highest bus load of reading signatures.
 PROOF_LOAD_RATIO: Final = 0.005
 #: Request and answer of one expedited transfer: two frames of 8 bytes, 111 bits without stuff bits, 24 bits of these.
 PROOF_BITS: Final = 2 * (111 + 24)
-#: Rounds after which a block whose node has not answered is no longer valid.
+#: A block is not valid after this number of rounds without answer of its node.
 PROOF_ROUNDS: Final = 2
 
 
@@ -71,13 +71,13 @@ class Setting:
     is_writable: bool
 
     def matches(self, data: bytes) -> bool:
-        """Tell whether `data` is this value; numbers may come in more bytes than they need."""
+        """Tell whether `data` is this value; leading zero bytes of numbers do not matter."""
         if self.is_text:
             return data == self.data
         return int.from_bytes(data, "little") == int.from_bytes(self.data, "little")
 
     def text(self, data: bytes | None = None) -> str:
-        """Return `data`, by default the value itself, for a person."""
+        """Return `data`, by default the value itself, as text for the user."""
         value = self.data if data is None else data
         return value.decode("ascii", "replace") if self.is_text else f"{int.from_bytes(value, 'little'):X}h"
 
@@ -86,7 +86,7 @@ class Setting:
 
 
 def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
-    """Return what a master compares, in the order of the dictionary; the signature covers it in this order."""
+    """Return the objects that a master compares and that the signature covers, in ascending order."""
     return tuple(_setting(each) for each in dictionary(contract, node) if _is_compared(each, node))
 
 
@@ -110,7 +110,7 @@ def expected_signature(settings: Iterable[Setting]) -> int:
 def proof_period_s(contract: Contract, bus: int) -> float:
     """Return the time in which the gateway reads every signature of a bus once.
 
-    `PROOF_PERIOD_S`, or longer where `PROOF_LOAD_RATIO` of the bus does not carry as much.
+    `PROOF_PERIOD_S`, or longer if this would take more than `PROOF_LOAD_RATIO` of the bus.
     """
     wires = contract.layout.bus[bus]
     return max(PROOF_PERIOD_S, wires.nodes * PROOF_BITS / (PROOF_LOAD_RATIO * wires.bitrate))

@@ -1,9 +1,9 @@
 """The bus contract: which node sends which sums in which frame of which SYNC cycle.
 
-A TPDO carries no cycle number, so a frame that is late by one cycle would pass for a fresh one. Here every node
-owns one set of TPDOs per *phase*: with two phases, frames of odd SYNC counters and of even ones have different
-COB-IDs. This is plain CiA 301: transmission type `PHASES` with SYNC start value `phase + 1`, and it costs no
-payload bit. A frame that arrives one SYNC late has the wrong COB-ID and cannot count for the new cycle.
+A TPDO contains no cycle number, so a frame that is one cycle late would look like a frame of the new cycle. Therefore
+every node has one set of TPDOs per *phase*: with two phases, frames of odd and of even SYNC counters have different
+COB-IDs. This is CiA 301, transmission type `PHASES` with SYNC start value `phase + 1`, and needs no payload bit. A
+frame that is one SYNC late has the wrong COB-ID and is not used in the new cycle.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ from skin.errors import LayoutError
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe
 
-#: Bytes of one object that an SDO transfer may carry; far more than any object of a node holds.
+#: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
-#: Sets of TPDOs that take turns, see the module's text.
+#: Number of sets of TPDOs, see the module's docstring.
 PHASES: Final = 2
-#: Synchronous counter overflow value (1019h): a multiple of `PHASES`, so that the turns go on across it.
+#: Synchronous counter overflow value (1019h): a multiple of `PHASES`, so phases alternate across the overflow, too.
 SYNC_OVERFLOW: Final = 240
 #: Longest payload of a classic CAN and of a CAN FD frame.
 CLASSIC_BYTES: Final = 8
@@ -35,7 +35,7 @@ FD_BYTES: Final = 64
 class Tpdo:
     """One transmit PDO: `sums` consecutive sums from `first_sum` on, when the SYNC counter is in `phase`.
 
-    `length` is that of the frame on the wire, which CAN FD pads.
+    `length` is the payload in bytes, with the padding of CAN FD.
     """
 
     number: int
@@ -50,7 +50,7 @@ class Tpdo:
 class NodeContract:
     """One CANopen node: `blocks` blocks of the skin from `block` on, and the frames it sends.
 
-    `flags` are those of its PDOs' frames (`dbc.frame`); all its other frames are classic.
+    `flags` are the flags of its PDOs (`dbc.frame`); all its other frames are classic.
     """
 
     bus: int
@@ -69,14 +69,14 @@ class NodeContract:
 
     @property
     def encoding(self) -> int:
-        """How its PDOs are to be read, as one number (2005h): width, log2 of the scale, offset binary, blocks."""
+        """Encoding of its PDOs as one number (2005h): width, log2 of the scale, offset binary, blocks."""
         step = self.packing.scale.bit_length() - 1
         return self.packing.bits | step << 8 | (not self.packing.is_signed) << 16 | self.blocks << 24
 
 
 @dataclass(frozen=True)
 class Contract:
-    """Everything the two ends of the buses agree on."""
+    """The bus protocol of a skin: all nodes and frames."""
 
     layout: Layout
     phi: Sbhe
@@ -85,7 +85,7 @@ class Contract:
 
     @classmethod
     def from_layout(cls, layout: Layout) -> Self:
-        """Lay out all nodes and frames of a skin.
+        """Compute all nodes and frames of a skin.
 
         Raises
         ------
@@ -132,9 +132,9 @@ class FrameTable:
     Attributes
     ----------
     bus, node, phase, cob_id, length, flags : arrays of int, shape (rows,)
-        `node` is the place in `Contract.nodes`.
+        `node` is the index in `Contract.nodes`.
     gather : array of int, shape (rows, width)
-        The sums in each frame; -1 where the frame has no further sum.
+        Indices of the sums in each frame, padded with -1.
     row_of : array of int, shape (buses, 2048)
         Row of an 11-bit identifier on a bus, -1 for every other identifier.
     """
@@ -150,7 +150,7 @@ class FrameTable:
 
 
 def encoding_text(encoding: int) -> str:
-    """Say what `NodeContract.encoding` means."""
+    """Return `NodeContract.encoding` as text."""
     bits, step, is_offset, blocks = encoding & 0xFF, encoding >> 8 & 0xFF, encoding >> 16 & 0xFF, encoding >> 24
     signs = "offset binary" if is_offset else "signed"
     return f"{bits}-bit {signs} sums in steps of {1 << min(step, 32)} of {blocks} blocks"
@@ -167,7 +167,7 @@ def next_counter(sync_counter: int) -> int:
 
 
 def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int) -> tuple[Tpdo, ...]:
-    """Spread a node's sums over frames, once per phase."""
+    """Divide a node's sums into frames, once per phase."""
     parts = _spread(sums, bits, fd=bus.fd)
     tpdos = []
     for index in range(PHASES * len(parts)):
@@ -187,7 +187,7 @@ def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int) -> tuple
 
 
 def _spread(sums: range, bits: int, *, fd: bool) -> list[range]:
-    """Divide sums into as few frames as can be, and of those ways the one with the fewest bytes on the wire."""
+    """Divide sums into the smallest number of frames, with the smallest number of bytes."""
     most = 8 * (FD_BYTES if fd else CLASSIC_BYTES) // bits
     fewest = -(-len(sums) // most)
     ways = [
@@ -199,13 +199,13 @@ def _spread(sums: range, bits: int, *, fd: bool) -> list[range]:
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:
-    """Return the bytes of a frame of `sums` sums on the wire."""
+    """Return the payload bytes of a frame with `sums` sums, padding included."""
     length = -(-sums * bits // 8)
     return next(each for each in FD_LENGTHS if each >= length) if fd else length
 
 
 def _cob_id(bus: Bus, number: int, node_id: int, index: int) -> int:
-    """Give TPDO `index` its identifier; beyond eight per node, those of node-IDs the bus does not use."""
+    """Return the identifier of TPDO `index`; beyond eight per node, identifiers of unused node-IDs."""
     turn, base = divmod(index, len(TPDO_BASES))
     low = node_id + turn * bus.nodes
     if low > HIGHEST_NODE_ID:

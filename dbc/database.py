@@ -1,9 +1,9 @@
 """The DBC of one bus: every frame that the gateway and the nodes send, for bus analysers and loggers.
 
-Sums are given in ADC counts: the factor is the packing's scale, so that every value is an exact integer. Their
-newtons are a factor away which no decimal fraction gives exactly; it is the attribute ``NewtonPerCount``.
+Sums are in ADC counts: the factor is the packing's scale, so every value is an exact integer. The factor to newtons is
+no exact decimal fraction; the attribute ``NewtonPerCount`` holds it.
 
-cantools writes the text, so the committed files change with its version: its bounds in ``pyproject.toml`` are narrow.
+cantools writes the text. The committed files change with its version, so its bounds in ``pyproject.toml`` are narrow.
 """
 
 from collections import OrderedDict
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 GATEWAY: Final = "Gateway"
 UNIT: Final = "count"
 
-#: What a frame can be, by the number that the attribute VFrameFormat has.
+#: Frame formats, in the order of the values of the attribute VFrameFormat.
 FRAME_FORMATS: Final = (
     *("StandardCAN", "ExtendedCAN", "reserved", "J1939PG"),
     *["reserved"] * 10,
@@ -77,7 +77,7 @@ def signal_name(contract: Contract, number: int) -> str:
 
 
 def _attributes(of_network: Mapping[str, str | float], *, switches_rate: bool) -> "DbcSpecifics":
-    """Return the attributes of the network, and the definitions of those that messages have."""
+    """Return the attributes of the network, and the definitions of the attributes of messages."""
     from cantools.database.can.formats.dbc import DbcAttribute, DbcAttributeDefinition, DbcSpecifics
 
     definitions: OrderedDict[str, DbcAttributeDefinitionType] = OrderedDict()
@@ -166,7 +166,7 @@ def _message(
 
 
 def _network(contract: Contract) -> list["Message"]:
-    """Return what the gateway sends to all nodes."""
+    """Return the messages that the gateway sends to all nodes."""
     command = _signal("Command", 0, 8, receiver=None, meanings=_in_words(NmtCommand))
     node_id, counter = _signal("NodeId", 8, 8, receiver=None), _signal("Counter", 0, 8, receiver=None)
     return [
@@ -184,7 +184,7 @@ def _network(contract: Contract) -> list["Message"]:
 
 
 def _node(contract: Contract, node: NodeContract) -> list["Message"]:
-    """Return what one node sends, and what is sent to it alone."""
+    """Return the messages from and to one node."""
     name, node_id = _name(node), node.node_id
     emergency = [
         _signal("ErrorCode", 0, 16, receiver=GATEWAY),
@@ -207,7 +207,7 @@ def _node(contract: Contract, node: NodeContract) -> list["Message"]:
 
 
 def _transfer(receiver: str) -> list["Signal"]:
-    """Return the parts of an SDO frame."""
+    """Return the signals of an SDO frame."""
     parts = (("Command", 0, 8), ("Index", 8, 16), ("Subindex", 24, 8), ("Data", 32, 32))
     return [_signal(name, start, bits, receiver=receiver) for name, start, bits in parts]
 
@@ -247,5 +247,5 @@ def _milliseconds(period_s: float) -> int:
 
 
 def _in_words(codes: type[IntEnum]) -> dict[int, str]:
-    """Return the names of an enumeration as a value table has them, such as ``Enter pre-operational``."""
+    """Return the names of an enumeration for a value table, such as ``Enter pre-operational``."""
     return {code.value: code.name.replace("PRE_", "PRE-").replace("_", " ").capitalize() for code in codes}

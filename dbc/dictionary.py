@@ -1,7 +1,7 @@
-"""The object dictionary of a skin node as data: the one source of the nodes' objects and of their EDS.
+"""The object dictionary of a skin node as data, from which the nodes' objects and the EDS are made.
 
-Manufacturer area, 2000h on: what the node measures and how it is. Everything a master needs to refuse a node
-that was programmed for another Φ can be read by SDO.
+The manufacturer area, from 2000h, holds the node's part of Φ and its counters. A master can read by SDO all objects
+that it needs to refuse a node programmed for another Φ.
 """
 
 from dataclasses import dataclass
@@ -55,14 +55,14 @@ from dbc.indices import (
 Access = Literal["ro", "rw", "const"]
 Value = int | float | str
 
-#: No vendor number has been assigned by CiA to this project; 0 says so.
+#: Vendor-ID 0: CiA has assigned no number to this project.
 VENDOR_ID: Final = 0
 PRODUCT_CODE: Final = 0x534B_494E
 REVISION: Final = 0x0001_0001
 HEARTBEAT_MS: Final = 1000
-#: Part of the cycle in which TPDOs may be sent: the next SYNC shall find a free bus.
+#: Part of the cycle in which TPDOs may be sent; the bus is then free at the next SYNC.
 WINDOW_RATIO: Final = 0.98
-#: Type of a sum's raw value, by width and sign; 12 bits are mapped from an object of 16.
+#: Data type of a sum's raw value, by width and sign; 12 bits are mapped from an object of 16 bits.
 SUM_TYPES: Final = {
     (16, True): INTEGER16,
     (16, False): UNSIGNED16,
@@ -73,9 +73,9 @@ SUM_TYPES: Final = {
 }
 #: Entries of the pre-defined error field.
 ERRORS_KEPT: Final = 8
-#: Masters and peers whose heartbeat a node can watch.
+#: Most heartbeats that a node can watch.
 HEARTBEATS_WATCHED: Final = 4
-#: Bit 0 of a store or restore capability: the device does so on command (CiA 301, 7.5.2.13).
+#: Bit 0 of 1010h and 1011h: the device stores or restores on command (CiA 301, 7.5.2.13).
 ON_COMMAND: Final = 1
 HIGHEST_SUBINDEX: Final = "Highest sub-index supported"
 
@@ -96,7 +96,7 @@ class Object:
 
 
 def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
-    """Return all objects of `node` with the values it starts with, by index and sub-index."""
+    """Return all objects of `node` with their initial values, by index and sub-index."""
     return [
         *_communication(contract, node),
         *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo)),
@@ -144,7 +144,7 @@ def _identity(node: NodeContract) -> list[Object]:
 
 
 def _tpdo_communication(tpdo: Tpdo) -> list[Object]:
-    """Return the communication record (1800h on); the predefined RTR bit says that no remote frame is answered."""
+    """Return the communication record (from 1800h); the RTR bit is set: remote frames are not answered."""
     index, group = OD_TPDO_COMMUNICATION + tpdo.number - 1, f"TPDO {tpdo.number} communication parameter"
     entries: tuple[tuple[int, str, int, Access, int], ...] = (
         (0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 6),
@@ -158,14 +158,14 @@ def _tpdo_communication(tpdo: Tpdo) -> list[Object]:
 
 
 def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
-    """Return the mapping record (1A00h on): index, sub-index and length in bits of each mapped object."""
+    """Return the mapping record (from 1A00h): index, sub-index and length in bits of each mapped object."""
     index, group = OD_TPDO_MAPPING + tpdo.number - 1, f"TPDO {tpdo.number} mapping parameter"
     mapped = []
     for each in range(tpdo.first_sum, tpdo.first_sum + tpdo.sums):
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
         mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
-    mapped += [0] * (node.pdo_bytes - tpdo.sums)  # objects of one byte each fill a frame
+    mapped += [0] * (node.pdo_bytes - tpdo.sums)  # space for as many objects of one byte as fit a frame
     return [
         Object(index, 0, "Number of mapped objects", UNSIGNED8, "rw", tpdo.sums, group=group),
         *(
@@ -176,7 +176,7 @@ def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Ob
 
 
 def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
-    """Return what the node measures and how it is, by index; of each further block `BLOCK_STRIDE` higher."""
+    """Return the manufacturer objects, by index; objects of each further block are `BLOCK_STRIDE` higher."""
     seed, fingerprint = contract.layout.measurement.seed, contract.phi.fingerprint
     health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", "Saturated taxels"]
     whole = [
@@ -184,7 +184,7 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_PHI_SEED, None, "Seed of the measurement operator", UNSIGNED32, "ro", seed),
         Object(OD_PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", VISIBLE_STRING, "ro", fingerprint),
         Object(OD_ENCODING, None, "Encoding of the sums", UNSIGNED32, "ro", node.encoding),
-        # The node computes the signature; `dbc.configuration` says of what.
+        # The node computes the signature, see `dbc.configuration`.
         Object(OD_SIGNATURE, None, "Configuration signature", UNSIGNED32, "ro", 0),
         *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
     ]
@@ -193,7 +193,7 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
 
 
 def _block(contract: Contract, block: int, place: int) -> list[Object]:
-    """Return the objects of one block: taxels in the order of its daisy chain, calibration, test pattern, sums."""
+    """Return the objects of one block: taxels in chain order, calibration, test pattern, sums."""
     size, rows = contract.phi.block_size, contract.phi.rows_of(block)
     taxels = [int(taxel) for taxel in contract.phi.order[block * size : (block + 1) * size]]
     of = f" of block {place + 1}" if place else ""
@@ -231,7 +231,7 @@ def _array(
     value: Value | list[int] = 0,
     pdo: bool = False,
 ) -> list[Object]:
-    """Return sub-index 0 and one entry per name; `value` is that of all entries, or one for each."""
+    """Return sub-index 0 and one entry per name; `value` is one value for all entries, or one per entry."""
     values = value if isinstance(value, list) else [value] * len(names)
     entries = [
         Object(index, place, name, data_type, access, each, pdo, group, array=True)

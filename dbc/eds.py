@@ -1,8 +1,8 @@
-"""The EDS of each type of node (CiA 306-1): nodes whose dictionaries differ in nothing but values are one type.
+"""The EDS of each type of node (CiA 306-1). Nodes whose dictionaries differ in values only are one type.
 
-Only what every reader knows is used: decimal or 0x numbers, ``$NODEID+0x…`` for identifiers, no compact objects.
-Values in which nodes of a type differ, such as the block's index, have no default. Neither have REAL32 objects:
-some readers take their default as a decimal fraction, others as its 32 bits.
+The files use only syntax that every reader knows: decimal or 0x numbers, ``$NODEID+0x…`` for identifiers, no compact
+objects. Values that differ between nodes of a type, such as the index of the block, have no default. REAL32 objects
+have no default either: some readers expect a decimal fraction, others the 32 bits.
 """
 
 from dataclasses import dataclass
@@ -25,24 +25,24 @@ from dbc.indices import (
 )
 from skin.ranges import ranges_text
 
-#: Changed by hand, with `dbc.dictionary.REVISION`, when the dictionary changes.
+#: Change it by hand, with `dbc.dictionary.REVISION`, when the dictionary changes.
 _DATE: Final = "11-21-2026"
 _MANDATORY: Final = (OD_DEVICE_TYPE, OD_ERROR_REGISTER, OD_IDENTITY)
-#: Bit rates that the format has a key for, in kbit/s.
+#: Bit rates with a key in the format, kbit/s.
 _BITRATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
 
 
 @dataclass(frozen=True)
 class NodeType:
-    """Nodes that one EDS describes, and the name of its file."""
+    """Nodes with the same EDS, and the name of its file."""
 
     file: str
     nodes: tuple[NodeContract, ...]
 
 
 def node_types(contract: Contract) -> list[NodeType]:
-    """Return the types of a skin's nodes in the order of their first nodes."""
+    """Return the types of a skin's nodes, ordered by their first node."""
     found: dict[object, list[NodeContract]] = {}
     for node in contract.nodes:
         found.setdefault(_shape(contract, node), []).append(node)
@@ -76,7 +76,7 @@ def eds(contract: Contract, kind: NodeType) -> str:
 
 
 def _shape(contract: Contract, node: NodeContract) -> object:
-    """Return all of a dictionary but the values, and of identifiers their distance from the node-ID."""
+    """Return a dictionary without its values; identifiers are relative to the node-ID."""
     return tuple(
         (
             each.index,
@@ -103,7 +103,7 @@ def _offset(value: Value, node: NodeContract) -> int:
 
 
 def _default(each: Object, values: list[Value], nodes: tuple[NodeContract, ...]) -> str | None:
-    """Return what stands for the values of all `nodes`, None when nothing does."""
+    """Return the default that is right for all `nodes`, None if there is none."""
     if _is_cob_id(each):
         return f"$NODEID+0x{_offset(values[0], nodes[0]):X}"
     if each.data_type == REAL32 or any(value != values[0] for value in values):

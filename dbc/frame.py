@@ -1,4 +1,4 @@
-"""One CAN frame as a record of an array, so that a burst is one array and not hundreds of objects."""
+"""CAN frames as records of an array: a burst is one array, not hundreds of objects."""
 
 from typing import Final
 
@@ -9,21 +9,21 @@ import numpy.typing as npt
 EXTENDED: Final = 0x01
 #: Remote frame.
 REMOTE: Final = 0x02
-#: Not a frame of the bus but the controller's report of an error; `data` as SocketCAN's error frames.
+#: A controller's report of an error, not a frame of the bus; `data` as in SocketCAN's error frames.
 ERROR: Final = 0x04
 #: CAN FD frame, with its bit-rate switch and error-state indicator.
 FD: Final = 0x08
 BRS: Final = 0x10
 ESI: Final = 0x20
-#: A frame this very connection sent, reported back when it had been transmitted.
+#: A frame that this connection sent, reported back after its transmission.
 ECHO: Final = 0x40
 
-#: Bytes a CAN FD frame can carry, by DLC (ISO 11898-1:2015, table 5).
+#: Payload bytes of a CAN FD frame, by DLC (ISO 11898-1:2015, table 5).
 FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
-#: One frame: `time_ns` of the end of frame (of one to send: its earliest start), `expires_ns` when a waiting frame
-#: is given up (0: never), `length` in bytes (not DLC), `port` the sending controller when one connection carries
-#: several, `data` padded with zeros.
+#: One frame: `time_ns` end of frame (of a frame to send: earliest start), `expires_ns` latest start of a frame to send
+#: (0: no limit), `length` in bytes (not DLC), `port` number of the sending controller on this connection, `data` padded
+#: with zeros.
 FRAME: Final = np.dtype(
     [
         ("time_ns", "<i8"),

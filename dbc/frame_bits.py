@@ -1,15 +1,15 @@
-"""Bits and time a frame takes on the wire, exact or bounded.
+"""Bits of a frame and its time on the bus, exact or bounded.
 
 Three ways to count the stuff bits, in the words of can-utils:
 
 ``none``
-    No stuff bits: the least a frame can take.
+    No stuff bits: the lower bound of a frame.
 ``worst``
-    The most stuff bits any identifier and payload of that length can cause.
+    The most stuff bits of any identifier and payload of this length.
 ``exact``
-    The stuff bits of this very identifier and payload.
+    The stuff bits of the frame's own identifier and payload.
 
-Every count includes the three bits of intermission, so that back-to-back frames add up.
+Every count includes the three bits of intermission, so counts of consecutive frames can be added.
 """
 
 from functools import cache
@@ -26,7 +26,7 @@ Bits = npt.NDArray[np.int32]
 #: Intermission, counted into every frame.
 INTERMISSION_BITS: Final = 3
 
-#: The compiled kernel reads can_id, length, flags, port and data as they follow each other in FRAME.
+#: The compiled kernel reads can_id, length, flags, port and data in their order in FRAME.
 _FIRST_BYTE: Final = FRAME.itemsize - 72
 _DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np.int32)
 _PADDED: Final = np.array(FD_LENGTHS, np.int32)[_DLC]
@@ -36,13 +36,13 @@ _FD_NOMINAL_TAIL: Final = 12
 
 
 def padded_length(lengths: npt.NDArray[np.integer]) -> Bits:
-    """Return the payload bytes a CAN FD frame really sends: the next length that has a DLC."""
+    """Return the payload bytes of CAN FD frames with padding: the next length that has a DLC."""
     padded: Bits = _PADDED[lengths]
     return padded
 
 
 def wire_bits(frames: Frames, stuffing: Stuffing = "exact") -> tuple[Bits, Bits]:
-    """Count the bits of frames on the wire, intermission included.
+    """Count the bits of frames, intermission included.
 
     Parameters
     ----------
@@ -83,13 +83,13 @@ def wire_bits(frames: Frames, stuffing: Stuffing = "exact") -> tuple[Bits, Bits]
 def frame_time_ns(
     frames: Frames, bitrate: int, data_bitrate: int | None = None, stuffing: Stuffing = "exact"
 ) -> npt.NDArray[np.int64]:
-    """Return how long each frame keeps the bus busy, intermission included.
+    """Return the time of each frame on the bus, intermission included.
 
     Parameters
     ----------
     frames : array of FRAME, shape (n,)
     bitrate, data_bitrate : int
-        Bits per second; without `data_bitrate` everything goes at `bitrate`.
+        Bits per second; without `data_bitrate` the whole frame has `bitrate`.
     stuffing : {"none", "worst", "exact"}
 
     Returns
@@ -103,12 +103,12 @@ def frame_time_ns(
 
 
 def nominal_ns(bits: int, bitrate: int) -> int:
-    """Return how long `bits` take at the nominal bit rate, in nanoseconds, rounded to the nearest."""
+    """Return the time of `bits` at the nominal bit rate in nanoseconds, rounded."""
     return round(bits * 1e9 / bitrate)
 
 
 def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
-    """Count all bits but the dynamic stuff bits."""
+    """Count all bits except dynamic stuff bits."""
     flags, length = frames["flags"], frames["length"]
     extended = flags & EXTENDED != 0
     payload = np.where(flags & REMOTE, 0, np.minimum(length, 8)).astype(np.int32)
@@ -148,8 +148,8 @@ def _worst_stuff(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bi
 def _worst_fd(shape: int, dlc: int) -> tuple[int, int]:
     """Find the most dynamic stuff bits of a CAN FD frame over all identifiers and payloads.
 
-    Dynamic programming over the frame's bits, free ones taking either value; a state is the last bit and
-    the run it ends. Nominal stuff bits are few and slow, so they are made most first.
+    Dynamic programming over the frame's bits, where free bits take both values. The state is the last bit and the
+    length of its run. Nominal stuff bits are slow, so their number is maximised first.
     """
     fixed = {bit: int(bit == "1") for bit in "01"}
     identifier = "?" * 11 + ("11" + "?" * 18 + "0" if shape & EXTENDED else "00")

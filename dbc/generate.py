@@ -1,4 +1,4 @@
-"""All contract files of a skin: made, written, and compared with those of a folder."""
+"""The contract files of a skin: content, writing, and comparison with a folder."""
 
 from pathlib import Path
 from typing import Final
@@ -41,7 +41,7 @@ def write_files(contract: Contract, folder: Path) -> list[Path]:
 
 
 def drifted(contract: Contract, folder: Path) -> list[str]:
-    """Return one line for every file of `folder` that is not what the contract makes of it.
+    """Return one line for every file of `folder` that differs from the contract.
 
     Raises
     ------

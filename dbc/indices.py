@@ -1,4 +1,4 @@
-"""Numbers of the object dictionary: data types and indices, with the standard's names (CiA 301, 7.4 and 7.5)."""
+"""Data types and indices of the object dictionary, with the names of CiA 301, 7.4 and 7.5."""
 
 from typing import Final
 
@@ -48,7 +48,7 @@ OD_OFFSET: Final = 0x2011
 OD_HEALTH: Final = 0x2020
 OD_TEST_PATTERN: Final = 0x2021
 OD_SUMS: Final = 0x2100
-#: The objects of a node's second block stand this much higher than those of its first, and so on.
+#: Distance between the indices of an object for consecutive blocks of a node.
 BLOCK_STRIDE: Final = 0x200
 
 #: Signatures of 1010h and 1011h: the characters "save" and "load", least significant first.
@@ -57,11 +57,11 @@ SIGNATURE_LOAD: Final = 0x6461_6F6C
 
 
 def of_block(index: int, place: int) -> int:
-    """Return the index of an object, given as that of the first block, for the block at `place` of a node."""
+    """Return the index of an object for the block at `place` of a node; `index` is that of the first block."""
     return index + place * BLOCK_STRIDE
 
 
 def split_block(index: int) -> tuple[int, int]:
-    """Return the place of the block whose object this is, and the same object's index for the first block."""
+    """Return the place of the block that the object belongs to, and the object's index for the first block."""
     place, rest = divmod(index - OD_MANUFACTURER, BLOCK_STRIDE)
     return place, OD_MANUFACTURER + rest

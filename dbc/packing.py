@@ -1,7 +1,7 @@
-"""How one sum of ADC counts becomes an integer of a few bits: width, scale and offset.
+"""Conversion of a sum of ADC counts to an integer of a few bits: width, scale and offset.
 
-The scale is the smallest power of two with which no sum can saturate, whichever Hadamard rows a block keeps: with B
-taxels of at most c counts, a balanced row spans -B c / 2 to B c / 2 and the row of all ones 0 to B c.
+The scale is the smallest power of two with which no sum can saturate, for any Hadamard row: with B taxels of 0 to c
+counts, a balanced row spans -B c / 2 to B c / 2, and the row of all ones 0 to B c.
 """
 
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ class Packing:
     scale : int
         Counts per step, a power of two; 1 is exact.
     offset : int
-        0: raw values are two's complement. Else they are unsigned, and a sum of 0 is this pattern of alternating
-        bits, which needs no stuff bits. It divides the range 1:2, as the sums' own range is divided.
+        0: raw values are two's complement. Else raw values are unsigned, and a sum of 0 has the raw value `offset`:
+        alternating bits, which need no stuff bits. `offset` divides the range 1:2, like 0 the range of the sums.
     """
 
     bits: int
@@ -38,20 +38,20 @@ class Packing:
 
     @property
     def raw_range(self) -> tuple[int, int]:
-        """Lowest and highest raw value that the width holds."""
+        """Lowest and highest raw value of this width."""
         low = -(1 << self.bits - 1) if self.is_signed else 0
         return low, low + (1 << self.bits) - 1
 
     @property
     def rounding_counts(self) -> int:
-        """Largest difference between a sum and what arrives of it, in counts."""
+        """Largest rounding error of a sum, in counts."""
         return self.scale // 2
 
     def raw(self, sums: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """Return the raw values of `sums` in counts; halves are rounded towards 0.
 
-        That is as near as any other rounding, and lets 12-bit sums of 32 taxels of 12 bits do with half the scale: the
-        sum of all at full scale is 2047.5 steps.
+        The error is that of any other rounding of halves. With this rounding, 12-bit sums of 32 taxels of 12 bits need
+        half the scale only: the sum of all taxels at full scale is 2047.5 steps.
         """
         counts = sums.astype(np.int32)
         if self.scale > 1:
@@ -60,7 +60,7 @@ class Packing:
         return counts + np.int32(self.offset)
 
     def counts(self, raw: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-        """Return the sums in counts that `raw` values stand for."""
+        """Return the sums in counts of `raw` values."""
         return (raw - np.int32(self.offset)) * np.int32(self.scale)
 
 
@@ -76,7 +76,7 @@ def packing(layout: Layout) -> Packing:
 
 
 def rounding_error_n(layout: Layout) -> float:
-    """Return the largest error in newtons that the packing adds to one sum; 0 where it is exact."""
+    """Return the largest rounding error of a sum in newtons; 0 if the packing is exact."""
     return packing(layout).rounding_counts * layout.taxels.newton_per_count
 
 

@@ -1,4 +1,4 @@
-"""Stuff bits of frames, compiled: every bit is fed through the stuffing rule as the wire sees it."""
+"""Stuff bits of frames, compiled: the stuffing rule is applied to every bit in bus order."""
 
 from typing import Any, Final
 
@@ -8,7 +8,7 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 
 #: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1 (ISO 11898-1, CRC of classical frames).
 CRC_15: Final = 0x4599
-#: Records as rows of bytes, each from its identifier on: the places below count from there.
+#: Records as rows of bytes that begin with the identifier; the following positions count from there.
 _ROWS: Final = types.Array(uint8, 2, "A", readonly=True)
 _INTS: Final = int32[::1]
 _CAN_ID, _LENGTH, _FLAGS, _DATA = 0, 4, 5, 8
@@ -16,7 +16,7 @@ _CAN_ID, _LENGTH, _FLAGS, _DATA = 0, 4, 5, 8
 
 @njit(cache=True, nogil=True)
 def feed(word: int, width: int, last: int, run: int, stuffed: int) -> tuple[int, int, int]:
-    """Send `width` bits of `word`; count a stuff bit after each run of five equal bits."""
+    """Apply the stuffing rule to `width` bits of `word`: a stuff bit after each run of five equal bits."""
     for shift in range(width - 1, -1, -1):
         bit = (word >> shift) & 1
         run = run + 1 if bit == last else 1
