@@ -1,1 +1,1 @@
-"""The wire itself: an arbitrated virtual CAN bus and batch access to any CAN interface."""
+"""A virtual CAN bus with arbitration, and batch access to any CAN interface."""

@@ -32,16 +32,16 @@ from dbc.frame import ECHO, FD, Frames, frames
 from skin.errors import BusError
 from skin.service import Stopped, StopSignal, say
 
-#: How long the process of a bus may take to answer a greeting.
+#: Time limit for the answer of the bus process to HELLO.
 GREETING_S: Final = 5.0
-#: After this long without the bus, a program says that it waits.
+#: After this time without the bus, a program logs that it waits.
 SILENT_S: Final = 1.0
-#: Packets taken by one `receive`, so that a flood cannot keep a caller in it.
+#: Most packets taken by one `receive`, so that a flood of packets cannot block the caller.
 PACKETS_PER_CALL: Final = 256
 
 
 class ArbitratedLink(ReconnectingLink):
-    """A connection to one bus of `skin bus`, which comes back by itself when that process does.
+    """A connection to one bus of `skin bus`; it reconnects when this process is started again.
 
     `send` may be called from several threads, `receive` from one.
 
@@ -50,16 +50,16 @@ class ArbitratedLink(ReconnectingLink):
     channel : str
         Name of the bus.
     hello : Hello
-        What is asked of it.
+        The request: filters, bit rates, name.
     wait_s : float
-        How long to wait for a bus that is not there yet.
+        Longest wait for a bus that is not served yet.
     stop : StopSignal, optional
-        Raises `skin.service.Stopped` if it is set while this waits.
+        If set during the wait, `skin.service.Stopped` is raised.
 
     Raises
     ------
     BusError
-        If the bus is not there, or refuses.
+        If the bus is not served, or refuses the connection.
     """
 
     def __init__(self, channel: str, hello: Hello, *, wait_s: float = 0.0, stop: StopSignal | None = None) -> None:
@@ -68,7 +68,7 @@ class ArbitratedLink(ReconnectingLink):
         self._hello = hello
         self._path = socket_path(channel)
         self._buffer = bytearray(MAX_PACKET)
-        # Each is written by one thread only: what was sent, and what the bus has reported back.
+        # Two counters, each written by one thread only: frames sent, and frames reported back by the bus.
         self._sent = np.zeros(MAX_PORTS, np.int64)
         self._returned = np.zeros(MAX_PORTS, np.int64)
         try:
@@ -78,7 +78,7 @@ class ArbitratedLink(ReconnectingLink):
             raise
 
     def receive(self) -> Frames:
-        """Return all frames that wait, echoes of own ones included, in the order of the wire."""
+        """Return all waiting frames, echoes of own frames included, in bus order."""
         arrived: list[Frames] = []
         connection = self._reopened()
         if connection is None:
@@ -109,12 +109,12 @@ class ArbitratedLink(ReconnectingLink):
         Returns
         -------
         int
-            How many were accepted, counted from the first; the next one did not fit.
+            Number of accepted frames, counted from the first; the next frame did not fit.
 
         Raises
         ------
         InputError
-            If a frame is none that a controller could send.
+            If no controller could send a frame.
         """
         check_frames(burst, fd=self.welcome.data_bitrate is not None)
         if (burst["flags"] & FD).any():
@@ -135,7 +135,7 @@ class ArbitratedLink(ReconnectingLink):
             return sent
 
     def set_faults(self, faults: Sequence[Fault]) -> bool:
-        """Replace the rules of what goes wrong on the bus; tell whether they were handed over."""
+        """Replace the faults of the bus; tell whether they were sent."""
         with self._lock:
             connection = self._reopened()
             if connection is None:
@@ -164,7 +164,7 @@ class ArbitratedLink(ReconnectingLink):
         return True
 
     def _unpack(self, packet: memoryview) -> Frames:
-        """Read one packet, and take note of what its header and its echoes tell."""
+        """Read one packet, and update the state from its header and its echoes."""
         header, payload = unpack(packet)
         arrived = unpack_frames(header, payload).copy()
         self._state = State(min(header.state, State.BUS_OFF))
@@ -194,12 +194,12 @@ class ArbitratedLink(ReconnectingLink):
                 raise Stopped
 
     def _connect(self) -> socket.socket:
-        """Connect and greet.
+        """Connect and send HELLO.
 
         Raises
         ------
         OSError
-            If nobody is there.
+            If no process serves the bus.
         BusError
             If the bus refuses.
         """

@@ -1,4 +1,4 @@
-"""Who wins the bus when several begin at once, and when frames with one identifier collide."""
+"""Arbitration between frames that start together, and collisions of frames with one identifier."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,9 +7,9 @@ from dbc.frame import EXTENDED, REMOTE, Frames
 
 
 def arbitration_keys(burst: Frames) -> npt.NDArray[np.int64]:
-    """Return numbers that order frames as arbitration does: the lowest stays dominant longest.
+    """Return the arbitration key of each frame: the frame with the lowest key wins.
 
-    32 bits as on the wire (ISO 11898-1): base identifier 11, RTR or SRR 1, IDE 1, extension 18, RTR 1.
+    32 bits in bus order (ISO 11898-1): base identifier 11, RTR or SRR 1, IDE 1, extension 18, RTR 1.
     So a standard frame beats an extended one with the same base, and data beats remote.
     """
     can_id = burst["can_id"].astype(np.int64)
@@ -21,7 +21,7 @@ def arbitration_keys(burst: Frames) -> npt.NDArray[np.int64]:
 
 
 def clash_bits(same: Frames) -> int | None:
-    """Return after how many bits frames with one identifier differ, roughly, or None when they never do."""
+    """Return the approximate number of bits until frames with one identifier differ, None for equal frames."""
     first = same[0]
     if (same["length"] != first["length"]).any() or (same["flags"] != first["flags"]).any():
         return 19

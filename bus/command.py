@@ -9,7 +9,7 @@ from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
 from skin.service import StopSignal, be_punctual, say
 from skin.terminal import Json, print_json
 
-#: Far longer than any device waits, and far from where times no longer fit 64 bits.
+#: Far above any real device, and far below the limit of times in 64 bits.
 RESTART_MAX_S: Final = 3600.0
 
 
@@ -27,7 +27,7 @@ def bus(
 ) -> None:
     """Serve virtual CAN buses with bit rate, arbitration, error states and, when wanted, faults.
 
-    Programs reach them as interface ``canskin`` of python-can, and the other verbs with ``--interface canskin``.
+    Programs open the buses as interface ``canskin`` of python-can, other verbs with ``--interface canskin``.
     Runs until Ctrl-C.
 
     Parameters
@@ -42,14 +42,14 @@ def bus(
         ``real``: frames take as long as on a real bus. ``virtual``: frames are sent as fast as possible, and the
         time on the bus is only counted.
     fault
-        A rule of what goes wrong, ``KEY=VALUE,…`` with the keys controller, can_id, mask, loss_ratio,
-        duplicate_ratio, delay_ratio, delay_s, bit_error_rate, off. Repeat the option for more rules.
+        A fault, ``KEY=VALUE,…`` with the keys controller, can_id, mask, loss_ratio,
+        duplicate_ratio, delay_ratio, delay_s, bit_error_rate, off. Repeat the option for more faults.
     seed
         Seed of the faults: the same seed and the same frames give the same faults.
     restart_s
         Seconds that a bus-off controller waits before its recovery begins.
     queue_size
-        Frames that the transmit queue of each controller holds.
+        Number of frames in the transmit queue of each controller.
     json_
         Print the counters of every bus as one JSON object at the end.
 

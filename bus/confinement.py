@@ -10,21 +10,21 @@ from bus.station import Station, Stations
 from bus.transmit_queues import TransmitQueues
 from dbc.frame_bits import nominal_ns
 
-#: An error-passive transmitter lets others go first.
+#: Suspend transmission: an error-passive transmitter waits this number of bits.
 SUSPEND_BITS: Final = 8
-#: 128 occurrences of eleven recessive bits end bus-off; a frame contains one occurrence.
+#: 128 occurrences of eleven recessive bits end bus-off; a frame contains one such occurrence.
 OCCURRENCE_BITS: Final = 11
 RECOVERY_BITS: Final = 128 * OCCURRENCE_BITS
 
 
 class Confinement:
-    """What errors and good frames do to the controllers of one bus.
+    """Effects of errors and good frames on the controllers of one bus.
 
     Parameters
     ----------
     bitrate : int
     restart_s : float
-        How long a bus-off controller waits before it begins to recover.
+        Time that a bus-off controller waits before its recovery begins.
     """
 
     def __init__(self, stations: Stations, queues: TransmitQueues, bitrate: int, restart_s: float) -> None:
@@ -32,7 +32,7 @@ class Confinement:
         self._queues = queues
         self._bitrate = bitrate
         self._restart_ns = round(restart_s * 1e9)
-        # In the order in which they were disturbed: the order of a set would differ from run to run.
+        # A dict keeps the order of the errors; the order of a set would differ between runs.
         self._disturbed: dict[Controller, None] = {}
         self._recovering: list[Controller] = []
 
@@ -46,22 +46,22 @@ class Confinement:
         return min((controller.recover_ns for controller in self._recovering), default=None)
 
     def forget(self, station: Station) -> None:
-        """Forget the controllers of a station that has left."""
+        """Remove the controllers of a station that has left."""
         for controller in station.controllers.values():
             self._disturbed.pop(controller, None)
         self._recovering = [one for one in self._recovering if one.station != station.number]
 
     def frame_failed(self, items: Sequence[Waiting], ended_ns: int, free_ns: int, *, unacknowledged: bool) -> None:
-        """Count the error of a frame, report it to its senders, and let them try again.
+        """Count the error of a frame, report it to the senders, and queue the frame again.
 
         Parameters
         ----------
         items : sequence of Waiting
-            The frame as each of its senders has it.
+            The frame in the transmit queue of each of its senders.
         ended_ns, free_ns : int
             End of the error frame, and of the intermission behind it.
         unacknowledged : bool
-            Whether the error is that nobody acknowledged.
+            Whether the error is a missing acknowledgement.
         """
         senders = {item.controller for item in items}
         for controller in self._stations.controllers():
@@ -74,32 +74,32 @@ class Confinement:
             sender = item.controller
             self._queues.post_report(sender, ended_ns, report(sender.transmit_errors, sender.receive_errors))
             if unacknowledged and sender.state is State.PASSIVE:
-                self._queues.pending.park(item)  # nothing changes until somebody else comes
+                self._queues.pending.park(item)  # no retry until another controller joins
             else:
                 self._queues.pending.add(item, free_ns)
         self.judge(self._stations.controllers(), ended_ns, free_ns)
 
     def frame_ended(self, senders: Collection[Controller], start_ns: int, ended_ns: int, free_ns: int) -> None:
-        """Let the error counters of a good frame's senders and receivers fall."""
+        """Decrease the error counters of the senders and receivers of a good frame."""
         for controller in self._disturbed:
             if controller in senders:
                 controller.transmitted()
             elif controller.takes_part:
                 controller.received()
         for controller in self._recovering:
-            if controller.restart_ns <= start_ns:  # the frame held one of its 128 occurrences
+            if controller.restart_ns <= start_ns:  # the frame contained one of the 128 occurrences
                 controller.recover_ns += free_ns - start_ns - nominal_ns(OCCURRENCE_BITS, self._bitrate)
         self.judge(list(self._disturbed), ended_ns, free_ns)
 
     def recover(self) -> None:
-        """Let the controller recover whose time comes first."""
+        """Recover the controller whose recovery is due first."""
         first = min(self._recovering, key=lambda controller: controller.recover_ns)
         self._recovering.remove(first)
         first.reset()
         self._queues.post_report(first, first.recover_ns, state_report(State.ACTIVE, 0, 0, restarted=True))
 
     def judge(self, controllers: Iterable[Controller], time_ns: int, free_ns: int) -> None:
-        """Derive the states from the counters, and report those that changed."""
+        """Compute the states from the counters, and report changed states."""
         for controller in controllers:
             if not controller.takes_part:
                 continue

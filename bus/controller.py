@@ -1,4 +1,4 @@
-"""One CAN controller on the bus: its error counters and the state they put it in (ISO 11898-1, fault confinement)."""
+"""One CAN controller: its error counters and its state (ISO 11898-1, fault confinement)."""
 
 from dataclasses import dataclass
 
@@ -12,17 +12,17 @@ class Controller:
     Attributes
     ----------
     name : str
-        ``STATION:PORT``, what faults are aimed at.
+        ``STATION:PORT``; faults select controllers by this name.
     station, port : int
-        The connection it belongs to, and its number there.
+        Number of its connection, and its number on this connection.
     waiting : int
         Frames in its transmit queue.
     off : bool
-        Without power: neither sends nor acknowledges.
+        No power: the controller neither sends nor acknowledges.
     suspended_until_ns : int
-        An error-passive transmitter waits eight more bits before it starts again.
+        End of suspend transmission: an error-passive transmitter waits eight more bits.
     restart_ns, recover_ns : int
-        When it leaves bus-off: after the restart delay, and then 128 times 11 recessive bits.
+        End of the restart delay, and end of bus-off after 128 x 11 recessive bits more.
     """
 
     name: str
@@ -39,29 +39,29 @@ class Controller:
 
     @property
     def takes_part(self) -> bool:
-        """Whether it acknowledges and may send."""
+        """Whether the controller acknowledges and may send."""
         return not self.off and self.state is not State.BUS_OFF
 
     @property
     def disturbed(self) -> bool:
-        """Whether an error counter stands above 0."""
+        """Whether an error counter is above 0."""
         return self.transmit_errors > 0 or self.receive_errors > 0
 
     def transmit_failed(self, *, unacknowledged: bool) -> None:
-        """Count an error of a frame it sent; a passive controller does not count a missing acknowledgement."""
+        """Count an error of a sent frame; a passive controller does not count a missing acknowledgement."""
         if not (unacknowledged and self.state is State.PASSIVE):
             self.transmit_errors += 8
 
     def receive_failed(self) -> None:
-        """Count an error of a frame it listened to."""
+        """Count an error of a received frame."""
         self.receive_errors = min(self.receive_errors + 1, 255)
 
     def transmitted(self) -> None:
-        """Count a frame it sent."""
+        """Count a sent frame."""
         self.transmit_errors = max(self.transmit_errors - 1, 0)
 
     def received(self) -> None:
-        """Count a frame it listened to; a passive receiver falls back to 119, inside the standard's 119 to 127."""
+        """Count a received frame; the counter of a passive receiver is set to 119 (the standard allows 119 to 127)."""
         self.receive_errors = 119 if self.receive_errors > 127 else max(self.receive_errors - 1, 0)
 
     def reset(self) -> None:
@@ -70,7 +70,7 @@ class Controller:
         self.state = State.ACTIVE
 
     def judge(self) -> bool:
-        """Derive the state from the counters; return whether it changed."""
+        """Compute the state from the counters; return whether it changed."""
         worst = max(self.transmit_errors, self.receive_errors)
         if self.transmit_errors > 255:
             state = State.BUS_OFF

@@ -1,8 +1,8 @@
 """Reports of a controller's errors, as FRAME records with the data of SocketCAN's error frames.
 
-Layout: Linux ``include/uapi/linux/can/error.h``. The error class stands in ``can_id`` without CAN_ERR_FLAG, for
-which FRAME has the flag ERROR; byte 1 tells the controller's state, bytes 2 and 3 what the protocol violation was
-and where, bytes 6 and 7 the transmit and receive error counters.
+Layout: Linux ``include/uapi/linux/can/error.h``. ``can_id`` holds the error class without CAN_ERR_FLAG, because FRAME
+has the flag ERROR. Byte 1 is the state of the controller, bytes 2 and 3 are type and position of a protocol violation,
+bytes 6 and 7 the transmit and receive error counters.
 """
 
 from enum import IntEnum, IntFlag
@@ -14,7 +14,7 @@ from dbc.frame import ERROR, Frames, frames
 
 
 class ErrorClass(IntFlag):
-    """Why an error frame was sent; `can_id` of the record."""
+    """Error class, in `can_id` of the record."""
 
     CONTROLLER = 0x004
     PROTOCOL = 0x008
@@ -26,13 +26,13 @@ class ErrorClass(IntFlag):
 
 
 class State(IntEnum):
-    """State of a controller, or of the worst of several; each one is worse than the one before it."""
+    """State of a controller, in ascending order of severity."""
 
     ACTIVE = 0
     WARNING = 1
     PASSIVE = 2
     BUS_OFF = 3
-    #: Not a state of CAN: the bus's process or the interface is gone.
+    #: Not a state of CAN: the process of the bus, or the interface, is gone.
     LOST = 4
 
 
@@ -47,7 +47,7 @@ _LOCATION_ACK: Final = 0x19
 
 
 def state_report(state: State, transmit_errors: int, receive_errors: int, *, restarted: bool = False) -> Frames:
-    """Return the one-record report of a controller that came into `state`."""
+    """Return the report of a controller that changed to `state`, one record."""
     counters = ErrorClass.COUNTERS
     if state is State.BUS_OFF:
         return _report(ErrorClass.BUS_OFF | counters, (0, 0, 0), transmit_errors, receive_errors)
@@ -64,7 +64,7 @@ def ack_report(transmit_errors: int, receive_errors: int) -> Frames:
 
 
 def bit_report(transmit_errors: int, receive_errors: int) -> Frames:
-    """Return the report of a transmitter that read back another bit than it sent."""
+    """Return the report of a bit error: the transmitter read back another bit than it sent."""
     why = ErrorClass.PROTOCOL | ErrorClass.BUS_ERROR | ErrorClass.COUNTERS
     return _report(why, (0, _PROTOCOL_TRANSMIT | _PROTOCOL_BIT, 0), transmit_errors, receive_errors)
 
@@ -78,7 +78,7 @@ def _report(why: ErrorClass, detail: tuple[int, int, int], transmit_errors: int,
 
 
 def state_of_report(report: np.void, before: State) -> State:
-    """Return the state a controller is in after a report, `before` when the report does not tell."""
+    """Return the state of a controller after a report, `before` if the report contains no state."""
     why, control = int(report["can_id"]), int(report["data"][1])
     if why & ErrorClass.BUS_OFF:
         return State.BUS_OFF

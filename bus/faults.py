@@ -1,4 +1,4 @@
-"""Faults as data: what shall go wrong on a bus, how often, and for whom."""
+"""Faults as data: type, probability, and the controllers and frames concerned."""
 
 import contextlib
 from collections.abc import Sequence
@@ -10,31 +10,31 @@ import msgspec
 
 from skin.errors import InputError
 
-#: Longer than any cycle, and far from where times no longer fit 64 bits.
+#: Longest delay: longer than any cycle, and far below the limit of times in 64 bits.
 DELAY_MAX_S: Final = 3600.0
 
 Ratio = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One rule; where several rules meet, the largest value of each field counts.
+    """One fault; if several faults match a frame, the largest value of each field counts.
 
     Attributes
     ----------
     controller : str
-        Which controllers, by ``STATION:PORT`` with shell wildcards.
+        Pattern of controller names ``STATION:PORT``, with shell wildcards.
     can_id, mask : int
-        Which of their frames: those with ``identifier & mask == can_id & mask``. Mask 0 is every frame.
+        Frames with ``identifier & mask == can_id & mask``. Mask 0 matches every frame.
     loss_ratio : float
-        Sent and acknowledged, but no receiver gets it (an overrun receive buffer).
+        Probability that a sent and acknowledged frame reaches no receiver (overrun of the receive buffer).
     duplicate_ratio : float
-        An error in the last bit of end of frame: receivers have taken the frame, and it is sent again.
+        Probability of an error in the last bit of end of frame: receivers accept the frame, and it is sent again.
     delay_ratio, delay_s : float
-        How often, and how much later than its end of frame, receivers get it.
+        Probability of a delay, and time from end of frame to the receivers.
     bit_error_rate : float
-        Probability that one bit is disturbed: an error frame, and the frame is sent again.
+        Probability of an error per bit: an error frame follows, and the frame is sent again.
     off : bool
-        The controller has no power; `can_id` and `mask` do not matter.
+        The controller has no power; `can_id` and `mask` have no effect.
     """
 
     controller: str = "*"
@@ -49,7 +49,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Odds(NamedTuple):
-    """What may happen to one frame."""
+    """Probabilities of the faults of one frame."""
 
     loss: float
     duplicate: float
@@ -59,13 +59,13 @@ class Odds(NamedTuple):
 
 
 class FaultBook:
-    """The rules in force, looked up once per controller and identifier, and the chances that they leave.
+    """The present faults, looked up once per controller and identifier, and their random numbers.
 
     Parameters
     ----------
     faults : sequence of Fault
     seed : int
-        Of the chances: the same seed and the same frames, the same faults.
+        The same seed and the same frames give the same faults.
     """
 
     def __init__(self, faults: Sequence[Fault] = (), seed: int = 0) -> None:
@@ -74,7 +74,7 @@ class FaultBook:
         self.replace(faults)
 
     def replace(self, faults: Sequence[Fault]) -> None:
-        """Replace the rules; the series of chances goes on."""
+        """Replace the faults; the series of random numbers continues."""
         self._faults = tuple(faults)
         self._known: dict[tuple[str, int], Odds] = {}
 
@@ -86,7 +86,7 @@ class FaultBook:
         return any(fault.off and fnmatchcase(controller, fault.controller) for fault in self._faults)
 
     def odds(self, controller: str, can_id: int) -> Odds:
-        """Return what may happen to a frame of `controller` with `can_id`."""
+        """Return the probabilities of faults of a frame of `controller` with `can_id`."""
         odds = self._known.get((controller, can_id))
         if odds is None:
             if len(self._known) >= 65536:  # a flood of random 29-bit identifiers must not fill the memory
@@ -95,18 +95,18 @@ class FaultBook:
         return odds
 
     def draw(self, probability: float) -> bool:
-        """Tell whether something of this probability happens."""
+        """Draw whether an event of this probability happens."""
         return probability > 0 and self._random.random() < probability
 
     def draw_error_ns(self, odds: Odds, duration_ns: int, bitrate: int) -> int | None:
-        """Return when a bit of a frame is disturbed, counted from its start; None when none is."""
+        """Draw the time from start of frame to the first disturbed bit; None for no error."""
         intact = (1 - odds.bit_error) ** (duration_ns * bitrate / 1e9)
         if intact < 1 and self._random.random() >= intact:
             return self._random.randrange(duration_ns)
         return None
 
     def draw_duplicate(self, odds: Odds, sequence: int) -> bool:
-        """Tell whether frame number `sequence` is sent twice, which happens to each frame once at most."""
+        """Draw whether frame number `sequence` is sent twice; each frame is repeated at most once."""
         if sequence not in self._duplicated and self.draw(odds.duplicate):
             self._duplicated.add(sequence)
             return True
@@ -129,7 +129,7 @@ class FaultBook:
 
 
 def parse_fault(text: str) -> Fault:
-    """Read a rule from ``KEY=VALUE[,KEY=VALUE…]``, numbers decimal or 0x….
+    """Read a fault from ``KEY=VALUE[,KEY=VALUE…]``, numbers decimal or 0x….
 
     Raises
     ------

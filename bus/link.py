@@ -1,4 +1,4 @@
-"""One kind of access to every CAN interface: batches of FRAME records, echoes of own frames in their place."""
+"""The common interface to all CAN interfaces: batches of FRAME records, with echoes of own frames."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -18,31 +18,31 @@ ARBITRATED = "canskin"
 class Link(Protocol):
     """A connection to one CAN bus.
 
-    Times of frames are CLOCK_MONOTONIC nanoseconds. A frame this link sent comes back from `receive` with ECHO
-    when it had been transmitted, in its place among the received ones, or with DISCARDED, which is ECHO and ERROR,
-    when it was given up. Reports of errors come with ERROR.
+    Times of frames are CLOCK_MONOTONIC nanoseconds. `receive` returns a frame that this link has transmitted with ECHO,
+    in bus order among the received frames. A frame that was given up comes with DISCARDED = ECHO | ERROR. Reports of
+    errors come with ERROR.
     """
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when frames wait."""
+        """Return a file descriptor that is readable while frames wait."""
         ...
 
     def receive(self) -> Frames:
-        """Return all frames that wait, without waiting for any."""
+        """Return all waiting frames; never wait."""
         ...
 
     def send(self, burst: Frames) -> int:
-        """Queue frames for transmission; return how many, from the first, fitted."""
+        """Queue frames for transmission; return the number of accepted frames, counted from the first."""
         ...
 
     @property
     def dropped(self) -> int:
-        """Frames lost on the receive side since the link was opened."""
+        """Number of frames lost on the receive side since the link was opened."""
         ...
 
     @property
     def state(self) -> State:
-        """What the controller says of itself."""
+        """State of the controller."""
         ...
 
     def close(self) -> None:
@@ -69,24 +69,24 @@ def open_link(
     interface : str
         ``canskin`` for a bus of `skin bus`, ``socketcan``, or any interface of python-can.
     channel : str
-        Which bus of that interface.
+        Channel of the interface.
     bitrate, data_bitrate : int
-        Bits per second; SocketCAN takes those its interface was set up with.
+        Bits per second; SocketCAN uses the bit rates that its interface was set up with.
     fd : bool
         Allow CAN FD frames.
     filters : sequence of Filter, optional
-        Which frames to receive, default all. Echoes of own frames may need to pass, too.
+        Frames to receive; default: all. Filters apply to echoes of own frames, too.
     name : str
-        What faults of a virtual bus are aimed at.
+        Name by which faults of a virtual bus select this connection.
     wait_s : float
-        How long to wait for a virtual bus that is still starting.
+        Longest wait for a virtual bus that is still starting.
     stop : StopSignal, optional
-        Raises `skin.service.Stopped` if it is set meanwhile.
+        If set during the wait, `skin.service.Stopped` is raised.
 
     Raises
     ------
     BusError
-        If the interface cannot be opened, in one line.
+        If the interface cannot be opened.
     """
     allowed = tuple(filters or ())
     if interface == ARBITRATED:

@@ -1,4 +1,4 @@
-"""Between python-can's messages and FRAME records."""
+"""Conversion between python-can's messages and FRAME records."""
 
 import time
 from collections.abc import Sequence
@@ -17,17 +17,17 @@ _FLAG_OF: Final = (
     ("bitrate_switch", BRS),
     ("error_state_indicator", ESI),
 )
-#: Time stamps this close to the wall clock are taken for wall-clock times.
+#: A time stamp within this time of the wall clock counts as wall-clock time.
 _PLAUSIBLE_NS: Final = 3600 * 10**9
 
 
 def epoch_offset_ns() -> int:
-    """Return what CLOCK_MONOTONIC lacks to the wall clock."""
+    """Return wall clock minus CLOCK_MONOTONIC."""
     return time.time_ns() - time.monotonic_ns()
 
 
 def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
-    """Make a message of one record; its time stamp is in seconds since the epoch."""
+    """Convert a record to a message; the time stamp is in seconds since the epoch."""
     flags, length = int(record["flags"]), int(record["length"])
     message = can.Message(
         timestamp=(int(record["time_ns"]) + offset_ns) * 1e-9,
@@ -43,7 +43,7 @@ def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
 
 
 def to_frame(message: can.Message) -> Frames:
-    """Make an array of one record of a message; without a plausible wall-clock time stamp its time is now."""
+    """Convert a message to one record; without a plausible wall-clock time stamp the time is now."""
     frame = frames(1)
     frame["can_id"] = message.arbitration_id
     frame["flags"] = flags_of(message)
@@ -57,7 +57,7 @@ def to_frame(message: can.Message) -> Frames:
 
 
 def to_logged_frames(messages: Sequence[can.Message]) -> Frames:
-    """Make an array of the messages of a log, with the time stamps they have."""
+    """Convert the messages of a log to records, with the time stamps of the log."""
     many = frames(len(messages))
     many["time_ns"] = [round(message.timestamp * 1e9) for message in messages]
     many["can_id"] = [message.arbitration_id for message in messages]
@@ -69,5 +69,5 @@ def to_logged_frames(messages: Sequence[can.Message]) -> Frames:
 
 
 def flags_of(message: can.Message) -> int:
-    """Return the flags of a record."""
+    """Return the flags of the record of a message."""
     return sum(flag for name, flag in _FLAG_OF if getattr(message, name))

@@ -1,4 +1,4 @@
-"""How a command line names CAN interfaces: with python-can's own flags."""
+"""Options for CAN interfaces: python-can's own flags."""
 
 import re
 from collections.abc import Iterable
@@ -12,26 +12,26 @@ from skin.errors import InputError
 from skin.layout import Bus, Layout
 from skin.service import StopSignal
 
-#: How long a service waits for a bus server that is still starting.
+#: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0
 
 
-#: Names of channels as a command line takes them: ``-c can0 can1`` or ``-c can0 -c can1``.
+#: Names of channels on the command line: ``-c can0 can1`` or ``-c can0 -c can1``.
 Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=True, show_default=False)]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class BusOptions:
-    """Which CAN interfaces carry the layout's buses.
+    """The CAN interfaces of the layout's buses.
 
     Parameters
     ----------
     interface : str
-        python-can interface; ``canskin`` is the arbitrated virtual bus of ``skin bus``.
+        python-can interface; ``canskin`` is the virtual bus of ``skin bus``.
     channel : list of str
-        The channel of each bus, in the order of the layout. A single channel with a number is the first of
-        several: ``-c can0`` is can0 to can3 for four buses. Default: the names of the buses.
+        The channel of each bus, in the order of the layout. From a single channel with a number the others follow:
+        ``-c can0`` means can0 to can3 for four buses. Default: the names of the buses.
     """
 
     interface: Annotated[str, Parameter(alias="-i")] = "canskin"
@@ -66,9 +66,9 @@ def open_links(
     name: str = "link",
     stop: StopSignal | None = None,
 ) -> dict[int, Link]:
-    """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus are aimed at `name`.
+    """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus select them by `name`.
 
-    A `stop` that is set while this waits for a bus raises `skin.service.Stopped`.
+    If `stop` is set during the wait for a bus, `skin.service.Stopped` is raised.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the bus has to tell its stations, kept until its time has come."""
+"""Frames and reports for the stations, kept until their time."""
 
 from bisect import bisect_left
 from itertools import count
@@ -10,26 +10,26 @@ import numpy.typing as npt
 from bus.pool import FramePool
 from dbc.frame import ECHO, ERROR, Frames, frames
 
-#: Who gets a record: every other station, the station that sent the frame, or both.
+#: Receivers of a record: all other stations, the station that sent the frame, or both.
 OTHERS: Final = 1
 OWNER: Final = 2
-#: Flags of a frame that left its transmit queue without being sent.
+#: Flags of a frame that left its transmit queue unsent.
 DISCARDED: Final = ECHO | ERROR
 
 
 class Events(NamedTuple):
-    """What ended on the bus, ordered by time.
+    """Frames and reports that ended on the bus, ordered by time.
 
     Attributes
     ----------
     frames : array of FRAME, shape (n,)
         `time_ns` is the end of frame, `port` the controller's number at its station. ECHO is not set.
     owner : array of int, shape (n,)
-        Number of the station that sent the frame, or that the report is for.
+        Number of the station that sent the frame, or that receives the report.
     audience : array of uint8, shape (n,)
         OTHERS, OWNER or both.
     plain : bool
-        Whether these are only frames that everybody gets.
+        Whether all records are frames for all stations.
     """
 
     frames: Frames
@@ -51,19 +51,19 @@ class Outbox:
         self._entries: list[tuple[int, int, int, int, int, int]] = []
 
     def post(self, time_ns: int, slot: int, owner: int, audience: int, flags: int = 0) -> None:
-        """Announce the frame in `slot` at `time_ns`; collecting it frees the slot."""
+        """Post the frame in `slot` for `time_ns`; `collect` frees the slot."""
         self._entries.append((time_ns, next(self._order), slot, owner, audience, flags))
 
     def post_copy(self, time_ns: int, record: Frames, owner: int, audience: int) -> None:
-        """Announce a frame that has no slot of its own."""
+        """Post a frame without a slot."""
         self.post(time_ns, self._pool.store(record)[0], owner, audience)
 
     def next_ns(self) -> int | None:
-        """Return the earliest time announced."""
+        """Return the earliest time of all posted records."""
         return min(self._entries)[0] if self._entries else None
 
     def collect(self, time_ns: int | None) -> Events:
-        """Return everything announced up to `time_ns`, or simply everything."""
+        """Return all records posted up to `time_ns`; without a time, all records."""
         self._entries.sort()
         end = len(self._entries) if time_ns is None else bisect_left(self._entries, (time_ns + 1,))
         if not end:
@@ -72,7 +72,7 @@ class Outbox:
         del self._entries[:end]
         collected = self._pool.take(slots)
         collected["time_ns"] = times
-        collected["expires_ns"] = 0  # its sender's concern
+        collected["expires_ns"] = 0  # matters to the sender only
         if any(flags):
             collected["flags"] |= np.array(flags, np.uint8)
         audience = np.array(audiences, np.uint8)

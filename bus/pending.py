@@ -1,4 +1,4 @@
-"""Frames that wait for the wire, in the order in which they will win it."""
+"""Frames that wait for the bus, in the order of arbitration."""
 
 import heapq
 from typing import NamedTuple
@@ -18,17 +18,17 @@ class Waiting(NamedTuple):
 
 
 class Pending:
-    """All transmit queues of a bus, which arbitration makes one: mailboxes ordered by identifier."""
+    """All transmit queues of a bus as one queue in the order of arbitration, by identifier."""
 
     def __init__(self) -> None:
         self._ready: list[Waiting] = []
         self._future: list[tuple[int, Waiting]] = []
         self._parked: list[Waiting] = []
-        #: Frames whose time has run out, until their owner takes them from here.
+        #: Expired frames; the owner removes them.
         self.expired: list[Waiting] = []
 
     def add(self, item: Waiting, release_ns: int) -> None:
-        """Let `item` take part in arbitration from `release_ns` on."""
+        """Add `item`; it takes part in arbitration from `release_ns`."""
         heapq.heappush(self._future, (release_ns, item))
 
     def park(self, item: Waiting) -> None:
@@ -36,24 +36,24 @@ class Pending:
         self._parked.append(item)
 
     def unpark(self, release_ns: int) -> None:
-        """Let all parked frames take part again."""
+        """Return all parked frames to arbitration from `release_ns`."""
         for item in self._parked:
             self.add(item, release_ns)
         self._parked.clear()
 
     def next_start_ns(self, free_ns: int) -> int | None:
-        """Return when the next frame starts on a wire that is free from `free_ns` on."""
+        """Return the start of the next frame on a bus that is idle from `free_ns`."""
         if self._ready:
             return free_ns
         return max(free_ns, self._future[0][0]) if self._future else None
 
     @property
     def crowded(self) -> bool:
-        """Whether frames wait that were released."""
+        """Whether released frames wait."""
         return bool(self._ready)
 
     def winner(self, start_ns: int) -> Waiting | None:
-        """Take the frame that wins the arbitration at `start_ns`; None when all that were ready had expired."""
+        """Remove and return the winner of the arbitration at `start_ns`; None if all ready frames have expired."""
         ready, future = self._ready, self._future
         while future and future[0][0] <= start_ns:
             heapq.heappush(ready, heapq.heappop(future)[1])
@@ -65,11 +65,11 @@ class Pending:
         return None
 
     def contests(self, item: Waiting) -> bool:
-        """Tell whether a frame with the same identifier is ready, too."""
+        """Tell whether another frame with the same identifier is ready."""
         return bool(self._ready) and self._ready[0].key == item.key
 
     def equals(self, item: Waiting) -> list[Waiting]:
-        """Take the frames of other controllers that cannot lose against `item`: they have its identifier."""
+        """Remove and return other controllers' frames with the identifier of `item`: none of them loses."""
         equals: dict[Controller, Waiting] = {}
         kept: list[Waiting] = []
         while self.contests(item):
@@ -83,7 +83,7 @@ class Pending:
         return list(equals.values())
 
     def withdraw(self, controller: Controller) -> list[Waiting]:
-        """Take all frames of `controller` back, oldest first."""
+        """Remove and return all frames of `controller`, oldest first."""
         waiting = [item for item in self._ready if item.controller is controller]
         waiting += [item for _, item in self._future if item.controller is controller]
         waiting += [item for item in self._parked if item.controller is controller]

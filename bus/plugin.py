@@ -1,4 +1,4 @@
-"""``can.Bus(interface="canskin", channel="bus0")``: the arbitrated virtual bus for every program on python-can."""
+"""``can.Bus(interface="canskin", channel="bus0")``: the virtual bus for programs that use python-can."""
 
 import os
 import select
@@ -18,7 +18,7 @@ from bus.protocol import Hello, runtime_folder
 from dbc.frame import ECHO, ERROR
 from skin.errors import SkinError
 
-#: How often a sender looks again whether the transmit queue has space; whoever receives meanwhile makes space.
+#: Period in which a waiting sender checks the transmit queue; `receive` in another thread makes space.
 _ROOM_POLL_S: Final = 0.001
 _STATE_OF: Final = {
     State.ACTIVE: can.BusState.ACTIVE,
@@ -38,20 +38,20 @@ class ArbitratedBus(can.BusABC):
         Name of the bus.
     can_filters : filters of python-can, optional
     bitrate, data_bitrate : int, optional
-        Refused when the bus runs at others.
+        The bus refuses other bit rates than its own.
     fd : bool
         Allow CAN FD frames.
     receive_own_messages : bool
-        Receive what this bus sent, too, with ``is_rx`` False.
+        Receive the messages that this object sent, too, with ``is_rx`` False.
     name : str
-        What faults of the bus are aimed at.
+        Name by which faults of the bus select this connection.
     wait_s : float
-        How long to wait for a bus that is still starting.
+        Longest wait for a bus that is still starting.
 
     Raises
     ------
     can.CanInitializationError
-        If the bus is not there, or refuses.
+        If the bus is not served, or refuses the connection.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class ArbitratedBus(can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
         self._lock = threading.Lock()
         self._messages: deque[can.Message] = deque(maxlen=65536)
-        # Readable while messages wait that were taken from the link on behalf of another thread.
+        # Readable while messages wait that another thread has taken from the link.
         self._waiting = os.eventfd(0, os.EFD_NONBLOCK)
         self._epoll = select.epoll()
         self._epoll.register(self._link.fileno(), select.EPOLLIN)
@@ -86,7 +86,7 @@ class ArbitratedBus(can.BusABC):
         super().__init__(channel, can_filters)
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when messages wait."""
+        """Return a file descriptor that is readable while messages wait."""
         return self._epoll.fileno()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -96,12 +96,12 @@ class ArbitratedBus(can.BusABC):
         ----------
         msg : can.Message
         timeout : float, optional
-            Seconds to wait for space in the transmit queue, default none.
+            Longest wait for space in the transmit queue, seconds; default: no wait.
 
         Raises
         ------
         can.CanOperationError
-            If there is no space, the controller is bus-off, or the bus is gone.
+            If the transmit queue is full, the controller is bus-off, or the bus is gone.
         """
         frame = to_frame(msg)
         frame["time_ns"] = 0
@@ -130,7 +130,7 @@ class ArbitratedBus(can.BusABC):
 
     @property
     def state(self) -> can.BusState:
-        """ACTIVE, PASSIVE, or ERROR when bus-off or when the bus is gone."""
+        """ACTIVE, PASSIVE, or ERROR (bus-off, or the bus is gone)."""
         return _STATE_OF[self._link.state]
 
     @state.setter
@@ -158,7 +158,7 @@ class ArbitratedBus(can.BusABC):
             raise can.CanOperationError(f"{self.channel_info}: bus-off")
 
     def _pump(self, *, take: bool = False) -> can.Message | None:
-        """Move what waits on the link into the queue; with `take`, return the oldest message."""
+        """Move received frames from the link to the queue; with `take`, return the oldest message."""
         with self._lock:
             if not self._messages or not take:
                 offset_ns = epoch_offset_ns()
@@ -177,5 +177,5 @@ class ArbitratedBus(can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> Sequence[AutoDetectedConfig]:
-        """List the buses that are served in the runtime folder."""
+        """Return the buses with a socket in the runtime folder."""
         return [{"interface": "canskin", "channel": path.stem} for path in sorted(runtime_folder().glob("*.can"))]

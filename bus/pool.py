@@ -1,4 +1,4 @@
-"""Storage for frames that wait: slots of one growing array, so that a burst is stored and gathered at once."""
+"""Storage of waiting frames: slots of one growing array, so a burst is stored and gathered in one operation."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ from dbc.frame import Frames, frames
 
 
 class FramePool:
-    """Slots for frames; `store` gives slot numbers, `take` gathers and frees them."""
+    """Slots for frames: `store` returns slot numbers, `take` returns the frames and frees the slots."""
 
     def __init__(self, size: int = 256) -> None:
         self.slots: Frames = frames(size)
@@ -33,5 +33,5 @@ class FramePool:
         return gathered
 
     def free(self, numbers: Sequence[int]) -> None:
-        """Free slots whose frames nobody wants."""
+        """Free slots without reading their frames."""
         self._free.extend(numbers)

@@ -1,8 +1,7 @@
-"""What travels between the process of a bus and its clients: packets on a local Unix socket.
+"""The protocol between the process of a bus and its clients: packets on a local Unix socket.
 
-The socket is of type SOCK_SEQPACKET, so that one packet is one message: a header, then either FRAME records or
-JSON. A client says HELLO and gets WELCOME or REFUSED; from then on both sides send FRAMES, and a client may send
-FAULTS.
+The socket is of type SOCK_SEQPACKET, so one packet is one message: a header, then either FRAME records or JSON. A
+client sends HELLO and receives WELCOME or REFUSED. After that both sides send FRAMES, and a client may send FAULTS.
 """
 
 import os
@@ -21,15 +20,15 @@ from dbc.frame_bits import padded_length
 from skin.errors import InputError
 
 MAGIC: Final = b"CSK1"
-#: Frames per packet; a packet must fit a default send buffer.
+#: Most frames in a packet; a packet must fit a default send buffer.
 MAX_FRAMES: Final = 512
-#: Controllers behind one connection.
+#: Most controllers on one connection.
 MAX_PORTS: Final = 256
 #: magic, kind, state, frames, frames dropped so far, bus time in ns.
 HEADER: Final = Struct("<4sBBHQq")
 MAX_PACKET: Final = HEADER.size + MAX_FRAMES * FRAME.itemsize
 
-#: Latest start that a frame may ask for, 146 years after the machine's: sums of such times still fit 64 bits.
+#: Largest start time of a frame, 146 years after the start of the machine: sums of such times fit 64 bits.
 LATEST_NS: Final = 1 << 62
 
 _SENDABLE: Final = EXTENDED | REMOTE | FD | BRS | ESI
@@ -50,7 +49,7 @@ class Kind(IntEnum):
 
 
 class Header(NamedTuple):
-    """The fixed start of every packet; the last three fields matter in FRAMES from the bus."""
+    """The fixed beginning of every packet; the last three fields are used in FRAMES from the bus."""
 
     kind: int
     state: int
@@ -60,7 +59,7 @@ class Header(NamedTuple):
 
 
 class Filter(msgspec.Struct, frozen=True, array_like=True):
-    """Lets a frame pass whose ``identifier & mask == can_id & mask``; `extended` None means either format."""
+    """Passes frames with ``identifier & mask == can_id & mask``; `extended` None means both formats."""
 
     can_id: Word
     mask: Word
@@ -68,7 +67,7 @@ class Filter(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a client asks for."""
+    """Request of a client."""
 
     name: str
     bitrate: int | None = None
@@ -79,7 +78,7 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Welcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What the bus answers."""
+    """Answer of the bus."""
 
     bitrate: int
     data_bitrate: int | None
@@ -88,11 +87,11 @@ class Welcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProtocolError(Exception):
-    """A packet that no client of ours would send."""
+    """A packet that violates the protocol."""
 
 
 def pack(kind: Kind, payload: bytes = b"", *, count: int = 0) -> bytes:
-    """Return one packet without the fields that only the bus fills."""
+    """Return one packet; the fields that only the bus fills are 0."""
     return HEADER.pack(MAGIC, kind, State.ACTIVE, count, 0, 0) + payload
 
 
@@ -102,7 +101,7 @@ def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
     Raises
     ------
     ProtocolError
-        If it does not begin with a header.
+        If the packet does not begin with a header.
     """
     if len(packet) < HEADER.size:
         raise ProtocolError(f"a packet of {len(packet)} bytes")
@@ -113,12 +112,12 @@ def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
 
 
 def unpack_json(payload: memoryview, body: type[Body]) -> Body:
-    """Return what a packet says in JSON.
+    """Decode the JSON of a packet.
 
     Raises
     ------
     ProtocolError
-        If it is no JSON, or not that of a `body`.
+        If the payload is not the JSON of a `body`.
     """
     try:
         return msgspec.json.decode(payload, type=body)
@@ -127,7 +126,7 @@ def unpack_json(payload: memoryview, body: type[Body]) -> Body:
 
 
 def unpack_frames(header: Header, payload: memoryview) -> Frames:
-    """Return the records of a FRAMES packet, a view of it.
+    """Return the records of a FRAMES packet as a view of the packet.
 
     Raises
     ------
@@ -140,12 +139,12 @@ def unpack_frames(header: Header, payload: memoryview) -> Frames:
 
 
 def check_frames(burst: Frames, *, fd: bool) -> None:
-    """Refuse frames that no controller could send.
+    """Check that a controller could send the frames.
 
     Raises
     ------
     InputError
-        Naming the first bad frame and what is wrong with it.
+        The message names the first wrong frame and its error.
     """
     flags, length, can_id = burst["flags"], burst["length"], burst["can_id"]
     is_fd = flags & FD != 0
@@ -168,7 +167,7 @@ def check_frames(burst: Frames, *, fd: bool) -> None:
 
 
 def pad_lengths(burst: Frames) -> None:
-    """Round the lengths of CAN FD frames up to ones that have a DLC, in place; the data is padded already."""
+    """Round the lengths of CAN FD frames up to lengths that have a DLC, in place; the data is padded already."""
     is_fd = burst["flags"] & FD != 0
     if is_fd.any():
         burst["length"][is_fd] = padded_length(burst["length"][is_fd])
@@ -184,12 +183,12 @@ def runtime_folder() -> Path:
 
 
 def socket_path(channel: str, folder: Path | None = None) -> Path:
-    """Return where the bus `channel` listens.
+    """Return the path of the socket of the bus `channel`.
 
     Raises
     ------
     InputError
-        If the name cannot be a file's, or the path is too long for a Unix socket.
+        If the name cannot be a file name, or the path is too long for a Unix socket.
     """
     path = (folder or runtime_folder()) / f"{channel}.can"
     if not channel or "/" in channel or channel.startswith("."):

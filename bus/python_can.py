@@ -1,4 +1,4 @@
-"""The link to any interface of python-can: for adapters that have no SocketCAN driver."""
+"""The link to any interface of python-can, for adapters without SocketCAN driver."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ from bus.protocol import Filter, check_frames
 from dbc.frame import ECHO, Frames, frames
 from skin.errors import BusError
 
-#: Frames kept for a caller that does not receive; later ones are lost, and counted.
+#: Most frames kept until `receive`; later frames are lost and counted.
 QUEUE_FRAMES: Final = 16384
 FRAMES_PER_CALL: Final = 1024
 _STATE_OF: Final = {
@@ -30,8 +30,8 @@ _STATE_OF: Final = {
 class PythonCanLink:
     """A python-can bus as a link.
 
-    Interfaces without a file descriptor are read by a thread. A sent frame is echoed as soon as the interface
-    accepts it, which may be before it is on the wire.
+    Interfaces without a file descriptor are read by a thread. The echo of a sent frame comes when the interface accepts
+    the frame, which may be before its transmission.
 
     Raises
     ------
@@ -77,21 +77,21 @@ class PythonCanLink:
             self._thread.start()
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when frames wait."""
+        """Return a file descriptor that is readable while frames wait."""
         return self._epoll.fileno()
 
     @property
     def state(self) -> State:
-        """What the interface says of its controller; LOST when reading it failed."""
+        """State of the controller, from the interface; LOST if reading has failed."""
         if self._lost:
             return State.LOST
         try:
             return _STATE_OF[self._bus.state]
         except (NotImplementedError, can.CanError):
-            return State.ACTIVE  # many interfaces do not know
+            return State.ACTIVE  # many interfaces do not tell
 
     def receive(self) -> Frames:
-        """Return all frames that wait, echoes of sent ones included."""
+        """Return all waiting frames, echoes of sent frames included."""
         if self._thread is None and not self._lost:
             for _ in range(FRAMES_PER_CALL):
                 if not self._take_one(0.0):
@@ -102,12 +102,12 @@ class PythonCanLink:
         return np.concatenate(arrived) if arrived else frames(0)
 
     def send(self, burst: Frames) -> int:
-        """Hand frames to the interface; return how many it accepted, from the first.
+        """Pass frames to the interface; return the number of accepted frames, counted from the first.
 
         Raises
         ------
         InputError
-            If a frame is none that a controller could send.
+            If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
         for place, record in enumerate(burst):
@@ -149,7 +149,7 @@ class PythonCanLink:
             message = self._bus.recv(timeout_s)
         except (can.CanError, OSError):
             self._lost = True
-            if self._descriptor >= 0:  # it would stay readable
+            if self._descriptor >= 0:  # else the descriptor would stay readable
                 self._epoll.unregister(self._descriptor)
                 self._descriptor = -1
             return False

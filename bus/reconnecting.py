@@ -1,4 +1,4 @@
-"""A socket that comes back by itself: what the links to a virtual bus and to SocketCAN have in common."""
+"""A link that reconnects: common part of the links to a virtual bus and to SocketCAN."""
 
 import select
 import socket
@@ -15,7 +15,7 @@ LONGEST_S: Final = 2.0
 
 
 class Backoff:
-    """Doubles the wait after each failure in a row."""
+    """A wait that doubles after each failure in a row."""
 
     def __init__(self) -> None:
         self._wait_s = FIRST_S
@@ -27,12 +27,12 @@ class Backoff:
         return time.monotonic() >= self._next_s
 
     def failed(self) -> None:
-        """Wait before the next attempt, twice as long as the last time."""
+        """Double the wait before the next attempt."""
         self._next_s = time.monotonic() + self._wait_s
         self._wait_s = min(2 * self._wait_s, LONGEST_S)
 
     def worked(self) -> None:
-        """Begin anew with short waits."""
+        """Set the wait back to the shortest."""
         self._wait_s = FIRST_S
 
     def give_up(self) -> None:
@@ -41,9 +41,9 @@ class Backoff:
 
 
 class ReconnectingLink(ABC):
-    """A link on one socket; when the socket is lost, the next call opens it again, but not too often.
+    """A link with one socket; after the loss of the socket, the next call opens a new socket when `Backoff` allows.
 
-    A subclass opens sockets in `_connect`, takes the first one with `_use`, and calls `_lose` when a socket fails.
+    A subclass opens sockets in `_connect`, passes the first socket to `_use`, and calls `_lose` when a socket fails.
     """
 
     def __init__(self) -> None:
@@ -52,11 +52,11 @@ class ReconnectingLink(ABC):
         self._socket: socket.socket | None = None
         self._state = State.ACTIVE
         self._dropped = self._dropped_before = 0
-        self._epoll = select.epoll()  # one descriptor for select, whatever happens to the socket
+        self._epoll = select.epoll()  # one descriptor for select, the same for all sockets
 
     @abstractmethod
     def _connect(self) -> socket.socket:
-        """Open a socket, and set up what goes with it.
+        """Open and set up a socket.
 
         Raises
         ------
@@ -65,21 +65,21 @@ class ReconnectingLink(ABC):
         """
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when frames wait."""
+        """Return a file descriptor that is readable while frames wait."""
         return self._epoll.fileno()
 
     @property
     def state(self) -> State:
-        """What the controller says of itself; LOST while there is no socket."""
+        """State of the controller; LOST without a socket."""
         return State.LOST if self._socket is None else self._state
 
     @property
     def dropped(self) -> int:
-        """Frames that were lost because `receive` was not called in time."""
+        """Number of frames lost because `receive` was not called in time."""
         return self._dropped_before + self._dropped
 
     def close(self) -> None:
-        """Close the socket for good."""
+        """Close the link."""
         with self._lock:
             if self._socket is not None:
                 self._socket.close()
@@ -88,14 +88,14 @@ class ReconnectingLink(ABC):
             self._epoll.close()
 
     def _use(self, connection: socket.socket) -> None:
-        """Take a new socket into use."""
+        """Start to use a new socket."""
         self._epoll.register(connection, select.EPOLLIN)
         self._state = State.ACTIVE
         self._backoff.worked()
         self._socket = connection
 
     def _lose(self, connection: socket.socket) -> None:
-        """Let go of a socket that has failed, unless that has been done."""
+        """Drop a socket that has failed, if it is still in use."""
         with self._lock:
             if connection is not self._socket:
                 return
@@ -106,7 +106,7 @@ class ReconnectingLink(ABC):
             self._backoff.failed()
 
     def _reopened(self) -> socket.socket | None:
-        """Return the socket; when it is lost, try to open a new one."""
+        """Return the socket; after its loss, try to open a new socket."""
         if self._socket is not None or not self._backoff.due:
             return self._socket
         with self._lock:

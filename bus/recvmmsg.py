@@ -1,4 +1,4 @@
-"""Many datagrams per system call: recvmmsg(2) and sendmmsg(2) on arrays, which Python itself does not offer."""
+"""Many datagrams per system call: recvmmsg(2) and sendmmsg(2) on arrays; Python's socket module has neither."""
 
 import ctypes
 import errno
@@ -42,7 +42,7 @@ class _Vector(ctypes.Structure):
 
 
 class Received(NamedTuple):
-    """One batch: views of the buffers, valid until the next batch.
+    """A batch of datagrams: views of the buffers, valid until the next batch.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Received(NamedTuple):
     lengths, flags : arrays of int, shape (n,)
         Bytes and MSG_* flags of each datagram.
     time_ns : array of int64, shape (n,)
-        Wall-clock time of arrival, 0 where the socket does not tell.
+        Wall-clock time of arrival, 0 if the socket gives none.
     dropped : int or None
-        The socket's total of dropped datagrams; None where the batch has no count.
+        Total number of datagrams that the socket has dropped; None if the batch has no count.
     """
 
     rows: npt.NDArray[np.uint8]
@@ -63,7 +63,7 @@ class Received(NamedTuple):
 
 
 class BatchSocket:
-    """Buffers for batches of up to `count` datagrams of up to `size` bytes on one socket, which stays the caller's."""
+    """Buffers for batches of `count` datagrams of `size` bytes on one socket; the caller closes the socket."""
 
     def __init__(self, connection: socket.socket, count: int, size: int) -> None:
         self._socket = connection
@@ -87,12 +87,12 @@ class BatchSocket:
         self._libc = ctypes.CDLL(None, use_errno=True)
 
     def receive(self) -> Received:
-        """Take the datagrams that wait, without waiting.
+        """Return the waiting datagrams; never wait.
 
         Raises
         ------
         OSError
-            What recvmmsg reports, but for an empty queue.
+            Any error of recvmmsg except an empty queue.
         """
         self._sizes[:] = self._rows.shape[1]
         self._controls[:] = self._control.ctypes.data + _CONTROL_BYTES * np.arange(len(self._rows))
@@ -102,12 +102,12 @@ class BatchSocket:
         return Received(self._rows[:count], self._lengths[:count], self._flags[:count], time_ns, dropped)
 
     def send(self, rows: npt.NDArray[np.uint8], lengths: npt.NDArray[np.integer]) -> int:
-        """Send datagrams; return how many the socket took before it was full.
+        """Send datagrams; return the number that the socket accepted.
 
         Raises
         ------
         OSError
-            What sendmmsg reports, but for a full queue.
+            Any error of sendmmsg except a full queue.
         """
         count = min(len(rows), len(self._rows))
         self._rows[:count] = rows[:count]
@@ -140,7 +140,7 @@ def _field(records: Any, record: Any, offset: int, dtype: np.dtype[Any]) -> npt.
 def _read_control(
     control: npt.NDArray[np.uint8], sizes: npt.NDArray[np.uintp]
 ) -> tuple[npt.NDArray[np.int64], int | None]:
-    """Read time stamps and the drop count; Linux writes them in this order, each only where there is one."""
+    """Read time stamps and drop counts; Linux writes them in this order and may leave out either."""
     times = np.zeros(len(control), np.int64)
     words = control.view(np.int64)  # cmsghdr: length 8, level 4, type 4; so word 1 is level and type
     kinds = words[:, 1::4] >> 32

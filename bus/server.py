@@ -1,4 +1,4 @@
-"""The process of the arbitrated virtual bus: named buses on Unix sockets, in real or in virtual time."""
+"""The process of the virtual buses: named buses on Unix sockets, in real or in virtual time."""
 
 import contextlib
 import errno
@@ -35,35 +35,35 @@ from dbc.frame_bits import frame_time_ns
 from skin.errors import BusError, InputError
 from skin.service import say
 
-#: In the middle of a burst, frames that have ended are handed over at most this often; its first and last at once.
+#: Period in which frames are delivered inside a burst; its first and last frames are delivered at once.
 TICK_NS: Final = 2_000_000
 #: Shortest time between two deliveries of one bus.
 LEAST_NS: Final = 250_000
-#: Longest sleep, after which the stop condition is looked at.
+#: Longest sleep between two checks of the stop condition.
 IDLE_S: Final = 0.1
-#: Every wait uses select(), whose timeout has microseconds but which knows no descriptor above 1023.
+#: select() has a timeout in microseconds, but takes no descriptor above 1023.
 MAX_CLIENTS: Final = 500
-#: Packets taken from one client before the others get their turn.
+#: Most packets taken from one client before the other clients.
 PACKETS_PER_TURN: Final = 64
 
 
 @dataclass(frozen=True, kw_only=True)
 class BusSettings:
-    """What every bus of a server is like.
+    """Settings of all buses of a server.
 
     Attributes
     ----------
     bitrate, data_bitrate : int
         Bits per second; without `data_bitrate` CAN FD frames are refused.
     virtual_clock : bool
-        As fast as possible: time is only what the frames take, and jumps to their release times.
+        Send frames as fast as possible: the time of the bus is the sum of frame times, and jumps to release times.
     faults : sequence of Fault
     seed : int
-        Of the faults; each bus adds its place in the list.
+        Seed of the faults; each bus adds its index in the list.
     restart_s : float
-        How long a bus-off controller waits before it begins to recover.
+        Time that a bus-off controller waits before its recovery begins.
     queue_size : int
-        Frames in the transmit queue of each controller.
+        Number of frames in the transmit queue of each controller.
     """
 
     bitrate: int = 1_000_000
@@ -92,7 +92,7 @@ class _Line:
 
 
 class BusServer:
-    """Hosts buses; a context manager that takes the sockets away again.
+    """Serves buses; a context manager that removes the sockets at the end.
 
     Raises
     ------
@@ -134,18 +134,18 @@ class BusServer:
         return {line.channel: line.bus for line in self._lines}
 
     def serve(self, stopped: Callable[[], bool]) -> None:
-        """Carry frames until `stopped` says so; it is asked at least ten times a second."""
+        """Serve until `stopped` returns True; it is called at least ten times a second."""
         while not stopped():
             self.turn()
 
     def turn(self) -> None:
-        """Sleep until a client or a frame wants something, and do it."""
+        """Sleep until a client sends or a frame ends, and handle it."""
         readers: list[_Line | socket.socket | Session] = [*self._lines]
         for line in self._lines:
             readers += [*line.pending, *line.sessions]
         writers = [session for line in self._lines for session in line.sessions if session.blocked]
         readable, writable, _ = select.select(readers, writers, [], self._sleep_s())
-        self._now_ns = time.monotonic_ns()  # what comes in one turn arbitrates together
+        self._now_ns = time.monotonic_ns()  # all frames of one turn take part in the same arbitration
         if readable:
             self._hear(set(readable))
         for line in self._lines:
@@ -154,7 +154,7 @@ class BusServer:
                 self._flush(line, session)
 
     def _hear(self, ready: set[_Line | socket.socket | Session]) -> None:
-        """Take what clients want."""
+        """Accept connections and read packets."""
         for line in self._lines:
             if line in ready:
                 self._accept(line)
@@ -164,7 +164,7 @@ class BusServer:
                 self._read(line, session)
 
     def close(self) -> None:
-        """Disconnect everybody and remove the sockets."""
+        """Disconnect all clients and remove the sockets."""
         for line in self._lines:
             line.path.unlink(missing_ok=True)
             for one in (line.listener, *line.pending, *(session.connection for session in line.sessions)):
@@ -172,7 +172,7 @@ class BusServer:
         self._lines.clear()
 
     def _sleep_s(self) -> float:
-        """Return how long nothing can happen but a request of a client."""
+        """Return the time until the next delivery."""
         wakes = [wake for line in self._lines if (wake := self._wake_ns(line)) is not None]
         if not wakes:
             return IDLE_S
@@ -182,9 +182,9 @@ class BusServer:
 
     @staticmethod
     def _wake_ns(line: _Line) -> int | None:
-        """Return when a bus has something to hand over.
+        """Return the time of the next delivery of a bus.
 
-        In the middle of a burst that is the next tick, which all buses share; its end comes without delay.
+        Inside a burst this is the next tick, common to all buses; the end of a burst is delivered without delay.
         """
         event_ns = line.bus.next_event_ns()
         if event_ns is None:
@@ -208,7 +208,7 @@ class BusServer:
     def _accept(self, line: _Line) -> None:
         try:
             connection, _ = line.listener.accept()
-        except OSError:  # it left again, or descriptors ran out
+        except OSError:  # the client has left, or no descriptor is free
             return
         connection.setblocking(False)
         line.pending.append(connection)
@@ -216,7 +216,7 @@ class BusServer:
             self._refuse(line, connection, f"more than {MAX_CLIENTS} clients")
 
     def _greet(self, line: _Line, connection: socket.socket) -> None:
-        """Let a client in that has said what it wants."""
+        """Read HELLO from a new client, and accept or refuse the client."""
         try:
             hello = _read_hello(connection)
         except BlockingIOError:
@@ -259,7 +259,7 @@ class BusServer:
         line.pending.remove(connection)
 
     def _read(self, line: _Line, session: Session) -> None:
-        """Take what a client sends; whoever sends garbage is disconnected, and nobody else notices."""
+        """Read the packets of a client; a client that violates the protocol is disconnected."""
         try:
             for _ in range(PACKETS_PER_TURN):
                 size = session.connection.recv_into(self._buffer)
@@ -269,7 +269,7 @@ class BusServer:
                 self._take(line, session, memoryview(self._buffer)[:size])
         except BlockingIOError:
             return
-        except ConnectionError:  # gone with frames it had not read
+        except ConnectionError:  # the client has left unread frames behind
             self._lose(line, session, "")
         except (OSError, ProtocolError, InputError) as error:
             self._lose(line, session, f"disconnected: {error}")
@@ -287,7 +287,7 @@ class BusServer:
             raise ProtocolError("more frames than its transmit queue holds")
 
     def _deliver(self, line: _Line) -> None:
-        """Hand over what has ended on a bus."""
+        """Deliver all that has ended on a bus."""
         now_ns = self._now_ns
         wake_ns = self._wake_ns(line)
         if wake_ns is None or (wake_ns > now_ns and not self.settings.virtual_clock):
@@ -311,7 +311,7 @@ class BusServer:
 
     @staticmethod
     def _lose(line: _Line, session: Session, why: str) -> None:
-        """Forget a client that has gone, or that must go."""
+        """Disconnect a client and remove its station."""
         if why:
             say("bus", f"{line.channel}: client '{session.station.name}' {why}")
         line.sessions.remove(session)
@@ -320,12 +320,12 @@ class BusServer:
 
 
 def _listen(path: Path, channel: str) -> socket.socket:
-    """Open a bus's socket; one that nobody serves any more is replaced.
+    """Open the socket of a bus; a socket without a server is replaced.
 
     Raises
     ------
     BusError
-        If another process serves it.
+        If another process serves the bus.
     """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     listener.setblocking(False)
@@ -355,12 +355,12 @@ def _remove_stale(path: Path, channel: str) -> None:
 
 
 def _own_folder(folder: Path) -> None:
-    """Make the sockets' folder, or make sure that nobody else can put sockets there.
+    """Make the folder of the sockets, or check that no other user can write to it.
 
     Raises
     ------
     BusError
-        If it belongs to somebody else.
+        If the folder belongs to another user, or other users can write to it.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = folder.stat()

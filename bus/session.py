@@ -1,4 +1,4 @@
-"""One client's connection as the process of a bus sees it: what it may hear, and what waits for it."""
+"""Connection of one client to the process of a bus: its filters, and its waiting frames."""
 
 import socket
 from collections import deque
@@ -12,7 +12,7 @@ from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Filter, Kind
 from bus.station import Station
 from dbc.frame import ECHO, ERROR, EXTENDED, Frames
 
-#: Received frames that wait in this process for a client that does not read; later ones are lost, and counted.
+#: Most received frames kept for a client that does not read; later frames are lost and counted.
 BACKLOG_FRAMES: Final = 16384
 
 
@@ -39,8 +39,8 @@ class Batch:
 class Session:
     """A station and its socket.
 
-    The backlog is bounded: received frames by `BACKLOG_FRAMES`, echoes, which are never dropped, by the transmit
-    queues they return credit to.
+    The backlog is bounded: received frames by `BACKLOG_FRAMES`; echoes, which are never dropped, by the size of the
+    transmit queues.
     """
 
     def __init__(self, connection: socket.socket, station: Station, filters: tuple[Filter, ...] = ()) -> None:
@@ -61,7 +61,7 @@ class Session:
         return bool(self._backlog)
 
     def offer(self, batch: Batch, now_ns: int) -> None:
-        """Send the client what concerns it."""
+        """Send the client its records of a batch."""
         if self.station.number in batch.owners:
             chosen = self._with_echoes(batch)
         elif self.station.off:
@@ -78,7 +78,7 @@ class Session:
                 self._keep(part)
 
     def flush(self, now_ns: int) -> None:
-        """Send what waits, as far as the client reads."""
+        """Send waiting frames, as far as the client reads."""
         while self._backlog and self._send(len(self._backlog[0]), self._backlog[0].tobytes(), now_ns):
             self._waiting -= int(np.count_nonzero(self._backlog.popleft()["flags"] & ECHO == 0))
 
@@ -91,7 +91,7 @@ class Session:
         return True
 
     def _keep(self, part: Frames) -> None:
-        """Let frames wait; drop received ones that exceed the bound."""
+        """Keep frames; drop received frames above the bound."""
         received = part["flags"] & ECHO == 0
         excess = np.cumsum(received) > BACKLOG_FRAMES - self._waiting
         lost = received & excess
@@ -124,7 +124,7 @@ class Session:
         return chosen
 
     def _passes(self, arrived: Frames) -> npt.NDArray[np.bool_]:
-        """Tell which frames the client's filters let through."""
+        """Tell which frames pass the client's filters."""
         passed = np.zeros(len(arrived), np.bool_)
         extended = arrived["flags"] & EXTENDED != 0
         for one in self._filters:

@@ -1,8 +1,8 @@
-"""An arbitrated CAN bus: an exact discrete-event model, without threads, sockets or a clock of its own.
+"""A CAN bus with arbitration: an exact discrete-event model, without threads, sockets or clock.
 
-Controllers submit frames with a release time; whenever the wire is free, the pending frame with the lowest
-identifier is sent and takes exactly as long as its bits. `SimulatedBus.run_until` returns what ended until then.
-What may go wrong is drawn in `bus.faults`; what errors do to the controllers is in `bus.confinement`.
+Controllers submit frames with a release time. When the bus is idle, the waiting frame with the lowest identifier is
+sent; its time is exactly that of its bits. `SimulatedBus.run_until` returns all frames and reports that ended up to a
+time. `bus.faults` draws faults; `bus.confinement` computes their effect on the controllers.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
 
 #: Error flag of the first controller and its echo by the others, error delimiter (ISO 11898-1, error frame).
 ERROR_FRAME_BITS: Final = 6 + 6 + 8
-#: ACK delimiter, end of frame and intermission: the recessive bits behind the ACK slot of every frame.
+#: ACK delimiter, end of frame and intermission: the recessive bits after the ACK slot of every frame.
 _AFTER_ACK_BITS: Final = 1 + 7 + INTERMISSION_BITS
 
 
 class SimulatedBus:
-    """One CAN bus and everybody on it.
+    """One CAN bus with its stations.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class SimulatedBus:
         Bits per second in the nominal and in the data phase.
     faults : sequence of Fault
     seed : int
-        Same seed and same submissions, same events.
+        The same seed and the same submissions give the same events.
     restart_s : float
-        How long a bus-off controller waits before it begins to recover.
+        Time that a bus-off controller waits before its recovery begins.
     """
 
     def __init__(
@@ -60,27 +60,27 @@ class SimulatedBus:
 
     @property
     def counts(self) -> Counts:
-        """What happened since the bus began."""
+        """Counters since the start of the bus."""
         return self._queues.counts
 
     @property
     def crowded(self) -> bool:
-        """Whether frames wait for the wire."""
+        """Whether released frames wait."""
         return self._queues.pending.crowded
 
     # --- who is on the bus -------------------------------------------------------------------------------
 
     def attach(self, name: str, queue_size: int = 256, *, listen_only: bool = False) -> Station:
-        """Connect a station with one controller, port 0; further ports come with their first frame.
+        """Connect a station with one controller, port 0; the first frame of another port adds a controller.
 
         Parameters
         ----------
         name : str
-            What faults are aimed at, as ``NAME:PORT``.
+            Faults select the station's controllers as ``NAME:PORT``.
         queue_size : int
-            Frames that each controller's transmit queue holds.
+            Number of frames in each controller's transmit queue.
         listen_only : bool
-            No controller that would acknowledge.
+            The station has no controller and acknowledges nothing.
         """
         station = self._stations.add(name, queue_size)
         if not listen_only:
@@ -88,7 +88,7 @@ class SimulatedBus:
         return station
 
     def detach(self, station: Station) -> None:
-        """Disconnect a station; its waiting frames are never sent."""
+        """Disconnect a station; its waiting frames are dropped."""
         self._stations.remove(station)
         for controller in station.controllers.values():
             self._queues.forget(controller)
@@ -96,7 +96,7 @@ class SimulatedBus:
         self._refresh()
 
     def set_faults(self, faults: Sequence[Fault]) -> None:
-        """Replace the rules; a controller that loses power loses its waiting frames."""
+        """Replace the faults; a controller that loses power loses its waiting frames."""
         self._faults.replace(faults)
         for controller in self._stations.controllers():
             controller.off = self._faults.is_off(controller.name)
@@ -105,7 +105,7 @@ class SimulatedBus:
         self._refresh()
 
     def _controller(self, station: Station, port: int) -> Controller:
-        """Return the controller at a port; the first time, power it up."""
+        """Return the controller at a port; the first call makes the controller."""
         controller = station.controllers.get(port)
         if controller is None:
             controller = Controller(f"{station.name}:{port}", station.number, port)
@@ -115,26 +115,26 @@ class SimulatedBus:
         return controller
 
     def _refresh(self) -> None:
-        """Count who acknowledges, and give frames that found nobody another try."""
+        """Count the controllers that acknowledge, and retry frames that were not acknowledged."""
         self._stations.refresh()
         self._queues.pending.unpark(self.now_ns)
 
     # --- frames in, events out ---------------------------------------------------------------------------
 
     def submit(self, station: Station, burst: Frames, time_ns: int = 0) -> int:
-        """Put frames into the transmit queues of the controllers their `port` names.
+        """Put frames into the transmit queues of the controllers at their `port`.
 
         Parameters
         ----------
         burst : array of FRAME, shape (n,)
-            Valid frames; `time_ns` is the earliest start of each, 0 for now, and `expires_ns` the latest, 0 for any.
+            Valid frames; `time_ns` is the earliest start, 0 for now, and `expires_ns` the latest, 0 for no limit.
         time_ns : int
             Now.
 
         Returns
         -------
         int
-            How many were accepted, counted from the first; the next one found its queue full.
+            Number of accepted frames, counted from the first; the queue of the next frame was full.
         """
         accepted = burst[: self._queues.fitting(station, burst)]
         if not len(accepted):
@@ -146,7 +146,7 @@ class SimulatedBus:
         return len(accepted)
 
     def run_until(self, time_ns: int | None = None) -> Events:
-        """Let time pass, and return what ended; without a time, run until nothing is left to happen."""
+        """Simulate up to `time_ns`, and return what ended; without a time, run until no event is left."""
         pending = self._queues.pending
         while True:
             start = pending.next_start_ns(self._free_ns)
@@ -166,13 +166,13 @@ class SimulatedBus:
         return events
 
     def next_event_ns(self) -> int | None:
-        """Return when something ends or begins next, None when nothing will."""
+        """Return the time of the next event, None if there is none."""
         starts = self._queues.pending.next_start_ns(self._free_ns)
         coming = (self._confinement.next_recovery_ns, self._queues.outbox.next_ns(), starts)
         return min((time for time in coming if time is not None), default=None)
 
     def _recover_before(self, start: int | None, time_ns: int | None) -> bool:
-        """Let the first bus-off controller recover whose time comes before `start`, and tell whether one did."""
+        """Recover the first bus-off controller that is due before `start`; tell whether there was one."""
         recover_ns = self._confinement.next_recovery_ns
         if recover_ns is None or any(end is not None and recover_ns > end for end in (start, time_ns)):
             return False
@@ -184,7 +184,7 @@ class SimulatedBus:
     # --- the wire ----------------------------------------------------------------------------------------
 
     def _carry(self, start: int, time_ns: int | None) -> None:
-        """Send frames as long as nothing can go wrong; the same as `_transmit` would do, without its questions."""
+        """Send frames while no fault is possible; a faster form of `_transmit`."""
         pending, post, counts = self._queues.pending, self._queues.outbox.post, self.counts
         coming: int | None = start
         while coming is not None and (time_ns is None or coming <= time_ns):
@@ -200,7 +200,7 @@ class SimulatedBus:
             coming = pending.next_start_ns(free)
 
     def _transmit(self, item: Waiting | None, start: int) -> None:
-        """Send the winner of an arbitration, if there is one, or find out why that fails."""
+        """Send the winner of an arbitration, if any, or find the reason of its failure."""
         if item is None:
             return
         pending = self._queues.pending
@@ -211,7 +211,7 @@ class SimulatedBus:
             self._attempt([item, *pending.equals(item)] if contested else [item], start)
 
     def _attempt(self, items: list[Waiting], start: int) -> None:
-        """Send a frame, or equal frames of several controllers, where something may go wrong."""
+        """Send a frame, or equal frames of several controllers, with possible faults."""
         _, sequence, slot, duration, sender, _ = items[0]
         slots, faults = self._queues.pool.slots, self._faults
         clash = clash_bits(slots[[item.slot for item in items]]) if len(items) > 1 else None
@@ -228,7 +228,7 @@ class SimulatedBus:
             self._succeed(items, start, odds)
 
     def _succeed(self, items: list[Waiting], start: int, odds: Odds) -> None:
-        """End a good frame: receivers get it, and every controller that sent it gets its echo."""
+        """End a good frame: receivers get the frame, and each of its senders an echo."""
         duration = items[0].duration_ns
         self._free_ns = start + duration
         self.counts.busy_ns += duration
@@ -250,13 +250,13 @@ class SimulatedBus:
             self._confinement.frame_ended({item.controller for item in items}, start, ended, self._free_ns)
 
     def _repeat(self, items: list[Waiting], start: int, after_ns: int) -> None:
-        """Disturb the last bit of end of frame: receivers keep the frame, its sender tries again."""
+        """Disturb the last bit of end of frame: receivers keep the frame, the sender sends it again."""
         self.counts.duplicated += 1
         self._queues.post_copy(items[0], start + after_ns)
         self._fail(items, start, after_ns)
 
     def _fail(self, items: list[Waiting], start: int, after_ns: int, *, unacknowledged: bool = False) -> None:
-        """End a frame with an error frame `after_ns`; its senders keep it and try again."""
+        """End a frame with an error frame `after_ns`; the senders send it again."""
         ended = start + after_ns + nominal_ns(ERROR_FRAME_BITS, self.bitrate)
         self._free_ns = ended + self._intermission_ns
         self.counts.errors += 1

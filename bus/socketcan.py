@@ -20,7 +20,7 @@ from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frame
 from skin.errors import BusError
 
 BATCH_FRAMES: Final = 256
-#: Asked of the kernel: about 5,000 frames, where the default holds some 250.
+#: Requested receive buffer: about 5,000 frames; the default holds about 250.
 RECEIVE_BUFFER_BYTES: Final = 4 * 1024 * 1024
 
 #: ``struct canfd_frame``; ``struct can_frame`` is its first 16 bytes.
@@ -31,7 +31,7 @@ CLASSIC_BYTES: Final = 16
 FD_BYTES: Final = 72
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
 _FD_BRS, _FD_ESI = 0x01, 0x02
-#: Set by the kernel on a frame that this very socket sent.
+#: Flag of the kernel on a frame that this socket sent.
 _MSG_CONFIRM: Final = 0x800
 _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
@@ -39,7 +39,7 @@ _IFF_UP: Final = 1
 
 
 def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
-    """Return frames as rows of 72 bytes and how many bytes of each to send."""
+    """Return frames as rows of 72 bytes, and the number of bytes to send of each."""
     wire = np.zeros(len(burst), WIRE)
     flags = burst["flags"]
     is_fd = flags & FD != 0
@@ -52,7 +52,7 @@ def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
 
 
 def decode(batch: Received, offset_ns: int) -> Frames:
-    """Make records of received datagrams; `offset_ns` is what CLOCK_MONOTONIC lacks to the wall clock."""
+    """Convert received datagrams to records; `offset_ns` is wall clock minus CLOCK_MONOTONIC."""
     known = (batch.lengths == CLASSIC_BYTES) | (batch.lengths == FD_BYTES)
     wire = np.ascontiguousarray(batch.rows[known]).view(WIRE).reshape(-1)
     is_fd = batch.lengths[known] == FD_BYTES
@@ -72,7 +72,7 @@ def decode(batch: Received, offset_ns: int) -> Frames:
     ):
         flags |= np.where(there, np.uint8(flag), np.uint8(0))
     arrived["flags"] = flags
-    # The buffer is used again and again: what lies behind a frame's data is of an older one.
+    # The buffer is reused: the bytes after a frame's data belong to an older frame.
     inside = np.arange(64) < arrived["length"][:, None]
     arrived["data"] = np.where(inside & (flags & REMOTE == 0)[:, None], wire["data"], 0)
     stamps = batch.time_ns[known]
@@ -81,7 +81,7 @@ def decode(batch: Received, offset_ns: int) -> Frames:
 
 
 class SocketCanLink(ReconnectingLink):
-    """A raw CAN socket; when the interface goes, it is opened again as soon as it is back.
+    """A raw CAN socket; it reconnects when a lost interface is back.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class SocketCanLink(ReconnectingLink):
             raise BusError(_why(channel, error)) from error
 
     def receive(self) -> Frames:
-        """Return all frames that wait, own ones as echoes."""
+        """Return all waiting frames, own frames as echoes."""
         arrived: list[Frames] = []
         offset_ns = time.time_ns() - time.monotonic_ns()
         for _ in range(64):
@@ -119,12 +119,12 @@ class SocketCanLink(ReconnectingLink):
         return together
 
     def send(self, burst: Frames) -> int:
-        """Hand frames to the interface's queue; return how many fitted, from the first.
+        """Pass frames to the interface's queue; return the number of accepted frames, counted from the first.
 
         Raises
         ------
         InputError
-            If a frame is none that a controller could send.
+            If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
         burst = burst.copy()
@@ -159,7 +159,7 @@ class SocketCanLink(ReconnectingLink):
         Raises
         ------
         OSError
-            If that fails, or the interface is down or carries no CAN FD where that is wanted.
+            If this fails, the interface is down, or it carries no CAN FD although `fd` is set.
         """
         if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
             raise OSError(errno.EAFNOSUPPORT, "no CAN sockets on this system")
@@ -187,7 +187,7 @@ class SocketCanLink(ReconnectingLink):
         connection.setsockopt(level, SO_TIMESTAMPNS, 1)
         connection.setsockopt(level, SO_RXQ_OVFL, 1)
         connection.setsockopt(level, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
-        with contextlib.suppress(PermissionError):  # beyond the system's limit, where that is allowed
+        with contextlib.suppress(PermissionError):  # above the system's limit, if permitted
             connection.setsockopt(level, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
 
 
@@ -201,13 +201,13 @@ def _kernel_filters(filters: Sequence[Filter]) -> bytes:
 
 
 def _require(channel: str, *, fd: bool) -> None:
-    """Find out what binding does not tell: that the interface is down, or carries no CAN FD."""
+    """Check what binding does not check: the interface is up, and carries CAN FD if needed."""
     about = Path("/sys/class/net", channel)
     try:
         up = int((about / "flags").read_text(), 16) & _IFF_UP
         mtu = int((about / "mtu").read_text())
     except (OSError, ValueError):
-        return  # no sysfs, or no such interface: bind will say so
+        return  # no sysfs, or no such interface: binding will fail
     if not up:
         raise OSError(errno.ENETDOWN, "the interface is down")
     if fd and mtu < FD_BYTES:
@@ -215,7 +215,7 @@ def _require(channel: str, *, fd: bool) -> None:
 
 
 def _why(channel: str, error: OSError) -> str:
-    """Say what is wrong with an interface and what to do."""
+    """Return the error of an interface and what to do about it."""
     if error.errno in {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}:
         return f"cannot open {channel}: this system has no CAN sockets; load can_raw, or use --interface canskin"
     if error.errno == errno.ENODEV:

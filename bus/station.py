@@ -1,4 +1,4 @@
-"""Who is on a bus, and what has happened there."""
+"""The stations of a bus, and its counters."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -10,14 +10,14 @@ from bus.error_frames import State
 
 @dataclass(slots=True, eq=False)
 class Station:
-    """One connection to the bus and its controllers by port; without any it listens and does not acknowledge.
+    """One connection to the bus and its controllers by port; without controllers it only listens.
 
     Attributes
     ----------
     state : State
-        The worst state of its controllers.
+        Most severe state of its controllers.
     off : bool
-        Whether every controller is without power, so that nothing is received either.
+        Whether all controllers have no power; the station then receives nothing.
     """
 
     number: int
@@ -28,19 +28,19 @@ class Station:
     off: bool = False
 
     def refresh(self) -> None:
-        """Derive `state` and `off` anew, after a controller came or changed."""
+        """Compute `state` and `off` again, after a controller came or changed."""
         self.state = max((one.state for one in self.controllers.values()), default=State.ACTIVE)
         self.off = bool(self.controllers) and all(one.off for one in self.controllers.values())
 
 
 class Stations:
-    """Everybody on a bus.
+    """All stations of a bus.
 
     Attributes
     ----------
     by_number : dict of int to Station
     takers : int
-        How many controllers take part: a frame needs two, its sender and one that acknowledges.
+        Number of controllers that take part; a frame needs its sender and another controller that acknowledges.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class Stations:
         self._numbers = count()
 
     def add(self, name: str, queue_size: int) -> Station:
-        """Let a station in, as yet without controllers."""
+        """Add a station without controllers."""
         station = Station(next(self._numbers), name, queue_size)
         self.by_number[station.number] = station
         return station
@@ -63,7 +63,7 @@ class Stations:
         return (controller for station in self.by_number.values() for controller in station.controllers.values())
 
     def refresh(self) -> None:
-        """Derive the takers and each station's state anew, after a controller came, went or changed."""
+        """Compute `takers` and each station's state again, after a controller came, went or changed."""
         self.takers = sum(controller.takes_part for controller in self.controllers())
         for station in self.by_number.values():
             station.refresh()
@@ -71,7 +71,7 @@ class Stations:
 
 @dataclass(slots=True)
 class Counts:
-    """What happened since the bus began.
+    """Counters since the start of the bus.
 
     ``accepted == transmitted + discarded + waiting``; receivers got ``transmitted - lost + duplicated``.
     """

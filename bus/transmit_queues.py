@@ -1,4 +1,4 @@
-"""The transmit queues of all controllers of a bus: frames from their submission until their sender hears of them."""
+"""The transmit queues of all controllers of a bus: frames from submission to the report to the sender."""
 
 from collections.abc import Iterable, Sequence
 from itertools import count
@@ -15,7 +15,7 @@ from dbc.frame import Frames
 
 
 class TransmitQueues:
-    """Frames that wait for the wire, and the reports that wait to be collected.
+    """Frames that wait for the bus, and reports that wait for collection.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class TransmitQueues:
     def submit(
         self, burst: Frames, controllers: Sequence[Controller], durations_ns: Sequence[int], now_ns: int
     ) -> None:
-        """Queue frames that fit; a controller that takes no part in the bus gets its frames back.
+        """Queue frames that fit; a controller that takes no part in the bus gets its frames back unsent.
 
         Parameters
         ----------
@@ -58,12 +58,12 @@ class TransmitQueues:
         controllers : sequence of Controller, length n
             The sender of each frame.
         durations_ns : sequence of int, length n
-            How long each frame keeps the bus busy.
+            Time of each frame on the bus.
         now_ns : int
             Release time of frames without one.
         """
-        # A release time in the past holds while the wire has been idle since: a sender that the host let run
-        # late is then as punctual on the bus as its hardware would have been.
+        # A release time in the past is kept if the bus has been idle since: a sender that the host delayed is then as
+        # punctual on the bus as hardware would be.
         releases = np.where(burst["time_ns"] > 0, burst["time_ns"], now_ns).tolist()
         fields = zip(
             arbitration_keys(burst).tolist(),
@@ -72,7 +72,7 @@ class TransmitQueues:
             durations_ns,
             controllers,
             burst["expires_ns"].tolist(),
-            strict=False,  # the sequence has no end
+            strict=False,  # the sequence is infinite
         )
         for item, release in zip(map(Waiting._make, fields), releases, strict=True):
             item.controller.waiting += 1
@@ -83,33 +83,33 @@ class TransmitQueues:
         self.counts.accepted += len(burst)
 
     def discard(self, items: Iterable[Waiting], time_ns: int) -> None:
-        """Hand frames back to their senders unsent."""
+        """Return frames to their senders unsent."""
         for _, _, slot, _, controller, _ in items:
             controller.waiting -= 1
             self.counts.discarded += 1
             self.outbox.post(time_ns, slot, controller.station, OWNER, DISCARDED)
 
     def discard_expired(self, time_ns: int) -> None:
-        """Hand back the frames that lost arbitration until their time had run out."""
+        """Return the frames that expired before they won arbitration."""
         if self.pending.expired:
             self.discard(self.pending.expired, time_ns)
             self.pending.expired.clear()
 
     def withdraw(self, controller: Controller, time_ns: int) -> None:
-        """Hand all waiting frames of a controller back."""
+        """Return all waiting frames of a controller."""
         self.discard(self.pending.withdraw(controller), time_ns)
 
     def forget(self, controller: Controller) -> None:
-        """Drop all waiting frames of a controller that is no longer there."""
+        """Drop all waiting frames of a controller that has left."""
         slots = [item.slot for item in self.pending.withdraw(controller)]
         self.pool.free(slots)
         self.counts.discarded += len(slots)
 
     def post_copy(self, item: Waiting, time_ns: int) -> None:
-        """Give receivers a frame whose sender gets its echo at another time."""
+        """Send a frame to the receivers; the sender gets its echo at another time."""
         self.outbox.post_copy(time_ns, self.pool.slots[[item.slot]], item.controller.station, OTHERS)
 
     def post_report(self, controller: Controller, time_ns: int, record: Frames) -> None:
-        """Give a controller's station the report of an error or of a new state."""
+        """Send a controller's station the report of an error or of a new state."""
         record["port"] = controller.port
         self.outbox.post_copy(time_ns, record, controller.station, OWNER)
