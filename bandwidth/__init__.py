@@ -1,1 +1,1 @@
-"""What fits on a bus, and what is on it: response times, plans and logs."""
+"""Bus load, planned and measured: response times, plans and logs."""

@@ -1,4 +1,4 @@
-"""What a skin's buses would carry if the layout differed in one thing: real layouts, each planned like the first."""
+"""Plans of layouts that differ from a given layout in one key."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from skin.layout import Bus, Layout, validated
 
 SUM_BITS: Final = (12, 8)
 DATA_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
-#: Blocks per node that fill a CAN FD frame of 16-bit sums.
+#: Blocks per node whose 16-bit sums fill a CAN FD frame.
 FD_BLOCKS: Final = 4
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """A changed layout; figures are those of its fullest bus, None with the reason in `problem` where it cannot be."""
+    """A changed layout; figures of the bus with the highest load, None with a `problem` for an impossible layout."""
 
     change: str
     buses: int
@@ -38,7 +38,7 @@ class Alternative:
 
 
 def alternatives(layout: Layout, allowed: Disturbance | None = None) -> Iterator[Alternative]:
-    """Yield the layout as it is, and with other buses, widths and numbers of sums, blocks per node, or CAN FD."""
+    """Yield the given layout, then layouts with other buses, widths and numbers of sums, blocks per node, or CAN FD."""
     allowed = allowed or Disturbance()
     for change, changed in _changes(layout):
         yield _judge(change, changed, allowed)
@@ -78,7 +78,7 @@ def with_sums(layout: Layout, sums: int) -> Layout:
 
 
 def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
-    """Return the layout with its blocks spread evenly over `buses` buses that are as `like`."""
+    """Return the layout with its blocks divided evenly over `buses` buses with the settings of `like`."""
     nodes = -(-layout.blocks // like.blocks_per_node)
     share = [nodes // buses + (each < nodes % buses) for each in range(buses)]
     lines = [
@@ -88,12 +88,12 @@ def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
 
 
 def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:
-    """Plan a layout that a program has put together, without touches.
+    """Check and plan a layout that a program has built, without simulated touches.
 
     Raises
     ------
     LayoutError
-        If the layout is not valid; the message says why.
+        If the layout is not valid.
     """
     contract = Contract.from_layout(validated(layout))
     return [plan_bus(contract, bus, None, allowed) for bus in range(len(layout.bus))]

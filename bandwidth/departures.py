@@ -1,4 +1,4 @@
-"""Where a bus left its plan: what was missing, late, of the wrong shape, or not planned at all."""
+"""Differences between a measured bus and its plan: missing, late, wrong or unplanned frames."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -22,23 +22,23 @@ from dbc.contract import Contract, next_counter, phase_of
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ERROR, Frames
 
-#: How far the mean period of SYNC may be from the layout's.
+#: Largest relative difference between the mean SYNC period and the layout's.
 PERIOD_TOLERANCE = 0.01
-#: How many late nodes get a line of their own: one late cycle makes all of them late.
+#: With more late nodes than this, one line names all: a single late cycle makes all nodes late.
 NAMED_AT_MOST = 4
-#: How many missing heartbeat periods make a node silent.
+#: A node is silent after this number of heartbeat periods.
 PATIENCE = 1.5
 
 
 def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
-    """Return one line for every way in which bus number `bus` left its plan, none when it kept it.
+    """Return one line for every difference between bus number `bus` and its plan.
 
     Parameters
     ----------
     seen : array of FRAME
-        In the order of the wire, with times.
+        In bus order, with times.
     planned, load : BusPlan, BusLoad
-        What `plan` and `measure` say of this bus.
+        Results of `plan` and `measure` for this bus.
     """
     taken, seconds = whole_cycles(seen)
     lines = [*_load(planned, load), *_foreign(contract, bus, load), *_errors(seen)]
@@ -86,7 +86,7 @@ def _sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
 
 
 def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
-    """Compare the TPDOs of each cycle with those of its phase."""
+    """Compare the TPDOs of each cycle with the planned TPDOs of its phase."""
     table = contract.table
     row = tpdo_rows(contract, bus, taken)
     counters = taken["data"][is_sync(taken), 0]
@@ -132,7 +132,7 @@ def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iter
 
 
 def _ranges(numbers: list[int]) -> str:
-    """Write ascending numbers as 1 to 4, 7, 9 to 12."""
+    """Return ascending numbers as text, such as 1 to 4, 7, 9 to 12."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:

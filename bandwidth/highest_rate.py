@@ -1,4 +1,4 @@
-"""The highest rate at which a layout still fits its buses: bits and window."""
+"""The highest rate at which a layout fits its buses: load and window."""
 
 from typing import Final
 
@@ -10,31 +10,31 @@ from dbc.contract import Contract
 from dbc.dictionary import WINDOW_RATIO
 from skin.layout import RATE_MAX_HZ, Layout, validated
 
-#: How finely the rate is searched for.
+#: Resolution of the search.
 STEP_HZ: Final = 0.5
 
 
 def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | None = None) -> float:
-    """Return the highest SYNC rate, in steps of `STEP_HZ`, at which every bus keeps its bits and its window.
+    """Return the highest SYNC rate, in steps of `STEP_HZ`, at which every bus keeps `budget` and window.
 
     Parameters
     ----------
     layout : Layout
-        Its own rate has no effect.
+        The rate of this layout has no effect.
     budget : float
-        The part of each bus that frames with the most stuff bits may use.
+        Highest load of a bus, with the most stuff bits, as a part of 1.
     allowed : Disturbance, optional
-        What response times allow for besides the cycle.
+        Disturbances that response times include.
 
     Returns
     -------
     float
-        0 where not even the lowest rate fits.
+        0 if even the lowest rate does not fit.
 
     Raises
     ------
     LayoutError
-        If it is no layout.
+        If the layout is not valid.
     """
     allowed = allowed or Disturbance()
     contract = Contract.from_layout(validated(layout))

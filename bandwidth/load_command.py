@@ -1,4 +1,4 @@
-"""``skin load``: the load that was measured, beside the one that was planned."""
+"""``skin load``: measured load and planned load."""
 
 from pathlib import Path
 
@@ -24,20 +24,20 @@ def load(
 ) -> None:
     """Measure the load of the buses of a skin, per node and identifier, from a log or live.
 
-    Counts the real stuff bits of every frame of whole cycles, CAN FD included, and the most stuff bits there could be.
-    Says when the frames do not fit the layout.
+    Counts the stuff bits of every frame in whole cycles, CAN FD included, and the most possible stuff bits. A line on
+    standard error tells if the frames do not fit the layout.
 
     Parameters
     ----------
     log
-        Log of candump (-l), ASC, BLF, MF4 or any other that python-can reads; without it, listen to the live buses.
+        Log of candump (-l), ASC, BLF, MF4 or any other format that python-can reads; default: measure the live buses.
     layout
         TOML of the skin; without it the default skin.
     can
         Live: the CAN interfaces. In a log: the channel of each bus. Default: the names of the buses, else all
         channels in their order.
     seconds
-        Live: how long to listen.
+        Live: time of the measurement.
     json_
         Print one JSON object.
 
@@ -71,7 +71,7 @@ def load(
 
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:
-    """Return what the live buses carry; Ctrl-C and SIGTERM end the program while a bus is awaited, later the listening.
+    """Return the frames of the live buses; a stop signal ends the program before the measurement, else the measurement.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Frames of a recorded bus, from any log that python-can reads, and of a live one."""
+"""Frames of a bus, from a log that python-can reads or from a live bus."""
 
 import re
 import select
@@ -18,15 +18,15 @@ from dbc.frame import Frames, frames
 from skin.errors import InputError
 from skin.layout import Layout
 
-#: Latest time stamp in seconds since the epoch: the year 2262, where nanoseconds no longer fit 64 bits.
+#: Largest time stamp, seconds since the epoch: the year 2262, the limit of nanoseconds in 64 bits.
 _LATEST_S: Final = 9.2e9
 _HIGHEST_ID: Final = 0x1FFFFFFF
-#: An error frame of SocketCAN in a log of candump: CAN_ERR_FLAG stands in the identifier.
+#: An error frame of SocketCAN in a log of candump: the identifier contains CAN_ERR_FLAG.
 _ERROR_FRAME: Final = re.compile(r"(\s*\(\S+\)\s+\S+\s+)([23][0-9A-Fa-f]{7})(#.*)", re.DOTALL)
 _ERROR_FLAG: Final = 0x20000000
-#: What candump prints on a terminal: data behind the length in brackets.
+#: A line that candump prints on a terminal: length in brackets, then data.
 _PRINTED: Final = re.compile(r"\s*(\(\S+( \S+)?\)\s+)?\S+\s+([TR]X\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
-#: How often a live bus is looked at whether to end.
+#: Period of the check whether to end a live measurement.
 _TURN_S: Final = 0.2
 
 
@@ -38,16 +38,16 @@ class _TextFile(Protocol):
 class _Lines:
     """The lines of a log as python-can's readers take them, with the number of the last line.
 
-    A last line without its end is not handed out: what was cut off may read as a shorter frame.
+    A last line without line end is left out: a cut line may look like a shorter frame.
 
     Attributes
     ----------
     number : int
-        Of the line that was handed out last, from 1.
+        Number of the line that was returned last, from 1.
     is_cut : bool
-        Whether the file ends inside the line behind it.
+        Whether the file ends inside the next line.
     is_error : bool
-        Whether that line is an error frame of SocketCAN, which python-can takes for a frame of the bus.
+        Whether the line is an error frame of SocketCAN; python-can reads such a line as a frame of the bus.
     """
 
     def __init__(self, file: _TextFile) -> None:
@@ -87,7 +87,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     path : pathlib.Path
         ``.log`` (candump -l), ``.asc``, ``.blf``, ``.trc``, ``.csv``, ``.db`` or, with asammdf installed, ``.mf4``.
     warn : callable
-        Takes one line when the log is cut.
+        Receives one line of text if the log is cut.
 
     Raises
     ------
@@ -124,12 +124,12 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
 
 
 def _check(message: can.Message) -> None:
-    """Refuse what no frame can be, and give a classic frame whose DLC is above 8 its length.
+    """Refuse impossible frames, and set the length of a classic frame whose DLC is above 8.
 
     Raises
     ------
     ValueError
-        Naming what is wrong.
+        If the frame is impossible.
     """
     longest = 64 if message.is_fd else 8
     if not 0 <= message.timestamp <= _LATEST_S:
@@ -142,7 +142,7 @@ def _check(message: can.Message) -> None:
 
 
 def listen(links: dict[int, Link], seconds: float, stopped: Callable[[], bool]) -> dict[int, Frames]:
-    """Return what every bus carries for `seconds`, or until `stopped`, by the number of its link."""
+    """Return the frames of every bus during `seconds`, or until `stopped`, by the number of its link."""
     arrived: dict[int, list[Frames]] = {number: [frames(0)] for number in links}
     until_s = time.monotonic() + seconds
     while (left_s := until_s - time.monotonic()) > 0 and not stopped():
@@ -158,12 +158,13 @@ def of_buses(
 ) -> dict[int, Frames]:
     """Assign the channels of a log to the buses of a layout.
 
-    Those that bear one of `names` (one per bus) go by their name; if none does, all go in their natural order.
+    Channels with one of `names` (one per bus) are assigned by name; if there is none, all are assigned in natural
+    order.
 
     Raises
     ------
     InputError
-        If there are more channels than buses, or none of those that the user named.
+        If there are more channels than buses, or no channel that the user named.
     """
     named = {number: logged[name] for number, name in enumerate(names) if name in logged}
     if named:
@@ -179,5 +180,5 @@ def of_buses(
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """Order can10 behind can9."""
+    """Sort key: can10 comes after can9."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

@@ -1,8 +1,8 @@
-"""Mean length of a frame whose data bits are random: expected stuff bits, computed and not sampled.
+"""Mean length of a frame with random data: expected stuff bits, computed without sampling.
 
-The CRC of random data is random, so a classical frame is a few known bits, its data, and 15 random ones. What the
-stuffing rule does next depends only on the last bit and the run it ends: ten states whose probabilities are carried
-from bit to bit.
+The CRC of random data is random, so a classical frame consists of some known bits, random data and 15 random bits. The
+stuffing rule depends only on the last bit and the length of its run: ten states, whose probabilities are updated bit by
+bit.
 """
 
 from functools import cache
@@ -15,18 +15,18 @@ from dbc.frame_bits import wire_bits
 
 #: Longest run that stuffing allows.
 RUN_MAX = 5
-#: Probability of each last bit (row) and each run from 1 to 4 (column): a run of five becomes a stuff bit at once.
+#: Probability of each last bit (row) and length of its run, 1 to 4 (column); a run of five gets a stuff bit at once.
 State = npt.NDArray[np.float64]
 
 
 @cache
 def mean_wire_bits(length: int, flags: int = 0, can_id: int | None = None) -> tuple[float, float]:
-    """Return the mean bits on the wire of a frame of random data, intermission included.
+    """Return the mean number of bits of a frame with random data, intermission included.
 
     Parameters
     ----------
     length : int
-        Payload in bytes; CAN FD pads it.
+        Payload in bytes, without the padding of CAN FD.
     flags : int
         EXTENDED, FD, BRS and ESI of `dbc.frame`.
     can_id : int, optional
@@ -42,7 +42,7 @@ def mean_wire_bits(length: int, flags: int = 0, can_id: int | None = None) -> tu
     nominal, data = (float(bits[0]) for bits in wire_bits(one, "none"))
     padded = next(each for each in FD_LENGTHS if each >= length)
     head, tail = _symbols(padded, flags, can_id)
-    # The first fixed stuff bit of CAN FD takes the place of a dynamic one behind the last data bit.
+    # The first fixed stuff bit of CAN FD replaces a dynamic stuff bit after the last data bit.
     stuff = _mean_stuff(head + tail, last=not flags & FD)
     in_head, in_tail = sum(stuff[: len(head)]), sum(stuff[len(head) :])
     if flags & BRS:
@@ -51,7 +51,7 @@ def mean_wire_bits(length: int, flags: int = 0, can_id: int | None = None) -> tu
 
 
 def _symbols(length: int, flags: int, can_id: int | None) -> tuple[str, str]:
-    """Return the bits that are stuffed as 0, 1 or ?, and divided before the bit-rate switch."""
+    """Return the bits to which stuffing applies, as 0, 1 or ?, before and after the bit-rate switch."""
     known = "?" * 29 if can_id is None else f"{can_id:029b}"
     base, extension = (known[:11], known[11:]) if flags & EXTENDED else (known[-11:], "")
     fd = flags & FD
@@ -63,7 +63,7 @@ def _symbols(length: int, flags: int, can_id: int | None) -> tuple[str, str]:
 
 
 def _mean_stuff(symbols: str, *, last: bool) -> list[float]:
-    """Return the expected stuff bits behind each bit; behind the very last one only if `last`."""
+    """Return the expected number of stuff bits after each bit; after the last bit only if `last`."""
     state = np.zeros((2, RUN_MAX - 1))
     expected = []
     for place, symbol in enumerate(symbols):
@@ -74,7 +74,7 @@ def _mean_stuff(symbols: str, *, last: bool) -> list[float]:
 
 
 def _step(state: State, symbol: str, *, is_first: bool) -> tuple[State, float]:
-    """Send one bit; return the following state and the probability of a stuff bit."""
+    """Apply one bit; return the next state and the probability of a stuff bit."""
     odds = (0.5, 0.5) if symbol == "?" else (float(symbol == "0"), float(symbol == "1"))
     following, stuffed = np.zeros_like(state), 0.0
     for bit, chance in enumerate(odds):

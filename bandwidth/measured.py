@@ -1,4 +1,4 @@
-"""What a bus really carried, beside its plan: load per node and identifier, and where it left the plan."""
+"""Measured load of a bus, per node and per identifier, beside the planned load."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -24,7 +24,7 @@ from skin.errors import InputError
 from skin.layout import Bus
 
 FOREIGN: Final = "foreign"
-#: With more than this part of its frames unknown, a bus is taken for one of another layout.
+#: With a larger part of unknown frames, a bus does not fit the layout.
 MISFIT_RATIO: Final = 0.2
 _SERVICES: Final = (
     (HEARTBEAT_BASE, "heartbeat"),
@@ -36,9 +36,9 @@ _SERVICES: Final = (
 
 @dataclass(frozen=True)
 class IdentifierLoad:
-    """One identifier: loads by its frames' real bits and by the most stuff bits they could have.
+    """Load of one identifier: `load_exact` from the bits of its frames, `load_worst` with the most stuff bits.
 
-    `planned_rate_hz` is None for what comes when it is needed and for what is not planned at all.
+    `planned_rate_hz` is None for identifiers without a fixed rate and for identifiers that are not planned.
     """
 
     cob_id: int
@@ -53,13 +53,13 @@ class IdentifierLoad:
 
     @property
     def name(self) -> str:
-        """The identifier in hexadecimal digits, three or eight as in logs."""
+        """The identifier in three or eight hexadecimal digits, as in logs."""
         return f"{self.cob_id:0{8 if self.is_extended else 3}X}h"
 
 
 @dataclass(frozen=True)
 class NodeLoad:
-    """All that one node sent; node-ID 0 is the gateway."""
+    """Load of all frames of one node; node-ID 0 is the gateway."""
 
     node_id: int
     frames: int
@@ -69,7 +69,7 @@ class NodeLoad:
 
 @dataclass(frozen=True)
 class BusLoad:
-    """One bus from the first SYNC to the last, or without two of them from the first frame to the last."""
+    """Load of one bus, from the first SYNC to the last; without two SYNCs from the first frame to the last."""
 
     name: str
     seconds: float
@@ -84,12 +84,12 @@ class BusLoad:
 
 
 def whole_cycles(seen: Frames) -> tuple[Frames, float]:
-    """Return the frames from the first SYNC on and before the last, and the seconds between the two.
+    """Return the frames from the first SYNC until before the last, and the seconds between these SYNCs.
 
     Raises
     ------
     InputError
-        If there are not two frames, or no time passes between them.
+        If there are fewer than two frames, or no time passes between them.
     """
     real = seen[seen["flags"] & ERROR == 0]
     if len(real) < 2:
@@ -108,13 +108,13 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan) -> Bus
     Parameters
     ----------
     seen : array of FRAME
-        In the order of the wire, with times.
+        In bus order, with times.
     planned : BusPlan
 
     Raises
     ------
     InputError
-        If there is nothing to measure, or the bus carries CAN FD frames and the layout has no bit rate for them.
+        If there is too little to measure, or the bus has CAN FD frames and the layout has no bit rate for them.
     """
     line = contract.layout.bus[bus]
     _check_format(line, seen)
@@ -160,7 +160,7 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan) -> Bus
 
 
 def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
-    """Return how often each identifier that comes by the clock comes in a second."""
+    """Return the planned rate of each identifier with a fixed rate, Hz."""
     rate_hz = contract.layout.sync.rate_hz
     rates = {SYNC_COB_ID: rate_hz}
     for node in contract.on_bus(bus):
@@ -171,7 +171,7 @@ def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
 
 
 def kind_of(contract: Contract, bus: int, cob_id: int) -> tuple[str, int | None]:
-    """Say what an 11-bit identifier is on a bus and which node sends it; 0 is the gateway."""
+    """Return the kind of an 11-bit identifier and the node-ID of its sender; 0 is the gateway."""
     row = int(contract.table.row_of[bus, cob_id]) if cob_id <= 0x7FF else -1
     if row >= 0:
         return "TPDO", contract.nodes[int(contract.table.node[row])].node_id
@@ -202,7 +202,7 @@ def _by_node(identifiers: list[IdentifierLoad]) -> list[NodeLoad]:
 
 
 def cycles_of(taken: Frames) -> npt.NDArray[np.intp]:
-    """Return which cycle, from 0, each frame of `whole_cycles` belongs to; -1 without any SYNC."""
+    """Return the number of the cycle, from 0, of each frame of `whole_cycles`; -1 without SYNC."""
     number: npt.NDArray[np.intp] = np.cumsum(is_sync(taken)) - 1
     return number
 
@@ -214,13 +214,13 @@ def is_sync(seen: Frames) -> npt.NDArray[np.bool_]:
 
 
 def is_plain(seen: Frames) -> npt.NDArray[np.bool_]:
-    """Tell which frames have an 11-bit identifier and data, as all of CANopen's have."""
+    """Tell which frames are data frames with an 11-bit identifier, like all frames of CANopen."""
     plain: npt.NDArray[np.bool_] = seen["flags"] & (EXTENDED | REMOTE | ERROR) == 0
     return plain
 
 
 def is_due(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
-    """Tell which frames have the identifier of a TPDO on bus number `bus`, and its length and format."""
+    """Tell which frames have the identifier, length and format of a TPDO on bus number `bus`."""
     table = contract.table
     row = tpdo_rows(contract, bus, taken)
     shape = (taken["length"] == table.length[row]) & (taken["flags"] & (FD | BRS) == table.flags[row] & (FD | BRS))
@@ -229,21 +229,21 @@ def is_due(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]
 
 
 def tpdo_rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
-    """Return the row of each frame in the contract's table of TPDOs, -1 for every other frame."""
+    """Return the row of each frame in the contract's table of TPDOs, -1 for other frames."""
     known = is_plain(taken) & (taken["can_id"] <= 0x7FF)
     row: npt.NDArray[np.intp] = np.where(known, contract.table.row_of[bus, taken["can_id"] & 0x7FF], -1)
     return row
 
 
 def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[str]:
-    """Return one line for each sign that the frames of a bus are not those of this layout.
+    """Return one line for each sign that the frames of a bus do not belong to this layout.
 
     Parameters
     ----------
     seen : array of FRAME
-        What was measured.
+        The measured frames.
     load : BusLoad
-        What `measure` says of it.
+        Result of `measure`.
     """
     hint = f"is '{contract.layout.name}' the layout of this skin? Give the right one with --layout"
     lines = []
@@ -262,7 +262,7 @@ def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[s
 
 
 def _check_format(line: Bus, seen: Frames) -> None:
-    """Refuse CAN FD frames whose bit rate the layout does not tell: their load would be wrong."""
+    """Refuse CAN FD frames if the layout has no bit rate for them: their load would be wrong."""
     switched = seen["flags"] & BRS != 0
     if not line.fd and (fd := int((seen["flags"] & FD != 0).sum())):
         wanted, has = "classic CAN", f"{fd} of {len(seen)} frames are CAN FD"

@@ -1,4 +1,4 @@
-"""The plan of a skin's buses: load, highest rate, window and response times, from its layout alone."""
+"""The plan of a skin's buses, from its layout: load, highest rate, window and response times."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,17 +18,17 @@ from dbc.frame import Frames, frames
 from dbc.frame_bits import Stuffing, wire_bits
 from skin.layout import Bus
 
-#: Part of the bus that a cautious plan uses.
+#: Bus load of a plan with reserve.
 CAUTION: Final = 0.8
-#: What Linux accounts for one received frame (struct sk_buff, a small page fragment, and padding), rounded up.
+#: Bytes that Linux counts for one received frame (struct sk_buff, a small page fragment, padding), rounded up.
 RECEIVED_FRAME_BYTES: Final = 896
-#: Cycles that wait while a reader that was held up for one cycle catches up.
+#: Cycles in the receive buffer of a reader that was delayed by one cycle.
 CYCLES_BUFFERED: Final = 2
 
 
 @dataclass(frozen=True)
 class NodePlan:
-    """One node: TPDOs a cycle, and from SYNC to the end of the last one at worst; None without a bound."""
+    """One node: TPDOs per cycle, and longest time from SYNC to the end of the last TPDO; None without a bound."""
 
     node_id: int
     frames_per_cycle: int
@@ -39,10 +39,10 @@ class NodePlan:
 class BusPlan:
     """One bus at the layout's SYNC rate.
 
-    The names say which payloads are counted: ``touched`` the sums of a simulated skin that is touched, None where no
-    touch was simulated; ``random`` random bits, as published tables do; ``worst`` the most stuff bits there can be.
-    Bits are those of one cycle with its SYNC. Loads and rates include SYNC and heartbeats; a rate that ends in ``_80``
-    uses 80 % of the bus. Times are upper bounds, None where the bus has too little time for any bound.
+    Names tell the payloads: ``touched`` the sums of a simulated touched skin, None without simulation; ``random``
+    random bits, as in published tables; ``worst`` the most stuff bits. Bits are those of one cycle with its SYNC. Loads
+    and rates include SYNC and heartbeats; a rate that ends in ``_80`` is for a load of 80 %. Times are upper bounds,
+    None if the bus is too full for a bound.
     """
 
     name: str
@@ -73,18 +73,18 @@ class BusPlan:
 
 @dataclass(frozen=True)
 class BusTime:
-    """Seconds and bits that one cycle takes on a bus, and seconds that the heartbeats of one second take."""
+    """Time and bits of one cycle on a bus, and time of the heartbeats of one second."""
 
     cycle_s: float
     cycle_bits: float
     beats_s: float
 
     def load(self, rate_hz: float) -> float:
-        """Return the part of the bus that is used at `rate_hz`."""
+        """Return the load of the bus at `rate_hz`."""
         return self.cycle_s * rate_hz + self.beats_s
 
     def rate_hz(self, part: float = 1.0) -> float:
-        """Return the rate at which `part` of the bus is used."""
+        """Return the rate at which the load is `part`."""
         return max(0.0, (part - self.beats_s) / self.cycle_s)
 
 
@@ -95,7 +95,7 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusP
     ----------
     contract : Contract
     allowed : Disturbance, optional
-        What response times allow for besides the cycle.
+        Disturbances that response times include.
     """
     allowed = allowed or Disturbance()
     touched = touched_bits(contract)
@@ -103,7 +103,7 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusP
 
 
 def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | None, allowed: Disturbance) -> BusPlan:
-    """Plan one bus; `touched` are the mean nominal and data bits of a cycle's TPDOs of a touched skin, if simulated."""
+    """Plan one bus; `touched` holds the mean nominal and data bits of the TPDOs of a simulated touched skin."""
     layout, line = contract.layout, contract.layout.bus[bus]
     phases = [traffic(contract, bus, phase, allowed) for phase in range(PHASES)]
     random = [random_bus_time(each) for each in phases]
@@ -146,14 +146,14 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
 
 
 def bus_time(streams: Traffic, stuffing: Stuffing) -> BusTime:
-    """Return the time that `streams` take on the bus, with no or with the most stuff bits."""
+    """Return the bus time of `streams`, without or with the most stuff bits."""
     cyclic = streams.frames[streams.is_cyclic]
     nominal, data = wire_bits(cyclic, stuffing)
     return _bus_time(streams, float(nominal.sum()), float(data.sum()), stuffing)
 
 
 def random_bus_time(streams: Traffic) -> BusTime:
-    """Return the mean time that `streams` take on the bus when all data bits of TPDOs are random."""
+    """Return the mean bus time of `streams` with random data bits in TPDOs."""
     tpdos = streams.frames[streams.is_tpdo]
     shapes = zip(tpdos["length"].tolist(), tpdos["flags"].tolist(), tpdos["can_id"].tolist(), strict=True)
     bits = np.sum([mean_wire_bits(*shape) for shape in shapes], axis=0)
@@ -161,7 +161,7 @@ def random_bus_time(streams: Traffic) -> BusTime:
 
 
 def sync_frames() -> Frames:
-    """Return SYNC with every counter value."""
+    """Return the SYNC frames of all counter values."""
     syncs = frames(SYNC_OVERFLOW)
     syncs["can_id"], syncs["length"] = SYNC_COB_ID, 1
     syncs["data"][:, 0] = np.arange(1, SYNC_OVERFLOW + 1)
@@ -169,7 +169,7 @@ def sync_frames() -> Frames:
 
 
 def _mean_bus_time(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> BusTime:
-    """Add SYNC, of all its counter values, and heartbeats to the mean bits of the TPDOs."""
+    """Add SYNC (mean over all counter values) and heartbeats to the mean bits of the TPDOs."""
     sync = float(wire_bits(sync_frames())[0].mean())
     return _bus_time(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
 

@@ -1,4 +1,4 @@
-"""``skin plan``: what a layout asks of its buses, and a search for the layout that meets a requirement."""
+"""``skin plan``: the load of a layout's buses, and a search for a layout that meets a requirement."""
 
 from pathlib import Path
 
@@ -35,38 +35,38 @@ def plan(
     errors_per_s: float = 0.0,
     json_: Json = False,
 ) -> int:
-    """Say what the buses of a skin carry before any hardware is bought, or search for a layout.
+    """Compute the bus load of a skin before any hardware is bought, or search for a layout.
 
-    Ends with 1 when something does not fit, no layout is found, or a log left the plan.
+    Exit code 1: a bus does not fit, no layout was found, or a log differs from the plan.
 
     Parameters
     ----------
     layout
         TOML of the skin; without it the default skin.
     check
-        Compare a log of the buses with the plan, and print a line for each way in which the buses left the plan.
+        Compare a log of the buses with the plan, and print a line for each difference.
     channel
-        The channel of each bus in that log. Default: the names of the buses, else all channels in their order.
+        The channel of each bus in the log. Default: the names of the buses, else all channels in their order.
     taxels
         Search for a layout with this number of taxels, a power of two, instead of planning a layout.
     rate
-        Search: measurements a second. Default: 100.
+        Search: measurements per second. Default: 100.
     buses
-        Search: the most buses. Default: 4.
+        Search: largest number of buses. Default: 4.
     budget
-        Search: the highest load of a bus, with the most stuff bits, as a part of 1. Default: 0.8.
+        Search: highest load of a bus, with the most stuff bits, as a part of 1. Default: 0.8.
     can
-        Search: the kind of CAN. Default: any.
+        Search: type of CAN. Default: any.
     out
         Search: file for the TOML of the layout. Default: print the layout.
     plot
-        Folder for pictures: rates against buses and widths, the time line of one cycle.
+        Folder for pictures: rates for other numbers of buses and widths of sums; time line of one cycle.
     jitter_s
-        Response times: seconds from SYNC until the slowest node has queued its TPDOs.
+        Response times: time from SYNC until the slowest node has queued its TPDOs, seconds.
     sdo_per_s
-        Response times: SDO transfers a second.
+        Response times: SDO transfers per second.
     errors_per_s
-        Response times: disturbed frames a second.
+        Response times: disturbed frames per second.
     json_
         Print one JSON object.
 

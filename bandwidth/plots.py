@@ -1,4 +1,4 @@
-"""Pictures of a plan: rates of other buses and widths, and the time line of one cycle."""
+"""Pictures of a plan: rates for other numbers of buses and widths of sums; time line of one cycle."""
 
 from pathlib import Path
 from typing import Final
@@ -23,7 +23,7 @@ def write_plots(contract: Contract, folder: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If they cannot be written.
+        If the files cannot be written.
     """
     written = []
     try:

@@ -1,8 +1,8 @@
 """Worst-case response times of the messages of one bus.
 
 R. I. Davis, A. Burns, R. J. Bril, J. J. Lukkien: Controller Area Network (CAN) schedulability analysis: refuted,
-revisited and revised. Real-Time Systems 35 (2007). Unlike the analysis of 1994 it looks at every instance of a
-message in its busy period. CAN FD changes the lengths of frames alone.
+revisited and revised. Real-Time Systems 35 (2007). Unlike the analysis of 1994, this analysis examines every instance
+of a message in its busy period. CAN FD changes only the lengths of frames.
 """
 
 from typing import Final
@@ -15,14 +15,14 @@ from skin.errors import InputError
 
 __all__ = ["ERROR_BITS", "UNBOUNDED", "blocking_ns", "response_times_ns"]
 
-#: Longest error frame and the intermission behind it (Davis et al., section 3.5).
+#: Longest error frame, with intermission (Davis et al., section 3.5).
 ERROR_BITS: Final = 31
 
 Nanoseconds = npt.NDArray[np.int64]
 
 
 def blocking_ns(time_ns: npt.NDArray[np.integer]) -> Nanoseconds:
-    """Return the longest frame of lower priority than each; frames by falling priority, shape (n,)."""
+    """Return, for each frame, the longest frame of lower priority; frames by falling priority, shape (n,)."""
     behind = np.append(time_ns, 0).astype(np.int64)
     longest: Nanoseconds = np.maximum.accumulate(behind[::-1])[::-1][1:]
     return np.ascontiguousarray(longest)
@@ -42,20 +42,20 @@ def response_times_ns(
     Parameters
     ----------
     time_ns, period_ns, jitter_ns : array of int, shape (n,)
-        Longest frame time with intermission, least time between two messages, and how long after its event a message
-        may be queued; by falling priority.
+        Longest frame time with intermission, shortest time between two messages, and longest time from the event to the
+        queue; by falling priority.
     bit_ns : int
-        One bit at the nominal rate: a message queued within it after the start of a frame has not missed it.
+        One bit at the nominal rate: a message queued within one bit after a start of frame takes part in arbitration.
     blocked_ns : array of int, shape (n,), optional
-        Longest frame that may have begun just before; default those of lower priority (`blocking_ns`).
+        Longest frame that may have begun just before; default: frames of lower priority (`blocking_ns`).
     error_interval_ns : int
-        Least time between two errors, each of which costs an error frame and the longest frame up to that priority
-        again; 0 for a bus without errors.
+        Shortest time between two errors; 0 for a bus without errors. Each error costs an error frame and the longest
+        frame of the same or a higher priority.
 
     Returns
     -------
     array of int64, shape (n,)
-        `UNBOUNDED` where messages up to that priority ask for all the bus has.
+        `UNBOUNDED` if the messages of the same and higher priorities fill the bus.
 
     Raises
     ------

@@ -4,25 +4,25 @@ from typing import Any, Final
 
 from numba import int64, njit, void
 
-#: Messages by falling priority, one row each: the columns below, in nanoseconds.
+#: Columns of the table of messages, nanoseconds; one row per message, by falling priority.
 _ROWS: Final = int64[:, ::1]
 TIME, PERIOD, JITTER, BLOCKING = range(4)
-#: Of the bus: bit time, error frame, least time between two errors or 0.
+#: Bus: bit time, error frame, shortest time between two errors or 0; nanoseconds.
 _WIRE: Final = int64[::1]
 BIT, ERROR_FRAME, ERROR_INTERVAL = range(3)
-#: Stands for a response without a bound.
+#: Value of a response time without a bound.
 UNBOUNDED: Final = 2**63 - 1
 
 
 @njit(int64(int64, int64, int64), cache=True, nogil=True)
 def arrivals(length: int, jitter: int, period: int) -> int:
-    """Return how many messages can be queued in a half-open interval of `length`."""
+    """Return the largest number of messages queued in a half-open interval of `length`."""
     return (length + jitter + period - 1) // period
 
 
 @njit(int64(_ROWS, int64, int64), cache=True, nogil=True)
 def demand(rows: Any, count: int, length: int) -> int:
-    """Return the time that the first `count` messages can ask for in an interval of `length`."""
+    """Return the largest bus time of the first `count` messages in an interval of `length`."""
     total = 0
     for each in range(count):
         total += arrivals(length, rows[each, JITTER], rows[each, PERIOD]) * rows[each, TIME]
@@ -31,7 +31,7 @@ def demand(rows: Any, count: int, length: int) -> int:
 
 @njit(int64(_ROWS, int64, _WIRE), cache=True, nogil=True)
 def error_time(rows: Any, message: int, wire: Any) -> int:
-    """Return what one error costs a message: an error frame and the longest frame up to its priority again."""
+    """Return the cost of one error for a message: an error frame, and the longest frame of its priority or higher."""
     longest = 0
     for each in range(message + 1):
         longest = max(longest, int(rows[each, TIME]))
@@ -40,7 +40,7 @@ def error_time(rows: Any, message: int, wire: Any) -> int:
 
 @njit(int64(_ROWS, int64, _WIRE), cache=True, nogil=True)
 def response(rows: Any, message: int, wire: Any) -> int:
-    """Return the worst response of one message."""
+    """Return the worst-case response time of one message."""
     own, period, jitter, blocking = rows[message]
     interval, error = wire[ERROR_INTERVAL], error_time(rows, message, wire)
     utilisation = error / interval if interval else 0.0
@@ -61,12 +61,12 @@ def response(rows: Any, message: int, wire: Any) -> int:
             lost = arrivals(before + own, 0, interval) * error if interval else 0
             wait = lost + blocking + instance * own + demand(rows, message, before + wire[BIT])
         worst = max(worst, int(jitter + wait - instance * period + own))
-        wait += own  # the next instance waits at least for this one
+        wait += own  # the next instance waits at least for this instance
     return worst
 
 
 @njit(void(_ROWS, _WIRE, int64[::1]), cache=True, nogil=True)
 def all_responses(rows: Any, wire: Any, found: Any) -> None:
-    """Write the worst response of every message into `found`."""
+    """Write the worst-case response time of every message to `found`."""
     for message in range(rows.shape[0]):
         found[message] = response(rows, message, wire)

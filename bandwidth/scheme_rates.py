@@ -1,7 +1,7 @@
-"""Rates of ways to send a skin's values that a layout need not be able to spell: for comparisons.
+"""Rates of ways to send a skin's values that a layout cannot describe, for comparisons.
 
-Values are packed without a gap over as many frames as needed, also across frames. A bus may have more nodes than there
-are node-IDs; `Scheme.fits_node_ids` tells. `bandwidth.alternatives` has real layouts.
+Values are packed without gaps, also across frames. A bus may have more nodes than node-IDs; `Scheme.fits_node_ids`
+tells whether it has. `bandwidth.alternatives` has layouts.
 """
 
 from collections.abc import Iterator
@@ -27,17 +27,17 @@ BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 BUSES: Final = (1, 2, 4)
 #: Data bit rates of CAN FD; None is classic CAN.
 DATA_BITRATES: Final = (None, 2_000_000, 5_000_000, 8_000_000)
-#: Longest frames of CAN FD to compare.
+#: Longest CAN FD frames to compare, bytes.
 FD_LIMITS: Final = (8, 16, 32, FD_BYTES)
 BITRATE: Final = 1_000_000
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """One way to send `values` of `bits` each from `nodes` over `buses`, and the SYNC rates it allows.
+    """A way to send `values` of `bits` each from `nodes` over `buses`, and its SYNC rates.
 
-    `payloads` are the bytes of one node's frames, `most_bytes` the longest frame allowed. Rates are those of the bus
-    with the most nodes: of random data, with the most stuff bits, and the latter at 80 % of the bus.
+    `payloads` are the bytes of one node's frames, `most_bytes` is the longest frame allowed. Rates are those of the bus
+    with the most nodes: for random data, for the most stuff bits, and for the most stuff bits at a load of 80 %.
     """
 
     what: str
@@ -57,7 +57,7 @@ class Scheme:
 
 
 def schemes(layout: Layout) -> Iterator[Scheme]:
-    """Yield the sums and the full scan of a skin in every width, topology and kind of CAN."""
+    """Yield the sums and the full scan of a skin in every width, topology and type of CAN."""
     sums, taxels, blocks = layout.measurement.sums, layout.taxels.count, layout.blocks
     rows = [("sums", sums, bits, each) for bits in SUM_BITS for each in BLOCKS_PER_NODE]
     rows += [("taxels", taxels, bits, 1) for bits in TAXEL_BITS]
@@ -87,19 +87,19 @@ def schemes(layout: Layout) -> Iterator[Scheme]:
 
 
 def _useful_limits(size: int) -> list[int]:
-    """Return the limits on a frame that shorten one, and the standard's own."""
+    """Return the limits of frame length that shorten a frame, and the limit of the standard."""
     return [most for most in FD_LIMITS if most < size or most == FD_BYTES]
 
 
 def _payloads(size: int, most: int) -> list[int]:
-    """Divide `size` bytes into full frames and a rest, which CAN FD pads."""
+    """Divide `size` bytes into full frames and a last frame, which CAN FD pads."""
     full, rest = divmod(size, most)
     padded = [next(each for each in FD_LENGTHS if each >= rest)] if rest else []
     return [most] * full + padded
 
 
 def _bus_time(payloads: list[int], nodes: int, data_bitrate: int | None, *, is_worst: bool) -> BusTime:
-    """Return one bus of `nodes` nodes that send `payloads` each, SYNC and heartbeats included."""
+    """Return the bus time of `nodes` nodes that send `payloads` each, with SYNC and heartbeats."""
     flags = FD | BRS if data_bitrate else 0
     sizes = [_frame_bits(length, flags, is_worst=is_worst) for length in payloads]
     nominal, data = (nodes * total for total in np.sum(sizes, axis=0).tolist())

@@ -1,4 +1,4 @@
-"""Search for a layout that meets a requirement: with few buses first, then slow wires, wide sums, small nodes."""
+"""Search for a layout that meets a requirement: few buses first, then slow data phases, wide sums, small nodes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, Measuring, Sync, Ta
 
 CanKind = Literal["any", "classic", "fd"]
 
-#: Widths to try. Rounding to 8 bits is not small beside the sensor noise, so 8 bits are tried after all others.
+#: Widths to try. The rounding of 8 bits is not small compared with the sensor noise, so 8 bits come last.
 SUM_BITS: Final = ((16, 12), (8,))
 BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
@@ -29,9 +29,9 @@ DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
     "fd": FD_BITRATES,
     "any": (None, *FD_BITRATES),
 }
-#: Fastest data phase that every CAN FD transceiver has (ISO 11898-2:2016): no more sums are worth a faster one.
+#: Fastest data phase of every CAN FD transceiver (ISO 11898-2:2016): the limit of the search for more sums.
 COMMON_DATA_BITRATE: Final = 5_000_000
-#: Taxels per sum: the first is needed, the others give better images where the same buses carry them.
+#: Taxels per sum: the first is required, the others give better images if the same buses carry them.
 COMPRESSIONS: Final = (SUMS_PART, 2, 1)
 TAXELS_MIN, TAXELS_MAX = 64, 65536
 BUSES_MAX: Final = 16
@@ -39,18 +39,18 @@ BUSES_MAX: Final = 16
 
 @dataclass(frozen=True)
 class Requirement:
-    """What is asked of a layout.
+    """Requirement of a layout.
 
     Attributes
     ----------
     taxels : int
         A power of two.
     rate_hz : float
-        Measurements a second.
+        Measurements per second.
     buses : int
-        The most buses.
+        Largest number of buses.
     budget : float
-        The highest load of a bus, with the most stuff bits.
+        Highest load of a bus, with the most stuff bits.
     can : {"any", "classic", "fd"}
 
     Raises
@@ -78,7 +78,7 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A layout that was looked at; ``missing`` is what it lacks, 0 for nothing, None where that is unknown."""
+    """A layout that was tried; fields ``missing_…`` tell what it lacks: 0 for nothing, None if unknown."""
 
     buses: int
     nodes: int
@@ -95,12 +95,12 @@ class Candidate:
 
     @property
     def fits(self) -> bool:
-        """Whether it meets the requirement."""
+        """Whether the layout meets the requirement."""
         return self.problem is None
 
     @property
     def words(self) -> str:
-        """Its buses, nodes and sums in words."""
+        """Buses, nodes and sums as text."""
         wire = "classic CAN" if self.data_bitrate is None else f"CAN FD {self.data_bitrate // 1_000_000} Mbit/s"
         buses = f"{self.buses} bus{'es' * (self.buses > 1)}"
         each = f"{self.blocks_per_node} block{'s' * (self.blocks_per_node > 1)}"
@@ -109,7 +109,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Search:
-    """What a search found: all layouts it looked at and, where one fits, the chosen one."""
+    """Result of a search: all layouts that were tried, and the chosen layout if any fits."""
 
     required: Requirement
     allowed: Disturbance
@@ -118,7 +118,7 @@ class Search:
     layout: Layout | None
 
     def missing(self) -> str | None:
-        """Say what the nearest layout lacks, at which rate it fits, and how many lack node-IDs; None when one fits."""
+        """Return what the nearest layout lacks, its highest rate, and how many lack node-IDs; None if a layout fits."""
         if self.layout is not None:
             return None
         required, seen = self.required, self.candidates
@@ -145,8 +145,8 @@ class Search:
 def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
     """Search for the first layout that meets a requirement, then for more sums on the same buses and nodes.
 
-    Of `COMPRESSIONS`, the fewest taxels per sum that fit are taken. For them the data phase of CAN FD may become
-    faster, up to `COMMON_DATA_BITRATE`.
+    The smallest number of taxels per sum of `COMPRESSIONS` that fits is taken. For more sums the data phase of CAN FD
+    may become faster, up to `COMMON_DATA_BITRATE`.
     """
     allowed = allowed or Disturbance()
     candidates: list[Candidate] = []
@@ -164,7 +164,7 @@ def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
 
 
 def _layouts(required: Requirement) -> Iterator[Layout]:
-    """Yield the layouts to look at, those with the least hardware first."""
+    """Yield the layouts to try, least hardware first."""
     power = required.taxels.bit_length() - 1
     rows, columns = 1 << (power + 1) // 2, 1 << power // 2
     start = Layout(
@@ -185,7 +185,7 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
 
 
 def _denser(least: Layout) -> Iterator[Layout]:
-    """Yield layouts of the same buses and nodes with more sums, those with the most first, then slow wires first."""
+    """Yield layouts of the same buses and nodes with more sums: most sums first, then slow bit rates first."""
     first = least.bus[0]
     rates = [first.data_bitrate]
     if first.data_bitrate is not None:
@@ -196,7 +196,7 @@ def _denser(least: Layout) -> Iterator[Layout]:
 
 
 def _judge(layout: Layout, required: Requirement, allowed: Disturbance) -> Candidate:
-    first = layout.bus[0]  # no other has more nodes
+    first = layout.bus[0]  # no other bus has more nodes
     window_ms = WINDOW_RATIO * layout.sync.period_s * 1e3
     load = needed_ms = missing_bits = missing_ms = None
     missing_ids = max(0, first.nodes - HIGHEST_NODE_ID)

@@ -1,4 +1,4 @@
-"""Plans and measured loads as tables for a person."""
+"""Tables of plans and of measured loads."""
 
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -11,12 +11,12 @@ from skin.terminal import print_table
 
 #: Columns of the lines that list the nodes of a bus.
 _WIDTH: Final = 120
-#: A space at which no line is broken.
+#: A space without line break.
 _NO_BREAK: Final = "\N{NO-BREAK SPACE}"
 
 
 def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
-    """Print a plan: its buses side by side, the nodes' response times, the alternatives, the problems."""
+    """Print a plan: a column per bus, the nodes' response times, the alternatives, the problems."""
     tried = list(others)
     _print_buses(plans)
     print("\nworst response of each node's last TPDO, ms:")
@@ -112,7 +112,7 @@ def _print_alternatives(others: Iterable[Alternative]) -> None:
 
 
 def _node_lines(plans: Sequence[BusPlan]) -> list[str]:
-    """Return the response times of every bus; buses whose nodes have the same share a line."""
+    """Return lines with the response times of every bus; buses with equal times share a line."""
     alike: dict[str, list[str]] = {}
     for each in plans:
         responses = ", ".join(f"{node.node_id}:{_NO_BREAK}{_ms(node.response_ms)}" for node in each.node_plans)

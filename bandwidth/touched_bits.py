@@ -1,7 +1,7 @@
-"""How long the frames of a touched skin really are: sums of simulated touches, stuffed bit by bit.
+"""Mean length of the frames of a touched skin: sums of simulated touches, with exact stuff bits.
 
-Sums are not random bits. Those of an untouched skin are small, and in two's complement a small number is a run of
-equal bits, which needs stuff bits.
+Sums are not random bits. Sums of an untouched skin are small, and in two's complement a small number is a run of equal
+bits, which needs stuff bits.
 """
 
 from typing import Final
@@ -17,9 +17,9 @@ from skin.layout import Layout
 from skin.sources import TaxelSource, load_source
 from skin.taxel import NOISE_N, sense, to_counts
 
-#: The source that presses and slides objects, of group ``canskin.sources``.
+#: Taxel source (entry point in ``canskin.sources``) that presses and slides objects.
 SOURCE: Final = "objects"
-#: Instants looked at, this far apart: several touches of every object, none twice at the same place.
+#: Number of steps, and distance between them: several touches of every object, each at another place.
 SAMPLES: Final = 400
 STRIDE_S: Final = 0.137
 
@@ -31,9 +31,9 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
     ----------
     contract : Contract
     samples : int
-        How many instants of the simulated touches to average.
+        Number of steps of the simulated touches to average.
     seed : int
-        Of touches and noise.
+        Seed of touches and noise.
     """
     layout, table = contract.layout, contract.table
     taxels = layout.taxels
@@ -55,7 +55,7 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
 
 
 def _counts(layout: Layout, source: TaxelSource, step: int, random: np.random.Generator) -> npt.NDArray[np.int32]:
-    """Return what the nodes measure: noise, a clipped range, whole counts."""
+    """Return the ADC counts of the nodes: noise, clipping, rounding."""
     noise_n = 0.0 if source.has_noise else NOISE_N
     force_n = source.frame(step).force_n.ravel()
     return to_counts(sense(force_n, random, noise_n, layout.taxels.force_max_n, dtype=np.float64), layout.taxels)

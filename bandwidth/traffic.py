@@ -1,4 +1,4 @@
-"""Everything one bus carries, as streams of frames by falling priority: what all the arithmetic starts from."""
+"""All frames of one bus as streams by falling priority, the input of loads and response times."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,29 +15,29 @@ from dbc.frame_bits import frame_time_ns, nominal_ns
 from skin.errors import InputError
 from skin.layout import Bus
 
-#: More of either than frames fit a classic bus in a second.
+#: Upper limit of both rates: more than the frames per second of a classic bus.
 PER_SECOND_MAX: Final = 20_000.0
-#: A node that answers later than this does not answer a SYNC.
+#: Upper limit of the jitter: a later answer is no answer to this SYNC.
 JITTER_MAX_S: Final = 1.0
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What a response time allows for besides the cycle itself.
+    """Disturbances that response times include.
 
     Attributes
     ----------
     jitter_s : float
-        How long after SYNC the slowest node has its TPDOs queued.
+        Time from SYNC until the slowest node has queued its TPDOs.
     sdo_per_s : float
-        SDO transfers a second, each one request and one response of 8 bytes.
+        SDO transfers per second, each a request and a response of 8 bytes.
     errors_per_s : float
-        Frames a second that are disturbed and sent again.
+        Frames per second that are disturbed and sent again.
 
     Raises
     ------
     InputError
-        If a number is below 0 or above what any bus could show.
+        If a number is below 0 or impossibly large.
     """
 
     jitter_s: float = 100e-6
@@ -56,12 +56,12 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """One bus in cycles of one phase; the frames of the other phase have the same lengths.
+    """The frames of one bus in cycles of one phase; frames of the other phase have the same lengths.
 
     Attributes
     ----------
     frames : array of FRAME, shape (n,)
-        One of each stream, by identifier: SYNC, TPDOs, SDO, heartbeats.
+        One frame of each stream, by identifier: SYNC, TPDOs, SDO, heartbeats.
     period_s, jitter_s : array of float, shape (n,)
     node : array of int, shape (n,)
         Sender's node-ID; 0 is the gateway.
@@ -94,9 +94,9 @@ class Traffic:
         return frame_time_ns(self.frames, self.bus.bitrate, self.bus.data_bitrate, "worst")
 
     def responses_ns(self, errors_per_s: float = 0.0) -> npt.NDArray[np.int64]:
-        """Bound how long after its event each stream's frame has ended, see `response_times_ns`.
+        """Return an upper bound of the response time of each stream, see `response_times_ns`.
 
-        TPDOs can also be held up by one of the other phase, begun at the end of its window, whatever its priority.
+        One TPDO of the other phase, begun at the end of its window, may block TPDOs, whatever its priority.
         """
         worst = self.worst_ns
         blocked = blocking_ns(worst)
@@ -112,7 +112,7 @@ class Traffic:
 
 
 def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance | None = None) -> Traffic:
-    """Return the streams of bus number `bus` in cycles of `phase`; SDO goes to the node with the highest node-ID."""
+    """Return the streams of bus number `bus` in cycles of `phase`; SDO transfers are with the highest node-ID."""
     allowed = allowed or Disturbance()
     nodes = contract.on_bus(bus)
     cycle = contract.cycle(bus, phase)

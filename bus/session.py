@@ -22,9 +22,9 @@ class Batch:
     Attributes
     ----------
     owners : set of int
-        Stations that sent some of it or that a report is for.
+        Stations that sent one of the frames, or that receive a report.
     others : array of FRAME
-        What a station gets that is not among them; `payload` is the same as it is sent.
+        The records for all other stations; `payload` holds the same records as bytes.
     """
 
     def __init__(self, events: Events) -> None:
