@@ -1,7 +1,7 @@
-"""FISTA on whole batches with any array library that follows the Python array API: NumPy, or CuPy on a GPU.
+"""FISTA on whole batches with any library of the Python array API: NumPy, or CuPy on a GPU.
 
 Every step is a matrix product or an elementwise operation on (frames, …) arrays; wavelets and Hadamard blocks are
-applied as small dense matrices, which suits a GPU better than butterflies.
+applied as small dense matrices, which are faster on a GPU than butterflies.
 """
 
 from types import ModuleType
@@ -46,9 +46,9 @@ class BatchSolver:
     rows, columns : int
         Powers of two, 8 to 256.
     settings : SolverSettings
-        Of the prior "haar-tensor", without spins, scaled start and temporal filter.
+        With the prior "haar-tensor", without spins, scaled start and temporal filter.
     library : module
-        NumPy, CuPy or another of the array API.
+        NumPy, CuPy or another library of the array API.
     dtype : float32 or float64
 
     Raises
@@ -70,7 +70,7 @@ class BatchSolver:
         check_grid_of(phi, rows, columns)
         if settings.prior != "haar-tensor" or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
             raise InputError(
-                "arrays, and so a GPU, need the prior 'haar-tensor' without spins, scaled start and temporal filter, "
+                "a GPU needs the prior 'haar-tensor' without spins, scaled start and temporal filter, "
                 f"as the solver 'paper' has them: got {settings}"
             )
         self._xp: Final = library
@@ -90,14 +90,14 @@ class BatchSolver:
         self._kept = self._send(phi.kept.reshape(-1))
 
     def solve(self, sums_n: Any, valid: Any, start: Any = None) -> Any:
-        """Return estimates, shape (frames, rows, columns), as an array of the library; `deliver` makes them images.
+        """Return estimates, shape (frames, rows, columns), as an array of the library; `deliver` returns images.
 
         Parameters
         ----------
         sums_n : array, shape (frames, m)
-            Newtons; of any library that this one can take in.
+            Newtons; an array that the library can convert.
         valid : array of bool, shape (frames, m)
-            Sums that are not valid are left out exactly.
+            Sums that are not valid have no effect.
         start : array, shape (frames, rows, columns), optional
             Estimates to start from, zeros without.
 
@@ -115,13 +115,13 @@ class BatchSolver:
         return estimate
 
     def without(self, estimate: Any, kept: npt.NDArray[np.bool_]) -> Any:
-        """Return estimates with those set to zero that are not `kept`, shape (frames,)."""
+        """Return the estimates, with zeros in frames that are not `kept`, shape (frames,)."""
         mask = self._xp.reshape(self._xp.asarray(kept), (-1, 1, 1))
         return self._xp.where(mask, estimate, self._xp.zeros_like(estimate))
 
     def deliver(self, estimate: Any) -> npt.NDArray[np.float32]:
         """Return estimates as NumPy images, shape (frames, rows, columns), negative forces as 0."""
-        if hasattr(estimate, "get"):  # CuPy copies from the GPU on demand only
+        if hasattr(estimate, "get"):  # CuPy copies from the GPU only by `get`
             estimate = estimate.get()
         images: npt.NDArray[np.float32] = np.maximum(np.asarray(estimate), 0).astype(np.float32)
         return images
@@ -146,13 +146,13 @@ class BatchSolver:
         count = self._spot.shape[0]
         if sums.ndim != 2 or sums.shape[1] != count or told.shape != sums.shape:
             raise InputError(f"expected sums and validity of shape (frames, {count}): got {sums.shape}, {told.shape}")
-        # In a tuple, for NumPy's dtypes equal float32 and the like but have another hash.
+        # Compared in a tuple: NumPy's dtypes equal float32 and so on, but have another hash.
         if sums.dtype not in (xp.float32, xp.float64) or told.dtype != xp.asarray(True).dtype:
             raise InputError(f"expected floats and bools, got {sums.dtype} and {told.dtype}")
         sums = xp.where(told, sums, xp.zeros_like(sums))
-        if not bool(xp.all(xp.abs(sums) <= LARGEST_N)):  # so written, NaN fails
+        if not bool(xp.all(xp.abs(sums) <= LARGEST_N)):  # NaN fails this form of the test
             raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
-        # asarray with a dtype, for CuPy 13 has no astype that is a function.
+        # asarray with a dtype, because CuPy 13 has no function astype.
         counts, sums = xp.asarray(told, dtype=self._kind), xp.asarray(sums, dtype=self._kind)
         mask = xp.take(counts, self._slot, axis=1) * (self._kept * self._step)
         return mask, xp.take(sums, self._slot, axis=1) * mask

@@ -1,7 +1,7 @@
-"""Images of a whole recording: every cycle of a stream of sums, by the quickest solver that the settings have.
+"""Images of a whole recording, by the fastest solver for the settings.
 
-A solver of several streams cuts the recording into as many parts of one length. Every part but the first begins
-`RUN_IN` cycles early, so that its first image is as warm as if all before it had been solved.
+A solver of several streams divides the recording into parts of equal length, one per stream. Every part except the
+first begins `RUN_IN` cycles early, so that its first image has a warm start.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,9 +22,9 @@ from skin.measurement import Sbhe
 
 #: Cycles solved ahead of each part.
 RUN_IN: Final = 12
-#: Streams side by side on arrays: a part is long against its run-in, and a batch fills a GPU.
+#: Most streams on arrays: a part is still long compared with `RUN_IN`, and a batch fills a GPU.
 ARRAY_STREAMS: Final = 256
-#: Images between two words of progress.
+#: Images between two calls of `advance`.
 CHUNK: Final = 64
 _LEAST_PART: Final = 4 * RUN_IN
 
@@ -40,9 +40,8 @@ def _silent(_images: int) -> None:
 class RecordingSolver:
     """Solves whole recordings, each image warm-started from the one before.
 
-    Total variation, contourlets and the temporal filter go through the `Reconstructor` one cycle after the other:
-    the images are those of the live service, bit by bit. Wavelets go through a `LaneSolver`, or with `library`
-    through a `BatchSolver`.
+    Total variation, contourlets and the temporal filter use the `Reconstructor`, one cycle after the other: the images
+    equal those of the live service, bit by bit. Wavelets use a `LaneSolver`, or with `library` a `BatchSolver`.
 
     Parameters
     ----------
@@ -58,12 +57,12 @@ class RecordingSolver:
     Attributes
     ----------
     method : str
-        How the recording is solved, for people.
+        Text for the log: how the recording is solved.
 
     Raises
     ------
     InputError
-        If the grid or the settings do not fit, or arrays have no solver for the settings.
+        If the grid or the settings do not fit, or `library` has no solver for the settings.
     """
 
     def __init__(
@@ -98,10 +97,10 @@ class RecordingSolver:
         Parameters
         ----------
         sums_n : array, shape (cycles, m)
-            Newtons; what stands where a sum is not valid has no effect.
+            Newtons; values of sums that are not valid have no effect.
         valid : array of bool, shape (cycles, m)
         advance : callable
-            Called now and then with the number of further images that are done.
+            Called with the number of further images that are finished.
 
         Returns
         -------
@@ -116,12 +115,12 @@ class RecordingSolver:
             raise InputError(f"expected shape (cycles, {self._sums}) twice: got {sums_n.shape} and {valid.shape}")
         if sums_n.dtype.kind != "f" or valid.dtype != np.bool_:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid.dtype}")
-        if not (np.abs(sums_n[valid]) <= LARGEST_N).all():  # so written, NaN fails
+        if not (np.abs(sums_n[valid]) <= LARGEST_N).all():  # NaN fails this form of the test
             raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
         images = np.empty((len(sums_n), *self._shape), np.float32)
         self._solve(np.where(valid, sums_n, 0).astype(np.float32), valid, images, advance)
         if self._correct is not None:
-            for image in images:  # not all at once: a recording may be large
+            for image in images:  # not as one operation, to save memory
                 image[:] = self._correct(image)
         return images
 
@@ -157,9 +156,9 @@ class RecordingSolver:
 
 
 def _turns(cycles: int, streams: int) -> Iterator[tuple[npt.NDArray[np.intp], Validity, bool]]:
-    """Yield for each turn which cycle every stream solves, whether it is one of the recording, and if images are kept.
+    """Yield for each turn the cycle of every stream, whether this cycle is in the recording, and if images are kept.
 
-    A stream whose cycle is none of the recording is given any other; it counts for nothing.
+    A stream whose cycle is outside the recording gets another cycle; its image is not used.
     """
     length = -(-cycles // streams)
     starts = np.arange(streams) * length

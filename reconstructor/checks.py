@@ -1,4 +1,4 @@
-"""What bases and solvers ask of their input, before they compute: one line for each thing that is wrong."""
+"""Checks of the input of bases and solvers."""
 
 import math
 from typing import Any, Final
@@ -11,20 +11,20 @@ from skin.measurement import Sbhe
 
 Values = npt.NDArray[np.floating[Any]]
 
-#: No sum of a skin is larger, newtons; beyond it float32 would overflow inside a solver.
+#: Largest sum, newtons: far above any skin; larger sums would overflow float32 inside a solver.
 LARGEST_N: Final = 1e6
-#: More would be a slip: a second for one small image, where twenty iterations serve.
+#: Upper limit of iterations, to catch typing errors: a second for a small image; twenty iterations are usual.
 MOST_ITERATIONS: Final = 100_000
 _KINDS: Final = (np.dtype(np.float32), np.dtype(np.float64))
 
 
 def float_kind(dtype: npt.DTypeLike) -> np.dtype[Any]:
-    """Return a dtype as NumPy's.
+    """Return a dtype as NumPy dtype.
 
     Raises
     ------
     InputError
-        If it is neither float32 nor float64.
+        If the dtype is neither float32 nor float64.
     """
     try:
         kind = np.dtype(dtype)
@@ -36,7 +36,7 @@ def float_kind(dtype: npt.DTypeLike) -> np.dtype[Any]:
 
 
 def is_whole(value: object) -> bool:
-    """Return whether a number is a whole one by its type, not only by its value."""
+    """Tell whether a number has an integer type."""
     return isinstance(value, int | np.integer)
 
 
@@ -49,12 +49,12 @@ def check_values(name: str, values: Any, shape: tuple[int, ...]) -> None:
 
 
 def placed(name: str, values: Any, shape: tuple[int, ...], kind: np.dtype[Any]) -> Values:
-    """Return an array as compiled solvers read it: contiguous, which most are already.
+    """Return a contiguous array for a compiled solver.
 
     Raises
     ------
     InputError
-        If it is of another shape or dtype.
+        If the array has another shape or dtype.
     """
     if not isinstance(values, np.ndarray) or values.dtype != kind or values.shape != shape:
         raise InputError(f"{name}: expected an array of {kind} of shape {shape}, got {_seen(values)}")
@@ -62,7 +62,7 @@ def placed(name: str, values: Any, shape: tuple[int, ...], kind: np.dtype[Any]) 
 
 
 def check_estimate(values: Any, shape: tuple[int, ...], kind: np.dtype[Any]) -> None:
-    """Raise InputError unless a compiled solver can improve an estimate where it stands."""
+    """Raise InputError unless a compiled solver can change an estimate in place."""
     if placed("estimate", values, shape, kind) is not values or not values.flags.writeable:
         raise InputError("estimate: expected contiguous, writeable memory, as `new_estimate` returns")
 
@@ -81,7 +81,7 @@ def check_sbhe(phi: object) -> None:
 
 
 def check_grid_of(phi: Sbhe, rows: int, columns: int) -> None:
-    """Raise InputError unless Φ is an SBHE and the grid that of its taxels, with sides that are powers of two."""
+    """Raise InputError unless Φ is an SBHE of rows x columns taxels, both powers of two."""
     check_sbhe(phi)
     count = phi.order.size
     if rows * columns != count:
@@ -90,7 +90,7 @@ def check_grid_of(phi: Sbhe, rows: int, columns: int) -> None:
 
 
 def check_iterations(iterations: int) -> None:
-    """Raise InputError unless there are 1 to `MOST_ITERATIONS`."""
+    """Raise InputError unless `iterations` is 1 to `MOST_ITERATIONS`."""
     if not is_whole(iterations) or iterations < 1:
         raise InputError(f"expected at least 1 iteration, got {iterations}")
     if iterations > MOST_ITERATIONS:
@@ -110,7 +110,7 @@ def check_above_zero(name: str, value: float) -> None:
 
 
 def check_settings(iterations: int, penalty_n: float, lipschitz_ratio: float) -> None:
-    """Raise InputError unless FISTA can run with these."""
+    """Raise InputError unless FISTA converges with these settings."""
     check_iterations(iterations)
     check_penalty(penalty_n)
     if not 1 <= lipschitz_ratio < math.inf:
@@ -118,7 +118,7 @@ def check_settings(iterations: int, penalty_n: float, lipschitz_ratio: float) ->
 
 
 def _seen(values: Any) -> str:
-    """Say what came in place of the array that was expected."""
+    """Return the type, or dtype and shape, of a wrong value as text."""
     if not isinstance(values, np.ndarray):
         return type(values).__name__
     return f"{values.dtype} of shape {values.shape}"

@@ -1,8 +1,8 @@
 """The bias of a sensor that clips its noise at zero, and its correction.
 
-An idle taxel with noise N(0, σ²) reads max(0, noise), on average σ / √(2π), and no average over time removes that. A
-taxel under force x reads m(x) = x Φ(x / σ) + σ φ(x / σ) on average; where σ is known, m⁻¹ undoes it. The correction is
-for images whose noise is averaged away: on a single noisy one it is nearly a dead zone below σ / √(2π).
+An untouched taxel with noise N(0, σ²) reads max(0, noise), with mean σ / √(2π); averaging over time does not remove
+this bias. A taxel under force x reads m(x) = x Φ(x / σ) + σ φ(x / σ) on average. With known σ, m⁻¹ removes the bias.
+The correction is for images with averaged noise; on a single noisy image it acts like a dead zone below σ / √(2π).
 """
 
 import math
@@ -42,7 +42,7 @@ class ClipCorrection:
         self._mean = mean * noise_n
 
     def mean_of(self, force_n: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return m(x), what taxels under `force_n` newtons read on average."""
+        """Return m(x), the mean reading of taxels under `force_n` newtons."""
         force = np.asarray(force_n, np.float64)
         return np.where(force < self._force[-1], np.interp(force, self._force, self._mean), force)
 

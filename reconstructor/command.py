@@ -11,7 +11,7 @@ from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import load_layout
 from skin.service import StopSignal, say
 
-#: A start that takes longer says why.
+#: A start that takes longer logs the reason.
 SILENT_S: Final = 4.0
 
 
@@ -28,9 +28,9 @@ def reconstruct(
     layout
         TOML of the skin; without it the default skin.
     connect
-        Endpoint of the fabric's hub, the gateway.
+        Endpoint of the fabric's hub, usually the gateway.
     solver
-        What makes the images.
+        Solver of the images.
 
     Examples
     --------

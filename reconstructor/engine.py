@@ -1,4 +1,4 @@
-"""`Reconstructor`: one tactile image per cycle, from its sums and what earlier cycles said."""
+"""`Reconstructor`: one tactile image per cycle, from the sums of this and of earlier cycles."""
 
 from typing import Any, Final
 
@@ -12,9 +12,9 @@ from reconstructor.temporal_filter import TemporalFilter
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
-#: Noise of one sum of 32 idle taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.
+#: Noise of one sum of 32 untouched taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.
 SUM_NOISE_N: Final = 0.0033
-#: Bounds of the λ that follows the noise, relative to `penalty_n`; without any, ten iterations fill no gaps.
+#: Bounds of the scaled λ / `penalty_n`; with a smaller λ, ten iterations would not fill missing blocks.
 LEAST_PENALTY: Final = 0.03
 MOST_PENALTY: Final = 10.0
 
@@ -22,16 +22,16 @@ MOST_PENALTY: Final = 10.0
 class Reconstructor:
     """The solver of the service.
 
-    Every call starts from the previous image. A start from an image that no longer fits would leave its ghost in
-    the null space of Φ, so the start is first scaled by how well it explains the sums (`scaled_start`): all of it
-    while a touch moves slowly, nothing of it when another touch has taken its place.
+    Every call starts from the previous image. Parts of an old image in the null space of Φ would stay, so the start is
+    first scaled by its agreement with the sums (`scaled_start`): by 1 while a touch moves slowly, by 0 when another
+    touch has replaced it.
 
-    With `temporal_filter`, sums are averaged over cycles with the gain of `TemporalFilter`, and λ follows their noise:
-    `penalty_n` is then that for sums with a noise of `SUM_NOISE_N` that are not averaged.
+    With `temporal_filter`, sums are averaged over cycles with the gain of `TemporalFilter`, and λ is scaled with their
+    noise; λ = `penalty_n` for sums of one cycle with a noise of `SUM_NOISE_N`.
 
-    The taxels of a block whose sums do not come are not measured: within a few cycles, one or two while the touch
-    moves, they show what the measured taxels around them make likely, somewhat too little, and nothing of the past
-    stays frozen there. Without any valid sum the image is zero and the past is forgotten.
+    The taxels of a missing block are estimated from the taxels around them, somewhat too low. Old values vanish within
+    a few cycles, within one or two while the touch moves. Without any valid sum the image is zero, and past sums and
+    images are dropped.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Reconstructor:
         The grid, powers of two from 8 to 256.
     settings : SolverSettings
     noise_n : float, optional
-        Standard deviation of the noise of a sensor that clips at 0; with it the bias of clipping is corrected.
+        Standard deviation of the noise of a sensor that clips at 0, to correct the bias of clipping.
     dtype : float32 or float64
         Of all arithmetic.
 
@@ -80,7 +80,7 @@ class Reconstructor:
         Parameters
         ----------
         sums_n : array, shape (m,)
-            Newtons; what stands where a sum is not valid has no effect.
+            Newtons; values of sums that are not valid have no effect.
         valid_sums : array of bool, shape (m,)
 
         Returns
@@ -91,7 +91,7 @@ class Reconstructor:
         Raises
         ------
         InputError
-            If the shapes differ from Φ's, a dtype is of another kind, or a valid sum is not finite or above 1e6 N.
+            If a shape or dtype does not fit, or a valid sum is not finite or above 1e6 N.
         """
         filtered, kernel = self._filter, self._kernel
         for each in (sums_n, valid_sums):
@@ -106,7 +106,7 @@ class Reconstructor:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
         if not self._settings.temporal_filter:
             filtered.reset()
-        with np.errstate(over="ignore"):  # what stands where a sum is not valid has no effect
+        with np.errstate(over="ignore"):  # invalid sums may hold any value
             taken = filtered.take(np.ascontiguousarray(sums_n, kernel.dtype), np.ascontiguousarray(valid_sums))
         if not taken:
             raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
@@ -118,7 +118,7 @@ class Reconstructor:
         return image if self._correct is None else self._correct(image)
 
     def _relative_penalty(self) -> float:
-        """Return by how much λ is to be scaled: with the noise that is seen, and with what is left of it."""
+        """Return the factor of λ: proportional to the noise of the averaged sums."""
         if not self._settings.temporal_filter:
             return 1.0
         noise_n = self._filter.noise_n
@@ -126,18 +126,18 @@ class Reconstructor:
         return seen * self._filter.noise_ratio
 
     def reset(self) -> None:
-        """Forget the previous images and sums."""
+        """Drop previous images and sums."""
         self._estimate[:] = 0
         self._kernel.reset()
         self._filter.reset()
 
     def restart(self) -> None:
-        """Forget everything, as after construction."""
+        """Return to the state after construction."""
         self.reset()
         self._filter.restart()
 
     def warm_up(self) -> None:
-        """Compile, or load what was compiled before, so that the first cycle is as fast as the others."""
+        """Compile the solver, or load the compiled solver, so that the first cycle is as fast as the others."""
         valid = np.ones(self._filter.sums.size, np.bool_)
         for _ in range(2):
             self.solve(np.zeros_like(self._filter.sums), valid)

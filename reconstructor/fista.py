@@ -1,12 +1,12 @@
-"""FISTA for any Φ and Ψ, plainly written: the reference that the compiled kernel must equal.
+"""FISTA for any Φ and Ψ in plain NumPy: the reference of the compiled solvers.
 
     min over s of  ½‖ΦΨs - y‖² + λ‖s‖₁,   x = Ψs
 
 after Beck and Teboulle 2009: with the factor ½, steps of 1 / L and a threshold of λ / L. With Φ of ±1 and forces in
 newtons, λ is in newtons. L must be at least the largest eigenvalue of (ΦΨ)ᵀΦΨ: `Operator.norm_squared` exactly for an
-orthonormal Ψ, `largest_eigenvalue` for any other. The paper takes twice that, which is the L of the objective without
-the factor ½; its tables come out with the printed λ = 1 for noiselets in this convention, with λ = 0.01 for an SBHE
-(the printed λ is 0.1), and with the momentum started anew in every time step.
+orthonormal Ψ, `largest_eigenvalue` for any other. The paper takes twice this value, the L of the objective without the
+factor ½. In this convention the paper's tables follow with the printed λ = 1 for noiselets, with λ = 0.01 for an SBHE
+(the printed λ is 0.1), and with the momentum reset in every time step.
 """
 
 from collections.abc import Callable
@@ -57,9 +57,9 @@ def fista(
     lipschitz : float
         L, at least the largest eigenvalue of (ΦΨ)ᵀΦΨ.
     start : array, shape psi.shape
-        Coefficients to start from, zeros without; the previous cycle's for a warm start.
+        Coefficients to start from, default zeros; for a warm start those of the previous cycle.
     observe : callable
-        Sees every estimate; must not change it.
+        Called with every estimate, which it must not change.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def fista_image(
 ) -> Values:
     """Return the image x, shape (rows, columns), with `proximal` in place of the shrinkage of coefficients.
 
-    The same iteration as `fista` when `proximal` shrinks the coefficients of one orthonormal Ψ; raises as it does.
+    Equal to `fista` if `proximal` shrinks the coefficients of one orthonormal Ψ; raises the same errors.
     """
     check_values("sums", sums_n, phi.shape[:1])
     check_values("start", start, np.shape(start))
@@ -142,8 +142,8 @@ def _accelerated(
 def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) -> float:
     """Return the largest eigenvalue of (ΦΨ)ᵀΦΨ, from above by `relative_error` (Lanczos).
 
-    The same as that of ΦΨΨᵀΦᵀ, which is smaller. Rows left out of Φ can only lower it, so that it is a valid L for
-    every mask.
+    Computed from ΦΨΨᵀΦᵀ, a smaller matrix with the same eigenvalue. Leaving out rows of Φ never increases the
+    eigenvalue, so it is a valid L for every mask.
 
     Raises
     ------
@@ -167,14 +167,14 @@ def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) 
 
 
 def check_sizes(phi: Operator, psi: Basis) -> None:
-    """Raise InputError unless Ψ's image has as many pixels as Φ has taxels."""
+    """Raise InputError unless the image of Ψ has as many pixels as Φ has taxels."""
     pixels = psi.image_shape[0] * psi.image_shape[1]
     if pixels != phi.shape[1]:
         raise InputError(f"Φ measures {phi.shape[1]} taxels but the image of Ψ has {pixels}")
 
 
 def check_problem(phi: Operator, psi: Basis, sums_n: Values, start: Values | None) -> Values:
-    """Return the coefficients to start from, zeros without `start`.
+    """Return the coefficients to start from, by default zeros.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a verb names a solver: the options that ``skin reconstruct`` and ``skin rebuild`` share."""
+"""Options of the solver, common to ``skin reconstruct`` and ``skin rebuild``."""
 
 from dataclasses import dataclass, replace
 
@@ -10,20 +10,20 @@ from reconstructor.settings import SolverSettings, preset
 @Parameter(name="*")
 @dataclass(frozen=True)
 class SolverOptions:
-    """Which solver makes the images.
+    """Choice of the solver.
 
     Parameters
     ----------
     solver : str
-        ``live``: total variation and non-negative forces on sums averaged as far as the motion allows.
-        ``variation``: the same on one cycle's sums alone. ``spun``: cycle-spun Haar wavelets. ``paper``: the paper's,
-        tensor Haar, L = 2B. ``paper-contourlet``: the paper's with contourlets.
+        ``live``: total variation, non-negative forces, sums averaged by the temporal filter. ``variation``: total
+        variation, non-negative forces, sums of one cycle. ``spun``: cycle-spun Haar wavelets. ``paper``: the paper's
+        solver, tensor Haar, L = 2B. ``paper-contourlet``: the paper's solver with contourlets.
     iterations : int
-        FISTA iterations per image; without it the solver's own.
+        FISTA iterations per image; default: those of the solver.
     penalty_n : float
-        λ in newtons; without it the solver's own.
+        λ in newtons; default: that of the solver.
     noise_n : float
-        Standard deviation of the sensor's noise in newtons, if it clips at 0: its bias is then corrected.
+        Standard deviation of the noise of a sensor that clips at 0, newtons; corrects the bias of clipping.
     """
 
     solver: str = "live"
@@ -32,12 +32,12 @@ class SolverOptions:
     noise_n: float | None = None
 
     def settings(self) -> SolverSettings:
-        """Return the settings of the solver, with what was given in place of its own.
+        """Return the settings of the solver, changed by the given options.
 
         Raises
         ------
         InputError
-            If there is no such solver, or a number is out of its range.
+            If the solver is unknown, or a number is out of its range.
         """
         chosen = preset(self.solver)
         return replace(

@@ -1,4 +1,4 @@
-"""Proximal steps: what FISTA does to an estimate between two gradient steps."""
+"""Proximal steps, which FISTA takes after each gradient step."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from reconstructor.checks import Values, check_iterations
 
 
 class Proximal(Protocol):
-    """Take an image, how far to shrink, and the number of the iteration, from 0; return a likelier image."""
+    """Proximal step of an image; arguments: image, threshold, number of the iteration from 0."""
 
     def __call__(self, image: Values, threshold_n: float, iteration: int) -> Values:
         """Return a new image of the same shape."""
@@ -27,9 +27,9 @@ def soft(values: Values, threshold: float) -> Values:
 class Shrinkage:
     """x ↦ Ψ soft(Ψᵀx) for an orthonormal Ψ, moved by one of `shifts` in each iteration.
 
-    With one shift this is the exact proximal step of λ‖Ψᵀx‖₁. With many (cycle spinning, Coifman and Donoho 1995)
-    the blocky pattern of a single Haar grid averages out. `nonnegative` then lifts negative taxels to 0; the two
-    together are no longer the proximal step of a sum, only two steps after each other.
+    With one shift this is the exact proximal step of λ‖Ψᵀx‖₁. With many shifts (cycle spinning, Coifman and Donoho
+    1995) the block pattern of the Haar grid averages out. `nonnegative` then sets negative taxels to 0; both steps
+    together are not the proximal step of a sum.
     """
 
     psi: Basis
@@ -48,8 +48,8 @@ class Shrinkage:
 class Variation:
     """x ↦ nearly argmin ½‖u - x‖² + τ Σ |u[i+1, j] - u[i, j]| + |u[i, j+1] - u[i, j]|, u ≥ `floor`.
 
-    `inner` projected gradient steps on the dual (Chambolle 2004), which starts where the last call ended; with many
-    steps this is the proximal step. u = max(floor, x - Dᵀp), p ← clip(p + D u / 8, ±τ).
+    `inner` projected gradient steps on the dual (Chambolle 2004), which starts from the dual of the last call. With
+    many steps this converges to the proximal step. u = max(floor, x - Dᵀp), p ← clip(p + D u / 8, ±τ).
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Variation:
     Raises
     ------
     InputError
-        Without a step.
+        If `inner` is below 1.
     """
 
     def __init__(self, shape: tuple[int, int], inner: int, *, nonnegative: bool = True) -> None:

@@ -13,17 +13,17 @@ from skin.measured_sums import MeasurementReader
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.service import StopSignal, be_punctual
 
-#: Measurements kept while one is being solved; with more the image would only be older.
+#: Measurements that wait during a solve; a longer queue would only make images older.
 MAILBOX_DEPTH: Final = 4
-#: How soon a stop is noticed when nothing comes.
+#: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1
 
 
 class ReconstructorService:
-    """Publishes an image for every measurement of this skin's Φ.
+    """Publishes an image for every measurement with this skin's Φ.
 
-    A measurement without any valid block gives an image of zeros with ``valid_sums`` 0, so that the page can tell
-    a silent skin from a silent reconstructor.
+    A measurement without valid blocks gives an image of zeros with ``valid_sums`` 0. So the page can distinguish a
+    silent skin from a silent reconstructor.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class ReconstructorService:
     Attributes
     ----------
     images : int
-        Images published.
+        Number of published images.
     """
 
     def __init__(self, layout: Layout, solver: Reconstructor, fabric: Fabric) -> None:
@@ -49,12 +49,12 @@ class ReconstructorService:
 
     @property
     def refused(self) -> int:
-        """Measurements that did not fit: their Φ or their sizes were not this skin's."""
+        """Number of measurements with another Φ or other sizes."""
         return self._reader.refused
 
     @property
     def overrun(self) -> int:
-        """Measurements dropped because newer ones came before they could be solved."""
+        """Number of measurements dropped because newer measurements came before their turn."""
         return self._mailbox.overrun
 
     def run(self, stop: StopSignal) -> None:

@@ -1,4 +1,4 @@
-"""The settings of a solver: names, defaults, ranges and presets, in one value that is passed whole."""
+"""The settings of a solver: defaults, ranges and presets."""
 
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
@@ -13,7 +13,7 @@ WAVELETS: Final = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor")
 
 @dataclass(frozen=True, kw_only=True)
 class SolverSettings:
-    """What a solver minimises, ½‖Φx - y‖² + λ R(x), and how.
+    """Settings of a solver of ½‖Φx - y‖² + λ R(x).
 
     Attributes
     ----------
@@ -24,14 +24,14 @@ class SolverSettings:
     penalty_n : float
         λ, newtons.
     lipschitz_ratio : float
-        L over the largest eigenvalue of the problem, at least 1. 1 is exact; the paper takes 2.
+        L / largest eigenvalue of the problem, at least 1; the paper takes 2.
     spins : int
-        Cycle spinning: the basis moves through this many shifts from iteration to iteration; 1 keeps the basis fixed.
+        Cycle spinning: number of shifts of the basis, another shift in each iteration; 1 keeps the basis fixed.
         Wavelets only.
     nonnegative : bool
-        Lift negative taxels to 0 in every iteration.
+        Set negative taxels to 0 in every iteration.
     scaled_start : bool
-        First scale each start by max(0, 2a - 1), where a is the factor, at most 1, that explains the sums best.
+        Scale each start by max(0, 2a - 1), with a = argmin ‖a Φ start - y‖, at most 1.
     temporal_filter : bool
         Average the sums over cycles before they are solved (`reconstructor.temporal_filter`), and scale λ with
         their noise. The solvers of single images leave this to `reconstructor.engine.Reconstructor`.
@@ -39,7 +39,7 @@ class SolverSettings:
     Raises
     ------
     InputError
-        If a value is unknown or out of its range, or the prior has no such option.
+        If a value is unknown or out of its range, or does not fit the prior.
     """
 
     prior: Prior
@@ -65,18 +65,18 @@ class SolverSettings:
             )
 
 
-#: Total variation on one cycle's sums alone.
+#: Total variation on the sums of one cycle.
 VARIATION: Final = SolverSettings(
     prior="variation", iterations=10, penalty_n=0.006, nonnegative=True, scaled_start=True
 )
 #: The default of the service: total variation on sums averaged over time.
 LIVE: Final = replace(VARIATION, temporal_filter=True)
-#: Cycle-spun Haar, non-negative inside the iteration, the exact step.
+#: Cycle-spun Haar, non-negative in every iteration, L exact.
 SPUN: Final = replace(VARIATION, prior="haar-pyramid", iterations=20, penalty_n=0.008, spins=16)
-#: The paper's: tensor Haar, L = 2B, 20 iterations, negative taxels set to 0 at the end alone. The printed λ = 0.1 does
-#: not give its tables; a tenth of it does, for Haar and for the contourlet alike.
+#: The paper's solver: tensor Haar, L = 2B, 20 iterations, negative taxels set to 0 at the end. The printed λ = 0.1 does
+#: not give the paper's tables; λ = 0.01 does, for Haar and for the contourlet.
 PAPER: Final = SolverSettings(prior="haar-tensor", iterations=20, penalty_n=0.01, lipschitz_ratio=2.0)
-#: The paper's with the contourlet.
+#: The paper's solver with the contourlet.
 PAPER_CONTOURLET: Final = replace(PAPER, prior="contourlet")
 
 PRESETS: Final[dict[str, SolverSettings]] = {
@@ -89,12 +89,12 @@ PRESETS: Final[dict[str, SolverSettings]] = {
 
 
 def preset(name: str) -> SolverSettings:
-    """Return the settings called `name`.
+    """Return the preset `name`.
 
     Raises
     ------
     InputError
-        If there are none.
+        If there is no such preset.
     """
     if name not in PRESETS:
         raise InputError(f"unknown solver '{name}': expected one of {', '.join(PRESETS)}")

@@ -1,4 +1,4 @@
-"""Solvers of one image after the other, and the choice between them."""
+"""The interface of the compiled solvers, and the choice of a solver."""
 
 from typing import Any, Protocol
 
@@ -13,7 +13,7 @@ from skin.measurement import Sbhe
 
 
 class ImageSolver(Protocol):
-    """Improves an estimate by the sums of one cycle: `FusedSolver`, `ContourletSolver`."""
+    """Solver of one cycle, from the estimate of the last: `FusedSolver`, `ContourletSolver`."""
 
     @property
     def sums(self) -> int:
@@ -27,7 +27,7 @@ class ImageSolver(Protocol):
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of sums and estimates."""
+        """Dtype of sums and estimates."""
         ...
 
     def new_estimate(self) -> Values:
@@ -35,7 +35,7 @@ class ImageSolver(Protocol):
         ...
 
     def reset(self) -> None:
-        """Forget what is kept besides the estimate."""
+        """Reset the state of the solver; the estimate is no part of this state."""
         ...
 
     def solve(self, estimate: Values, sums_n: Values, weights: Values) -> int:

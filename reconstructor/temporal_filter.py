@@ -1,15 +1,15 @@
 """The temporal filter: sums averaged over cycles, with a gain that follows the motion.
 
-ȳ ← ȳ + g (y - ȳ) averages noise away, and lags behind motion. The gain g is adapted to the innovations y - ȳ alone; the
-sensor's noise need not be known:
+ȳ ← ȳ + g (y - ȳ) reduces noise, but lags behind motion. The gain g is adapted from the innovations y - ȳ; the sensor's
+noise need not be known:
 
-* While the touch moves, ȳ lags, and each innovation resembles the one before. While the touch rests, successive
-  innovations differ. The gain rises and falls with the correlation of successive innovations over all sums, the test
-  by which Mehra (1970) adapts a Kalman filter.
-* A sudden change makes the innovation larger than the noise floor explains. Then the gain goes to 1 at once.
+* While the touch moves, ȳ lags, and successive innovations are correlated. While the touch rests, they are not. The
+gain
+  rises and falls with the correlation of successive innovations over all sums, as Mehra (1970) adapts a Kalman filter.
+* A sudden change makes the innovation much larger than the noise floor. Then the gain goes to 1 at once.
 
-A missing sum keeps its average, with a weight that is multiplied by 1 - g in each cycle: while the touch moves, nothing
-of the past stays.
+A missing sum keeps its average; its weight is multiplied by 1 - g in each cycle. So old sums vanish quickly while the
+touch moves.
 """
 
 import numpy as np
@@ -41,7 +41,7 @@ class TemporalFilter:
 
     @property
     def weights(self) -> Values:
-        """How much each sum counts, 0 to 1, shape (m,); a view."""
+        """Weight of each sum, 0 to 1, shape (m,); a view."""
         return self._filtered.weights
 
     @property
@@ -51,26 +51,26 @@ class TemporalFilter:
 
     @property
     def noise_ratio(self) -> float:
-        """Standard deviation of ȳ over that of y, √(g / (2 - g))."""
+        """Noise of ȳ / noise of y (standard deviations), √(g / (2 - g))."""
         return float((self.gain / (2 - self.gain)) ** 0.5)
 
     @property
     def noise_n(self) -> float:
-        """Standard deviation of the noise of one cycle's sums: the root of the noise floor, 0 while unknown."""
+        """Standard deviation of the noise of the sums of one cycle: root of the noise floor, 0 while unknown."""
         return float(self._filtered.state[FLOOR] ** 0.5)
 
     def take(self, sums_n: Values, valid: npt.NDArray[np.bool_]) -> bool:
-        """Take in one cycle, arrays of shape (m,); False, and nothing changes, if a valid sum is not finite newtons."""
+        """Process one cycle, arrays of shape (m,); return False, without a change, if a valid sum is not finite."""
         return bool(update(self._filtered, sums_n, valid))
 
     def reset(self) -> None:
-        """Forget every sum; the noise floor is kept, for the sensor is the same."""
+        """Drop all sums; keep the noise floor, because the sensor is the same."""
         for each in (self._filtered.sums, self._filtered.weights, self._filtered.innovation):
             each[:] = 0
         state = self._filtered.state
         state[CORRELATION_GAIN] = state[GAIN] = 1.0
 
     def restart(self) -> None:
-        """Forget everything, as after construction."""
+        """Return to the state after construction."""
         self.reset()
         self._filtered.state[FLOOR] = 0.0

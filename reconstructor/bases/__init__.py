@@ -10,7 +10,7 @@ from reconstructor.bases.pyramid import Pyramid, daubechies4_pyramid, haar_pyram
 from reconstructor.bases.separable import Separable, daubechies4_tensor, haar_tensor
 from skin.errors import InputError
 
-#: Every basis by name; "tensor" is the form of the paper's tables, "pyramid" Mallat's.
+#: Every basis by name; "tensor" is the form of the paper's tables, "pyramid" that of Mallat.
 BASES: Final[dict[str, Callable[[int, int], Basis]]] = {
     "haar-tensor": haar_tensor,
     "haar-pyramid": haar_pyramid,
@@ -22,7 +22,7 @@ BASES: Final[dict[str, Callable[[int, int], Basis]]] = {
 
 
 def make_basis(name: str, rows: int, columns: int) -> Basis:
-    """Return the basis called `name` for a grid.
+    """Return the basis `name` for a grid.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What every basis can do."""
+"""The interface of all bases."""
 
 from typing import Any, Protocol
 
@@ -10,8 +10,8 @@ from reconstructor.checks import Values
 class Basis(Protocol):
     """Ψ of images of `image_shape`; `shape` is that of its coefficients, equal for an orthonormal Ψ.
 
-    Both directions take finite float32 or float64 of just that shape and keep the dtype; they raise InputError for
-    anything else.
+    Both directions take finite float32 or float64 of the right shape, keep the dtype, and raise InputError for any
+    other input.
     """
 
     @property
@@ -26,7 +26,7 @@ class Basis(Protocol):
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of the entries of Ψ."""
+        """Dtype of the entries of Ψ."""
         ...
 
     def forward(self, image: Values) -> Values:

@@ -17,7 +17,7 @@ class Contourlet:
         analysis    c = D x Dᵀ,  s = (c, F(x - U c Uᵀ))
         synthesis   d = F⁻¹s_d,  x = d + U (c - D d Dᵀ) Uᵀ
 
-    Coefficients stand in the order of the toolbox's ``pdfbdec`` with nlevs = [5]: the low-pass image, then 16 bands of
+    Coefficients are in the order of the toolbox's ``pdfbdec`` with nlevs = [5]: the low-pass image, then 16 bands of
     (rows / 16, columns / 2), then 16 of (rows / 2, columns / 16), each row by row. Ψ is neither tight nor orthogonal:
     `forward` is its transpose, as FISTA needs it, and `analyse` a left inverse, as images need it.
 

@@ -1,9 +1,9 @@
-"""Where every sample goes in the directional filter bank of the contourlet (Bamberger and Smith; Do and Vetterli 2005).
+"""Permutations of the contourlet's directional filter bank (Bamberger and Smith; Do and Vetterli 2005).
 
-A level of the bank parts every band into two polyphase components and sends them through the ladder of Phoong, Kim,
-Vaidyanathan and Ansari (1995). The parting - shears, every second row or column, shears - only moves samples, so that
-the bank is a chain: permutation, ladder, permutation, ladder, …, permutation. This module makes the permutations;
-positions follow the MATLAB contourlet toolbox, with all indices modulo the size.
+A level of the bank splits every band into two polyphase components and filters them with the ladder of Phoong, Kim,
+Vaidyanathan and Ansari (1995). The split (shears, every second row or column, shears) only moves samples. So the bank
+is a chain: permutation, ladder, permutation, ladder, …, permutation. This module computes the permutations. Positions
+follow the MATLAB contourlet toolbox, with all indices modulo the size.
 """
 
 from typing import NamedTuple
@@ -22,9 +22,9 @@ class Level(NamedTuple):
     gather : shape (n,)
         The first half are the components p0 of all bands, the second half p1.
     bands, rows, columns : int
-        Each half is an array (bands, rows, columns); bands that are tall in the image are kept lying down.
+        Each half is an array (bands, rows, columns); tall bands are stored transposed.
     quincunx : bool
-        True on the first level, where leaving at the top or bottom enters half the width aside.
+        True on the first level: samples that leave at the top or bottom enter shifted by half the width.
     """
 
     gather: Indices

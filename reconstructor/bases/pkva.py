@@ -1,4 +1,4 @@
-"""The filters of the contourlet, all from 'pkva': those of its ladder, and the pair of its Laplacian pyramid.
+"""The filters of the contourlet, all from 'pkva': ladder filters, and filter pair of the Laplacian pyramid.
 
 PyWavelets has none of them.
 """
@@ -47,7 +47,7 @@ def fan(images: Values, *, quincunx: bool, mirrored: bool) -> Values:
     Parameters
     ----------
     quincunx : bool
-        Samples that leave at the top or bottom enter half the width aside.
+        Samples that leave at the top or bottom enter shifted by half the width.
     mirrored : bool
         With the filter turned by 180°: the adjoint.
     """

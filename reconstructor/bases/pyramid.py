@@ -1,4 +1,4 @@
-"""The wavelet pyramid (Mallat): rows and columns are halved together, and only the low quadrant goes on."""
+"""The wavelet pyramid (Mallat): each level transforms rows and columns of the low quadrant of the level before."""
 
 import numpy as np
 import pywt

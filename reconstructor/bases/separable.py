@@ -82,7 +82,7 @@ def daubechies4_tensor(rows: int, columns: int) -> Separable:
 
 
 def wavelet_step(wavelet: pywt.Wavelet, size: int) -> Matrix:
-    """Return one level of an orthogonal wavelet, shape (size, size), low half above high half; the taps wrap round.
+    """Return one level of an orthogonal wavelet, shape (size, size), low half above high half, periodic.
 
     PyWavelets' periodic transform starts half a filter before sample 2k; the phase here is that of `wavelet_tensor`.
     """
@@ -91,7 +91,7 @@ def wavelet_step(wavelet: pywt.Wavelet, size: int) -> Matrix:
 
 
 def _all_levels(size: int, wavelet: pywt.Wavelet) -> Matrix:
-    """Apply one level to the low half again and again until one value is left."""
+    """Apply levels to the low half until one value is left."""
     transform = np.eye(size)
     length = size
     while length > 1:
