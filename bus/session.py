@@ -17,7 +17,7 @@ BACKLOG_FRAMES: Final = 16384
 
 
 class Batch:
-    """What ended on a bus at once, with the form that most stations get made only once.
+    """Records that ended on the bus together; the packet for most stations is made once.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""The solver as one compiled loop: SBHE and Haar, in place, without a temporary."""
+"""Compiled solvers: FISTA for an SBHE with wavelets, total variation or contourlets, in place."""

@@ -1,8 +1,8 @@
-"""In which order the kernel keeps a tactile image.
+"""The order of the pixels of a tactile image in the compiled solvers.
 
-A level of a Haar transform pairs even with odd pixels. When the lowest bit of a pixel's index becomes the highest bit
-of its address, those pairs lie half an array apart and every level is a loop over contiguous memory; nothing is ever
-de-interleaved. The reordering costs nothing, for the taxels pass through the permutation of Φ anyway.
+A level of a Haar transform combines even and odd pixels. When the lowest bit of a pixel's index becomes the highest bit
+of its address, these pixels are half an array apart, and every level is a loop over contiguous memory. The reordering
+needs no extra time, because the taxels go through the permutation of Φ in any case.
 """
 
 import numpy as np
@@ -19,14 +19,15 @@ def pyramid_levels(rows: int, columns: int) -> int:
 def pyramid_addresses(rows: int, columns: int) -> Indices:
     """Return each pixel's address for the pyramid, shape (rows, columns), a permutation of 0 … n-1.
 
-    The address bits are, highest first, ``i0 j0 i1 j1 …`` of row i and column j, then what is left of the longer side.
+    The address bits are, highest first, ``i0 j0 i1 j1 …`` of row i and column j, then the other bits of the longer
+    side.
     """
     row, column = np.indices((rows, columns))
     address = np.zeros((rows, columns), np.intp)
     for level in range(pyramid_levels(rows, columns)):
         address = 4 * address + 2 * (row >> level & 1) + (column >> level & 1)
     levels = pyramid_levels(rows, columns)
-    rest = (row >> levels) + (column >> levels)  # one of them is 0
+    rest = (row >> levels) + (column >> levels)  # one of the two terms is 0
     return address * (max(rows, columns) >> levels) + rest
 
 
@@ -46,9 +47,9 @@ def shifted(addresses: Indices, shift: tuple[int, int]) -> Indices:
 
 
 def spin_shifts(count: int, rows: int, columns: int) -> list[tuple[int, int]]:
-    """Return `count` different shifts, starting with (0, 0), spread evenly however few follow each other.
+    """Return `count` different shifts, beginning with (0, 0); any few consecutive shifts are evenly spread.
 
-    The points of a Hammersley-like set on an 8 x 8 grid: longer moves would only exchange coarse coefficients.
+    The points of a Hammersley-like set on an 8 x 8 grid. Longer shifts would change coarse coefficients only.
     """
     side = min(8, rows, columns)
     backwards = _reversed_bits(side)

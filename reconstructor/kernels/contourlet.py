@@ -119,7 +119,7 @@ class ContourletSolver:
     rows, columns : int
         Equal, a power of two, 16 to 256.
     settings : SolverSettings
-        Of the prior "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed.
+        With the prior "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed.
     dtype : float32 or float64
 
     Raises
@@ -168,7 +168,7 @@ class ContourletSolver:
         return aligned(self._order.size, self.dtype)
 
     def solve(self, estimate: Values, sums_n: Values, weights: Values, *, relative_penalty: float = 1.0) -> int:
-        """Improve `estimate` in place and return how many sums count; raises as `FusedSolver.solve` does."""
+        """Solve in place from `estimate` and return the number of sums used; raises like `FusedSolver.solve`."""
         check_estimate(estimate, self._order.shape, self.dtype)
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
         check_penalty_ratio(relative_penalty)
@@ -176,7 +176,7 @@ class ContourletSolver:
         return int(_solve(estimate, sums, counting, self._problem, self._tables, self._scratch, self._buffers))
 
     def reset(self) -> None:
-        """Forget what is kept from solve to solve besides the estimate: nothing."""
+        """Do nothing: this solver has no state besides the estimate."""
 
     def coefficients_of(self, estimate: Values) -> Values:
         """Return an estimate in the toolbox's order."""

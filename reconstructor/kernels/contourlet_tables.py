@@ -1,10 +1,10 @@
-"""Tables for the compiled contourlet: in which order its samples are kept.
+"""Tables for the compiled contourlet: the order of its samples in memory.
 
-A filter along one direction is one loop over contiguous memory when that direction is the slowest to change: sample
-t steps further lies t rows further. So of the two halves of every level the first is kept as (columns, rows, bands)
-and the second as (rows, bands, columns); each ladder step filters in the order it finds, transposes, and filters the
-other direction. The permutations between the levels take all of this up for nothing, and the image itself has its even
-rows and columns before the odd ones, as the pyramid's filters want it.
+A filter along one direction is a loop over contiguous memory if this direction changes slowest: a step of t samples is
+then a step of t rows. Therefore the first half of every level is stored as (columns, rows, bands) and the second as
+(rows, bands, columns). Each ladder step filters one direction, transposes, and filters the other direction. The
+permutations between the levels include these orders at no extra cost. The image has its even rows and columns before
+the odd ones, as the filters of the pyramid need.
 """
 
 from typing import Any, Final, NamedTuple
@@ -29,7 +29,7 @@ class Phases(NamedTuple):
     ----------
     even, odd : shape (taps,)
     before : shape (2,)
-        Samples before the one in the middle, of each.
+        Number of samples before the middle sample, of even and odd taps.
     """
 
     even: Flat
@@ -43,18 +43,18 @@ class ContourletTables(NamedTuple):
     Attributes
     ----------
     low, high : Phases
-        The pyramid's filters down and up.
+        The pyramid's filters for analysis and synthesis.
     gathers, returns : shape (levels, n)
         Permutations before each level's ladder, and their inverses.
     turns : shape (levels, 2, n / 2)
-        From the first half's order to the second's, and back.
+        Permutations from the order of the first half to that of the second, and back.
     flips : shape (2, n / 2)
         Transposes of (rows / 2, columns) and of (columns, rows / 2).
     geometry : shape (levels, 4)
         Bands, rows, columns, and taps along the rows' direction.
     across : shape (12,)
     along : shape (levels, 2, 12)
-        Taps of F and of its transpose, folded where a band has fewer rows than 12.
+        Taps of F and of its transpose, folded for bands with fewer than 12 rows.
     size : int
         Rows of the image.
     """
@@ -105,13 +105,13 @@ def make_tables(psi: Contourlet, dtype: np.dtype[Any]) -> ContourletTables:
 
 
 def image_order(size: int) -> npt.NDArray[np.intp]:
-    """Return for each place of the kept image which pixel of the rows is there: even rows and columns first."""
+    """Return the row-major pixel at each place of the stored image: even rows and columns first."""
     split = np.concatenate((np.arange(0, size, 2), np.arange(1, size, 2)))
     return (split[:, None] * size + split[None, :]).ravel()
 
 
 def coefficient_order(psi: Contourlet) -> npt.NDArray[np.intp]:
-    """Return for each of the toolbox's coefficients where it is kept; the coarse image is kept transposed."""
+    """Return the place of each of the toolbox's coefficients; the coarse image is stored transposed."""
     coarse = np.arange(psi.order.size // 4).reshape(psi.image_shape[0] // 2, -1).T.ravel()
     return np.concatenate((coarse, coarse.size + _places(psi.levels[-1])[psi.order]))
 
@@ -128,7 +128,7 @@ def make_buffers(tables: ContourletTables, dtype: np.dtype[Any]) -> ContourletBu
 
 
 def _places(level: Level) -> npt.NDArray[np.intp]:
-    """Return where the sample at each place of the plain order (half, bands, rows, columns) is kept."""
+    """Return the place of each sample of the order (half, bands, rows, columns)."""
     bands, rows, columns = level.bands, level.rows, level.columns
     k, i, j = np.indices((bands, rows, columns))
     first = (j * rows + i) * bands + k
@@ -157,7 +157,7 @@ def _folded(level: Level, before: int) -> Taps:
 
 
 def _phases(row: Taps, dtype: np.dtype[Any]) -> Phases:
-    """Part a row of a periodic filter's matrix, whose middle is sample 0, into its even and odd samples."""
+    """Split a row of a periodic filter's matrix, with sample 0 in the middle, into even and odd samples."""
     size = row.size
     made, before = [], []
     for samples in (row[::2], row[1::2]):

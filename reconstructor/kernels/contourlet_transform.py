@@ -11,7 +11,7 @@ from reconstructor.kernels.contourlet_tables import ContourletBuffers, Contourle
 from reconstructor.kernels.steps import gather
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 
-# Compiled functions take no keywords, hence the arguments by position.
+# Compiled functions take no keyword arguments.
 
 ROOT_TWO: Final = 2**0.5
 
@@ -105,14 +105,14 @@ def _copy(target: Flat, source: Flat) -> None:
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _wrap(target: Flat, source: Flat, size: int, rows: int, before: int, count: int) -> None:  # noqa: PLR0917
-    """Copy `rows` rows of `size`, with `before` of the last ahead and enough of the first behind for `count` taps."""
+    """Copy `rows` rows of `size`, periodically extended by `before` rows ahead and behind for `count` taps."""
     _copy(target[before * size : (before + rows) * size], source)
     _wrap_rows(target, rows, size, before, count, False)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _wrap_rows(long: Flat, rows: int, size: int, above: int, count: int, quincunx: bool) -> None:  # noqa: PLR0917
-    """Fill what is above and below the rows in the middle; in a quincunx it enters half the width aside."""
+    """Fill the rows above and below the middle periodically; in a quincunx shifted by half the width."""
     end, below = above + rows, count - 1 - above
     if not quincunx and above <= rows and below <= rows:
         _copy(long[: above * size], long[rows * size :])
@@ -159,7 +159,7 @@ def _coarsen(coarse: Flat, image: Flat, phases: Phases, tables: ContourletTables
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _refine(image: Flat, coarse: Flat, phases: Phases, tables: ContourletTables, buffers: ContourletBuffers) -> None:
-    """Double columns and filter, then rows, of a transposed coarse image."""
+    """Upsample and filter the columns, then the rows, of a transposed coarse image."""
     size = tables.size
     made = buffers.other[: size * size // 2]
     _double(made, coarse, phases, size // 2, buffers)
@@ -170,7 +170,7 @@ def _refine(image: Flat, coarse: Flat, phases: Phases, tables: ContourletTables,
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _halve(target: Flat, source: Flat, phases: Phases, width: int, buffers: ContourletBuffers) -> None:
-    """Set target[i] = Σ even[k] source[2i + 2k] + Σ odd[k] source[2i + 2k + 1], rows of `width`, even ones first."""
+    """Set target[i] = Σ even[k] source[2i + 2k] + Σ odd[k] source[2i + 2k + 1]; rows of `width`, even rows first."""
     half = target.size
     rows = half // width
     _wrap(buffers.long, source[:half], width, rows, phases.before[0], phases.even.size)
@@ -184,7 +184,7 @@ def _halve(target: Flat, source: Flat, phases: Phases, width: int, buffers: Cont
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _double(target: Flat, source: Flat, phases: Phases, width: int, buffers: ContourletBuffers) -> None:
-    """Undo the halving's counts, not its filters: the transpose of `_halve`, by the symmetry of the taps."""
+    """Apply the transpose of `_halve`, by the symmetry of the taps."""
     half = source.size
     rows = half // width
     _wrap(buffers.long, source, width, rows, phases.before[0], phases.even.size)

@@ -1,7 +1,7 @@
 """FISTA for SBHE and D4, tensor or pyramid, as one compiled function.
 
-Every level runs down the columns, so that whole rows are added; between the directions the image is transposed. What
-a level leaves low stands first, contiguously, and is all the next level touches.
+Every level transforms the columns, so that whole rows are added; between the directions the image is transposed. The
+low half of a level is first and contiguous; the next level uses this half only.
 """
 
 from typing import Any, Final
@@ -17,7 +17,7 @@ SCRATCH_ROWS: Final = 6
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_daubechies(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
-    """Improve `estimate` in place and return how many sums count; see `reconstructor.kernels.haar.solve_haar`."""
+    """Solve in place from `estimate` and return the number of sums used, as `reconstructor.kernels.haar.solve_haar`."""
     threshold, floor, taps = problem.numbers[1], problem.numbers[2], problem.numbers[4:8]
     work, image, other = row(scratch, 3, estimate.size), row(scratch, 4, estimate.size), row(scratch, 5, estimate.size)
     count, _ = begin(estimate, sums, weights, problem, scratch)
@@ -80,7 +80,7 @@ def shrink_pyramid(  # noqa: PLR0917  compiled functions take no keywords
 ) -> None:
     """Replace the image by Ψ soft(Ψᵀ image) with the D4 pyramid; `lanes` images side by side, taxel by taxel.
 
-    Each level leaves its quadrants one after the other, transposed; the next takes the first.
+    Each level stores its quadrants one after the other, transposed; the next level transforms the first quadrant.
     """
     height, width = problem.rows, problem.columns
     for _ in range(problem.levels):
@@ -123,7 +123,7 @@ def _transpose(target: Flat, source: Flat, rows: int, columns: int, lanes: int) 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _split(target: Flat, source: Flat, width: int, taps: Flat) -> None:
-    """One level down the columns: row k of the low half takes rows 2k to 2k + 3 of the source."""
+    """One level along the columns: row k of the low half is computed from rows 2k to 2k + 3 of the source."""
     a, b, c, d = taps[0], taps[1], taps[2], taps[3]
     size = source.size
     for k in range(size // (2 * width)):

@@ -16,7 +16,7 @@ from skin.measurement import Sbhe
 
 
 class _Kernel(NamedTuple):
-    """One compiled solver: its entry, its working memory, and which rows of it are state."""
+    """A compiled solver: its function, its rows of working memory, and the rows that are state."""
 
     solve: Callable[..., int]
     scratch_rows: int
@@ -37,9 +37,9 @@ _KERNELS: Final[dict[str, _Kernel]] = {
 class FusedSolver:
     """min ½‖Φx - y‖² + λ R(x) by FISTA, Φ an SBHE, on one thread and without allocation.
 
-    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. The state is the image itself in place
-    of its coefficients, which for an orthonormal Ψ is the same iteration and lets shifts of the basis and
-    non-negativity into it for nothing. Equal to `reconstructor.fista.fista_image`.
+    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. The iteration is over the image, not over
+    its coefficients. For an orthonormal Ψ both iterations are the same, and shifts of the basis and non-negativity need
+    no extra time. Equal to `reconstructor.fista.fista_image`.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ class FusedSolver:
     rows, columns : int
         Powers of two, 8 to 256, not necessarily equal.
     settings : SolverSettings
-        Any prior but the contourlet.
+        Any prior except the contourlet.
     dtype : float32 or float64
 
     Raises
     ------
     InputError
-        If the grid is not one of Φ's taxels or not of powers of two, or the settings do not fit.
+        If the grid does not fit Φ, a side is no power of two, or the settings do not fit.
     """
 
     def __init__(
@@ -78,26 +78,26 @@ class FusedSolver:
         self._scratch = scratch_of(self._kernel.scratch_rows, phi.order.size, self.dtype)
 
     def new_estimate(self) -> Values:
-        """Return an estimate of zeros, shape (n,), placed where the kernels read it fastest."""
+        """Return an estimate of zeros, shape (n,), aligned in memory."""
         return aligned(self._taxel.size, self.dtype)
 
     def solve(self, estimate: Values, sums_n: Values, weights: Values, *, relative_penalty: float = 1.0) -> int:
-        """Improve `estimate` in place and return how many sums count.
+        """Solve in place from `estimate` and return the number of sums used.
 
         Parameters
         ----------
         estimate : array of `dtype`, shape (n,)
             Start and result in newtons, in block order (`blocks_of`).
         sums_n, weights : arrays of `dtype`, shape (m,)
-            Newtons, and how much each sum counts, 0 to 1; sums of weight 0 are left out exactly.
+            Sums in newtons and their weights, 0 to 1; sums of weight 0 have no effect.
         relative_penalty : float
-            λ of this solve over the λ of the settings.
+            λ of this solve / λ of the settings.
 
         Raises
         ------
         InputError
-            If an array is of another dtype or shape, a weight is not 0 to 1, or a sum that counts is
-            not a number of newtons below 1e6; the estimate is then as it was.
+            If a dtype or shape does not fit, a weight is not 0 to 1, or a sum of weight above 0 is not a number up to
+            1e6 newtons; the estimate is then unchanged.
         """
         check_estimate(estimate, self._taxel.shape, self.dtype)
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
@@ -106,7 +106,7 @@ class FusedSolver:
         return int(self._kernel.solve(estimate, sums, counting, self._problem, self._scratch))
 
     def reset(self) -> None:
-        """Forget what is kept from solve to solve besides the estimate."""
+        """Reset the state besides the estimate."""
         for number in self._kernel.state:
             row(self._scratch, number, self._taxel.size)[:] = 0
 

@@ -1,7 +1,7 @@
 """FISTA for SBHE and Haar as one compiled function.
 
-The image is kept in the order of the blocks: row r of block b at ``r * blocks + b``, which makes Φ a Hadamard
-transform and a mask. Gradient and momentum are formed there; only the shrinkage goes through the image order.
+The image is stored in block order: place r of block b at ``r * blocks + b``. In this order Φ is a Hadamard transform
+and a mask. Gradient and momentum are computed in block order, the shrinkage in the order of the image.
 """
 
 from typing import Any
@@ -17,14 +17,14 @@ SCRATCH_ROWS = 5
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
-    """Improve `estimate` in place and return how many sums count.
+    """Solve in place from `estimate` and return the number of sums used.
 
     Parameters
     ----------
     estimate : shape (n,)
         Start and result, newtons, in block order.
     sums, weights : shape (m,)
-        Newtons, and 0 to 1; what a sum of weight 0 holds has no effect.
+        Newtons, and 0 to 1; a sum of weight 0 has no effect.
     scratch : shape (SCRATCH_ROWS, n)
         Zeros at first.
     """
@@ -76,7 +76,7 @@ def shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
 def shrink_tensor(work: Flat, columns: int, lanes: int, threshold: Any, root_half: Any) -> None:
     """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`.
 
-    Of `lanes` images side by side the same way: every taxel is then so many values.
+    With `lanes` images side by side every taxel has `lanes` values.
     """
     width = columns * lanes
     _analyse(work, work.size, width, root_half)

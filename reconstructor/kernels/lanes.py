@@ -1,7 +1,7 @@
 """FISTA for SBHE and wavelets, several independent problems of one Φ side by side.
 
-Taxel k of problem l stands at ``k * LANES + l``. Transforms of the single kernel then run over all problems as they
-are, and a permutation moves whole vectors instead of single values.
+Taxel k of problem l is at ``k * LANES + l``. So the transforms of the single solver process all problems unchanged, and
+a permutation moves whole vectors, not single values.
 """
 
 from typing import Final
@@ -29,7 +29,7 @@ _SCRATCH_ROWS: Final = 6
 def _solve(  # noqa: PLR0917  compiled functions take no keywords
     estimate: Flat, sums: Values, weights: Values, problem: Problem, scratch: Flat, smooth: bool
 ) -> None:
-    """Improve the estimates in place, with D4 if `smooth` and else with Haar."""
+    """Solve in place from the estimates, with D4 if `smooth`, else with Haar."""
     size = estimate.size
     gain, target, ahead = row(scratch, 0, size), row(scratch, 1, size), row(scratch, 2, size)
     work, image, other = row(scratch, 3, size), row(scratch, 4, size), row(scratch, 5, size)
@@ -108,8 +108,8 @@ class LaneSolver:
     phi, rows, columns, dtype
         See `reconstructor.kernels.fused.FusedSolver`.
     settings : SolverSettings
-        A wavelet prior. Total variation has no form in lanes: its loops are vectors as they are, and its dual would
-        not fit the cache eight times.
+        A wavelet prior. Total variation has no such solver: its loops are vectorised already, and eight duals would not
+        fit the cache.
 
     Raises
     ------
@@ -141,7 +141,7 @@ class LaneSolver:
         return aligned(self.shape[0] * self.shape[1] * LANES, self.dtype)
 
     def solve(self, estimate: Values, sums_n: Values, weights: Values) -> None:
-        """Improve the estimates in place.
+        """Solve in place from the estimates.
 
         Parameters
         ----------

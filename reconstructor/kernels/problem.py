@@ -1,4 +1,4 @@
-"""The tables and numbers of one Φ and one prior, for solvers of a single image and of many side by side."""
+"""The tables and constants of one Φ and one prior, for solvers of one or of several images."""
 
 import math
 from collections.abc import Callable
@@ -36,12 +36,12 @@ ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
 
 @dataclass(frozen=True)
 class Model:
-    """One Φ, one grid and the settings of the solver; not for the contourlet.
+    """Φ, grid and settings of a solver; not for the contourlet.
 
     Raises
     ------
     InputError
-        If they do not fit each other.
+        If Φ, grid and settings do not fit each other.
     """
 
     phi: Sbhe
@@ -91,7 +91,7 @@ class Model:
 
 
 def taxels_in_block_order(phi: Sbhe) -> Indices:
-    """Return the taxel at each place, shape (n,): the rows of W outside, so that one butterfly runs over all blocks."""
+    """Return the taxel at each place of block order, shape (n,): by place in the block, then by block."""
     return phi.order.reshape(phi.blocks, phi.block_size).T.ravel()
 
 
@@ -101,20 +101,20 @@ def places_of_sums(phi: Sbhe) -> Table:
 
 
 def check_penalty_ratio(relative_penalty: float) -> None:
-    """Raise InputError unless λ can be scaled so."""
+    """Raise InputError unless the factor of λ is finite and 0 or more."""
     if not 0 <= relative_penalty < math.inf:
         raise InputError(f"expected a relative penalty of 0 or more, got {relative_penalty}")
 
 
 def checked(sums_n: Values, weights: Values, shape: tuple[int, ...], kind: np.dtype[Any]) -> tuple[Values, Values]:
-    """Return the sums and weights of one cycle as compiled solvers read them.
+    """Check the sums and weights of one cycle, and return them for the compiled solvers.
 
     Raises
     ------
     InputError
-        If they are of another shape or dtype, a weight is not 0 to 1, or a sum that counts is not finite or too large.
+        If a shape or dtype does not fit, a weight is not 0 to 1, or a sum of weight above 0 is not finite or too large.
     """
     sums, counting = placed("sums", sums_n, shape, kind), placed("weights", weights, shape, kind)
     if not usable(sums.reshape(-1), counting.reshape(-1)):
-        raise InputError("expected weights of 0 to 1, and finite newtons below 1e6 where they are not 0")
+        raise InputError("expected weights of 0 to 1, and sums of at most 1e6 N where the weight is not 0")
     return sums, counting

@@ -1,4 +1,4 @@
-"""What every compiled solver does around its prior: read the sums, descend, advance, deliver."""
+"""Common steps of the compiled solvers: load sums, gradient step, momentum, delivery of the image."""
 
 from typing import Any, Final, NamedTuple
 
@@ -13,25 +13,25 @@ Table = npt.NDArray[np.uint16]
 
 
 class Problem(NamedTuple):
-    """What stays the same from cycle to cycle.
+    """Constants of a solver, the same in all cycles.
 
     Attributes
     ----------
     places : shape (m,)
-        Place of every sum in block order; places fit uint16, for a grid has at most 256 x 256 taxels.
+        Place of every sum in block order; uint16 is enough, because a grid has at most 256 x 256 taxels.
     tables : shape (2, shifts, n)
-        The prior's image order from block order, and back, a pair for each shift of the basis.
+        Permutations from block order to the prior's image order, and back, a pair for each shift of the basis.
     deliver : shape (n,)
-        The image row by row from block order.
+        Permutation from block order to row-major order.
     numbers : shape (8,)
-        1 / L, λ / L, the least allowed force, the 1 / √2 of the transforms, and the four taps of D4.
+        1 / L, λ / L, the smallest allowed force, the 1 / √2 of the transforms, and the four taps of D4.
     momentum : shape (iterations,)
         (t_k - 1) / t_{k+1}.
     blocks, rows, columns : int
     levels : int
-        Of a pyramid, 0 for a tensor transform.
+        Levels of a pyramid, 0 for a tensor transform.
     scaled_start : bool
-        First take from the start what does not explain the sums.
+        See `SolverSettings`.
     """
 
     places: Table
@@ -46,7 +46,7 @@ class Problem(NamedTuple):
     scaled_start: bool
 
 
-#: Elements between the rows of working memory: without them all would fall into the same sets of the L1 cache.
+#: Elements between the rows of working memory; without this gap all rows use the same sets of the L1 cache.
 GAP: Final = 144
 
 
@@ -54,12 +54,12 @@ CACHE_LINE: Final = 64
 
 
 def scratch_of(rows: int, size: int, dtype: np.dtype[Any]) -> Flat:
-    """Return working memory of `rows` rows of `size`, zeros, to be taken apart by `row`."""
+    """Return working memory of `rows` rows of `size`, zeros; `row` returns a row."""
     return aligned(rows * (size + GAP), dtype)
 
 
 def aligned(size: int, dtype: np.dtype[Any]) -> Flat:
-    """Return zeros that start where a cache line does: vectors that cross lines cost a tenth of the time."""
+    """Return zeros aligned to a cache line: vectors that cross cache lines cost a tenth of the time."""
     extra = CACHE_LINE // dtype.itemsize
     memory = np.zeros(size + extra, dtype)
     first = -memory.ctypes.data % CACHE_LINE // dtype.itemsize
@@ -73,14 +73,14 @@ def row(scratch: Flat, number: int, size: int) -> Flat:
     return scratch[start : start + size]
 
 
-# Compiled functions take no keywords, hence the arguments by position.
-# Each loop is a function of its own: written inside the solvers not all of them are vectorised.
+# Compiled functions take no keyword arguments.
+# Each loop is a separate function: inside the solvers some loops would not be vectorised.
 
 
 @numba.njit(cache=True, nogil=True)
 def usable(sums: Flat, weights: Flat) -> bool:
-    """Return whether all weights are 0 to 1, and all sums that count finite and no larger than a skin's can be."""
-    good = 0  # counted without a way out: that loop is one of vectors
+    """Tell whether all weights are 0 to 1, and all sums of weight above 0 are numbers up to `LARGEST_N`."""
+    good = 0  # no early return: such a loop is vectorised
     for k in range(sums.size):
         counts = (weights[k] > 0) & (weights[k] <= 1) & (abs(sums[k]) <= LARGEST_N)  # NaN fails
         good += (weights[k] == 0) | counts
@@ -91,7 +91,7 @@ def usable(sums: Flat, weights: Flat) -> bool:
 def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> tuple[int, Any]:
     """Fill `scratch` (gain, target, ahead, work, …) for the first iteration.
 
-    Return how many sums count, and by how much the start was scaled.
+    Return the number of sums used, and the factor of the start.
     """
     size = estimate.size
     gain, target, ahead, work = (
@@ -111,10 +111,10 @@ def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target: Flat) -> int:  # noqa: PLR0917
-    """Write the mask and the masked sums, both times `step`; return how many sums count.
+    """Write the mask and the masked sums, both times `step`; return the number of sums used.
 
-    Places of sums that are never sent keep their zeros. A sum of weight 0 is a zero of the mask, which is exactly the
-    problem without its row.
+    Places of Hadamard rows that are not sent stay 0. A sum of weight 0 is a zero of the mask: the problem without its
+    row.
     """
     count = 0
     for k in range(sums.size):
@@ -131,7 +131,7 @@ def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def descend(size: int, problem: Problem, scratch: Flat) -> None:
-    """Take a gradient step from ``ahead``, which ``work`` equals, and leave the result in ``work``."""
+    """Compute a gradient step from ``ahead``, equal to ``work``; the result is in ``work``."""
     gain, target, ahead, work = (
         row(scratch, 0, size),
         row(scratch, 1, size),
@@ -152,7 +152,7 @@ def gather(target: Flat, source: Flat, index: Table) -> None:
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def advance(estimate: Flat, floor: Any, momentum: Any, scratch: Flat) -> None:
-    """Take the new estimate from ``work``, lift it to `floor`, and leave the next point in ``ahead`` and ``work``."""
+    """Set the estimate to max(``work``, `floor`), and write the next point to ``ahead`` and ``work``."""
     ahead, work = row(scratch, 2, estimate.size), row(scratch, 3, estimate.size)
     for k in range(work.size):
         new = max(floor, work[k])
@@ -171,9 +171,9 @@ def deliver(image: npt.NDArray[np.float32], estimate: Flat, index: Table) -> Non
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _scale_start(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) -> Any:
-    """Scale `estimate` by and return max(0, 2a - 1), where a is the factor, at most 1, that explains the sums best.
+    """Scale `estimate` by max(0, 2a - 1) and return this factor, with a = argmin ‖a Φ estimate - y‖, at most 1.
 
-    Not by a itself: images of different touches share their noise and a few taxels, and explain a part of each other.
+    Not by a itself: images of different touches share some taxels and their noise, so a is above 0 for another touch.
     """
     work[:] = estimate
     hadamard(work, blocks)
@@ -192,8 +192,8 @@ def _scale_start(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: i
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def start_scale(explained: Any, energy: Any) -> Any:
     """Return max(0, 2a - 1) for a = min(1, explained / energy)."""
-    zero = explained - explained  # of their own dtype
+    zero = explained - explained  # keeps the dtype
     excess = explained + explained - energy
-    if excess >= energy:  # also where both are 0
+    if excess >= energy:  # also if both are 0
         return zero + np.float32(1)
     return max(zero, excess / energy)

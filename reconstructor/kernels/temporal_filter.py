@@ -9,16 +9,15 @@ import numpy.typing as npt
 from reconstructor.checks import LARGEST_N
 from reconstructor.kernels.transforms import Flat
 
-#: The least gain.
+#: Smallest gain.
 GAIN_MIN: Final = 0.18
 #: Noise alone gives successive innovations a correlation of -g / 2. The gain rises while the correlation is above
-#: -CORRELATION_RATIO · g / 2, else it falls. A ratio of 0 would allow lag until innovations no longer correlate; lag is
-#: worse than noise, which the prior removes.
+#: -CORRELATION_RATIO · g / 2, else it falls. A ratio of 0 would allow more lag; lag is worse than noise, which the
+#: prior removes.
 CORRELATION_RATIO: Final = 0.6
-#: An innovation's energy of up to BAND times the energy that noise explains is no sudden change.
+#: Innovations with an energy of up to BAND x the energy of the noise are no sudden change.
 BAND: Final = 1.15
-#: With ε the energy explained by noise over the energy of the innovation, a sudden change takes the gain to
-#: 1 - ε^STEEPNESS.
+#: At a sudden change the gain is 1 - ε^STEEPNESS, ε = energy of the noise / energy of the innovation.
 STEEPNESS: Final = 4
 #: The noise floor follows the noise power of quiet cycles. A cycle of less noise lowers the floor by FLOOR_FALL of the
 #: difference, and never leaves it above FLOOR_MAX_RATIO times that cycle's noise power. Any other cycle raises the
@@ -26,7 +25,7 @@ STEEPNESS: Final = 4
 FLOOR_FALL: Final = 0.2
 FLOOR_MAX_RATIO: Final = 1.5
 FLOOR_RISE: Final = 0.002
-#: A missing sum whose weight has faded below this is forgotten.
+#: A missing sum is dropped when its weight is below this.
 LEAST_WEIGHT: Final = 0.01
 #: Places of `FilterState.state`: the gain by the correlation alone, the noise floor (N², 0: unknown), the last gain.
 CORRELATION_GAIN, FLOOR, GAIN = 0, 1, 2
@@ -38,7 +37,7 @@ class FilterState(NamedTuple):
     Attributes
     ----------
     sums, weights, innovation : shape (m,)
-        Averaged sums in newtons, how much each counts (0 to 1), and the last innovations in newtons.
+        Averaged sums in newtons, their weights (0 to 1), and the last innovations in newtons.
     state : float64, shape (3,)
     """
 
@@ -50,11 +49,11 @@ class FilterState(NamedTuple):
 
 @numba.njit(cache=True, nogil=True)
 def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_]) -> bool:
-    """Take in one cycle; False, and nothing is changed, if a valid sum is no number of newtons."""
+    """Process one cycle; return False, without a change, if a valid sum is not finite or above `LARGEST_N`."""
     energy, before, product, count = 0.0, 0.0, 0.0, 0
     for k in range(sums.size):
         if valid[k]:
-            if not abs(sums[k]) <= LARGEST_N:  # so written, NaN fails
+            if not abs(sums[k]) <= LARGEST_N:  # NaN fails this form of the test
                 return False
             if filtered.weights[k] > 0:
                 innovation = float(sums[k] - filtered.sums[k])
@@ -81,7 +80,7 @@ def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_]) -> b
 
 @numba.njit(cache=True, nogil=True)
 def _adapt(state: npt.NDArray[np.float64], energy: float, correlation: float) -> float:
-    """Return the gain for an innovation of mean square `energy` that correlates so with the one before."""
+    """Return the gain for an innovation of mean square `energy` and its correlation with the innovation before."""
     last = state[GAIN]
     factor = np.exp(correlation + CORRELATION_RATIO * last / 2.0)
     state[CORRELATION_GAIN] = min(1.0, max(GAIN_MIN, state[CORRELATION_GAIN] * factor))

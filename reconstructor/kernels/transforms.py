@@ -1,6 +1,6 @@
 """The transforms of the kernels, in place on flat arrays, float32 or float64.
 
-Flat arrays and slices of them, because the compiler vectorises these loops and not those over two subscripts.
+Flat arrays and slices, because the compiler vectorises these loops, but not loops over two subscripts.
 """
 
 from typing import Any
@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-#: Sums of counts hold no NaN; the order of additions stays as written, so that results are repeatable.
+#: Sums contain no NaN; the order of additions is kept, so that results are repeatable.
 FAST_MATH = {"nnan", "ninf", "nsz", "contract"}
 
 Flat = npt.NDArray[np.floating[Any]]
@@ -25,7 +25,7 @@ def hadamard(work: Flat, blocks: int) -> None:
 def masked_gram(work: Flat, gain: Flat, target: Flat, blocks: int) -> None:
     """Replace every column w of ``work.reshape(B, blocks)`` by H (gain · H w - target).
 
-    The two highest levels of both transforms and what stands between them are one pass.
+    The two highest levels of both transforms, and the operation between them, are one pass.
     """
     size = work.size // 4
     if size < blocks:  # B = 2
@@ -52,7 +52,7 @@ def masked_gram(work: Flat, gain: Flat, target: Flat, blocks: int) -> None:
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _butterflies(work: Flat, first: int, last: int) -> None:
-    """Run the levels that pair values `first`, 2 · `first`, … and `last` / 2 places apart: three, two or one a pass."""
+    """Run the levels with distances `first`, 2 · `first`, … , `last` / 2 between paired values, up to three a pass."""
     half = first
     while 8 * half <= last:
         for start in range(0, work.size, 8 * half):

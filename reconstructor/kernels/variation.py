@@ -1,8 +1,8 @@
 """FISTA for SBHE and total variation with non-negative forces, as one compiled function.
 
 The prior is the anisotropic total variation Σ |x[i+1, j] - x[i, j]| + |x[i, j+1] - x[i, j]| (Rudin, Osher and Fatemi
-1992). Its proximal step has no closed form; a few projected gradient steps on its dual (Chambolle 2004) come close
-enough, because the dual is kept from iteration to iteration and from cycle to cycle.
+1992). Its proximal step has no closed form. A few projected gradient steps on its dual (Chambolle 2004) approximate the
+step well, because the dual is kept between iterations and cycles.
 """
 
 from typing import Final
@@ -14,7 +14,7 @@ from reconstructor.kernels.transforms import FAST_MATH, Flat
 
 #: Rows of working memory: gain, target, ahead, work, image, smoothed, and the dual: down and right.
 SCRATCH_ROWS: Final = 8
-#: The rows that are state and not scratch.
+#: The rows that are state.
 DUAL_ROWS: Final = (6, 7)
 #: Dual steps in each iteration.
 INNER: Final = 3
@@ -22,7 +22,7 @@ INNER: Final = 3
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
-    """Improve `estimate` in place and return how many sums count; see `reconstructor.kernels.haar.solve_haar`."""
+    """Solve in place from `estimate` and return the number of sums used, as `reconstructor.kernels.haar.solve_haar`."""
     floor = problem.numbers[2]
     work, image, smooth = row(scratch, 3, estimate.size), row(scratch, 4, estimate.size), row(scratch, 5, estimate.size)
     count, kept = begin(estimate, sums, weights, problem, scratch)
@@ -45,7 +45,7 @@ def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem,
 def _smooth(size: int, problem: Problem, scratch: Flat) -> None:
     """Set smooth = max(floor, image - Dᵀ dual); the dual is 0 after the last row and the last column.
 
-    Slices, because an index that might be negative keeps the compiler from vectorising.
+    Slices, because the compiler does not vectorise indices that might be negative.
     """
     image, smooth, down, right = (
         row(scratch, 4, size),
@@ -66,7 +66,7 @@ def _smooth(size: int, problem: Problem, scratch: Flat) -> None:
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _ascend(size: int, problem: Problem, scratch: Flat) -> None:
-    """Step along the differences of ``smooth``, and stay within ±threshold; 8 bounds ‖D Dᵀ‖."""
+    """Add the differences of ``smooth`` / 8 to the dual, and clip it to ±threshold; 8 bounds ‖D Dᵀ‖."""
     smooth, down, right = row(scratch, 5, size), row(scratch, 6, size), row(scratch, 7, size)
     columns, threshold, half = problem.columns, problem.numbers[1], problem.numbers[3] * problem.numbers[3]
     eighth = half * half * half
