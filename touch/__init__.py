@@ -1,1 +1,1 @@
-"""Where taxel values come from: contact simulator, objects, trajectories, recordings."""
+"""Sources of forces on taxels: contact simulator, objects, trajectories, recordings, data sets."""

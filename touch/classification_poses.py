@@ -1,4 +1,4 @@
-"""The observations the paper classifies: 16 objects, each touched from 360 offsets (section V-B)."""
+"""The observations that the paper classifies: 16 objects, each touched from 360 offsets (section V-B)."""
 
 import itertools
 import math
@@ -18,7 +18,7 @@ from touch.trajectory import PAPER_DEPTH_M
 CLASSIFICATION_OBJECTS: Final = tuple(name for name in PAPER_OBJECTS if name != "golf-ball")
 #: Offsets of the array along its rows and along its columns.
 OFFSETS_M: Final = (0.0, 0.002, 0.004, 0.006, 0.008, 0.010)
-#: Turns of the array about its normal.
+#: Rotations of the array about its normal.
 ROTATIONS_RAD: Final = tuple(math.radians(angle) for angle in range(0, 50, 5))
 PERTURBATIONS: Final = len(OFFSETS_M) ** 2 * len(ROTATIONS_RAD)
 
@@ -29,10 +29,10 @@ def poses(perturbations: int = PERTURBATIONS, seed: int = 0) -> list[Pose]:
     Parameters
     ----------
     perturbations : int
-        360 for all of the paper's, in its order: offset along the rows, along the columns, rotation. Fewer are
-        drawn from them without repetition.
+        360 for all perturbations of the paper, ordered by offset along the rows, offset along the columns, rotation. A
+        smaller number is drawn from them without repetition.
     seed : int
-        Of that draw. The same number and seed give the same poses for every object and array.
+        Seed of the draw. The same number and seed give the same poses for every object and array.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def poses(perturbations: int = PERTURBATIONS, seed: int = 0) -> list[Pose]:
     if seed < 0:
         raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
     every = [
-        # The array moves one way, so that the object is seen to move the other.
+        # When the array moves one way, the object moves the other way relative to the array.
         Pose(0.0 - x_m, 0.0 - y_m, 0.0 - rotation_rad, PAPER_DEPTH_M)
         for x_m, y_m, rotation_rad in itertools.product(OFFSETS_M, OFFSETS_M, ROTATIONS_RAD)
     ]
@@ -70,13 +70,13 @@ def observations(
     side : int
         Taxels along a side, one of `touch.coarse_arrays.ARRAYS`.
     kind : str
-        What a coarse taxel is, see `touch.coarse_arrays`.
+        Type of the coarse taxels, see `touch.coarse_arrays`.
     perturbations, seed : int
         See `poses`.
     meshes : pathlib.Path, optional
         Folder of meshes, see `touch.objects.spheres_of`.
     names : sequence of str, optional
-        Objects of the catalogue; without it the paper's 16.
+        Objects of the catalogue; default: the paper's 16.
 
     Returns
     -------

@@ -1,9 +1,9 @@
 """The seven arrays of the paper: 256 mm square, from 64 x 64 taxels to one (section V).
 
-The paper does not say what its coarse taxels are. Three readings of it can be made, and are named apart::
+The paper does not define its coarse taxels. Three interpretations are possible::
 
-    averaged   cells of the 64 x 64 array, each the mean of its taxels: reproduces the paper's accuracies
-    large      one sphere that fills its cell, radius half the pitch
+    averaged   the mean of the taxels in each cell of the 64 x 64 array: reproduces the paper's accuracies
+    large      one sphere that fills its cell; radius half the pitch
     sparse     the fine array's 2 mm sphere in the middle of each cell
 """
 
@@ -16,7 +16,7 @@ from touch.contact import TAXEL_RADIUS_M, Force, Grid
 
 Kind = Literal["averaged", "large", "sparse"]
 
-#: Taxels along one side: 4096, 1024, 256, 64, 16, 4 and 1 in all.
+#: Taxels along one side; 4096, 1024, 256, 64, 16, 4 and 1 taxels.
 ARRAYS: Final = (64, 32, 16, 8, 4, 2, 1)
 FINE_SIDE: Final = ARRAYS[0]
 SIDE_M: Final = 0.256
@@ -25,12 +25,12 @@ SIDE_M: Final = 0.256
 def grid_of(side: int, kind: Kind = "large") -> Grid:
     """Return the array of `side` x `side` spheres on 256 mm.
 
-    For ``averaged`` that is the fine array whose cells `averaged` takes the mean of.
+    For ``averaged`` this is the fine array, whose cells `averaged` averages.
 
     Raises
     ------
     InputError
-        If the paper has no array of that side, or the kind is unknown.
+        If the paper has no array of this side, or the kind is unknown.
     """
     _check(side, kind)
     if kind == "averaged":
@@ -58,7 +58,7 @@ def averaged(force_n: Force, side: int) -> Force:
     Raises
     ------
     InputError
-        If the shape is another, or the paper has no array of that side.
+        If the shape is wrong, or the paper has no array of this side.
     """
     _check(side, "averaged")
     if force_n.shape[-2:] != (FINE_SIDE, FINE_SIDE):

@@ -13,17 +13,17 @@ def objects(
 ) -> None:
     """List and draw the objects that can touch the simulated skin.
 
-    The contact is that of the object in the middle of a skin of 64 x 64 taxels at 4 mm, pressed in by 9.99 mm, the
+    The figures are for the object in the middle of a skin of 64 x 64 taxels, 4 mm apart, pressed in by 9.99 mm, the
     depth of the paper's data.
 
     Parameters
     ----------
     names
-        Comma-separated: only these, each drawn with characters below the table.
+        Comma-separated names: list only these objects, and draw each below the table.
     meshes
-        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) to use in place of our own shapes.
     figure
-        File for a picture of every listed object's tactile image, for example .png.
+        File for a picture with the tactile image of every listed object, for example .png.
     json
         Print one JSON array instead of a table and drawings.
 

@@ -1,9 +1,9 @@
-"""What every taxel feels under rigid objects: a union of spheres on vertical springs of 1 N/m.
+"""The force on every taxel under rigid objects: spheres on vertical springs of 1 N/m.
 
-A taxel is a rigid sphere on a vertical spring. An object, itself rigid, pushes it down by as much as the
-object's envelope reaches below the untouched taxel; taxels do not pull at each other and nothing slides
-against friction, so that the force of a taxel is the largest compression any sphere causes
-(Hollis et al., "BubbleTouch", arXiv 1809.09153; section V of the paper).
+A taxel is a rigid sphere on a vertical spring. An object is a rigid union of spheres. It compresses the spring by the
+distance that it reaches below the untouched taxel. Neighbouring taxels are independent, and there is no friction. So
+the compression of a taxel is the largest compression by any sphere (Hollis et al., "BubbleTouch", arXiv 1809.09153;
+section V of the paper).
 """
 
 import math
@@ -20,9 +20,9 @@ from skin.errors import InputError
 from skin.layout import Taxels
 from skin.taxel import FORCE_MAX_N
 
-#: How far a taxel can be pushed (section V).
+#: Largest compression of a taxel (section V).
 TRAVEL_M: Final = FORCE_MAX_N / STIFFNESS_N_PER_M
-#: Pitch of the paper's array, which is that of the default skin, and radius of a taxel's sphere: the spheres touch.
+#: Pitch of the paper's array and of the default skin, and radius of a taxel's sphere: the spheres touch each other.
 PITCH_M: Final = Taxels().pitch_m
 TAXEL_RADIUS_M: Final = PITCH_M / 2
 
@@ -31,16 +31,16 @@ Force = npt.NDArray[np.float32]
 
 
 class Pose(NamedTuple):
-    """Where an object is in the sensor's frame, whose origin is the middle of the array.
+    """Pose of an object in the frame of the sensor; the origin is the middle of the array.
 
     Attributes
     ----------
     x_m, y_m : float
         Position along the columns (x) and down the rows (y).
     rotation_rad : float
-        Turn about the array's normal, from x towards y.
+        Rotation about the array's normal, from x towards y.
     depth_m : float
-        How far the object's highest point is pushed in; 0 or less touches nothing.
+        Depth of the object's highest point below the untouched array; 0 or less: no contact.
     """
 
     x_m: float
@@ -128,7 +128,7 @@ def press(grid: Grid, objects: Iterable[tuple[Spheres, Pose]]) -> Force:
     grid : Grid
         The array.
     objects : iterable of (Spheres, Pose)
-        What touches it; each taxel feels the object that compresses it most.
+        The touching objects; the object that compresses a taxel most gives its force.
 
     Returns
     -------
@@ -188,7 +188,7 @@ def _deepest(
         if indent <= 0.0:
             continue
         reach = radii[k] + taxel_radius
-        # Beyond this distance the sphere is above the untouched taxels, or beside them.
+        # At a larger distance the sphere does not reach the untouched taxels.
         span = math.sqrt(indent * (2.0 * reach - indent)) if indent < reach else reach
         column_at = (pose[0] + cos * centres[k, 0] - sin * centres[k, 1]) / pitch + 0.5 * (columns - 1)
         row_at = (pose[1] + sin * centres[k, 0] + cos * centres[k, 1]) / pitch + 0.5 * (rows - 1)

@@ -1,4 +1,4 @@
-"""Tactile images of objects: as characters for a terminal, and as a picture file."""
+"""Tactile images of objects, as characters on a terminal and as picture files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from skin.errors import InputError
 from skin.output import save_figure
 from touch.contact import Force
 
-#: The darkest shade: about the largest force of the paper's data.
+#: Force of the darkest shade, about the largest force of the paper's data.
 _FULL_N: Final = 0.01
 _SHADES: Final = " .:-=+*#%@"
 _MOST_COLUMNS: Final = 6
@@ -18,7 +18,7 @@ _TO_MN: Final = 1e3
 
 
 def as_text(force_n: Force) -> str:
-    """Return an image as lines of characters, cut to the contact; two rows of taxels share a line.
+    """Return an image as lines of characters, cut to the contact; a line shows two rows of taxels.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def as_text(force_n: Force) -> str:
 
 
 def save_images(images: Mapping[str, Force], path: Path) -> None:
-    """Draw one image per object on one scale, 0 to 10 mN, the format by the ending of `path`.
+    """Draw one image per object, all from 0 to 10 mN; the suffix of `path` gives the format.
 
     Raises
     ------

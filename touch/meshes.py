@@ -10,27 +10,25 @@ import numpy as np
 from skin.errors import InputError
 from touch.contact import TRAVEL_M, FloatArray, Spheres
 
-#: A mesh of more is refused before it is read, or before its spheres are made: the objects of the paper have
-#: 0.5 MB and 14 000 vertices.
+#: Largest file and number of vertices; larger meshes are refused. The paper's objects have 0.5 MB and 14 000 vertices.
 MOST_BYTES: Final = 256 * 2**20
 MOST_VERTICES: Final = 300_000
-#: Extent of what a hand can press; beyond it a file is hardly in metres.
+#: Allowed extent of an object; a file outside these limits is probably not in metres.
 SMALLEST_M, LARGEST_M = 0.005, 1.5
-#: Spheres as wide as two taxels would show the mesh's vertices, not the object.
+#: Largest radius of a sphere: larger spheres would show the vertices, not the object.
 MOST_RADIUS_M: Final = 0.008
 
 
 @dataclass(frozen=True)
 class MeshPose:
-    """Which mesh an object is made from and how it lies under the array.
+    """The mesh of an object and its position under the array.
 
     Attributes
     ----------
     stems : tuple of str
-        File names without their ending, the first found is taken.
+        File names without suffix; the first file found is used.
     turns : tuple of (str, float)
-        Axis and angle (radians) of the turns that bring the mesh into its position with the array above, in the
-        order they are made.
+        Axis and angle (radians) of the rotations, in this order, from the mesh's frame to its position under the array.
     """
 
     stems: tuple[str, ...]
@@ -43,7 +41,7 @@ def find_mesh(folder: Path, pose: MeshPose) -> Path:
     Raises
     ------
     InputError
-        If there is no such folder, or no such file in it.
+        If the folder or the file does not exist.
     """
     if not folder.is_dir():
         raise InputError(f"expected a folder of meshes, got '{folder}'")
@@ -57,10 +55,10 @@ def find_mesh(folder: Path, pose: MeshPose) -> Path:
 
 
 def load_mesh(path: Path, pose: MeshPose) -> Spheres:
-    """Return the spheres of a mesh: at every vertex one, radius twice the mean distance to the nearest other.
+    """Return the spheres of a mesh: one per vertex, radius = 2 x mean distance to the nearest vertex.
 
-    The mesh is centred by the middle of its extent in x and y and by the mean of z, then turned. Spheres that
-    no taxel can reach are left out.
+    The mesh is centred at the middle of its extent in x and y and at the mean of z, then rotated. Spheres that reach no
+    taxel are left out.
 
     Raises
     ------
@@ -80,7 +78,7 @@ def load_mesh(path: Path, pose: MeshPose) -> Spheres:
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     middle[2] = vertices[:, 2].mean()
     placed = _turned(vertices - middle, pose.turns)
-    # The array looks down: its columns run as the world's x, its rows against the world's y.
+    # The array faces down: its columns have the direction of the world's x, its rows the opposite of the world's y.
     placed[:, 1] *= -1.0
     reached = placed[placed[:, 2] > placed[:, 2].max() - TRAVEL_M]
     return Spheres(reached, np.full(len(reached), radius_m))
@@ -93,7 +91,7 @@ def _read(path: Path) -> FloatArray:
         raise InputError(f"'{path}' is too large: {size / 2**20:.0f} MiB, expected at most {MOST_BYTES // 2**20}")
     try:
         mesh: Any = _trimesh().load_mesh(path)
-    except Exception as error:  # trimesh's readers raise whatever their format's library raises
+    except Exception as error:  # the readers of trimesh raise any error of their libraries
         raise InputError(f"'{path}' cannot be read as a mesh: {error or type(error).__name__}") from error
     vertices = np.asarray(getattr(mesh, "vertices", ()), np.float64)
     if len(vertices) < 4 or not len(getattr(mesh, "faces", ())):

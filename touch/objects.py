@@ -20,13 +20,13 @@ class TouchObject:
     Attributes
     ----------
     name, shape : str
-        What it is called, and which primitive makes it.
+        Name of the object, and of its primitive.
     size_m : tuple of float
-        Length and width of what faces the array, metres; of an own shape, that of its upper 10 mm.
+        Length and width of the side that faces the array, metres; of an own shape, those of its upper 10 mm.
     build : callable
-        Makes its spheres.
+        Returns its spheres.
     mesh : MeshPose, optional
-        How it lies when it is made from a mesh; None where the paper itself uses a simple body.
+        Mesh and position of the object; None if the paper uses a simple body.
     """
 
     name: str
@@ -56,18 +56,18 @@ def _own(name: str, size_m: tuple[float, float], build: Callable[[], Spheres], m
     return TouchObject(name, "own shape", size_m, build, mesh)
 
 
-#: Depth of what faces the array, about that of the paper's presses.
+#: Depth of the side that faces the array, about the depth of the paper's presses.
 FACING_M: Final = 0.01
 
-#: How the authors' meshes lie under the array, as turns about y and z one after the other.
+#: Position of the authors' meshes under the array: rotation about y, then about z.
 _ON_ITS_SIDE: Final = (("y", math.pi / 2), ("y", math.pi))
 _DRILL: Final = MeshPose(("drill",), (("z", 5 * math.pi / 16), *_ON_ITS_SIDE))
 _CLAMP: Final = MeshPose(("clamp", "largeclamp"), _ON_ITS_SIDE)
 _MUSTARD_LYING: Final = MeshPose(("mustard",), (("z", math.pi / 6), *_ON_ITS_SIDE))
 _MUSTARD_UPRIGHT: Final = MeshPose(("mustard",), (("z", math.pi / 6), *_ON_ITS_SIDE, ("y", math.pi / 2)))
 
-#: Balls and boxes have the sizes of BubbleTouch's scripts. The paper does not give its cans: these are
-#: sizes of common cans that show the confusions the paper reports.
+#: Balls and boxes have the sizes of BubbleTouch's scripts. The paper gives no sizes of its cans: these are common
+#: sizes, with which the classifier confuses the same objects as in the paper.
 _PAPER: Final = (
     _ball("golf-ball", 0.04267),
     _ball("racquetball", 0.057),
@@ -88,10 +88,10 @@ _PAPER: Final = (
     _own("mustard-upright", (0.024, 0.024), shapes.mustard_upright, _MUSTARD_UPRIGHT),
 )
 
-#: The paper's 17 objects: 16 it classifies and the golf ball.
+#: The paper's 17 objects: the 16 of its classification and the golf ball.
 PAPER_OBJECTS: Final = tuple(item.name for item in _PAPER)
 
-#: Those and a ring with the width and the wall of the paper's cup.
+#: The paper's objects and a ring with the diameter and the wall of the paper's cup.
 CATALOGUE: Final = {item.name: item for item in (*_PAPER, _ring("ring", 0.1004, 0.0043))}
 
 
@@ -101,7 +101,7 @@ def checked_names(names: Iterable[str]) -> tuple[str, ...]:
     Raises
     ------
     InputError
-        If there is none, or one the catalogue does not know.
+        If there is no name, or a name that the catalogue does not have.
     """
     listed = tuple(part.strip() for part in names.split(",")) if isinstance(names, str) else tuple(names)
     known = ", ".join(CATALOGUE)
@@ -115,20 +115,20 @@ def checked_names(names: Iterable[str]) -> tuple[str, ...]:
 
 @cache
 def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
-    """Return the spheres of the object called `name`, built once.
+    """Return the spheres of the object `name`; they are built once.
 
     Parameters
     ----------
     name : str
         One of `CATALOGUE`.
     meshes : pathlib.Path, optional
-        Folder of meshes in metres, of any format trimesh reads: ``banana.ply``, ``drill.stl``, … The objects
-        that the paper takes from meshes are made from it, the others as ever.
+        Folder of meshes in metres, in any format that trimesh reads: ``banana.ply``, ``drill.stl``, … Only the objects
+        that the paper takes from meshes use this folder.
 
     Raises
     ------
     InputError
-        If the catalogue has no such object, or the folder has no mesh of it that can be used.
+        If the catalogue has no such object, or the folder has no usable mesh of the object.
     """
     (checked,) = checked_names([name])
     item = CATALOGUE[checked]
@@ -138,7 +138,7 @@ def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
 
 
 def made_of(name: str, meshes: Path | None = None) -> str:
-    """Return what `spheres_of` makes an object of: a primitive, an own shape, or the name of a mesh file.
+    """Return the source of an object's spheres: a primitive, an own shape, or the name of a mesh file.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def made_of(name: str, meshes: Path | None = None) -> str:
 
 
 def size_m(name: str, meshes: Path | None = None) -> tuple[float, float]:
-    """Return length and width of what faces the array: as built, or of the upper 10 mm of a mesh.
+    """Return length and width of the side that faces the array: as built, or of the upper 10 mm of a mesh.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Simple bodies built from spheres; only the side that can touch the array is made.
+"""Simple bodies of spheres; only the side that can touch the array is built.
 
 The sizes of the spheres are those of BubbleTouch's own models: 1.5 mm for boxes, 5 mm for cans.
 """
@@ -16,12 +16,12 @@ from touch.contact import FloatArray, Spheres
 BOX_SPHERE_M: Final = 0.0015
 BOX_SPACING_M: Final = 0.0015
 CAN_SPHERE_M: Final = 0.005
-#: Half a taxel's pitch: the lid between its spheres is flat to 0.15 mm.
+#: Distance of the spheres in a lid, half a taxel's pitch: the lid is flat to 0.15 mm.
 CAN_SPACING_M: Final = 0.002
 RIM_SPACING_M: Final = 0.001
 ROD_SPACING_M: Final = 0.002
 
-#: Rows of numbers, metres; what they are, the function tells.
+#: Rows of numbers, metres; see the functions.
 Knots = Sequence[Sequence[float]] | FloatArray
 
 
@@ -32,9 +32,9 @@ def ball(diameter_m: float) -> Spheres:
 
 
 def box(length_m: float, width_m: float) -> Spheres:
-    """Return the top face of a box with its outer size exact, length along x.
+    """Return the top face of a box with exact outer size, length along x.
 
-    Spheres further down the sides lie below those of the face's edge and never touch first.
+    Spheres further down the sides would lie below the spheres of the edge and never touch first.
     """
     _need_size("length_m", length_m, 2 * BOX_SPHERE_M)
     _need_size("width_m", width_m, 2 * BOX_SPHERE_M)
@@ -61,12 +61,12 @@ def ring(diameter_m: float, wall_m: float) -> Spheres:
 
 
 def rods(parts: Sequence[Knots]) -> Spheres:
-    """Return bent rods of varying width: spheres from knot to knot, their place and size changing evenly.
+    """Return bent rods of varying width: spheres from knot to knot, with linear position and radius.
 
     Parameters
     ----------
     parts : sequence of Knots
-        For each rod x, y, height of the top, and radius of each knot, metres. One knot is a ball.
+        For each rod, x, y, height of the top and radius of each knot, metres. A rod of one knot is a ball.
 
     Raises
     ------
@@ -79,16 +79,16 @@ def rods(parts: Sequence[Knots]) -> Spheres:
 
 
 def rim(circles: Knots, middle_m: tuple[float, float] = (0.0, 0.0), slope: tuple[float, float] = (0.0, 0.0)) -> Spheres:
-    """Return the rim of a cup with a rounded lip: circles of spheres about one middle.
+    """Return the rim of a cup with a rounded lip: concentric circles of spheres.
 
     Parameters
     ----------
     circles : Knots
-        Each radius, height of the top, and the spheres' radius, metres.
+        Radius, height of the top, and radius of the spheres of each circle, metres.
     middle_m : tuple of float
         Middle x, y.
     slope : tuple of float
-        How much the rim rises along x and along y.
+        Slope of the rim along x and along y.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Labelled touches to train a classifier on, drawn like those of the live source."""
+"""Labelled touches for training, with the distribution of the taxel source ``objects``."""
 
 import contextlib
 from collections.abc import Sequence
@@ -11,9 +11,9 @@ from touch.contact import PITCH_M, Force, Grid
 from touch.objects import checked_names
 from touch.strokes import LABEL_FORCE_N, TRAINING, draw_touch, random_stream
 
-#: Draws of a moment before an object counts as one that cannot be felt on this array.
+#: Draws of a moment after which an object counts as not felt on this array.
 _MOST_DRAWS = 1000
-#: Touches that all must be felt, for an object to suit an array.
+#: Number of touches that must all be felt for an object to suit an array.
 _TRIAL_TOUCHES = 50
 
 
@@ -29,16 +29,16 @@ def random_touches(
 ) -> LabelledTouches:
     """Return `count` single moments of random touches, true forces without noise.
 
-    Every observation is a touch of its own at a random moment among those the live source labels, so that
-    depth, position and rotation are distributed as there; the objects take turns. No observation repeats a
-    touch of the live source, whatever the seeds.
+    Every observation is another touch, at a random moment among the moments that the taxel source labels. So depth,
+    position and rotation have the distribution of the taxel source. The objects take turns. No observation repeats a
+    touch of the taxel source, for any seeds.
 
     With `skip_unfelt`, objects that this array cannot feel are left out.
 
     Raises
     ------
     InputError
-        If a name is unknown, a number cannot be used, or an object cannot be felt on so small an array.
+        If a name is unknown, a number cannot be used, or the array is too small to feel an object.
     """
     if count < 0 or seed < 0:
         raise InputError(f"count and seed need whole numbers of 0 or more: got {count} and {seed}")
@@ -52,12 +52,12 @@ def random_touches(
 
 
 def felt_objects(names: Sequence[str], grid: Grid) -> tuple[str, ...]:
-    """Return those of the named objects that can be felt on an array.
+    """Return the named objects that an array can feel.
 
     Raises
     ------
     InputError
-        If none can.
+        If there is no such object.
     """
     felt = []
     image = np.empty((grid.rows, grid.columns), np.float32)

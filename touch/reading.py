@@ -17,12 +17,12 @@ from skin.service import say
 Counts = npt.NDArray[Any]
 
 _SHAPE: Final = re.compile(r"#.*?\bshape\s*[:=]?\s*\(?\s*(\d{1,6})\s*[,xX ]\s*(\d{1,6})")
-#: What may stand between two values of a line, looked for in this order.
+#: Possible delimiters, tried in this order.
 _DELIMITERS: Final = (";", "\t", ",")
 _TIME: Final = re.compile(r"time.*|date.*|t|t_m?s|t\s*[\[(/].*", re.IGNORECASE)
-#: Characters of a wrong value that its error shows.
+#: Most characters of a wrong value in an error message.
 _SHOWN: Final = 20
-#: What damaged files of these formats raise in NumPy and in the libraries below it.
+#: Errors of NumPy and its libraries for damaged files.
 _UNREADABLE: Final = (
     OSError,
     EOFError,
@@ -49,14 +49,14 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
         ``.npz`` (named arrays), ``.npy`` (one) or ``.csv``: one frame per line, row by row, with ``,`` or ``;`` or a
         tab between the values. A header line is left out, and so is a time in the first column.
     arrays : sequence of str, optional
-        Which arrays of an ``.npz``, in this order; without it the first in file order.
+        Arrays of an ``.npz``, in this order; default: the first array in the file.
     skin_shape : tuple of int
-        Rows and columns of the skin, and of a ``.csv``'s frames without the comment ``# shape: ROWS COLUMNS``.
+        Rows and columns of the skin; also those of a ``.csv`` without the comment ``# shape: ROWS COLUMNS``.
 
     Raises
     ------
     InputError
-        If the file is missing or unreadable, or an array is not one of finite forces of 0 or more.
+        If the file is missing or unreadable, or an array has other values than finite forces of 0 or more.
     """
     if not path.is_file():
         raise InputError(f"no recording at '{path}': expected a .npz, .npy or .csv file")
@@ -76,7 +76,7 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
 
 
 def array_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an ``.npz``, in file order; of any other file none.
+    """Return the names of the arrays in an ``.npz``, in file order; for other files no names.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def array_names(path: Path) -> tuple[str, ...]:
 
 
 def _read_numpy(path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:
-    with path.open("rb") as file:  # NumPy leaves a broken one open
+    with path.open("rb") as file:  # NumPy does not close a damaged file
         return _arrays_of(file, path, arrays)
 
 
@@ -123,7 +123,7 @@ def _read_csv(path: Path, skin_shape: tuple[int, int]) -> dict[str, Counts]:
     frames = {number: text for number, line in enumerate(lines, 1) if (text := line.partition("#")[0].strip())}
     last = next(reversed(frames.values()), "")
     delimiter = next((each for each in _DELIMITERS if each in last), ",")
-    if delimiter != ",":  # then a comma is a decimal comma
+    if delimiter != ",":  # a comma is then a decimal comma
         frames = {number: text.replace(",", ".") for number, text in frames.items()}
     header = _pop_header(frames, delimiter)
     if not frames:
@@ -142,7 +142,7 @@ def _read_csv(path: Path, skin_shape: tuple[int, int]) -> dict[str, Counts]:
 
 
 def _pop_header(frames: dict[int, str], delimiter: str) -> str:
-    """Take the header line, if there is one, out of `frames` (text by line number); return its first name."""
+    """Remove the header line, if any, from `frames` (text by line number); return its first name."""
     for number, text in frames.items():
         first = text.split(delimiter)[0].strip().strip('"')
         if _is_number(first):

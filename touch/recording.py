@@ -1,4 +1,4 @@
-"""A recording of a real sensor, or of any other program, as a source of touch."""
+"""A recording of a sensor or of a program as a taxel source."""
 
 import math
 from typing import Final
@@ -12,39 +12,39 @@ from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 from touch.reading import Counts
 
-#: Far above any sensor and still a float32.
+#: Largest force: far above any sensor, and within float32.
 _LARGEST_FORCE_LOG10: Final = 30
 
 
 class Recording:
-    """Recorded frames in the middle of the skin, again from the first after the last.
+    """Recorded frames in the middle of the skin; after the last frame the first follows.
 
-    A `skin.sources.TaxelSource`. Labels are empty: a recording does not say what touched.
+    A `skin.sources.TaxelSource`. Labels are empty: a recording does not tell the touching object.
 
     Parameters
     ----------
     arrays : tuple of numpy.ndarray
-        One array of shape (frames, rows, columns), or several of as many rows that lie side by side; the
-        longer ones are cut to the frames of the shortest.
+        One array of shape (frames, rows, columns), or several arrays of equal rows, placed side by side; the shortest
+        array determines the number of frames.
     rows, columns : int
-        Taxels of the skin; those around a smaller recording feel nothing.
+        Taxels of the skin; the force around a smaller recording is 0.
     full_scale : float, optional
-        The recorded value that becomes `force_max_n`; without it the largest value of the recording.
+        The recorded value that becomes `force_max_n`; default: the largest value of the recording.
     force_max_n : float
-        Newtons of full scale.
+        Force at full scale, newtons.
     steps_per_frame : float
-        Steps of the skin's clock one recorded frame lasts.
+        Number of SYNC cycles per recorded frame.
 
     Attributes
     ----------
     full_scale : float
-        The one in use, given or found.
+        The full scale in use.
     frames : int
-        Length of the recording.
+        Number of frames.
     shape : tuple of int
         Rows and columns of the recording, all arrays side by side.
     corner : tuple of int
-        Row and column of the skin where the recording's first taxel lies.
+        Row and column of the recording's first taxel on the skin.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class Recording:
         return counts.astype(np.float64) / self.full_scale * self.force_max_n
 
     def counts(self, force_n: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return newtons as recorded values, whole ones where the recording's are; the shape is kept."""
+        """Convert newtons to recorded values, integers if the recording has integers; same shape."""
         values = np.asarray(force_n, np.float64) * (self.full_scale / self.force_max_n)
         return np.rint(values) if self._is_whole else values
 

@@ -1,8 +1,8 @@
-"""The project's own banana, cup, drill, clamp and mustard bottle: what faces the array, from a few measures.
+"""The project's own banana, cup, drill, clamp and mustard bottle: the side that faces the array.
 
-They stand in where no meshes are given. Each is built in the frame and to the size of the object of the YCB set that
-the paper uses, so that the same starts fit both; the knots were adjusted until the contact at 12 mm depth came close.
-Bumps of the scanned surfaces are not in them.
+These shapes are used without meshes. Each shape has the frame and size of the YCB object of the paper, so trajectories
+have the same starts for shape and mesh. The knots were fitted to the contact at 12 mm depth. Bumps of the scanned
+surfaces are left out.
 
 Lengths are millimetres; a rod's knots are x, y, height of the top, and radius.
 """
@@ -119,7 +119,7 @@ _MUSTARD_UPRIGHT: Final[tuple[Knots, ...]] = (
 #: Middle x, y of the cup, and the slope of its rim along x and y.
 _CUP_MIDDLE: Final = (-0.35, -0.33)
 _CUP_SLOPE: Final = (-0.003, 0.0114)
-#: The cup's lip, inwards and then outwards: radius of a circle, height of the top, radius of its spheres.
+#: The cup's lip, from inside to outside: radius of a circle, height of its top, radius of its spheres.
 _CUP: Final[Knots] = (
     (46.15, 0.11, 0.51),
     (44.2, -1.2, 3.31),
@@ -138,18 +138,18 @@ def banana() -> Spheres:
 
 
 def cup() -> Spheres:
-    """Return the lip of a cup that stands, a little tilted as its mesh is: circles of spheres."""
+    """Return the lip of a standing cup, tilted like its mesh: circles of spheres."""
     x, y = _CUP_MIDDLE
     return rim(np.array(_CUP) / 1e3, (x / 1e3, y / 1e3), _CUP_SLOPE)
 
 
 def drill() -> Spheres:
-    """Return a power drill on its side: a rod for the motor, two side by side for the foot of the grip."""
+    """Return a power drill on its side: a rod for the motor, two parallel rods for the foot of the grip."""
     return _rods(_DRILL)
 
 
 def clamp() -> Spheres:
-    """Return a spring clamp on its side: a long bent rod with the pivot, and a short one."""
+    """Return a spring clamp on its side: a long bent rod with the pivot, and a short rod."""
     return _rods(_CLAMP)
 
 

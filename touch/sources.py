@@ -17,15 +17,15 @@ from touch.reading import array_names, read_counts
 from touch.recording import Recording
 from touch.strokes import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touch, random_stream
 
-#: Arrays of a file that are named beside the one that is played.
+#: Most other arrays of a file that the log names.
 NAMED: Final = 8
 
 
 class ObjectSource:
-    """An endless seeded series of touches, object after object; a `skin.sources.TaxelSource`.
+    """An endless random series of touches, object after object; a `skin.sources.TaxelSource`.
 
-    Each touch takes `touch.strokes.SLOT_S`: a pause, then pressed, held, slid and lifted. A frame bears the
-    object's name while its largest true force is at least `touch.strokes.LABEL_FORCE_N`.
+    Each touch takes `touch.strokes.SLOT_S`: pause, press, hold, slide, lift. A frame has the object's name as label
+    while its largest true force is at least `touch.strokes.LABEL_FORCE_N`.
     """
 
     has_noise = False
@@ -49,7 +49,7 @@ class ObjectSource:
         return self._touch
 
     def frame(self, step: int) -> Frame:
-        """Return the touch at `step`; its array is read-only.
+        """Return the frame at `step`; its array is read-only.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class ObjectSource:
             return Frame(self._untouched, "")
         touch = self.touch(int(index))
         pose = touch.stroke.pose(time_s - PAUSE_S)
-        if (self._index, pose) != self._pressed:  # a held object is the same image for many steps
+        if (self._index, pose) != self._pressed:  # a held object has the same image for many steps
             self._force_n = _fixed(touch.force_n(self.grid, pose))
             self._pressed = self._index, pose
         return Frame(self._force_n, touch.name if float(self._force_n.max()) >= LABEL_FORCE_N else "")
@@ -87,12 +87,12 @@ def objects(
     pitch_m : float
         Distance between neighbouring taxels.
     rate_hz : float
-        Steps a second.
+        Steps per second.
     names : sequence of str, optional
-        Objects of the catalogue in the order they come, again and again; a string may name several,
-        separated by commas. Without it, those of `skin.sources.DEFAULT_OBJECTS` that this array can feel.
+        Objects of the catalogue, in the order of their touches; a string may hold several names, separated by commas.
+        Default: the objects of `skin.sources.DEFAULT_OBJECTS` that this array can feel.
     seed : int
-        Same seed, same touches.
+        The same seed gives the same touches.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def objects(
     grid = Grid(rows, columns, pitch_m)
     listed = felt_objects(DEFAULT_OBJECTS, grid) if names is None else checked_names(names)
     source = ObjectSource(grid, rate_hz, listed, seed)
-    # The contact kernel is compiled now, not in the middle of a cycle.
+    # Compile the contact kernel now, not inside a cycle.
     source.frame(int(np.ceil((PAUSE_S + SLOT_S) / 2 * rate_hz)))
     return source
 
@@ -122,7 +122,7 @@ def recording(
     arrays: Sequence[str] | None = None,
     frame_rate_hz: float | None = None,
 ) -> Recording:
-    """Return a recording as a source; after its last frame it starts again.
+    """Return a recording as a taxel source; after its last frame the first follows.
 
     Parameters
     ----------
@@ -130,19 +130,19 @@ def recording(
         ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)) or ``.csv`` (one frame per line), see
         `touch.reading.read_counts`.
     rows, columns : int
-        Taxels of the skin; a smaller recording lies in the middle, and stderr says so.
+        Taxels of the skin; a smaller recording is placed in the middle, and the log tells.
     rate_hz : float, optional
-        Steps a second of the skin; needed only with `frame_rate_hz`.
+        Steps per second of the skin; needed only with `frame_rate_hz`.
     full_scale : float, optional
-        The recorded value that becomes `force_max_n`; without it the largest value of the recording, which
-        the returned object tells as its own `full_scale`.
+        The recorded value that becomes `force_max_n`; default: the largest value of the recording, which is the
+        attribute `full_scale` of the source.
     force_max_n : float
-        Newtons of full scale.
+        Force at full scale, newtons.
     arrays : sequence of str, optional
-        Arrays of an ``.npz`` to lay side by side, left to right; a string may name several, separated by
-        commas. Without it the first in file order, and stderr names the others.
+        Arrays of an ``.npz`` to place side by side, left to right; a string may hold several names, separated by
+        commas. Default: the first array in the file; the log names the others.
     frame_rate_hz : float, optional
-        Recorded frames a second; without it each step shows the next frame.
+        Recorded frames per second; default: each step shows the next frame.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def recording(
 
 
 def _tell_others(path: Path) -> None:
-    """Say which of several arrays is played: a file's first may not be the one that was meant."""
+    """Log which of several arrays is played: the user may want another array."""
     first, *others = array_names(path) or ("",)
     if others:
         more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""

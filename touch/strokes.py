@@ -1,7 +1,7 @@
-"""Random touches: which object, where, how turned, how deep and along which stroke.
+"""Random touches: object, position, rotation, depth and stroke.
 
-The live source and the training data draw from this one distribution; each touch has its own seed, so that
-the touch number `index` is the same however it is reached.
+Taxel source and training data have this distribution. Each touch has its own seed, so touch number `index` does not
+depend on other touches.
 """
 
 import math
@@ -14,22 +14,22 @@ from skin.taxel import NOISE_N
 from touch.contact import FloatArray, Force, Grid, Pose, Spheres, press
 from touch.objects import spheres_of
 
-#: An object is said to touch while the largest true force is at least this, twice the noise's deviation.
+#: An object is the label while the largest true force is at least this, twice the standard deviation of the noise.
 LABEL_FORCE_N: Final = 2 * NOISE_N
 PAUSE_S: Final = 0.4
-#: Short beside the rest: while an object is half pressed in, its sums are those of a smaller one.
+#: Short compared with the other phases: the sums of a half pressed object are like those of a smaller object.
 PRESS_S: Final = 0.2
 HOLD_S: Final = 0.6
 SLIDE_S: Final = 2.0
 LIFT_S: Final = 0.2
-#: One touch with the pause before it.
+#: Time of one touch with the pause before.
 SLOT_S: Final = PAUSE_S + PRESS_S + HOLD_S + SLIDE_S + LIFT_S
 DEPTH_M: Final = (0.0095, 0.0105)
-#: An object too large to stay on the array still moves off its middle by this part of its half.
+#: An object too large for the array still moves from the middle by this part of half the array.
 LEAST_REACH_RATIO: Final = 0.08
-#: That of the paper's trajectory.
+#: As in the paper's trajectory.
 SLIDE_SPEED_M_PER_S: Final = 0.045
-#: Streams of random numbers that never meet.
+#: Independent streams of random numbers.
 LIVE, TRAINING = 0, 1
 
 
@@ -42,9 +42,9 @@ class Stroke:
     start_m, end_m : tuple of float
         Position x, y before and after the slide.
     rotation_rad : float
-        Kept throughout.
+        Constant during the touch.
     depth_m : float
-        Reached at the end of the press and kept until the lift.
+        Depth from the end of the press to the lift.
     press_s, hold_s, slide_s, lift_s : float
         Duration of each phase.
     """
@@ -60,7 +60,7 @@ class Stroke:
 
     @property
     def duration_s(self) -> float:
-        """From the first touch to the last."""
+        """Duration of the contact."""
         return self.press_s + self.hold_s + self.slide_s + self.lift_s
 
     def pose(self, time_s: float) -> Pose:
@@ -79,7 +79,7 @@ class Stroke:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """One object on its way over the array."""
+    """One object and its stroke over the array."""
 
     name: str
     spheres: Spheres
@@ -96,7 +96,7 @@ def random_stream(seed: int, stream: int, index: int) -> np.random.Generator:
 
 
 def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
-    """Return a random touch of the object called `name` that stays on the array as far as it fits.
+    """Return a random touch of the object `name` that stays on the array if the object fits.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
 
 
 def _reach_m(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:
-    """Return how far from the middle, along x and y, the contact stays on the array."""
+    """Return the largest distance from the middle, along x and y, at which the contact stays on the array."""
     reach = spheres.radii_m + grid.taxel_radius_m
     indent = np.clip(depth_m + spheres.centres_m[:, 2] + spheres.radii_m, 0.0, reach)
     span = np.sqrt(indent * (2.0 * reach - indent))
@@ -139,7 +139,7 @@ def _reach_m(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) 
 
 
 def _progress(elapsed_s: float, duration_s: float) -> float:
-    """Return how much of a phase is done, 0 to 1; a phase of no duration is done when it begins."""
+    """Return the finished part of a phase, 0 to 1; a phase of duration 0 is finished at once."""
     if elapsed_s >= duration_s:
         return 1.0
     return elapsed_s / duration_s if elapsed_s > 0.0 else 0.0

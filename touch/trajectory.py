@@ -1,4 +1,4 @@
-"""The trajectories the paper rebuilds from sums: five objects pressed in and slid (section V-A)."""
+"""The paper's trajectories: five objects are pressed in and slid (section V-A)."""
 
 import math
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from skin.errors import InputError
 from touch.contact import Force, Grid, Pose, press_along
 from touch.objects import spheres_of
 
-#: The paper's trajectory: 1 kHz, 1100 steps of pressing at 0.01 m/s from a gap of 1 mm, 3100 of sliding.
+#: The paper's trajectory: 1 kHz, 1100 steps of pressing at 0.01 m/s from a gap of 1 mm, 3100 steps of sliding.
 PAPER_STEP_S: Final = 1e-3
 PAPER_STEPS: Final = 4200
 PAPER_PRESS_STEPS: Final = 1100
 PAPER_GAP_STEPS: Final = 100
 PAPER_PRESS_M_PER_STEP: Final = 1e-5
 PAPER_SLIDE_M_PER_STEP: Final = (-2e-5, -4e-5)
-#: Depth at the last pressing step, where the classification data are taken.
+#: Depth at the last pressing step, also the depth of the classification data.
 PAPER_DEPTH_M: Final = (PAPER_PRESS_STEPS - 1 - PAPER_GAP_STEPS) * PAPER_PRESS_M_PER_STEP
-#: Where the golf ball starts; those of the other objects are not published.
+#: Start of the golf ball; the paper gives no other start.
 GOLF_START_M: Final = (0.06, 0.06)
 
 
@@ -32,7 +32,7 @@ def paper_pose(step: int, start_m: tuple[float, float] = GOLF_START_M, rotation_
     start_m : tuple of float
         Position x, y while the object is pressed in.
     rotation_rad : float
-        Kept throughout.
+        Constant during the trajectory.
     """
     step = min(max(step, 0), PAPER_STEPS - 1)
     pressing = min(step, PAPER_PRESS_STEPS - 1)
@@ -44,18 +44,17 @@ def paper_pose(step: int, start_m: tuple[float, float] = GOLF_START_M, rotation_
 
 @dataclass(frozen=True)
 class Start:
-    """Where a trajectory starts.
+    """Start of a trajectory.
 
     Attributes
     ----------
     start_m : tuple of float
         Position x, y while the object is pressed in.
     rotation_rad : float
-        Kept throughout.
+        Constant during the trajectory.
     exact : bool
-        True where the start is that of the authors' own file. False where it is fitted: the paper does not
-        publish it, and the one on a 10 mm grid and four rotations whose coefficient counts come closest to the
-        paper's Table I was taken.
+        True: the start is from the authors' file. False: the start is fitted on a 10 mm grid and four rotations, so
+        that the numbers of coefficients are nearest to Table I of the paper.
     """
 
     start_m: tuple[float, float]
@@ -83,9 +82,9 @@ def trajectory(name: str, *, meshes: Path | None = None, speed: int = 1, steps: 
     meshes : pathlib.Path, optional
         Folder of meshes, see `touch.objects.spheres_of`.
     speed : int
-        Times the paper's speed: every `speed`-th of its steps.
+        Speed / paper's speed: every `speed`-th step is taken.
     steps : int, optional
-        How many to return; without it, to the end of the trajectory: 4200 at the paper's speed.
+        Number of steps to return; default: the whole trajectory, 4200 steps at the paper's speed.
 
     Returns
     -------
@@ -103,12 +102,12 @@ def trajectory(name: str, *, meshes: Path | None = None, speed: int = 1, steps: 
 
 
 def start_of(name: str) -> Start:
-    """Return where the trajectory of the object called `name` starts.
+    """Return the start of the trajectory of the object `name`.
 
     Raises
     ------
     InputError
-        If the paper has no trajectory of it.
+        If the paper has no trajectory of this object.
     """
     if name not in ACQUISITION_OBJECTS:
         raise InputError(f"no trajectory of '{name}': expected one of {', '.join(ACQUISITION_OBJECTS)}")
