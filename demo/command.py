@@ -31,38 +31,38 @@ def demo(
 ) -> int:
     """Press and slide objects on a skin and show the whole chain at work.
 
-    Starts the virtual buses, the nodes, the gateway, the reconstructor, the classifier and the live page as
-    processes of their own, runs for a while, and ends with a summary and a picture.
+    Starts virtual buses, nodes, gateway, reconstructor, classifier and web page as separate processes, runs for a
+    while, and ends with a summary and a picture.
 
     Parameters
     ----------
     layout
         TOML of the skin; without it the default skin of 64 x 64 taxels on four CAN buses.
     seconds
-        How long SYNC runs.
+        Time that SYNC runs, seconds.
     input
-        A recording to play instead of the simulator: .npz, .npy or .csv of shape (time, rows, columns).
+        A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns).
     full_scale
-        Value of the recording that stands for the skin's largest force; default: the largest it holds.
+        Recorded value that becomes the skin's largest force; default: the largest value of the recording.
     array
-        Name of the array of an .npz; two names are placed side by side.
+        Name of an array in the .npz; two arrays are placed side by side.
     rate
-        Frames a second of the recording; without it, each cycle plays the next frame.
+        Frames per second of the recording; without this option each cycle plays the next frame.
     objects
         Names of the objects, see ``skin objects``; default: a series of five.
     defect
         Defects of the taxels, each KIND or KIND=AMOUNT, see ``skin nodes``: dead, stuck, saturated, noisy, gain-spread,
         cross-talk, drift, damper.
     seed
-        Seed of the touches, of the sensor noise, and of the taxels that a defect meets.
+        Seed of the touches, of the sensor noise, and of the choice of defective taxels.
     view
-        ``--no-view`` leaves the live page out.
+        ``--no-view`` runs without web page.
     port
-        Port of the live page, 0 for a free one; default 8765, or a free one when that is taken.
+        Port of the web page, 0 for a free port; default 8765, or a free port if 8765 is in use.
     listen
-        Endpoint of the fabric's hub, where other programs can listen in; default: a free port of this machine.
+        Endpoint of the fabric's hub, to which other programs can connect; default: a free port of this machine.
     picture
-        File for the picture of true, sensor, rebuilt and difference.
+        File for the picture of true force, sensor signal, rebuilt image and error.
     json
         Print the figures of the run as one JSON object on stdout.
 
@@ -73,7 +73,7 @@ def demo(
     skin demo --input S1.npz --array posture_01 posture_02 --full-scale 4095 --json
     """
     stop = StopSignal().install()
-    # Only now, for these take seconds in which a signal must be heeded.
+    # Imported here, because these imports take seconds in which signals must be handled.
     from demo.folder import run_folder
     from demo.options import DemoOptions
     from demo.run import Run

@@ -1,4 +1,4 @@
-"""The folder of a run's logs and sockets, and what runs that were killed have left."""
+"""The folder of a run's logs and sockets, and removal of the folders of killed runs."""
 
 import contextlib
 import fcntl
@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Final
 
 PREFIX: Final = "skin-demo-"
-#: A younger folder may be one whose run has not claimed it yet.
+#: Folders younger than this are kept: their run may not have locked them yet.
 GRACE_S: Final = 60.0
 
 
 @contextlib.contextmanager
 def run_folder() -> Iterator[Path]:
-    """Make a folder that lasts as long as the block; remove those of runs that died without removing theirs.
+    """Make a folder for the duration of the ``with``; remove the folders of killed runs.
 
-    A run holds a lock on its folder, which the kernel lets go when the run dies, however it dies.
+    A run holds a lock on its folder; the kernel releases the lock when the run ends for any reason.
     """
     _sweep()
     with tempfile.TemporaryDirectory(prefix=PREFIX) as name:
@@ -32,9 +32,9 @@ def run_folder() -> Iterator[Path]:
 
 
 def _sweep() -> None:
-    """Remove the folders of this user that nobody claims."""
+    """Remove this user's folders without a lock."""
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError):  # another user's, or gone meanwhile
+        with contextlib.suppress(OSError):  # of another user, or removed meanwhile
             about = folder.lstat()
             if about.st_uid == os.getuid() and time.time() - about.st_ctime > GRACE_S:
                 _remove_unclaimed(folder)

@@ -15,7 +15,7 @@ from touch.objects import checked_names
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """The options of `demo.command.demo`, under the same names; `objects` empty for the default series."""
+    """The options of `demo.command.demo`, with the same names; empty `objects` for the default series."""
 
     layout_path: Path | None
     seconds: float
@@ -32,12 +32,12 @@ class DemoOptions:
     picture: Path
 
     def check(self, layout: Layout) -> None:
-        """Check that a skin can be run with these options.
+        """Check that a run with these options is possible.
 
         Raises
         ------
         InputError
-            If it cannot.
+            If an option cannot be used.
         """
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
@@ -52,7 +52,7 @@ class DemoOptions:
         self._check_touch(layout)
 
     def _check_touch(self, layout: Layout) -> None:
-        """Check what touches the skin; of a recording the nodes read it again."""
+        """Check the objects, or the recording, which the nodes will read again."""
         if self.recording is None:
             for flag, value in (
                 ("--array", self.arrays),

@@ -1,4 +1,4 @@
-"""The picture of a run: what was there, what the sensor felt, what was rebuilt, and the difference."""
+"""The picture of a run: true force, sensor signal, rebuilt image, and error."""
 
 from pathlib import Path
 
@@ -14,17 +14,17 @@ from matplotlib import pyplot as plt
 
 
 def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool = True) -> None:
-    """Draw true, sensor and reconstructed force and the reconstruction's error side by side.
+    """Draw true force, sensor signal, rebuilt image and its error side by side.
 
     Parameters
     ----------
     snapshot : Snapshot
     peak_n : float
-        Largest force a taxel can feel, the peak of the PSNR.
+        End of the taxels' range, the peak of the PSNR.
     path : pathlib.Path
-        Where; one of `skin.output.PICTURE_SUFFIXES`.
+        File with one of `skin.output.PICTURE_SUFFIXES`.
     noisy : bool
-        Whether the sensor adds noise, so that its PSNR means something.
+        Whether the sensor adds noise; else its PSNR is not shown.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""The figures of a run: a value for programs, and rows of words for a person."""
+"""The figures of a run, as a value for programs and as rows of a table."""
 
 from typing import Final
 
 import msgspec
 
-#: Nodes the rows name when frames are missing.
+#: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
 
 
@@ -14,7 +14,7 @@ class NodeMissing(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     missing, late : int
-        Frames that a cycle had to do without, and that came too late for theirs.
+        Number of frames that did not come in their cycle, and that came too late.
     emcy : str
         Error code of the node's newest emergency (CiA 301, 7.2.7.1), ``0000h`` for none.
     """
@@ -27,37 +27,37 @@ class NodeMissing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Percentiles(msgspec.Struct, frozen=True, kw_only=True):
-    """The median and the 99th percentile; None where nothing was measured."""
+    """Median and 99th percentile; None without measurement."""
 
     p50: float | None
     p99: float | None
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True):
-    """The figures of a run; None where nothing was measured.
+    """The figures of a run; None without measurement.
 
     Attributes
     ----------
     frames_sent, frames_received, frames_lost : int
-        TPDOs with sums; lost are those that were sent and not received.
+        TPDOs with sums; lost = sent, but not received.
     frames_dropped : int
-        TPDOs that their nodes gave up before they reached the bus.
+        TPDOs that their nodes dropped before transmission.
     frames_missing, frames_late : int
-        TPDOs that a cycle had to do without, and those that came too late for theirs.
+        TPDOs that did not come in their cycle, and TPDOs that came too late.
     nodes_missing : list of NodeMissing
         The worst nodes first.
     psnr_sensor_db, psnr_image_db : float or None
-        Against the true force, means over contact cycles.
+        PSNR against the true force, means over cycles with contact.
     sensor_adds_noise : bool or None
-        False when the sensor only rounds to its ADC's steps, as with a recording.
+        False when the sensor only rounds to ADC counts, as with a recording.
     label_accuracy : float or None
-        Part of the contact cycles with a named object that got the right label.
+        Cycles with the right label / cycles with contact and a named object.
     latency_ms : Percentiles
-        SYNC to published image.
+        Time from SYNC to the published image.
     bus_load : list of float
-        Per bus, since SYNC started, exact stuffing.
+        Load of each bus since SYNC started, exact stuffing.
     picture : str
-        Path of the picture; absent when there was no contact to show, or it could not be written.
+        Path of the picture; absent without contact, or if the file could not be written.
     """
 
     cycles: int
@@ -81,7 +81,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def failure(self) -> str:
-        """Why the run measured nothing; empty when it did."""
+        """Why the run measured nothing; empty if it did measure."""
         if not self.cycles:
             return "no cycle: SYNC never came"
         if self.cycles_complete:
@@ -92,7 +92,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         return f"no cycle was complete{because}; 'skin plan' says what a layout does to its buses"
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the figures in words, each with its name."""
+        """Return the rows of the table: name and text of each figure."""
         complete = f"{self.cycles_complete} of {self.cycles} complete, at {self.sync_rate_hz:.1f} Hz"
         frames = f"{self.frames_sent} sent, {self.frames_received} received, {self.frames_lost} lost"
         rows = [("cycles", complete), ("frames", frames)]

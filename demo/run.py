@@ -32,7 +32,7 @@ TURN_S: Final = 0.1
 
 
 class Run:
-    """Starts the services, follows them, and reports; its options have been checked."""
+    """Starts the services, watches them, and reports; the options are checked before."""
 
     def __init__(self, layout: Layout, options: DemoOptions, folder: Path) -> None:
         self._layout = layout
@@ -44,12 +44,12 @@ class Run:
         self._port = _page_port(options.port) if options.view else None
 
     def execute(self, stop: StopSignal) -> Report:
-        """Run the chain until its time is over or `stop`, and return the figures.
+        """Run the chain until the end of its time or `stop`, and return the figures.
 
         Raises
         ------
         KeyboardInterrupt
-            If `stop` came before the first cycle, so that there are no figures.
+            If `stop` came before the first cycle; there are no figures then.
         """
         if stop.is_set():
             raise KeyboardInterrupt
@@ -66,27 +66,27 @@ class Run:
             if stop.is_set() and not self._has_started():
                 self._supervisor.stop_at_once()
                 raise KeyboardInterrupt
-            # In this order, so that every frame sent is either received or lost, and counted.
+            # In this order every sent frame is counted as received or lost.
             self._supervisor.stop("gateway")
             self._supervisor.stop("nodes")
-            time.sleep(TURN_S)  # the last counters are on their way
+            time.sleep(TURN_S)  # wait for the last counters
         return self._score.report()
 
     def save_picture(self, report: Report) -> Report | None:
-        """Save the picture, if there was a contact to show; return the report with its path, None if that failed."""
+        """Save the picture if there was contact; return the report with its path, None if the file was not written."""
         if self._score.snapshot is None:
             return report
         path, taxels = self._options.picture, self._layout.taxels
         try:
             save_picture(self._score.snapshot, taxels.force_max_n, path, noisy=bool(report.sensor_adds_noise))
-        except OSError as error:  # the figures are worth more than the picture
+        except OSError as error:  # print the figures without the picture
             say("demo", f"{path}: cannot write the picture: {error.strerror or error}")
             return None
         return msgspec.structs.replace(report, picture=str(path.resolve()))
 
     @staticmethod
     def print_summary(report: Report) -> None:
-        """Print the figures as a table for a person."""
+        """Print the figures as a table."""
         print_table((), report.rows())
 
     def _common(self, endpoint: str) -> list[str]:
@@ -124,7 +124,7 @@ class Run:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)
 
     def _await_services(self, stop: StopSignal) -> None:
-        """Wait until every service says that it is ready."""
+        """Wait until every service is on the fabric."""
         wanted = {"nodes", "reconstructor", "classifier"} | ({"viewer"} if self._port is not None else set())
         patience_s = time.monotonic() + READY_PATIENCE_S
         with self._console.status("starting") as status:
@@ -135,9 +135,9 @@ class Run:
                     raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
 
     def _follow(self, stop: StopSignal, endpoint: str) -> None:
-        """Show progress until the time is over."""
+        """Show progress until the end of the run."""
         if self._port is not None:
-            self._console.print(f"live page: http://127.0.0.1:{self._port}/")
+            self._console.print(f"web page: http://127.0.0.1:{self._port}/")
         self._console.print(f"fabric: {endpoint}", highlight=False)
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
         self._console.print(f"processes: {pids}", highlight=False)
@@ -161,7 +161,7 @@ class Run:
         return self._score.gateway is not None and self._score.gateway.cycles > 0
 
     def _line(self) -> str:
-        """Say in one line how the run is going."""
+        """Return the state of the run in one line."""
         gateway, score = self._score.gateway, self._score
         parts = [f"cycle {gateway.cycles}, {gateway.cycles_complete} complete" if gateway else ""]
         if score.psnr_image_db:
@@ -173,7 +173,7 @@ class Run:
 
 
 def _known_objects(touching: Collection[str]) -> list[str]:
-    """Let the classifier know the objects that touch, and the default ones that it can confuse them with."""
+    """Return the classifier's objects: those of the run, and the default objects for a realistic choice."""
     if set(touching) <= set(DEFAULT_OBJECTS):
         return []
     return ["--objects", ",".join(dict.fromkeys((*DEFAULT_OBJECTS, *touching)))]
@@ -186,7 +186,7 @@ def _hub(skin: str, listen: str | None) -> tuple[str, Fabric]:
 
 
 def _page_port(wanted: int | None) -> int:
-    """Return the port for the page: the one wanted, else the default or a free one; 0 wants a free one."""
+    """Return the port of the page: the given port, else the default or a free port; 0 means a free port."""
     if wanted is not None:
         return wanted or _free_port()
     with socket.socket() as probe:

@@ -1,4 +1,4 @@
-"""The figures of a run: messages in, a `demo.report.Report` out. No input or output of its own.
+"""The figures of a run: messages in, a `demo.report.Report` out.
 
 PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles.
 """
@@ -18,17 +18,17 @@ from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
 from skin.psnr import adds_noise, psnr_db
 
-#: Nodes named in a report when frames are missing.
+#: Most nodes in a report when frames are missing.
 NODES_NAMED: Final = 16
-#: Cycles whose figures are kept: an hour at 100 Hz.
+#: Number of cycles whose figures are kept: an hour at 100 Hz.
 HISTORY: Final = 360_000
-#: The picture shows the last cycle whose largest force is at least this part of the largest of the run.
+#: The picture shows the last cycle whose largest force is at least this part of the largest force of the run.
 FULL_CONTACT_RATIO: Final = 0.95
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One cycle's images, newtons, shape (rows, columns)."""
+    """The images of one cycle, newtons, shape (rows, columns)."""
 
     true: npt.NDArray[np.float32]
     sensor: npt.NDArray[np.float32]
@@ -41,14 +41,14 @@ def _newest() -> deque[float]:
 
 @dataclass
 class Score:
-    """Collects the messages of a run; handlers may be called from any one thread each.
+    """Collects the messages of a run; each handler may be called from one thread.
 
     Attributes
     ----------
     psnr_image_db, psnr_sensor_db : deque of float
         One entry per contact cycle, of the last `HISTORY`.
     latency_ms : deque of float
-        SYNC to published image, one entry per image, of the last `HISTORY`.
+        Time from SYNC to the published image, one entry per image, of the last `HISTORY`.
     """
 
     layout: Layout
@@ -75,7 +75,7 @@ class Score:
         self.nodes[status.process] = status
 
     def take_truth(self, truth: Truth) -> None:
-        """Use what the skin really felt in a cycle; one of another size than the skin's is left alone."""
+        """Use the true forces of a cycle; a truth of another size is ignored."""
         if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
             return
         image, label = self._images.take_truth(truth), self._labels.take_truth(truth)
@@ -85,7 +85,7 @@ class Score:
             self._count_label(label, truth)
 
     def take_image(self, image: Image) -> None:
-        """Compare an image with the truth of its cycle; one of another size is left alone."""
+        """Compare an image with the truth of its cycle; an image of another size is ignored."""
         if len(image.pixels) != 4 * self.layout.taxels.count:
             return
         self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
@@ -101,7 +101,7 @@ class Score:
             self._count_label(label, truth)
 
     def label_text(self) -> str:
-        """Return the newest label in words."""
+        """Return the newest label as text."""
         if self.last_label is None or not is_measured(self.last_label, self.layout.measurement.sums):
             return "not measured"
         return self.last_label.label or "no contact"

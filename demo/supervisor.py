@@ -10,10 +10,10 @@ from typing import Final
 
 from skin.errors import InputError, RunError
 
-#: A process that has ended is started again after this time, so that its absence can be seen.
+#: A process that has ended is started again after this time; the page shows its absence until then.
 RESTART_AFTER_S: Final = 2.0
 STOP_PATIENCE_S: Final = 5.0
-#: How long all services together may take to end when somebody waits at the terminal.
+#: Time limit for the end of all services when the user waits.
 HASTE_S: Final = 1.0
 WRONG_INPUT: Final = 2
 
@@ -33,13 +33,13 @@ class Child:
 
 @dataclass
 class Supervisor:
-    """Starts ``skin`` services as processes of their own; `folder` holds their logs and the buses' sockets."""
+    """Starts ``skin`` services as processes; `folder` holds their logs and the buses' sockets."""
 
     folder: Path
     children: dict[str, Child] = field(default_factory=dict)
 
     def start(self, name: str, *arguments: str, restart: bool = False) -> Child:
-        """Start ``skin ARGUMENTS`` under `name`, which a service that has ended may have had before."""
+        """Start ``skin ARGUMENTS`` as `name`; a service that has ended may have had the same name."""
         if name in self.children:
             self.children[name].process.wait(STOP_PATIENCE_S)
         log = self.folder / f"{name}.log"
@@ -48,14 +48,14 @@ class Supervisor:
         return child
 
     def look(self, *, starting: bool = False) -> list[str]:
-        """Restart what has ended and may be restarted, not while `starting`; return one line per event.
+        """Restart services that have ended and may be restarted, but not while `starting`; return one line per event.
 
         Raises
         ------
         InputError
-            If a service ended because of a wrong input; with the service's own line.
+            If a service ended because of wrong input; the message is the service's own line.
         RunError
-            If a service ended that the run cannot do without, or that had not become ready.
+            If a service ended that the run needs, or that was not ready yet.
         """
         events = []
         for child in self.children.values():
@@ -77,7 +77,7 @@ class Supervisor:
         return events
 
     def stop(self, *names: str) -> None:
-        """End services, by default all, in the order given; kill what does not end in time."""
+        """End services, by default all, in the given order; kill services that do not end in time."""
         for child in [self.children[name] for name in names if name in self.children] or self.children.values():
             child.restart = False
             if child.process.poll() is None:
@@ -89,7 +89,7 @@ class Supervisor:
                     child.process.wait()
 
     def stop_at_once(self) -> None:
-        """End all services together, in no order; kill what does not end soon."""
+        """End all services at once; kill services that do not end in time."""
         for child in self.children.values():
             child.restart = False
             if child.process.poll() is None:
@@ -98,18 +98,18 @@ class Supervisor:
         for child in self.children.values():
             try:
                 child.process.wait(max(0.0, give_up_s - time.monotonic()))
-            except subprocess.TimeoutExpired:  # it is busy starting
+            except subprocess.TimeoutExpired:  # the service is still starting
                 child.process.kill()
                 child.process.wait()
 
     @staticmethod
     def last_line(child: Child) -> str:
-        """Return the last line the service said."""
+        """Return the last log line of the service."""
         lines = child.log.read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else "it said nothing"
 
     def _launch(self, arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
-        # One thread each: the services share the machine, and none needs more.
+        # One thread per service: the services share the machine, and one thread is enough.
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
         environment = {**os.environ, **threads, "SKIN_BUS_DIR": str(self.folder), "SKIN_PARENT": str(os.getpid())}
         with log.open("ab") as sink:
@@ -119,5 +119,5 @@ class Supervisor:
                 stdout=sink,
                 stderr=sink,
                 env=environment,
-                process_group=0,  # Ctrl-C reaches this process alone, which ends the others in order
+                process_group=0,  # Ctrl-C reaches this process only, which ends the others in order
             )

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Health check: ``skin-alive SERVICE ENDPOINT [SKIN]`` ends with 0 when a service is on the fabric.
+"""Health check: ``skin-alive SERVICE ENDPOINT [SKIN]`` ends with 0 if a service is on the fabric.
 
-Without SKIN, the name of a layout, a service of any skin counts: the image does not know which layout it is given.
+SKIN is the name of a layout. Without SKIN a service of any skin counts, because the image does not know its layout.
 """
 
 import sys
@@ -14,12 +14,12 @@ from skin.peers import Peer
 from skin.service import say
 
 PATIENCE_S: Final = 3.0
-#: What the check calls itself, a skin's name included.
+#: Name of the check's own service and skin.
 NAME: Final = "health"
 
 
 def is_alive(service: str, endpoint: str, skin: str | None = None) -> bool:
-    """Tell whether `service` announces itself on the fabric whose hub is at `endpoint`."""
+    """Tell whether `service` is on the fabric with the hub at `endpoint`."""
     found = threading.Event()
 
     def changed(peer: Peer, alive: bool) -> None:
@@ -35,7 +35,7 @@ def is_alive(service: str, endpoint: str, skin: str | None = None) -> bool:
 
 
 def main() -> int:
-    """Run the check; 1 is a service that is not there, 2 a wrong call."""
+    """Run the check; exit code 1: the service is absent, 2: wrong call."""
     if len(sys.argv) not in {3, 4}:
         say("skin-alive", "expected SERVICE ENDPOINT [SKIN], for example: nodes tcp/127.0.0.1:7447")
         return 2

@@ -1,7 +1,7 @@
-"""Every picture of the README and of docs/, made with today's code.
+"""Makes every picture of the README and of docs/.
 
-``make figures`` makes all of the table `FIGURES`, ``make figures ARGS="demo.png page.png"`` some. The paper's figures
-need the meshes of its objects, ``MESHES=DIR`` in the environment; `page.png` needs chromium.
+``make figures`` makes all pictures of `FIGURES`, ``make figures ARGS="demo.png page.png"`` two of them. The paper's
+figures need the meshes of its objects, ``MESHES=DIR`` in the environment; `page.png` needs chromium.
 """
 
 import base64
@@ -23,7 +23,7 @@ from tests.processes import Processes, free_port
 
 DOCS: Final = Path(__file__).parent
 SKIN: Final = (sys.executable, "-m", "skin")
-#: The page is looked at this long after the golf ball was named, so that all its figures are of a touch.
+#: Time from the label of the golf ball to the picture, so that all figures on the page are those of a touch.
 TOUCHED_S: Final = 1.5
 PATIENCE_S: Final = 120.0
 PAGE_WIDTH, PAGE_HEIGHT = 1280, 720
@@ -35,7 +35,7 @@ def demo(path: Path) -> None:
 
 
 def page(path: Path) -> None:
-    """Take a picture of the live page while the golf ball touches."""
+    """Take a picture of the web page while the golf ball touches."""
     if CHROMIUM is None:
         raise RuntimeError("expected chromium on PATH")
     port = free_port()
@@ -44,9 +44,9 @@ def page(path: Path) -> None:
         processes.skin(
             "demo", "demo", "--seconds", "300", "--objects", "golf-ball", "--port", str(port), "--figure", figure
         )
-        processes.until(lambda: "fabric:" in processes.log("demo").read_text(), "the live page")
+        processes.until(lambda: "fabric:" in processes.log("demo").read_text(), "the web page")
         address = f"http://127.0.0.1:{port}/"
-        # Drawing the page takes a core: chromium comes only when the ball is there.
+        # Chromium takes a whole core, so it starts only when the ball touches.
         processes.until(lambda: _object(address) == "golf-ball", "the golf ball to be named")
         profile = Path(folder) / "chromium"
         profile.mkdir()
@@ -60,7 +60,7 @@ def page(path: Path) -> None:
 
 
 def _object(address: str) -> str:
-    """Return the object that a live page names now."""
+    """Return the object that a page names now."""
     label = httpx.get(f"{address}api/state").json()["label"]
     return label["label"] if label and not label["stale"] else ""
 
@@ -80,7 +80,7 @@ def paper_psnr(path: Path) -> None:
     write_file(path, _from_report("PSNR of the clamp's images over time"))
 
 
-#: File in docs/: what makes it.
+#: File in docs/, and the function that makes it.
 FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "demo.png": demo,
     "page.png": page,

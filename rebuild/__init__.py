@@ -1,1 +1,1 @@
-"""Images of a whole recording or CAN log, made at once."""
+"""The images of a whole recording or CAN log, in one file."""

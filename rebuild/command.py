@@ -25,7 +25,7 @@ from skin.messages import FrameCounts
 from skin.service import say
 from skin.terminal import progress
 
-#: First words of the logs that python-can writes as .csv.
+#: First words of a .csv log of python-can.
 _CAN_CSV: Final = b"timestamp,arbitration_id"
 
 
@@ -42,10 +42,10 @@ def rebuild(
 ) -> None:
     """Make the tactile image of every cycle of a recording or a CAN log, and write all images to one file.
 
-    A CAN log is decoded by the rules of the gateway: late, damaged and missing frames make their blocks invalid in
-    that cycle. A recording is measured as the nodes would, one frame in a cycle. Images of ``live``, ``variation`` and
-    ``paper-contourlet`` are those of ``skin reconstruct``; wavelets are solved in eight parts of the recording side by
-    side, and on a GPU ``paper`` in up to 256.
+    A CAN log is decoded like by the gateway: blocks with late, damaged or missing frames are not valid in that cycle. A
+    recording is measured like by the nodes, one frame per cycle. Images of ``live``, ``variation`` and
+    ``paper-contourlet`` equal those of ``skin reconstruct``. With wavelets, eight parts of the recording are solved
+    together; with ``paper`` on a GPU, up to 256 parts.
 
     Parameters
     ----------
@@ -60,13 +60,13 @@ def rebuild(
     device
         ``gpu`` needs an NVIDIA GPU, the extra canskin[gpu], and ``--solver paper``.
     solver
-        What makes the images.
+        Solver of the images.
     channel
-        Channels of the log, one for each bus; without it the buses' names, else all channels in their order.
+        Channels of the log, one per bus. Default: the names of the buses, else all channels in their order.
     array
-        Name of the array of an .npz; two names are placed side by side.
+        Name of an array in the .npz; two arrays are placed side by side.
     full_scale
-        Value of the recording that stands for the skin's largest force; without it the recording's largest value.
+        Recorded value that becomes the skin's largest force; default: the largest value of the recording.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def _is_recording(source: Path) -> bool:
     Raises
     ------
     InputError
-        If there is no such file.
+        If the file does not exist or cannot be read.
     """
     if not source.is_file():
         raise InputError(f"no file '{source}': expected a CAN log, or a recording as .npz, .npy or .csv")
@@ -163,16 +163,16 @@ def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycl
 
 
 def _counted(counts: FrameCounts) -> str:
-    """Say how frames were counted, in the words of the gateway's counters."""
+    """Return the frame counts as text, with the names of the gateway's counters."""
     words = ("accepted", "missing", "late", "duplicate", "malformed", "foreign")
     return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
 
 
 def _solved(contract: Contract, solver: RecordingSolver, cycles: Cycles) -> npt.NDArray[np.float32]:
-    """Return the images, and say how fast they were made."""
+    """Return the images, and log the time."""
     sums = np.multiply(cycles.counts, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
     valid = cycles.valid[:, contract.phi.block_of_sum]
-    solver.solve(sums[:1], valid[:1])  # compiles, or loads what was compiled before
+    solver.solve(sums[:1], valid[:1])  # compiles the solver, or loads the compiled solver
     started_s = time.perf_counter()
     with progress("solving", len(sums)) as bar:
         images = solver.solve(sums, valid, bar.advance)

@@ -1,4 +1,4 @@
-"""What both kinds of input become: the sums of every cycle."""
+"""The sums of every cycle, from a log or from a recording."""
 
 from dataclasses import dataclass
 
@@ -15,9 +15,9 @@ class Cycles:
     counts : array of int32, shape (cycles, m)
         Sums in ADC counts, 0 where invalid.
     valid : array of bool, shape (cycles, blocks)
-        Where every sum of the block came in this very cycle.
+        True if every sum of the block came in this cycle.
     time_ns : array of int64, shape (cycles,)
-        Of the SYNC: of a log on the clock of the log, of a recording from 0.
+        Time of the SYNC: on the clock of the log; of a recording, from 0.
     """
 
     counts: npt.NDArray[np.int32]

@@ -1,4 +1,4 @@
-"""The file of images: an ``.npz`` that any NumPy reads without pickle."""
+"""The file of images: an ``.npz`` that NumPy reads without pickle."""
 
 import os
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ def check_out(path: Path) -> None:
     Raises
     ------
     InputError
-        If the name does not end in .npz, something is there already, or no file can be written there.
+        If the name does not end in .npz, the file exists, or no file can be written there.
     """
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: expected a file that ends in .npz for the images")
@@ -36,7 +36,7 @@ def check_out(path: Path) -> None:
 
 
 def save_images(path: Path, images: npt.NDArray[np.float32], cycles: Cycles, metadata: Mapping[str, Any]) -> None:
-    """Write images and what belongs to them; the file is there only when it is whole.
+    """Write images and metadata; the file appears only when it is complete.
 
     Arrays: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles, blocks), ``time_ns`` int64
     (cycles,), ``metadata`` a string of JSON.
@@ -44,7 +44,7 @@ def save_images(path: Path, images: npt.NDArray[np.float32], cycles: Cycles, met
     Raises
     ------
     RunError
-        If it cannot be written.
+        If the file cannot be written.
     """
     part = _part_of(path)
     try:

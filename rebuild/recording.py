@@ -1,4 +1,4 @@
-"""A recording of forces, measured as live nodes would: the same taxel, the same Φ, the same packing of the sums."""
+"""A recording of forces, measured like by the nodes: the same ADC, Φ and packing of the sums."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -24,13 +24,13 @@ def measure_recording(
     ----------
     contract : Contract
     path : pathlib.Path
-        ``.npz``, ``.npy`` or ``.csv``, see `touch.reading`. Its values hold a real sensor's noise; none is added.
+        ``.npz``, ``.npy`` or ``.csv``, see `touch.reading`. No noise is added: the values contain a sensor's noise.
     arrays : sequence of str, optional
-        Arrays of an ``.npz`` to lay side by side.
+        Arrays of an ``.npz`` to place side by side.
     full_scale : float, optional
-        The recorded value that becomes the taxels' largest force; without it the largest value of the recording.
+        The recorded value that becomes the taxels' largest force; default: the largest value of the recording.
     advance : callable
-        Called with the number of further frames that are measured.
+        Called with the number of further measured frames.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A CAN log, decoded by the rules of the live gateway: what its collector would not have used is not used here."""
+"""A CAN log, decoded by the collector of the gateway."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from rebuild.cycles import Cycles
 from skin.errors import InputError
 from skin.messages import FrameCounts
 
-#: A late SYNC of one bus may stand in the log behind the next SYNC of another, but not further back.
+#: In a log, a late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
 
 
@@ -33,8 +33,8 @@ def replay(
 ) -> tuple[Cycles, FrameCounts]:
     """Return the cycles of a log, and how its frames were counted.
 
-    A cycle begins with its SYNC and ends, on each bus, with the next SYNC on that bus. Every node is trusted: a log
-    does not say which Φ its nodes had.
+    On each bus a cycle begins with its SYNC and ends with the next SYNC. Every node counts as proven, because a log
+    does not tell the Φ of its nodes.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def replay(
     logged : mapping of int to Frames
         Frames by the number of their bus, in the order of the log.
     advance : callable
-        Called with the number of further cycles that are decoded.
+        Called with the number of further decoded cycles.
 
     Raises
     ------
@@ -86,9 +86,9 @@ def _cycles(logged: Mapping[int, Frames]) -> list[_Cycle]:
 
 
 def _parts(seen: Frames) -> list[Frames]:
-    """Cut the frames of a bus before every SYNC; what comes before the first is left out.
+    """Split the frames of a bus at every SYNC; frames before the first SYNC are left out.
 
-    The SYNCs are marked as echoes, as the gateway that sent them saw them.
+    The SYNCs are marked as echoes, like in the gateway that sent them.
     """
     plain = seen["flags"] & (EXTENDED | REMOTE | ERROR | FD) == 0
     counter = seen["data"][:, 0]

@@ -1,4 +1,4 @@
-"""``skin view``: the live page."""
+"""``skin view``: the web page of a skin."""
 
 import errno
 import socket
@@ -70,7 +70,7 @@ class _Server(uvicorn.Server):
         await super().startup(sockets)
         for listener in sockets or []:
             host, port = listener.getsockname()[:2]
-            say("viewer", f"live page at http://{f'[{host}]' if ':' in host else host}:{port}/")
+            say("viewer", f"web page at http://{f'[{host}]' if ':' in host else host}:{port}/")
 
 
 def _serve(feed: Feed, listener: socket.socket, host: str) -> None:
@@ -121,7 +121,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listener.close()
         if error.errno == errno.EADDRINUSE:
             raise InputError(
-                f"port {port} of {host} is in use: give another port with --port; --port 0 takes a free port"
+                f"port {port} of {host} is in use: give another with --port, or --port 0 for a free one"
             ) from error
         raise InputError(f"--host {host} --port {port}: cannot listen there: {error.strerror or error}") from error
     return listener

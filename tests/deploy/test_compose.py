@@ -140,7 +140,7 @@ def test_the_commands_as_written_give_measurements_images_and_health(
         fabric.subscribe(IMAGE, images.append)
         running.until(lambda: any(min(each.valid) == 1 for each in measurements), "a complete measurement")
         running.until(lambda: any(min(each.valid) == 1 for each in images), "an image of a complete measurement")
-        running.await_words("viewer", "live page")
+        running.await_words("viewer", "web page")
         running.await_words("classifier", "knows")
     finally:
         fabric.close()

@@ -45,7 +45,7 @@ def test_port_0_is_told_and_signals_end_it_quietly(
     with running("--layout", str(layout), "--connect", endpoint, "--port", "0") as process:
         assert process.stderr is not None
         line = process.stderr.readline()
-        assert line.startswith("viewer: live page at http://127.0.0.1:")
+        assert line.startswith("viewer: web page at http://127.0.0.1:")
         address = line.split()[-1]
         assert httpx.get(f"{address}api/state").json()["skin"] == "palm"
         process.send_signal(number)
