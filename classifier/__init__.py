@@ -1,1 +1,1 @@
-"""From sums to the name of the touched object."""
+"""From sums to the name of the touching object."""

@@ -1,4 +1,4 @@
-"""Models of the user's skins, trained once and kept in the cache folder."""
+"""Models of skins, trained once and kept in the cache folder."""
 
 import hashlib
 import os
@@ -29,13 +29,13 @@ def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str]) -> Path:
-    """Return where the model of this skin and these objects is kept."""
+    """Return the path of the model of this skin and these objects."""
     about = msgspec.json.encode([layout.taxels, sorted(objects)])
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 
 
 def keep_model(model: Model, path: Path) -> None:
-    """Write `model` to the cache, whose folder is made if there is none.
+    """Write `model` to the cache; make the folder if needed.
 
     Raises
     ------
@@ -50,12 +50,12 @@ def keep_model(model: Model, path: Path) -> None:
 
 
 def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OBJECTS) -> Model:
-    """Return the cached model of this skin; train and keep it first when there is none that can be used.
+    """Return the cached model of this skin; without a usable model, train one and keep it first.
 
     Raises
     ------
     InputError
-        If a model must be trained and no touches are to be had.
+        If a model must be trained, but no touches for training are installed.
     """
     path = cached_path(layout, phi, objects)
     if path.exists():

@@ -26,7 +26,7 @@ def classify(
 ) -> None:
     """Name the object that touches the skin, once per measurement.
 
-    Without a model, one is trained for this skin first and kept in the cache folder: ``$SKIN_CACHE``, else
+    Without ``--model``, a model for this skin is trained once and kept in the cache folder: ``$SKIN_CACHE``, else
     ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``.
 
     Parameters
@@ -36,9 +36,9 @@ def classify(
     connect
         Endpoint of the fabric's hub.
     model
-        Model file made by ``skin train`` for this skin.
+        Model file from ``skin train`` for this skin.
     objects
-        Comma-separated names for the model to know when none is given; default: a series of five.
+        Comma-separated names of the objects to train on without ``--model``; default: a series of five.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def classify(
     skin = load_layout(layout)
     phi = skin.phi()
     if model is not None and objects:
-        raise InputError("--model already says which objects there are: leave --objects out")
+        raise InputError("--model contains its objects: leave --objects out")
     trained = load_model(model, skin, phi) if model else find_or_train(skin, phi, _named(objects))
     fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=phi.fingerprint)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
@@ -82,17 +82,17 @@ def train(
     objects
         Comma-separated names of the objects, see ``skin objects``; default: a series of five.
     touches
-        How many touches to draw in all; default: 600 per object.
+        Total number of touches; default: 600 per object.
     noise_n
         Standard deviation of the taxel noise in newtons.
     features
-        ``energies`` of the smoothed adjoint image, or the raw ``sums`` as in the paper.
+        ``energies`` of the smoothed adjoint image, or ``sums`` as in the paper.
     seed
         Seed of touches, noise and validation set.
     out
-        Model file; default: the one in the cache folder that ``skin classify`` uses by itself.
+        Model file; default: the file in the cache folder that ``skin classify`` uses without ``--model``.
     json
-        Print what was trained as one JSON object on stdout.
+        Print the model card as one JSON object.
 
     Examples
     --------

@@ -8,20 +8,20 @@ import numpy.typing as npt
 from classifier.dag import DecisionGraph, Float64
 from classifier.dagsvm import DagSvm
 
-#: One error is added to the observations, with margins of this quantile.
+#: An error is added to the observations, with margins of this quantile.
 _PRETENDED_ERROR: Final = 0.05
 
 
 def confidence_slope(machine: DagSvm, features: Float64, names: npt.NDArray[np.str_]) -> float:
-    """Fit how fast confidence grows with the margins, by likelihood of right and wrong on a fine grid.
+    """Fit the slope of confidence against margins by maximum likelihood on a fine grid.
 
-    An added error with small margins keeps the slope finite when every observation is right.
+    The added error, with small margins, keeps the slope finite if every observation is right.
 
     Parameters
     ----------
     machine : DagSvm
     features : array, shape (count, features)
-        Observations the machine was not trained on.
+        Observations that were not in the training.
     names : array, shape (count,)
         Their labels.
     """

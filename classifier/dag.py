@@ -15,7 +15,7 @@ def pairs(classes: int) -> list[tuple[int, int]]:
 
 
 class DecisionGraph:
-    """Walks from "any class" to one class; every pair it asks rules one class out.
+    """Walk from all classes to one class; every step evaluates a pair and excludes a class.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class DecisionGraph:
             self._pair[pair] = index
 
     def walk(self, margins: Float64) -> Iterator[tuple[int, float]]:
-        """Yield (class ruled out, how clearly) at each step from the root to a leaf.
+        """Yield (excluded class, absolute margin) at each step from the root to a leaf.
 
         Parameters
         ----------
@@ -50,7 +50,7 @@ class DecisionGraph:
     def decide(self, margins: Float64) -> tuple[int, float]:
         """Return the remaining class and a confidence in 0..1.
 
-        The confidence is the product of ``1 / (1 + exp(-margin))`` over the pairs asked.
+        The confidence is the product of ``1 / (1 + exp(-|margin|))`` over the evaluated pairs.
         """
         winner, confidence = self.classes * (self.classes - 1) // 2, 1.0
         for loser, margin in self.walk(margins):

@@ -1,4 +1,4 @@
-"""DAGSVM: one soft-margin SVM per pair of classes, decided on a graph (section II-C of the paper)."""
+"""DAGSVM: one soft-margin SVM per pair of classes, and a decision graph (section II-C of the paper)."""
 
 from typing import Any, Literal
 
@@ -20,10 +20,10 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
     Parameters
     ----------
     C : float
-        Balance between a wide margin and the hinge loss, the same for every pair.
+        Weight of the hinge loss, the same for every pair.
     kernel : {"linear", "rbf", "precomputed"}
-        The paper's is linear. "precomputed" takes inner products in place of observations, shape (count, trained),
-        which saves time when signals are long and several C are tried on them.
+        The paper uses "linear". "precomputed" takes inner products in place of observations, shape (count, trained):
+        this is faster for long signals and several C.
     gamma : float or {"scale", "auto"}
         Width of the "rbf" kernel, as in `sklearn.svm.SVC`.
     max_iter : int
@@ -33,13 +33,13 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
     ----------
     classes_ : array, shape (M,)
     weights_ : array, shape (M (M - 1) / 2, features)
-        Normals of the hyperplanes, in the order of `classifier.dag.pairs`; of the linear kernel only.
+        Normals of the hyperplanes, in the order of `classifier.dag.pairs`; linear kernel only.
     biases_ : array, shape (M (M - 1) / 2,)
-        Of the linear kernel only.
+        Linear kernel only.
     machine_ : sklearn.svm.SVC
-        The pairs' machines.
+        The trained machines of all pairs.
     n_iter_ : int
-        Most iterations any pair took.
+        Largest number of iterations of a pair.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         self.max_iter = max_iter
 
     def __sklearn_tags__(self) -> Any:
-        """Say what can be trained on, as scikit-learn asks it."""
+        """Return the tags of scikit-learn."""
         tags = super().__sklearn_tags__()
         tags.input_tags.pairwise = self.kernel == "precomputed"
         return tags
@@ -85,7 +85,7 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
 
     @property
     def _sign(self) -> float:
-        """SVC's margins are positive for the first class of a pair, but for the second when there are only two."""
+        """Sign of SVC's margins: positive for the first class of a pair, but with two classes for the second."""
         return -1.0 if self.classes_.size == 2 else 1.0
 
     def margins(self, X: Any) -> Float64:
@@ -99,14 +99,14 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         return signed
 
     def decision_function(self, X: Any) -> Float64:
-        """Return scores whose largest is the class decided for.
+        """Return a score per class; the decided class has the largest score.
 
         Returns
         -------
         array, shape (count, M), or (count,) for two classes
-            Classes score higher the later the graph rules them out: the class ruled out at step s = 1, 2, …
-            lies between s - 1 and s, below s by more the clearer it lost; the remaining class is M - 1 plus
-            the smallest margin of its path. For two classes, the margin of ``classes_[1]``.
+            The class excluded at step s = 1, 2, … scores between s - 1 and s, lower for a larger margin. The
+            remaining class scores M - 1 plus the smallest margin of its path. For two classes, the margin of
+            ``classes_[1]``.
         """
         margins = self.margins(X)
         count = self.classes_.size

@@ -1,4 +1,4 @@
-"""The decision on one measurement: contact or not, which object or an unknown one, and how surely."""
+"""The decision on a measurement: contact or not, the object or an unknown object, and the confidence."""
 
 import math
 from typing import Final, NamedTuple
@@ -16,29 +16,30 @@ from skin.labels import MIN_VALID_RATIO
 from skin.measurement import Sbhe
 from skin.messages import UNKNOWN_OBJECT
 
-#: Part of the newest cycle in the settled decision: two clear cycles in a row change the label.
+#: Weight of the newest cycle in the settled decision: two clear cycles in a row change the label.
 SETTLING: Final = 0.4
-#: Part of the newest cycle in the settled novelty. Slower: no object looks like itself while it is pressed in.
+#: Weight of the newest cycle in the settled novelty. Smaller, because every object looks unknown while it is pressed
+#: in.
 NOVELTY_SETTLING: Final = 0.1
-#: One odd cycle counts at most as this multiple of the limit.
+#: Largest novelty of a single cycle, relative to the limit.
 _MOST_NOVELTY: Final = 3.0
-#: How fast doubt grows around the limit: half at 1, 95 % at 1.5.
+#: Slope of the doubt around the limit: 50 % at a novelty of 1, 95 % at 1.5.
 _DOUBT_SLOPE: Final = 6.0
-#: After a gap of more cycles than this, the decision starts afresh.
+#: After a gap of more cycles than this, the decision starts again.
 FORGET_CYCLES: Final = 10
 
 
 class Decision(NamedTuple):
-    """What is said of one cycle.
+    """Decision on one cycle.
 
     Attributes
     ----------
     label : str
         The object, `skin.messages.UNKNOWN_OBJECT`, or empty without contact.
     confidence : float
-        0..1.
+        0 to 1.
     blind : bool
-        Too few blocks came to say anything.
+        Too few blocks came for a decision.
     """
 
     label: str
@@ -47,15 +48,15 @@ class Decision(NamedTuple):
 
 
 class Classifier:
-    """Decides cycle by cycle; one instance follows one skin.
+    """Decides cycle by cycle; one instance per skin.
 
     Parameters
     ----------
     model : Model
     phi : Sbhe
-        The Φ the model was trained for.
+        The Φ of the model.
     settling : float
-        Part of the newest cycle in the settled decision; 1 decides every cycle by itself, except on unknown objects.
+        Weight of the newest cycle in the settled decision; with 1 every cycle is decided alone, except unknown objects.
     """
 
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
@@ -85,7 +86,7 @@ class Classifier:
         valid : array of bool, shape (blocks,)
             Sums of blocks that are False here are ignored; see `classifier.newest_sums`.
         cycle : int, optional
-            Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, the past is forgotten.
+            Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, past cycles are dropped.
         """
         step = 1
         if cycle is not None:
@@ -102,7 +103,7 @@ class Classifier:
         return self._said()
 
     def _look(self, valid_ratio: float) -> None:
-        """Move belief and novelty towards what the newest sums say by themselves."""
+        """Update belief and novelty with the newest sums."""
         model, about, newest = self._model, self._model.metadata, self._newest
         peak = self._observer.look(newest.sums, newest.valid, valid_ratio)
         contact = _logistic(peak - about.contact_threshold)
@@ -131,7 +132,7 @@ class Classifier:
         return Decision(self._labels[best], (1.0 - doubt) * float(self._belief[best]))
 
     def _settle(self, winner: int, confidence: float, contact: float) -> None:
-        """Move the belief towards one measurement; it is 1 in sum, the last entry is "no contact"."""
+        """Update the belief with one measurement; its sum is 1, its last entry is "no contact"."""
         belief = self._belief
         others = belief.size - 2
         weight = 1.0 if self._fresh else self._settling

@@ -1,4 +1,4 @@
-"""One decision, compiled: the graph's walk with each hyperplane evaluated only when it is asked."""
+"""The walk through the decision graph, compiled; a hyperplane is evaluated only when needed."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +23,6 @@ def _descend(features: Float64, weights: Float64, biases: Float64, classes: int)
     return low, confidence
 
 
-#: ``descend(features, weights, biases, classes)``: the class and the confidence that
-#: `classifier.dag.DecisionGraph.decide` finds, from the features of one observation and the hyperplanes of all pairs.
-#: Allocates nothing.
+#: ``descend(features, weights, biases, classes)``: class and confidence of `classifier.dag.DecisionGraph.decide`, from
+#: the features of one observation and the hyperplanes of all pairs, without memory allocation.
 descend: Callable[[Float64, Float64, Float64, int], tuple[int, float]] = numba.njit(cache=True, fastmath=True)(_descend)

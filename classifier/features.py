@@ -1,10 +1,9 @@
-"""What the classifier sees of one measurement: position-free energies of its sums, or the sums themselves.
+"""Features of one measurement: energies and peaks that do not depend on the position of the object.
 
-A linear function of the raw sums cannot name an object at any position and depth. So the sums are turned
-back into a rough image, the adjoint Φᵀy, which is smoothed at several widths. The energy (a quadratic form
-of the sums) and the peak of each smoothed image do not depend on where the object lies or how it is turned.
-Row 0 of a block, the plain sum of its taxels, is left out: it is the only one that a common offset of the
-taxels (clipped noise, drift) can move.
+A linear function of the sums cannot name an object at every position and depth. Therefore the adjoint image Φᵀy is
+smoothed at several widths. The energy (a quadratic form of the sums) and the peak of each smoothed image do not depend
+on position and rotation of the object. Hadamard row 0 of a block, the plain sum of its taxels, is left out: only this
+row changes with a common offset of the taxels (clipped noise, drift).
 """
 
 from typing import Final
@@ -16,12 +15,12 @@ from skin.measurement import Sbhe, fast_hadamard
 
 Float32 = npt.NDArray[np.float32]
 
-#: Standard deviations of the smoothing kernels, in taxels; those above a quarter of the array are left out.
+#: Standard deviations of the smoothing kernels in taxels; widths above a quarter of the array are left out.
 WIDTHS: Final = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0, 9.0, 14.0)
 
 
 def widths_for(rows: int, columns: int) -> tuple[float, ...]:
-    """Return the smoothing widths that fit an array of `rows` x `columns` taxels."""
+    """Return the smoothing widths for an array of `rows` x `columns` taxels."""
     return tuple(width for width in WIDTHS if width <= min(rows, columns) / 4)
 
 
@@ -38,7 +37,7 @@ class Smoothed:
     Attributes
     ----------
     energies, peaks : float64, shape (widths,)
-        Results of the newest `measure`: mean square and largest value, in ADC counts.
+        Results of the newest `measure`: mean square and largest value of each smoothed image, in ADC counts.
     """
 
     def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
@@ -47,9 +46,9 @@ class Smoothed:
         self.energies = np.zeros(len(widths))
         self.peaks = np.zeros(len(widths))
         self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
-        # ΦᵀΦ is (m / n) B I on average, so that this weight gives taxels in counts.
+        # The mean of ΦᵀΦ is (m / n) B I, so this weight gives taxels in counts.
         self._weights = np.where(phi.row_of_sum == 0, 0, taxels / (sums * phi.block_size)).astype(np.float32)
-        # Rows that are not sent read the zero behind the values.
+        # Rows that are not sent use the zero after the values.
         self._source = np.full(phi.kept.shape, sums, np.intp)
         self._source[phi.kept] = np.arange(sums)
         self._hadamard = fast_hadamard(np.eye(phi.block_size, dtype=np.float32)).astype(np.float32)
@@ -71,8 +70,8 @@ class Smoothed:
         valid : array of float32, shape (blocks,)
             1 or 0 per block; sums of invalid blocks count as 0.
         valid_ratio : float
-            Mean of `valid`, above 0. What is left is amplified by its inverse root, which keeps the noise of
-            the adjoint image at the level it has without loss.
+            Mean of `valid`, above 0. The image is divided by its root, so the noise of the image is the same as
+            without missing blocks.
         """
         np.copyto(self._values, sums, casting="unsafe")
         self._values *= self._weights
@@ -88,7 +87,7 @@ class Smoothed:
 
 
 class _Stage:
-    """One Gaussian of unit energy, evaluated no denser than its width asks."""
+    """A Gaussian of unit energy, evaluated on a grid as coarse as its width allows."""
 
     def __init__(self, width: float, rows: int, columns: int) -> None:
         step = max(1, int(width / 2))

@@ -1,7 +1,7 @@
-"""Sums that did not come, estimated from those that did.
+"""Estimates of missing sums from the other sums.
 
-Sums of one touch vary together: a few directions explain nearly all of their variance. Under y = mean + F z + noise,
-z and noise independent, the expectation of the missing sums given the others is mean + F ẑ, where
+A few factors explain nearly all of the variance of the sums. With y = mean + F z + noise, z and noise independent, the
+expectation of the missing sums given the other sums is mean + F ẑ, where
 (FᵥᵀFᵥ + ψ I) ẑ = Fᵥᵀ(yᵥ - meanᵥ) over the valid sums v.
 """
 
@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 Float64 = npt.NDArray[np.float64]
 
-#: Directions kept: more gain nothing on the paper's 16 objects, from 64 to 1024 sums.
+#: Most factors: more factors bring no gain for the paper's 16 objects, from 64 to 1024 sums.
 MOST_FACTORS: Final = 16
 
 
 class Factors(NamedTuple):
-    """How the sums of known touches vary together.
+    """Factors of the sums of trained touches.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Factors(NamedTuple):
     loadings : array, shape (m, factors)
         F.
     noise : float
-        ψ, the variance that is left in each sum.
+        ψ, the variance of each sum that the factors do not explain.
     """
 
     mean: Float64
@@ -53,7 +53,7 @@ def fit_factors(sums: Float64) -> Factors:
 
 
 class Completion:
-    """Fills in missing sums.
+    """Estimates missing sums.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ class Completion:
         sums, count = factors.loadings.shape
         self._factors = factors
         self._noise = factors.noise * np.eye(count)
-        # Of the valid sums, zero elsewhere; reused, for a service completes 100 measurements a second.
+        # Deviations of the valid sums, zero elsewhere; the array is reused in every measurement.
         self._loadings = np.zeros((sums, count))
         self._gram = np.zeros((count, count))
         self._sums = np.zeros(sums)
 
     def complete(self, sums: Float64, valid: npt.NDArray[np.bool_]) -> None:
-        """Overwrite the sums that are not valid, both of shape (m,), with their expectation."""
+        """Replace the sums that are not valid by their expectation; both arrays of shape (m,)."""
         mean, loadings, _ = self._factors
         self._loadings.fill(0.0)
         np.copyto(self._loadings, loadings, where=valid[:, None])

@@ -1,4 +1,4 @@
-"""A trained model: plain arrays, and the metadata that says which skin they belong to."""
+"""A trained model: arrays, and metadata with the skin that they belong to."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 Float64 = npt.NDArray[np.float64]
-#: "energies" of the smoothed adjoint image (`classifier.features`), or the "sums" themselves as in the paper.
+#: "energies" of the smoothed adjoint image (`classifier.features`), or "sums" as in the paper.
 Features = Literal["energies", "sums"]
 
 VERSION: Final = 2
-#: What the model card says of the touches of `skin.sources.load_touches`.
+#: Text of the model card for touches of `skin.sources.load_touches`.
 SIMULATED: Final = "simulated touches at random places, depths and moments"
 ARRAYS: Final = (
     "weights",
@@ -29,28 +29,28 @@ ARRAYS: Final = (
 
 
 class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a model came about: the model card.
+    """The model card: data and results of the training.
 
     Attributes
     ----------
     data : str
-        Where the touches came from.
+        Source of the touches.
     touches, no_touches : int
-        Labelled observations, and draws of the untouched skin.
+        Number of labelled observations, and of draws of the untouched skin.
     development, validation : int
-        How the touches were split, the same part of every object. The final model was trained on both.
+        Number of touches in each set, the same part of every object. The final model is trained on both sets.
     noise_n : float
         Standard deviation of the taxel noise, clipped to the taxels' range.
     C : float
-        Chosen by accuracy on the validation set.
+        The C with the best accuracy on the validation set.
     validation_accuracy : float
-        Of the development model with that C, on touches it was not trained with.
+        Accuracy on the validation set, with this C and training on the development set.
     per_object : dict
-        The same accuracy, object by object.
+        This accuracy for each object.
     confusion : list of list of int
-        Validation touches of each class (row) by the class said (column), of the same model.
+        Number of validation touches by true class (row) and decided class (column), of the same model.
     unknown_ratio : float
-        Part of the validation touches, each cycle for itself, that look like no known object.
+        Part of the validation touches beyond all limits, each cycle decided alone.
     """
 
     data: str
@@ -68,22 +68,22 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a model belongs to, and the numbers its decisions need.
+    """The skin of a model, and the constants of its decisions.
 
     Attributes
     ----------
     fingerprint : str
-        Of the Φ it was trained for.
+        Of the Φ of the training.
     newton_per_count : float
-        ADC step it was trained for.
+        ADC step of the training.
     contact_threshold : float
         Largest standardised peak that still counts as no contact.
     false_alarm_ratio : float
-        Part of the cycles of an untouched skin above that threshold.
+        Part of the cycles of an untouched skin above the threshold.
     unknown_slack : float
-        The limits of what is known widen by this factor times the part of the blocks that is missing.
+        Limits grow by the factor 1 + `unknown_slack` x fraction of missing blocks.
     sum_noise : float
-        Variance of a sum that `Model.sum_loadings` do not explain; 0 where there are none.
+        Variance of a sum that `Model.sum_loadings` do not explain; 0 without loadings.
     """
 
     version: int
@@ -113,11 +113,11 @@ class Model:
     offset, scale : array, shape (features,)
         Subtracted from the features, then multiplied with them.
     no_touch : array, shape (4, widths)
-        Of the untouched skin: mean and deviation of the energies, mean and deviation of the peaks.
+        Untouched skin: mean and standard deviation of the energies, mean and standard deviation of the peaks.
     centres, whitening, limits : array, shapes (regions, 2 widths), (regions, 2 widths, 2 widths), (regions,)
-        What known objects look like, see `classifier.novelty.Regions`.
+        Regions of the trained objects, see `classifier.novelty.Regions`.
     sum_mean, sum_loadings : array, shapes (m,) and (m, factors)
-        How sums vary together, see `classifier.missing.Factors`; without entries unless the features are "sums".
+        Factors of the sums, see `classifier.missing.Factors`; empty unless the features are "sums".
     """
 
     metadata: Metadata

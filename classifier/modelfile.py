@@ -1,7 +1,7 @@
-"""The model file: one ``.npz`` of float64 arrays and JSON metadata, readable without trusting it.
+"""The model file: one ``.npz`` of float64 arrays and JSON metadata; reading it runs no code from the file.
 
 Its entries are the arrays of `classifier.model.Model` by name, ``metadata`` (uint8, UTF-8 JSON of
-`classifier.model.Metadata`), and ``digest`` (uint8, shape (32,)), the SHA-256 of all the others.
+`classifier.model.Metadata`), and ``digest`` (uint8, shape (32,)), the SHA-256 of all other entries.
 """
 
 import hashlib
@@ -87,7 +87,7 @@ def _entries(path: Path) -> Arrays:
         with np.lib.npyio.NpzFile(content, allow_pickle=False) as file:
             missing = [name for name in wanted if name not in file]
             entries = {name: np.asarray(file[name]) for name in wanted if name in file}
-    except Exception as error:  # the zip and npy decoders have no common error for damage
+    except Exception as error:  # the zip and npy decoders raise many kinds of errors
         raise ModelError(f"{path}: not a readable model ({error}): expected an .npz made by 'skin train'") from error
     if missing:
         raise ModelError(f"{path}: not a model: it lacks {', '.join(missing)}")
@@ -131,7 +131,7 @@ def _check_arrays(path: Path, about: Metadata, arrays: Arrays) -> None:
 
 
 def _shapes(about: Metadata, arrays: Arrays) -> dict[str, tuple[int, ...]]:
-    """Return the shape every array must have; how many regions and factors there are, the arrays say themselves."""
+    """Return the shape of every array; the numbers of regions and factors are taken from the arrays."""
     planes, widths = len(pairs(len(about.classes))), len(widths_for(about.rows, about.columns))
     raw = about.features == "sums"
     features = about.sums if raw else 2 * widths

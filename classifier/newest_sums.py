@@ -7,18 +7,18 @@ import numpy.typing as npt
 
 from skin.measurement import Sbhe
 
-#: A block that is missing keeps its last sums for this many cycles, then it is left out.
+#: A missing block keeps its last sums for this number of cycles; after that it is left out.
 HOLD_CYCLES: Final = 4
 
 
 class NewestSums:
-    """The newest sums of every block, as long as they are not too old.
+    """The newest sums of every block, up to `HOLD_CYCLES` cycles old.
 
     Attributes
     ----------
     sums : array of int32, shape (m,)
     valid : array of float32, shape (blocks,)
-        1 where the sums are of the last `HOLD_CYCLES` cycles.
+        1 if the sums are at most `HOLD_CYCLES` cycles old.
     """
 
     def __init__(self, phi: Sbhe) -> None:
@@ -30,11 +30,11 @@ class NewestSums:
         self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
 
     def forget(self) -> None:
-        """Hold nothing of the past."""
+        """Drop all sums."""
         self._age.fill(HOLD_CYCLES)
 
     def take(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], step: int) -> float:
-        """Take the new sums, `step` cycles after the last; return the part of the blocks that is in use."""
+        """Take new sums, `step` cycles after the last; return the fraction of blocks in use."""
         np.not_equal(valid, 0, out=self._came)
         np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
         np.copyto(self.sums, sums, where=self._came_sums)

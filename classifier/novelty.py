@@ -1,8 +1,8 @@
-"""How far an observation lies from everything the model was trained on.
+"""Novelty: the distance of an observation from all training data.
 
-Each known object is a few regions of the feature space, each a centre and a covariance: an object pressed in fully,
-half, hardly. An observation belongs to the nearest region by its Mahalanobis distance; the region's own limit says
-which distances known objects reach there.
+Each trained object has some regions in the feature space, each with a centre and a covariance, for example pressed in
+fully, half, hardly. An observation belongs to the nearest region by Mahalanobis distance. Each region has its own limit
+of this distance.
 """
 
 import math
@@ -17,7 +17,7 @@ Float64 = npt.NDArray[np.float64]
 
 
 class Regions(NamedTuple):
-    """What known touches look like; without any region nothing is ever new.
+    """Regions of the trained touches; without regions the novelty is 0.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Regions(NamedTuple):
     whitening : array, shape (regions, features, features)
         W of each region: ``|W (features - centre)|`` is the Mahalanobis distance.
     limits : array, shape (regions,)
-        Distances that known touches pass only in rare cases.
+        Distances that trained touches rarely exceed.
     """
 
     centres: Float64
@@ -49,11 +49,11 @@ def _nearest(features: Float64, centres: Float64, whitening: Float64) -> tuple[i
     return best, math.sqrt(least)
 
 
-#: ``nearest(features, centres, whitening)``: the nearest region, -1 without any, and the distance to it.
+#: ``nearest(features, centres, whitening)``: the nearest region, -1 without regions, and its distance.
 nearest: Callable[[Float64, Float64, Float64], tuple[int, float]] = numba.njit(cache=True)(_nearest)
 
 
 def novelty(features: Float64, regions: Regions) -> float:
-    """Return the distance to the nearest region in parts of its limit: above 1 nothing known looks like this."""
+    """Return distance to the nearest region / limit of this region; above 1: unlike all trained touches."""
     region, distance = nearest(features, regions.centres, regions.whitening)
     return distance / float(regions.limits[region]) if region >= 0 else 0.0

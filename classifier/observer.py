@@ -1,4 +1,4 @@
-"""What is seen in one measurement: the features a model is trained on, and how clearly something touches."""
+"""Features of one measurement for a model, and the standardised peak that tells contact."""
 
 import math
 from typing import Final
@@ -9,12 +9,12 @@ import numpy.typing as npt
 from classifier.features import Smoothed
 from skin.measurement import Sbhe
 
-#: Peaks below this part of their no-touch mean count as this part of it.
+#: Lower bound of a peak / its mean on the untouched skin.
 _LEAST_PEAK: Final = 0.05
 
 
 class Observer:
-    """Turns measurements into the features a model was trained on; arrays are reused, not allocated.
+    """Computes the features of measurements; arrays are reused.
 
     Parameters
     ----------
@@ -35,8 +35,7 @@ class Observer:
     def look(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.float32], valid_ratio: float) -> float:
         """Fill `features` and return the largest standardised peak.
 
-        Without some blocks a touch leaves less energy in the image; the features are raised by as much, so that they
-        stay those of the object.
+        Missing blocks reduce the energy of the image; the features are corrected for this.
         """
         smoothed, standard, half = self.smoothed, self._standard, self._standard.size
         smoothed.measure(sums, valid, valid_ratio)

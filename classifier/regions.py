@@ -1,4 +1,4 @@
-"""Training of `classifier.novelty`: a Gaussian mixture for each object, limits from touches it was not fitted to."""
+"""Training of `classifier.novelty`: a Gaussian mixture per object, limits from validation touches."""
 
 import warnings
 from typing import Final, NamedTuple
@@ -11,34 +11,33 @@ from sklearn.mixture import GaussianMixture
 from classifier.novelty import Float64, Regions, nearest, novelty
 from classifier.samples import MOST_LOST_RATIO, FeatureExtractor
 
-#: Regions per object, from hardly touching to pressed in fully.
+#: Most regions per object.
 REGIONS_PER_OBJECT: Final = 4
-#: With fewer observations a region's covariance means little: the object gets fewer regions.
+#: Fewest observations per region for a useful covariance; with less data an object has fewer regions.
 LEAST_PER_REGION: Final = 60
-#: The limit of a region is max(1.4 q80, q98). q80 and q98 are quantiles of the distances of known touches that the
-#: region was not fitted to. A few odd touches do not move q80; q98 keeps 98 % of the known touches within the limit.
+#: The limit of a region is max(1.4 q80, q98). q80 and q98 are quantiles of the distances of validation touches.
+#: Outliers do not change q80; q98 keeps 98 % of the validation touches within the limit.
 _LIMIT_QUANTILE: Final = 0.8
 _LIMIT_MULTIPLE: Final = 1.4
 _LEAST_LIMIT_QUANTILE: Final = 0.98
-#: The slack keeps this quantile of the novelty the same with and without missing blocks.
+#: With the slack, this quantile of the novelty is the same with and without missing blocks.
 _SLACK_QUANTILE: Final = 0.95
-#: The slack is this multiple of what single cycles need: a dead block stays dead, so that its effect on a touch does
-#: not average out over cycles as noise does.
+#: Factor of the slack of single cycles: the effect of a dead block does not average out over cycles, unlike noise.
 _SLACK_MULTIPLE: Final = 2.0
-#: Added to the variance of each feature, as a part of its variance over all touches.
+#: Regularisation: added to the variance of each feature, relative to its variance over all touches.
 _REGULARISATION: Final = 1e-2
 _LEAST_FOR_LIMIT: Final = 10
 _STARTS: Final = 2
 
 
 class KnownRegions(NamedTuple):
-    """What touches of the known objects look like.
+    """Regions and limits of the trained objects.
 
     Attributes
     ----------
     regions : Regions
     slack : float
-        The limits widen by this factor times the part of the blocks that is missing.
+        Limits grow by the factor 1 + `slack` x fraction of missing blocks.
     unknown_ratio : float
         Part of the validation touches beyond the limits, without missing blocks.
     """
@@ -60,12 +59,12 @@ def fit_known(
     Parameters
     ----------
     sums : array of int32, shape (count, m)
-        Of touches as the skin feels them, with its noise.
+        Sums of touches, with noise.
     names : array, shape (count,)
     split : (array of int, array of int)
         Development and validation: rows of `sums`.
     extractor : FeatureExtractor
-        Makes features of sums.
+        Computes the features of sums.
     """
     development, validation = split
     whole = np.zeros(len(sums), np.intp)
@@ -88,10 +87,10 @@ def fit_regions(features: Float64, names: npt.NDArray[np.str_], unseen: Float64,
     Parameters
     ----------
     features : array, shape (count, features)
-        Observations of known objects.
+        Observations of the trained objects.
     names : array, shape (count,)
-        Of their objects. If any object has fewer than `LEAST_PER_REGION` observations, no region is made, and the
-        classifier calls nothing unknown.
+        Their objects. If any object has fewer than `LEAST_PER_REGION` observations, no region is made, and the
+        classifier reports no unknown objects.
     unseen : array, shape (other count, features)
         Observations of other touches of the same objects, for the limits.
     seed : int
@@ -116,7 +115,7 @@ def _mixture(standard: Float64, seed: int) -> GaussianMixture:
     regions = min(REGIONS_PER_OBJECT, len(standard) // LEAST_PER_REGION)
     mixture = GaussianMixture(regions, reg_covar=_REGULARISATION, random_state=seed, n_init=_STARTS)
     with warnings.catch_warnings():
-        # Regions that have not quite converged serve as well: their limits are measured afterwards.
+        # Convergence is not needed, because the limits are measured afterwards.
         warnings.simplefilter("ignore", ConvergenceWarning)
         return mixture.fit(standard)
 

@@ -1,9 +1,8 @@
-"""Choosing which rows to send, so that few sums tell objects apart.
+"""Selection of the Hadamard rows to send, so that few sums separate the objects.
 
-The structure stays that of the SBHE: the blocks and their scrambling are as drawn, only the rows that are kept are
-chosen, one after the other. Under Gaussian classes with the mean covariance of a pair, two objects at Mahalanobis
-distance d are confused with a probability below exp(-d² / 8) (the Bhattacharyya bound); the next row is the one that
-makes the sum of these bounds over all pairs smallest.
+Blocks and permutation of the SBHE stay; only the kept rows are selected, one after the other. Under Gaussian classes
+with the mean covariance of a pair, two objects at Mahalanobis distance d are confused with a probability below exp(-d²
+/ 8) (the Bhattacharyya bound); the next row is the one that makes the sum of these bounds over all pairs smallest.
 """
 
 from typing import Any, Final
@@ -15,23 +14,23 @@ from classifier.dag import pairs
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
-#: A row that others explain down to this part of its variance is noise, and so is one that varies by this part of the
-#: rows' mean variance.
+#: A row counts as noise if the selected rows leave less than this part of its variance unexplained, or if its variance
+#: is below this part of the mean variance.
 _LEAST_REST: Final = 1e-3
 
 
 def choose_rows(phi: Sbhe, sums: npt.NDArray[Any], labels: npt.NDArray[Any], count: int) -> Sbhe:
-    """Return `phi` with only the `count` rows kept that tell the labelled observations apart best.
+    """Return `phi` with the `count` rows that separate the labelled observations best.
 
     Parameters
     ----------
     phi : Sbhe
-        Its rows are the candidates, for example all of them.
+        Its kept rows are the candidates.
     sums : array, shape (observations, m)
-        Measured with `phi`; at least 2 of each label.
+        Measured with `phi`; at least 2 observations per label.
     labels : array, shape (observations,)
     count : int
-        How many rows to keep; memory and time grow with its square, a minute and 0.5 GB for 256 of 4096.
+        Number of rows to keep; memory and time grow with its square: 0.5 GB and a minute for 256 of 4096.
 
     Raises
     ------
@@ -52,14 +51,14 @@ def choose_rows(phi: Sbhe, sums: npt.NDArray[Any], labels: npt.NDArray[Any], cou
 
 
 def _chosen(observed: list[npt.NDArray[np.float32]], count: int) -> list[int]:
-    """Return the chosen columns; what a chosen one explains is taken out of all, pair by pair (Gram-Schmidt)."""
+    """Return the selected columns; each selected column is projected out of all, per pair (Gram-Schmidt)."""
     first, second = np.array(pairs(len(observed))).T
     means = np.stack([one.mean(axis=0, dtype=np.float64) for one in observed])
     centred = [one - mean.astype(np.float32) for one, mean in zip(observed, means, strict=True)]
     variances = np.stack([np.square(one).sum(axis=0, dtype=np.float64) / (len(one) - 1) for one in centred])
     apart = means[first] - means[second]
     rest = (variances[first] + variances[second]) / 2
-    # A row that never varies carries no information; without noise it would seem to carry infinitely much.
+    # A constant row has no information; without noise its information would appear infinite.
     whole = np.maximum(rest, _LEAST_REST * rest.mean(axis=1, keepdims=True) + np.finfo(np.float32).tiny)
     squared, chosen = np.zeros(first.size), list[int]()
     explained = np.empty((count, *apart.shape), np.float32)
@@ -73,7 +72,7 @@ def _chosen(observed: list[npt.NDArray[np.float32]], count: int) -> list[int]:
         shared = np.stack([one[:, best] @ one / (len(one) - 1) for one in centred])
         before = explained[:step]
         part = (shared[first] + shared[second]) / 2 - np.einsum("kp,kpr->pr", before[:, :, best], before)
-        # Of few observations the rest comes down to rounding: no more can be explained than is left.
+        # With few observations the remaining variance is rounding error: the explained variance is limited to it.
         left = np.sqrt(rest)
         part = np.clip(part / np.sqrt(usable[:, best, None]), -left, left)
         apart = apart - part * (apart[:, best] / np.sqrt(usable[:, best]))[:, None]

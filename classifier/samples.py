@@ -1,4 +1,4 @@
-"""Features to train on: the sums that nodes would send of true images, and the features of these sums."""
+"""Features for training: simulated sums of true forces, and the features of these sums."""
 
 from typing import Final, NamedTuple
 
@@ -12,10 +12,10 @@ from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.taxel import sense, to_counts
 
-#: Part of the cycles of an untouched skin that look like a touch.
+#: Part of the cycles of an untouched skin that are above the threshold of contact.
 FALSE_ALARM_RATIO: Final = 0.002
-#: A model is trained for missing blocks and for quieter taxels: every third touch lacks blocks, every second has less
-#: noise.
+#: Training includes missing blocks and lower noise: blocks are missing in every third touch, every second touch has
+#: less noise.
 _LOSS_EVERY: Final = 3
 _QUIET_EVERY: Final = 2
 MOST_LOST_RATIO: Final = 0.3
@@ -23,7 +23,7 @@ _CHUNK: Final = 128
 
 
 class Untouched(NamedTuple):
-    """The untouched skin: ``no_touch`` as in `classifier.model.Model`, and the threshold of contact."""
+    """Untouched skin: ``no_touch`` as in `classifier.model.Model`, and the threshold of contact."""
 
     no_touch: Float64
     contact_threshold: float
@@ -32,7 +32,7 @@ class Untouched(NamedTuple):
 def simulate_sums(
     force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float | Float64, rng: np.random.Generator
 ) -> npt.NDArray[np.int32]:
-    """Return the sums the nodes would send of true forces: noise, clipping, ADC, then Φ in counts.
+    """Return simulated sums of true forces: noise, clipping, ADC, then Φ in counts.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def simulate_sums(
 def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng: np.random.Generator) -> Untouched:
     """Measure `count` draws of the untouched skin.
 
-    The threshold is the quantile of the largest standardised peak that `FALSE_ALARM_RATIO` of them pass.
+    `FALSE_ALARM_RATIO` of the draws have a largest standardised peak above the threshold.
     """
     taxels = layout.taxels
     still = np.broadcast_to(np.float32(0), (count, taxels.count))
@@ -97,7 +97,7 @@ class FeatureExtractor:
         return self._valid.size
 
     def features(self, sums: npt.NDArray[np.int32], lost: npt.NDArray[np.intp], rng: np.random.Generator) -> Float64:
-        """Return the features of `sums`, shape (count, 2 widths), each with as many blocks missing as `lost` says."""
+        """Return the features of `sums`, shape (count, 2 widths), with `lost` missing blocks in each."""
         seen = np.empty((len(sums), self._observer.features.size))
         for one, gone, made in zip(sums, lost, seen, strict=True):
             self._valid.fill(1)
@@ -109,14 +109,14 @@ class FeatureExtractor:
 
 
 def draw_noise_levels(count: int, noise_n: float, least: float, rng: np.random.Generator) -> Float64:
-    """Return a noise for each of `count` touches, newtons: every second draws `least` to 1 times `noise_n`."""
+    """Return the noise of each of `count` touches, newtons: every second is `least` to 1 times `noise_n`."""
     deviations = np.full(count, noise_n)
     deviations[::_QUIET_EVERY] *= rng.uniform(least, 1, deviations[::_QUIET_EVERY].size)
     return deviations
 
 
 def draw_missing_counts(count: int, blocks: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
-    """Return the number of missing blocks of each of `count` touches: every third lacks up to `MOST_LOST_RATIO`."""
+    """Return the number of missing blocks of each touch: in every third up to `MOST_LOST_RATIO` of the blocks."""
     lost = np.zeros(count, np.intp)
     lost[::_LOSS_EVERY] = rng.integers(0, int(blocks * MOST_LOST_RATIO) + 1, lost[::_LOSS_EVERY].size)
     return lost

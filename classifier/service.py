@@ -9,7 +9,7 @@ from skin.measurement import Sbhe
 from skin.messages import LABEL, MEASUREMENT, Label, Measurement
 from skin.service import StopSignal
 
-#: Longest wait before looking whether to stop.
+#: Period of the check of the stop signal.
 _TURN_S = 0.1
 
 
@@ -20,13 +20,13 @@ class ClassifierService:
     ----------
     classifier : Classifier
     phi : Sbhe
-        The Φ its model was trained for.
+        The Φ of the model.
     fabric : Fabric
 
     Attributes
     ----------
     labelled : int
-        Measurements labelled.
+        Number of labelled measurements.
     """
 
     def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Fabric) -> None:
@@ -39,7 +39,7 @@ class ClassifierService:
 
     @property
     def refused(self) -> int:
-        """Measurements that did not fit: their Φ or their sizes were not this model's."""
+        """Number of measurements with another Φ or other sizes."""
         return self._reader.refused
 
     def run(self, stop: StopSignal) -> None:

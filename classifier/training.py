@@ -1,4 +1,4 @@
-"""From labelled true images to a model: DAGSVMs with C from a grid, chosen on a validation set."""
+"""From labelled true forces to a model: DAGSVM with C from a grid, chosen on a validation set."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,30 +29,30 @@ from skin.messages import UNKNOWN_OBJECT
 from skin.taxel import NOISE_N
 
 C_GRID: Final = (0.1, 1.0, 10.0, 100.0)
-#: Part of the touches kept for validation.
+#: Part of the touches in the validation set.
 VALIDATION_RATIO: Final = 0.25
 _LEAST_TOUCHES: Final = 8
-#: Known objects are fitted with noise from this part of `noise_n` up: a quieter skin still names them, and finds fewer
-#: of the unknown objects.
+#: Regions are fitted with noise of this part of `noise_n` or more. So trained objects are still named on a skin with
+#: less noise, but fewer unknown objects are found.
 _QUIET_RATIO: Final = 0.8
 
-#: Called with the name of the step and the part of the whole training that is done, 0 to 1.
+#: Called with the name of the step and the finished part of the training, 0 to 1.
 Progress = Callable[[str, float], None]
 
 
 class TrainingOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """How to train.
+    """Options of the training.
 
     Attributes
     ----------
     features : {"energies", "sums"}
-        "sums" is the paper's classifier: raw sums with one global scale.
+        "sums" is the paper's classifier: sums with one global scale.
     noise_n : float
         Standard deviation of the taxel noise in newtons.
     no_touches : int
-        Draws of the untouched skin for the contact threshold.
+        Number of draws of the untouched skin for the contact threshold.
     data : str
-        Where the touches come from, for the model card.
+        Source of the touches, for the model card.
     """
 
     features: Features = "energies"
@@ -70,7 +70,7 @@ class _Split(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """The inputs that every step of a training shares."""
+    """Common inputs of the steps of a training."""
 
     options: TrainingOptions
     layout: Layout
@@ -81,7 +81,7 @@ class _Training:
     rng: np.random.Generator
 
     def sums(self, force_n: Float32, noise_n: float | Float64) -> npt.NDArray[np.int32]:
-        """Return the sums of true images with that noise."""
+        """Return the sums of true forces with noise."""
         return simulate_sums(force_n, self.layout, self.phi, noise_n, self.rng)
 
 
@@ -93,7 +93,7 @@ def train(
     options: TrainingOptions | None = None,
     progress: Progress | None = None,
 ) -> Model:
-    """Train a model for the skin of `layout` on labelled true images.
+    """Train a model for the skin of `layout` on labelled true forces.
 
     Parameters
     ----------
@@ -156,9 +156,9 @@ def train(
 
 
 def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:
-    """Return what the machines learn from, and how the sums vary together where missing ones are to be estimated.
+    """Return the features for training and, for the features "sums", the factors of the sums.
 
-    Raw sums all carry the same noise, as in the paper. Energies are of touches with less noise and missing blocks too.
+    Sums have the same noise in all touches, as in the paper. Energies include lower noise and missing blocks.
     """
     if training.options.features == "sums":
         raw = plain.astype(np.float64)
@@ -206,7 +206,7 @@ def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, option
     if "" in objects:
         raise InputError("an object's name is empty: every touch needs one")
     if UNKNOWN_OBJECT in objects:
-        raise InputError(f"no object can be called '{UNKNOWN_OBJECT}': the classifier says so of what it never met")
+        raise InputError(f"no object can be called '{UNKNOWN_OBJECT}': the classifier gives unknown objects this label")
     if not 0 < options.noise_n < layout.taxels.force_max_n:
         raise InputError(f"expected noise above 0 and below {layout.taxels.force_max_n} N, got {options.noise_n} N")
     if not options.C_grid or min(options.C_grid) <= 0:
@@ -216,7 +216,7 @@ def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, option
 
 
 def _standard(features: Float64, kind: Features, split: _Split) -> tuple[Float64, Float64]:
-    """Return offset and scale: one global scale for raw sums, each feature its own otherwise."""
+    """Return offset and scale: one global scale for sums, one scale per feature for energies."""
     if kind == "sums":
         scale = global_scale(features[split.development])
         return np.zeros(features.shape[1]), np.full(features.shape[1], scale)
@@ -224,7 +224,7 @@ def _standard(features: Float64, kind: Features, split: _Split) -> tuple[Float64
 
 
 def _split(names: npt.NDArray[np.str_], rng: np.random.Generator) -> _Split:
-    """Choose the validation set, the same part of every object."""
+    """Draw the validation set, the same part of every object."""
     held = np.zeros(len(names), np.bool_)
     for name in np.unique(names):
         where = rng.permutation(np.flatnonzero(names == name))

@@ -1,4 +1,4 @@
-"""Choosing C on a validation set, then training again on everything (section II-C of the paper)."""
+"""Choice of C on a validation set, then training on all data (section II-C of the paper)."""
 
 import math
 import warnings
@@ -25,9 +25,9 @@ class Chosen(NamedTuple):
     machine : DagSvm
         Trained on development and validation set together.
     development_machine : DagSvm
-        Trained on the development set alone; the accuracy is that of this machine.
+        Trained on the development set only; `accuracy` belongs to this machine.
     C, accuracy : float
-        The smallest C of the best accuracy on the validation set, and that accuracy.
+        The smallest C with the best accuracy on the validation set, and this accuracy.
     """
 
     machine: DagSvm
@@ -54,11 +54,11 @@ def choose_C(
         Observations, or their inner products when the machine's kernel is "precomputed".
     labels : array, shape (count,)
     development, validation : arrays of int
-        Rows of `X`, without a common one.
+        Disjoint rows of `X`.
     machine : DagSvm, optional
-        Its other settings are kept; default: the paper's, linear.
+        Its other settings are used; default: linear, as in the paper.
     progress : callable, optional
-        Called with the name of the step and the part that is done, 0 to 1.
+        Called with the name of the step and the finished part, 0 to 1.
     """
     template = machine or DagSvm()
     tell = progress or (lambda _doing, _ratio: None)
@@ -77,17 +77,17 @@ def choose_C(
 
 
 def part_of(X: npt.NDArray[Any], rows: Indices, trained: Indices, machine: DagSvm) -> npt.NDArray[Any]:
-    """Return what a machine trained on the rows `trained` needs to judge the rows `rows`."""
+    """Return the input of a machine trained on the rows `trained`, for a decision on the rows `rows`."""
     return X[np.ix_(rows, trained)] if machine.kernel == "precomputed" else X[rows]
 
 
 def global_scale(X: npt.NDArray[Any]) -> float:
-    """Return 1 / root mean square of all values: one scale for every feature, as raw sums need it."""
+    """Return 1 / root mean square of all values: one scale for all features."""
     return 1.0 / (math.sqrt(float(np.mean(np.square(X, dtype=np.float64)))) or 1.0)
 
 
 def _trained(machine: DagSvm, X: npt.NDArray[Any], labels: npt.NDArray[Any], rows: Indices) -> DagSvm:
     with warnings.catch_warnings():
-        # A pair cut short by max_iter is still judged on the validation set, like any other.
+        # Pairs that max_iter has stopped are validated like the others.
         warnings.simplefilter("ignore", ConvergenceWarning)
         return machine.fit(part_of(X, rows, rows, machine), labels[rows])
