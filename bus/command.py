@@ -25,7 +25,7 @@ def bus(
     queue_size: int = 256,
     json_: Json = False,
 ) -> None:
-    """Serve virtual CAN buses with bit rate, arbitration, error states and, when wanted, faults.
+    """Serve virtual CAN buses with exact bit times, arbitration, error states and, if wanted, faults.
 
     Programs open the buses as interface ``canskin`` of python-can, other verbs with ``--interface canskin``.
     Runs until Ctrl-C.

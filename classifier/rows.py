@@ -1,8 +1,8 @@
 """Selection of the Hadamard rows to send, so that few sums separate the objects.
 
-Blocks and permutation of the SBHE stay; only the kept rows are selected, one after the other. Under Gaussian classes
-with the mean covariance of a pair, two objects at Mahalanobis distance d are confused with a probability below exp(-d²
-/ 8) (the Bhattacharyya bound); the next row is the one that makes the sum of these bounds over all pairs smallest.
+Blocks and permutation of the SBHE stay; only the kept rows are selected, one after the other. For Gaussian classes with
+the mean covariance of a pair, two objects at Mahalanobis distance d are confused with a probability below exp(-d² / 8)
+(the Bhattacharyya bound). The next row is the row with the smallest sum of these bounds over all pairs.
 """
 
 from typing import Any, Final

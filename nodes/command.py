@@ -40,7 +40,7 @@ def nodes(
     seed: int = 0,
     store: Path | None = None,
 ) -> None:
-    """Run the virtual CANopen nodes of a skin, one per SBHE block.
+    """Run the virtual CANopen nodes of a skin.
 
     Parameters
     ----------
@@ -59,9 +59,9 @@ def nodes(
     objects
         Comma-separated names of the objects that touch the skin; default: a series of five.
     input
-        A recording to play instead of objects: .npz, .npy or .csv of shape (time, rows, columns).
+        A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns).
     full_scale
-        Value of the recording that stands for the skin's largest force.
+        Recorded value that becomes the skin's largest force; default: the largest value of the recording.
     array
         Name of an array in the .npz; two arrays are placed side by side.
     rate

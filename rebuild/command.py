@@ -42,8 +42,8 @@ def rebuild(
 ) -> None:
     """Make the tactile image of every cycle of a recording or a CAN log, and write all images to one file.
 
-    A CAN log is decoded like by the gateway: blocks with late, damaged or missing frames are not valid in that cycle. A
-    recording is measured like by the nodes, one frame per cycle. Images of ``live``, ``variation`` and
+    A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle. A
+    recording is measured as in the nodes, one frame per cycle. Images of ``live``, ``variation`` and
     ``paper-contourlet`` equal those of ``skin reconstruct``. With wavelets, eight parts of the recording are solved
     together; with ``paper`` on a GPU, up to 256 parts.
 

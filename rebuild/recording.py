@@ -1,4 +1,4 @@
-"""A recording of forces, measured like by the nodes: the same ADC, Φ and packing of the sums."""
+"""A recording of forces, measured as in the nodes: the same ADC, Φ and packing of the sums."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

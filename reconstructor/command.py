@@ -21,7 +21,7 @@ def reconstruct(
     connect: str = DEFAULT_ENDPOINT,
     solver: SolverOptions | None = None,
 ) -> None:
-    """Turn measurements into tactile images and publish them.
+    """Compute a tactile image from every measurement and publish the image.
 
     Parameters
     ----------

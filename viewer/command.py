@@ -31,7 +31,7 @@ def view(
     host: str = "127.0.0.1",
     port: int = 8765,
 ) -> None:
-    """Show the skin in a browser: images, object, buses and nodes, live.
+    """Show the skin in a browser: images, label, buses and nodes.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""The paper's two data sets on disk: trajectories to rebuild, and observations to classify."""
+"""The paper's two data sets on disk: trajectories for reconstruction, observations for classification."""

@@ -15,7 +15,7 @@ from touch.datasets.options import AcquisitionOptions, ClassificationOptions, Ta
 from touch.datasets.plan import DatasetPlan, plan_acquisition, plan_classification
 from touch.objects import checked_names
 
-#: Chunks per process between two gatherings: what is made must not pile up while it is written.
+#: Chunks per process between two writes: finished chunks must not fill the memory.
 _AHEAD: Final = 4
 
 Subject = Literal["acquisition", "classification"]
@@ -42,24 +42,24 @@ def dataset(
 
     ``acquisition`` presses and slides five objects over 64 x 64 taxels: 4200 steps of 1 ms each, 690 MB.
     ``classification`` touches 16 objects from 360 offsets with seven arrays: 40320 observations, 250 MB. Each chunk is
-    two .npy files of float32 newtons, the true force and the sensor signal; manifest.json tells the settings, the
-    units and the SHA-256 of every file. A run that was interrupted goes on where it was; files that were damaged are
-    made again; a folder with other settings is refused.
+    two .npy files of float32 newtons, the true force and the sensor signal. manifest.json holds the settings, the units
+    and the SHA-256 of every file. A second run completes an interrupted one and makes damaged files again. A folder
+    with other settings is refused.
 
     Parameters
     ----------
     subject
-        Which data set.
+        The data set.
     out
-        Its folder.
+        Folder of the data set.
     objects
-        Comma-separated names; default: all of the paper's.
+        Comma-separated names; default: all objects of the paper.
     meshes
-        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) to use in place of our own shapes.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
     jobs
-        Processes at the same time; default: one per core.
+        Number of processes; default: one per core.
     cluster
         Address of a Dask scheduler, for example tcp://10.0.0.1:8786, whose workers have canskin installed.
     json
@@ -101,13 +101,13 @@ def dataset(
 
 
 def fill(plan: DatasetPlan, out: Path, jobs: int, cluster: str | None = None) -> dict[str, Any]:
-    """Make what the folder lacks of a data set, with a progress bar on a terminal's stderr.
+    """Make the missing files of a data set, with a progress bar on a terminal's stderr.
 
     Returns
     -------
     dict
-        ``folder``, ``data_set``, ``files``, how many of them were made, ``bytes`` and ``seconds``, and the files and
-        frames of each object.
+        ``folder``, ``data_set``, ``files``, ``files_made``, ``bytes``, ``seconds``, and the files and frames of each
+        object.
 
     Raises
     ------

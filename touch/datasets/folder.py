@@ -1,7 +1,7 @@
 """A data set's folder: a manifest, and one .npy file per signal and chunk, each with its SHA-256.
 
-A file counts once the manifest names it and its digest is right. Files and manifest are written beside their place
-and moved there, so that a run that is cut short leaves nothing that is taken for whole.
+A file is valid if the manifest names it with the right digest. Files and manifest are written under another name and
+then renamed, so an interrupted run leaves no incomplete file that looks complete.
 """
 
 import contextlib
@@ -25,19 +25,19 @@ _LOCK: Final = ".lock"
 
 
 class DatasetFolder:
-    """The folder of one data set, opened to be filled.
+    """The folder of one data set, opened for writing.
 
     Parameters
     ----------
     folder : pathlib.Path
-        Made if it does not exist. An existing one must be empty or hold a data set of the same settings.
+        Made if it does not exist. An existing folder must be empty or hold a data set of the same settings.
     about : dict
-        All of the manifest but its chunks; JSON values.
+        Content of the manifest except its chunks; JSON values.
 
     Raises
     ------
     InputError
-        If the folder cannot be used, holds something else, or a data set of other settings.
+        If the folder cannot be used, or holds other files or a data set of other settings.
     """
 
     def __init__(self, folder: Path, about: dict[str, Any]) -> None:
@@ -47,7 +47,7 @@ class DatasetFolder:
         self._save_manifest()
 
     def holds(self, name: str) -> bool:
-        """Tell whether the file `name` is there as the manifest has it."""
+        """Tell whether the file `name` exists with the digest of the manifest."""
         entry = self._manifest["chunks"].get(name)
         if entry is None:
             return False
@@ -61,12 +61,12 @@ class DatasetFolder:
         return bool(digest.hexdigest() == entry.get("sha256"))
 
     def put(self, files: dict[str, dict[str, Any]], arrays: Sequence[Force]) -> None:
-        """Write files, and enter them in the manifest with what is said of each.
+        """Write files, and enter them and their descriptions in the manifest.
 
         Raises
         ------
         RunError
-            If it cannot be written.
+            If a file cannot be written.
         """
         for (name, about), values in zip(files.items(), arrays, strict=True):
             data = io.BytesIO()
@@ -78,7 +78,7 @@ class DatasetFolder:
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """The manifest as it stands in the folder."""
+        """The manifest in the folder."""
         return dict(self._manifest)
 
     def _known_chunks(self) -> dict[str, Any]:
@@ -130,12 +130,12 @@ class DatasetFolder:
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Keep other runs out of a folder.
+    """Lock a folder against other runs.
 
     Raises
     ------
     InputError
-        If one is at work there, or the folder cannot be made.
+        If another run uses the folder, or the folder cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -146,7 +146,7 @@ def alone(folder: Path) -> Iterator[None]:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(handle)
-        raise InputError(f"another run is at work in '{folder}': wait for it or give another --out") from error
+        raise InputError(f"another run uses '{folder}': wait for its end, or give another --out") from error
     try:
         yield
     finally:
@@ -154,7 +154,7 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 def _given(value: Any) -> Any:
-    """Return settings without those that are off: a setting this version knows may be absent from an older manifest."""
+    """Return the settings that are on: older manifests may lack newer settings."""
     if not isinstance(value, dict):
         return value
     return {name: each for name, each in value.items() if each is not None}

@@ -16,12 +16,12 @@ EVERY_ARRAY: Final = ",".join(map(str, ARRAYS))
 @Parameter(name="*", group=Group("Acquisition"))
 @dataclass(frozen=True)
 class AcquisitionOptions:
-    """How objects move over the skin.
+    """Motion of the objects.
 
     Attributes
     ----------
     speed
-        Times the paper's speed.
+        Speed / paper's speed.
     steps
         Steps per object; default: the whole trajectory.
     """
@@ -33,17 +33,17 @@ class AcquisitionOptions:
 @Parameter(name="*", group=Group("Classification"))
 @dataclass(frozen=True)
 class ClassificationOptions:
-    """What is touched with.
+    """Arrays and perturbations.
 
     Attributes
     ----------
     arrays
         Comma-separated numbers of taxels along a side.
     kind
-        What a taxel of a coarse array is: the mean of a cell of fine ones, one sphere as large as the cell, or one of
-        2 mm in its middle.
+        Type of the taxels of a coarse array: ``averaged``, the mean of the fine taxels in a cell; ``large``, one sphere
+        as large as the cell; ``sparse``, one sphere of 2 mm in the middle of the cell.
     perturbations
-        How many of the paper's 360 offsets.
+        Number of the paper's 360 offsets.
     """
 
     arrays: str = EVERY_ARRAY
@@ -54,7 +54,7 @@ class ClassificationOptions:
 @Parameter(name="*", group=Group("Taxels, each defect off unless given"))
 @dataclass(frozen=True)
 class TaxelOptions:
-    """What makes the sensor signal of the true force; the defects are those of `skin.defects.KINDS`.
+    """Model of the sensor; the defects are those of `skin.defects.KINDS`.
 
     Attributes
     ----------
@@ -65,19 +65,19 @@ class TaxelOptions:
     damper
         Damping beside each spring, N s/m.
     cross_talk
-        Part of each neighbour's force that a taxel reads.
+        Fraction of each neighbour's force that a taxel reads in addition.
     gain_spread
         Standard deviation of the taxels' gains around 1.
     drift
-        Standard deviation of the taxels' drift of zero, N/s.
+        Standard deviation of the drift of the zero point, N/s.
     noisy
-        Part of the taxels whose noise is a quarter of the range.
+        Fraction of the taxels whose noise has a standard deviation of a quarter of the range.
     stuck
-        Part of the taxels that always read one value.
+        Fraction of the taxels that always read one value.
     saturated
-        Part of the taxels that always read the end of the range.
+        Fraction of the taxels that always read the end of the range.
     dead
-        Part of the taxels that always read 0.
+        Fraction of the taxels that always read 0.
     """
 
     noise_n: float = NOISE_N
@@ -92,7 +92,7 @@ class TaxelOptions:
     dead: float | None = None
 
     def model(self, seed: int) -> TaxelModel:
-        """Return the taxels' model; `seed` says which taxels a defect meets.
+        """Return the model of the taxels; `seed` selects the defective taxels.
 
         Raises
         ------

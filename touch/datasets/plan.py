@@ -1,4 +1,4 @@
-"""What a data set consists of: settings, and the chunks it is made in."""
+"""Content of a data set: settings, and its chunks."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -19,21 +19,21 @@ from touch.contact import Force, Grid, Pose, Spheres, press_along
 from touch.objects import checked_names, made_of, spheres_of
 from touch.trajectory import ACQUISITION_OBJECTS, PAPER_STEP_S, paper_pose, start_of, trajectory_range
 
-#: Steps of a trajectory in one chunk; 11 MB of each signal.
+#: Steps of a trajectory in one chunk: 11 MB per signal.
 CHUNK_STEPS: Final = 700
 SIGNALS: Final = ("true", "sensor")
 
 
 @dataclass(frozen=True)
 class Task:
-    """Files that are made together.
+    """Files of one chunk.
 
     Attributes
     ----------
     files : dict
-        Their paths in the folder, and what the manifest says of each.
+        Description of each file in the manifest, by path in the folder.
     make : callable
-        Returns their arrays in that order; can be sent to another process.
+        Returns the arrays of the files in this order; picklable.
     """
 
     files: dict[str, dict[str, Any]]
@@ -49,7 +49,7 @@ class DatasetPlan:
 
     @property
     def objects(self) -> dict[str, dict[str, Any]]:
-        """What each object is made of, by name."""
+        """Source of each object's spheres, by name."""
         found: dict[str, dict[str, Any]] = self.about["settings"]["objects"]
         return found
 
@@ -68,13 +68,13 @@ def plan_acquisition(
     Parameters
     ----------
     names : sequence of str, optional
-        Some of the paper's five objects; default all.
+        Some of the paper's five objects; default: all.
     meshes, speed, steps
         As for `touch.trajectory.trajectory`.
     model : TaxelModel
-        What makes the sensor signal.
+        Model of the sensor.
     seed : int
-        Of the noise.
+        Seed of the noise.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def plan_acquisition(
         way = [paper_pose(step, start.start_m, start.rotation_rad) for step in taken]
         for first in range(0, len(way), CHUNK_STEPS):
             files = _pair(f"{name}/{{}}-{first // CHUNK_STEPS:02d}.npy", {"object": name, "first_step": first})
-            # The step before goes along: a damper needs it.
+            # With the step before, which a damper needs.
             stretch = way[max(first - 1, 0) : first + CHUNK_STEPS]
             tasks.append(Task(files, partial(_steps, spheres, stretch, first, _Sensor(model, seed, tuple(files)))))
     settings = {"speed": speed, "steps": len(taken), **_settings(seed, model)}
@@ -115,15 +115,15 @@ def plan_classification(
     Parameters
     ----------
     names : sequence of str, optional
-        Objects of the catalogue; default the paper's 16.
+        Objects of the catalogue; default: the paper's 16.
     meshes, kind, perturbations
         As for `touch.classification_poses.observations`.
     sides : sequence of int
-        Arrays, some of `touch.coarse_arrays.ARRAYS`.
+        Some of `touch.coarse_arrays.ARRAYS`.
     model : TaxelModel
-        What makes the sensor signal. An observation is one moment: without damper and drift.
+        Model of the sensor, without damper and drift, because an observation is a single moment.
     seed : int
-        Of the noise, and of the draw where there are fewer than 360 perturbations.
+        Seed of the noise, and of the draw of fewer than 360 perturbations.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def plan_classification(
 
 @dataclass(frozen=True)
 class _Sensor:
-    """Makes sensor signals with a file's own random numbers, which do not depend on what else the data set holds."""
+    """Computes sensor signals; each file has its own seed, independent of the other files."""
 
     model: TaxelModel
     seed: int
@@ -174,7 +174,7 @@ class _Sensor:
 
 
 def _steps(spheres: Spheres, stretch: Sequence[Pose], first: int, sensor: _Sensor) -> list[Force]:
-    """Return a stretch of a trajectory; from the second on, `stretch` begins one step early."""
+    """Return a part of a trajectory; every part except the first begins one step early."""
     early = 1 if first else 0
     force_n = press_along(Grid(), spheres, stretch)
     signal = sensor.signal(1, force_n, (first - early) * PAPER_STEP_S)
@@ -182,7 +182,7 @@ def _steps(spheres: Spheres, stretch: Sequence[Pose], first: int, sensor: _Senso
 
 
 def _moments(spheres: Spheres, at: Sequence[Pose], sides: Sequence[int], kind: Kind, sensor: _Sensor) -> list[Force]:
-    """Return the observations of one object with every array."""
+    """Return the observations of one object with all arrays."""
     fine = observe(spheres, at, FINE_SIDE, kind) if kind == "averaged" else None
     made: list[Force] = []
     for side in sides:
@@ -192,7 +192,7 @@ def _moments(spheres: Spheres, at: Sequence[Pose], sides: Sequence[int], kind: K
 
 
 def _pair(path: str, about: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the files of both signals."""
+    """Return the descriptions of the files of both signals."""
     return {path.format(signal): {**about, "signal": signal} for signal in SIGNALS}
 
 
