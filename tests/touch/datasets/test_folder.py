@@ -107,7 +107,7 @@ def test_a_file_that_cannot_be_written_ends_the_run(tmp_path: Path) -> None:
 
 
 def test_one_run_at_a_time(tmp_path: Path) -> None:
-    with alone(tmp_path), pytest.raises(InputError, match="another run is at work"), alone(tmp_path):
+    with alone(tmp_path), pytest.raises(InputError, match="another run uses"), alone(tmp_path):
         pass
     with alone(tmp_path):
         assert DatasetFolder(tmp_path, ABOUT).manifest["chunks"] == {}
