@@ -1,6 +1,6 @@
 """The common interface to all CAN interfaces: batches of FRAME records, with echoes of own frames."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from bus.error_frames import State
@@ -9,7 +9,10 @@ from bus.protocol import Filter, Hello
 from dbc.frame import Frames
 from skin.service import StopSignal
 
-__all__ = ["DISCARDED", "Filter", "Link", "State", "open_link"]
+__all__ = ["DISCARDED", "Filter", "Link", "Send", "State", "open_link"]
+
+#: Sends frames on a bus; returns how many of them, counted from the first, the transmit queue accepted.
+Send = Callable[[Frames], int]
 
 #: The interface name of `skin bus`.
 ARBITRATED = "canskin"

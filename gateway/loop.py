@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from bus.link import State
+from bus.link import Send, State
 from dbc.canopen import SYNC_COB_ID, NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, one_frame
@@ -28,9 +28,6 @@ BOOT_PATIENCE_S: Final = 3.0
 SETTLE_S: Final = 0.1
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
-
-#: Sends frames on a bus; returns how many of them, counted from the first, the transmit queue accepted.
-Send = Callable[[Frames], int]
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,8 @@ class GatewayLoop:
     ----------
     collector : Collector
     sync : SyncClock
+    masters : dict of int to NmtMaster
+        By number of the bus.
     """
 
     def __init__(
@@ -94,6 +93,7 @@ class GatewayLoop:
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
         self._buses = {number: self._bus(number, send, now_s) for number, send in sends.items()}
         self._numbers = sorted(self._buses)
+        self.masters = {number: bus.master for number, bus in self._buses.items()}
         self._flying: deque[_Cycle] = deque()
         self._patience_s = now_s + BOOT_PATIENCE_S
         self._look_s = now_s

@@ -78,6 +78,8 @@ class NmtMaster:
     ----------
     node_ids : list of int
         In the order of the contract; `nmt` and `emcy` have the same order.
+    nodes : dict of int to NodeRecord
+        State of every node, by node-ID; for reading.
     """
 
     def __init__(
@@ -92,12 +94,12 @@ class NmtMaster:
         self._write = contract.layout.configure == "write"
         self._send = send
         self._trust = trust
-        self._nodes = {
+        self.nodes = {
             node.node_id: NodeRecord(node, settings, frozenset(each.index for each in settings))
             for node in contract.on_bus(bus)
             for settings in [configuration(contract, node)]
         }
-        self.node_ids = list(self._nodes)
+        self.node_ids = list(self.nodes)
         self._round_s = proof_period_s(contract, bus)
         self._slot_s = self._tick_s = -np.inf
         self._lines = GroupedLines(self._name, say)
@@ -109,32 +111,32 @@ class NmtMaster:
     @property
     def passed(self) -> bool:
         """Whether every node's first dialogue has ended, with or without an answer."""
-        return all(node.asked for node in self._nodes.values())
+        return all(node.asked for node in self.nodes.values())
 
     @property
     def nmt(self) -> npt.NDArray[np.uint8]:
         """NMT state in every node's last heartbeat, `SILENT` when the heartbeat is overdue; shape (nodes,)."""
-        return np.array([node.nmt for node in self._nodes.values()], np.uint8)
+        return np.array([node.nmt for node in self.nodes.values()], np.uint8)
 
     @property
     def emcy(self) -> list[int]:
         """Error code of the newest emergency of every node, 0 for none."""
-        return [node.emcy for node in self._nodes.values()]
+        return [node.emcy for node in self.nodes.values()]
 
     @property
     def refused(self) -> list[int]:
         """Node-IDs that answer, but whose sums must not be used."""
-        return [node_id for node_id, node in self._nodes.items() if node.refusal]
+        return [node_id for node_id, node in self.nodes.items() if node.refusal]
 
     @property
     def awaited(self) -> list[int]:
         """Node-IDs neither proven nor refused; in most cases the node is absent."""
-        return [node_id for node_id, node in self._nodes.items() if not node.trusted and not node.refusal]
+        return [node_id for node_id, node in self.nodes.items() if not node.trusted and not node.refusal]
 
     @property
     def proof_limit_s(self) -> float:
         """How long a block stays valid after the last proof of its node."""
-        nodes = self._nodes.values()
+        nodes = self.nodes.values()
         mean_cost = sum(node.cost for node in nodes) / len(nodes)
         return PROOF_ROUNDS * self._round_s * mean_cost + ATTEMPTS * TIMEOUT_S
 
@@ -147,7 +149,7 @@ class NmtMaster:
         ours = (can_id == NMT_COB_ID) | (can_id > SDO_RESPONSE_BASE) | is_of_node(can_id, EMCY_BASE)
         for frame in arrived[plain & ours]:
             identifier = int(frame["can_id"])
-            node = self._nodes.get(identifier & HIGHEST_NODE_ID)
+            node = self.nodes.get(identifier & HIGHEST_NODE_ID)
             data = frame["data"][: frame["length"]].tobytes()
             if identifier == NMT_COB_ID:
                 if len(data) == NMT_BYTES:
@@ -205,7 +207,7 @@ class NmtMaster:
         node.hint = ""
 
     def _foreign_nmt(self, command: int, node_id: int, now_s: float) -> None:
-        nodes = self._nodes.values() if node_id == 0 else filter(None, [self._nodes.get(node_id)])
+        nodes = self.nodes.values() if node_id == 0 else filter(None, [self.nodes.get(node_id)])
         for node in nodes:
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
@@ -242,7 +244,7 @@ class NmtMaster:
 
     def swapped(self, node_id: int, now_s: float) -> None:
         """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
-        node = self._nodes[node_id]
+        node = self.nodes[node_id]
         if node.trusted:
             self._lose(
                 node, "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset", now_s
@@ -257,13 +259,13 @@ class NmtMaster:
             return
         self._tick_s = now_s + TICK_S
         limit_s = self.proof_limit_s
-        for node in self._nodes.values():
+        for node in self.nodes.values():
             if node.dialogue is not None:
                 node.dialogue.tick(now_s)
                 self._finish(node, now_s)
             self._check_times(node, limit_s, now_s)
-        free = DIALOGUES - sum(node.dialogue is not None for node in self._nodes.values())
-        out = [node for node in self._nodes.values() if not node.trusted and node.dialogue is None]
+        free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
+        out = [node for node in self.nodes.values() if not node.trusted and node.dialogue is None]
         due = sorted((node for node in out if now_s >= node.prove_at_s), key=lambda node: node.prove_at_s)
         for node in due[: max(0, free)]:
             self._bring_back(node, now_s)
@@ -298,9 +300,9 @@ class NmtMaster:
         """Prove the node whose proof is oldest, as often as the share of the bus for proofs allows."""
         if now_s < self._slot_s:
             return
-        share_s = self._round_s / len(self._nodes)
+        share_s = self._round_s / len(self.nodes)
         self._slot_s = max(self._slot_s, now_s - share_s) + share_s
-        waiting = [node for node in self._nodes.values() if node.trusted and node.dialogue is None]
+        waiting = [node for node in self.nodes.values() if node.trusted and node.dialogue is None]
         oldest = min(waiting, key=lambda node: node.began_s, default=None)
         if oldest is None:
             return

@@ -1,8 +1,8 @@
-"""The ``canopen`` library's network on a `Link`: sends through the link; the segment hands it received frames."""
+"""The ``canopen`` library's network without a bus: sends by a function; the segment hands it received frames."""
 
 import canopen
 
-from bus.link import Link
+from bus.link import Send
 from dbc.frame import one_frame
 
 
@@ -15,9 +15,9 @@ class SegmentNetwork(canopen.Network):
         PDOs that the transmit queue accepted, and PDOs that it refused.
     """
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, send: Send) -> None:
         super().__init__()
-        self._link = link
+        self._send_frames = send
         self.pdos_sent = self.pdos_dropped = 0
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG002
@@ -34,4 +34,4 @@ class SegmentNetwork(canopen.Network):
     def _send(self, can_id: int, data: bytes, flags: int) -> int:
         frame = one_frame(can_id, data, flags)
         frame["port"] = can_id & 0x7F
-        return self._link.send(frame)
+        return self._send_frames(frame)

@@ -1,12 +1,12 @@
-"""All virtual nodes of one bus behind one link: frames in, answers out."""
+"""All virtual nodes of one bus without input and output: frames and times in, answers out."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from bus.link import DISCARDED, Link
+from bus.link import DISCARDED, Send
 from dbc.canopen import (
     HEARTBEAT_BASE,
     HIGHEST_NODE_ID,
@@ -33,7 +33,6 @@ from nodes.node import SkinNode
 from nodes.sampler import Sampler
 from nodes.storage import Storage
 from nodes.tpdo import Tpdo
-from skin.service import Complaints
 
 #: Time from the end of the SYNC frame to a node's answer, on the clock of the bus; typical of a microcontroller.
 REACTION_NS: Final = 100_000
@@ -55,8 +54,11 @@ class Segment:
         Number of the bus in the layout.
     node_ids : collection of int
         The nodes of the bus that this process runs.
-    link : Link
+    send : callable
+        Sends frames on this bus.
     sampler : Sampler
+    complain : callable
+        Takes a line for the log that may repeat often.
     store : Path, optional
         Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
 
@@ -71,24 +73,25 @@ class Segment:
         contract: Contract,
         bus: int,
         node_ids: Collection[int],
-        link: Link,
+        send: Send,
         sampler: Sampler,
         *,
+        complain: Callable[[str], None],
         store: Path | None = None,
     ) -> None:
-        self.link = link
         self.frames_rejected = 0
         self.syncs_seen = 0
         self._sent = self._dropped = 0
         self._name = contract.layout.bus[bus].name
-        self._complaints = Complaints("nodes")
+        self._complain = complain
         wires = contract.layout.bus[bus]
         self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
         self._sync_at_s = self._tick_at_s = float("-inf")
         self._sampler = sampler
-        self._network = SegmentNetwork(link)
+        self._send = send
+        self._network = SegmentNetwork(send)
         self.nodes = [
             SkinNode(
                 node,
@@ -136,16 +139,15 @@ class Segment:
             if node.wants(now_s):
                 node.tick(now_s)
 
-    def receive(self, now_s: float) -> None:
-        """Handle every frame that waits in the link."""
-        arrived = self.link.receive()
+    def take(self, arrived: Frames, now_s: float) -> None:
+        """Handle received frames in their order, with echoes of sent frames and discarded frames."""
         self._count_expired(arrived[arrived["flags"] & DISCARDED == DISCARDED])
         can_id = arrived["can_id"]
         there = arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0
         plain = there & (arrived["flags"] & ECHO == 0)
         heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
         request = is_of_node(can_id, SDO_REQUEST_BASE)
-        # The nodes behind this link receive each other's heartbeats as echoes.
+        # The nodes of this segment receive each other's heartbeats as echoes.
         for frame in arrived[there & heartbeat | plain & (request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
             self._handle(frame, now_s)
 
@@ -158,7 +160,7 @@ class Segment:
             self._nmt(data, now_s)
         elif can_id > HEARTBEAT_BASE:
             if can_id - HEARTBEAT_BASE in self._by_id and not frame["flags"] & ECHO:
-                self._complaints.complain(f"node-ID {can_id - HEARTBEAT_BASE} is on {self._name} twice")
+                self._complain(f"node-ID {can_id - HEARTBEAT_BASE} is on {self._name} twice")
             for node in self.nodes:
                 node.heard(can_id - HEARTBEAT_BASE, now_s)
         elif len(data) == SDO_BYTES:
@@ -177,7 +179,7 @@ class Segment:
         burst = self._burst.frames(counter, sums, operational)
         burst["time_ns"] = time_ns + REACTION_NS
         burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
-        accepted = self.link.send(burst)
+        accepted = self._send(burst)
         self._sent += accepted
         self._dropped += len(burst) - accepted
         for node_id, sent in zip(*np.unique(burst["port"][:accepted], return_counts=True), strict=True):

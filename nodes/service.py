@@ -1,9 +1,9 @@
 """The loop of a process of virtual nodes: receives SYNC, sends TPDOs and heartbeats, publishes the true forces."""
 
 import os
-import selectors
+import select
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +13,7 @@ from nodes.sampler import Sampler
 from nodes.segment import Segment
 from skin.fabric import Fabric
 from skin.messages import NODES, TRUTH, NodesStatus
-from skin.service import StopSignal, be_punctual
+from skin.service import Complaints, StopSignal, be_punctual
 
 #: Longest wait for frames.
 TURN_S: Final = 0.005
@@ -35,6 +35,8 @@ class NodesService:
         Where counters and true forces are published.
     store : Path, optional
         Folder for the parameters that 1010h stores.
+    clock : callable, optional
+        Monotonic time in seconds.
     """
 
     def __init__(
@@ -46,30 +48,45 @@ class NodesService:
         fabric: Fabric | None = None,
         *,
         store: Path | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.segments = [
-            Segment(contract, bus, node_ids[bus], link, sampler, store=store) for bus, link in links.items()
-        ]
+        self.segments = {
+            bus: Segment(
+                contract,
+                bus,
+                node_ids[bus],
+                link.send,
+                sampler,
+                complain=Complaints("nodes").complain,
+                store=store,
+            )
+            for bus, link in links.items()
+        }
+        self._links = dict(links)
         self._sampler = sampler
         self._fabric = fabric
+        self._clock = clock
         self._status_at_s = 0.0
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`."""
-        with selectors.DefaultSelector() as selector:
-            for segment in self.segments:
-                selector.register(segment.link.fileno(), selectors.EVENT_READ, segment)
-                segment.boot(time.monotonic())
-            be_punctual()
-            while not stop.is_set():
-                ready = selector.select(TURN_S)
-                now_s = time.monotonic()
-                for key, _ in ready:
-                    key.data.receive(now_s)
-                for segment in self.segments:
-                    segment.tick(now_s)
-                self._publish(now_s)
+        for segment in self.segments.values():
+            segment.boot(self._clock())
+        be_punctual()
+        while not stop.is_set():
+            self.turn()
         self.publish_status()
+
+    def turn(self) -> None:
+        """Wait for frames up to `TURN_S`, handle them, and do what is due by time."""
+        ready, _, _ = select.select(list(self._links.values()), [], [], TURN_S)
+        now_s = self._clock()
+        for bus, link in self._links.items():
+            if link in ready:
+                self.segments[bus].take(link.receive(), now_s)
+        for segment in self.segments.values():
+            segment.tick(now_s)
+        self._publish(now_s)
 
     def publish_status(self) -> None:
         """Publish the counters of all segments."""
@@ -78,9 +95,9 @@ class NodesService:
         status = NodesStatus(
             time_ns=time.time_ns(),
             process=str(os.getpid()),
-            frames_sent=sum(segment.frames_sent for segment in self.segments),
-            frames_dropped=sum(segment.frames_dropped for segment in self.segments),
-            syncs_seen=max(segment.syncs_seen for segment in self.segments),
+            frames_sent=sum(segment.frames_sent for segment in self.segments.values()),
+            frames_dropped=sum(segment.frames_dropped for segment in self.segments.values()),
+            syncs_seen=max(segment.syncs_seen for segment in self.segments.values()),
         )
         self._fabric.publish(NODES, status)
 

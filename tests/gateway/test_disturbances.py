@@ -96,7 +96,7 @@ def drive(contract: Contract, actions: list[tuple], store: Path, *, gateway_lose
     world = World(contract, store)
     world.until_whole(2.0)
     changed_s = np.full(contract.phi.blocks, -np.inf)
-    limit_s = max(line.master.proof_limit_s for line in world.gateway._buses.values())
+    limit_s = max(master.proof_limit_s for master in world.gateway.masters.values())
     for what in actions:
         for block in disturb(world, what, gateway_loses=gateway_loses):
             changed_s[block] = world.now_s
@@ -113,8 +113,8 @@ def drive(contract: Contract, actions: list[tuple], store: Path, *, gateway_lose
 
 def skip_pauses(world: World) -> None:
     """Check that no node is left out for longer than the longest pause; go on as if that pause were over."""
-    for bus in world.gateway._buses.values():
-        for each in bus.master._nodes.values():
+    for master in world.gateway.masters.values():
+        for each in master.nodes.values():
             if not each.trusted:
                 assert each.prove_at_s <= world.now_s + LATER_S
                 each.prove_at_s, each.tries = min(each.prove_at_s, world.now_s), 0

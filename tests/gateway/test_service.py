@@ -81,7 +81,7 @@ def running(small: Contract) -> tuple[GatewayService, Clock, Fabric, list[Echoin
     service = GatewayService(small, dict(enumerate(links)), fabric, clock=clock)
     while not links[0].syncs_s:
         service.turn()
-        clock.now_s += 0.005
+        clock.now_s += 0.02
     return service, clock, fabric, links
 
 
@@ -90,7 +90,7 @@ def test_syncs_do_not_bunch_after_a_stall(small: Contract) -> None:
     service, clock, fabric, links = running(small)
     period_s = small.layout.sync.period_s
     fabric.stall_s = 2.3 * period_s
-    for _ in range(400):
+    for _ in range(250):
         service.turn()
         clock.now_s += 0.002
     gaps_s = np.diff(links[0].syncs_s)
@@ -105,13 +105,13 @@ def test_syncs_do_not_bunch_after_a_stall(small: Contract) -> None:
 def test_bus_that_takes_no_sync_says_why_once(small: Contract, capsys: object) -> None:
     service, clock, _, links = running(small)
     links[1].takes, links[1].state = False, State.PASSIVE
-    for _ in range(500):
-        service.turn()
-        clock.now_s += 0.005
-    links[1].takes = True
     for _ in range(50):
         service.turn()
-        clock.now_s += 0.005
+        clock.now_s += 0.02
+    links[1].takes = True
+    for _ in range(20):
+        service.turn()
+        clock.now_s += 0.02
     said = capsys.readouterr().err.splitlines()  # type: ignore[attr-defined]
     about = [line for line in said if "SYNC" in line]
     assert len(about) == 2

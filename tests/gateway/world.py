@@ -17,7 +17,7 @@ from nodes.sampler import Sampler
 from nodes.segment import Segment
 from skin.layout import parse_layout
 from skin.measurement import Sbhe
-from skin.messages import Measurement
+from skin.messages import GatewayStatus, Measurement
 from skin.sources import Frame
 from skin.taxel import to_counts
 from tests.bus.harness import frame
@@ -35,18 +35,19 @@ sums = 32
 rate_hz = 20.0
 [[bus]]
 name = "bus0"
-nodes = 2
+{bus}
 [[bus]]
 name = "bus1"
-nodes = 2
+{bus}
 """
 PERIOD_S = 0.05
 #: Nodes look at time between two SYNCs only.
 STEP_S = PERIOD_S / 2
 
 
-def small_contract(top: str = "") -> Contract:
-    return Contract.from_layout(parse_layout(SMALL.format(top=top).encode(), "small"))
+def small_contract(top: str = "", bus: str = "nodes = 2") -> Contract:
+    """Return the contract of the small skin, with more lines at the `top` of its layout or other lines for each bus."""
+    return Contract.from_layout(parse_layout(SMALL.format(top=top, bus=bus).encode(), "small"))
 
 
 class Shaking:
@@ -89,20 +90,23 @@ class WitnessSampler(Sampler):
 
 
 class EndOfWire:
-    """A link whose far end is a `Wire`."""
-
-    dropped = 0
-    state = State.ACTIVE
+    """One of the two that are joined by a `Wire`."""
 
     def __init__(self, wire: "Wire") -> None:
         self.wire = wire
         self.waiting: list[Frames] = []
+        #: Whether it has room for what is sent.
         self.takes = True
+        #: Whether it is not read: what arrives waits.
+        self.is_held = False
 
-    def fileno(self) -> int:
-        raise NotImplementedError
+    @property
+    def has_news(self) -> bool:
+        return bool(self.waiting) and not self.is_held
 
     def receive(self) -> Frames:
+        if self.is_held:
+            return frames(0)
         # Not np.concatenate, which compares the fields of the records each time.
         arrived, begin = frames(sum(map(len, self.waiting))), 0
         for burst in self.waiting:
@@ -116,9 +120,6 @@ class EndOfWire:
             return 0
         self.wire.queue.append((self, burst.copy()))
         return len(burst)
-
-    def close(self) -> None:
-        pass
 
 
 class Wire:
@@ -154,10 +155,17 @@ class Wire:
 
 @dataclass
 class World:
-    """The skin, its gateway, and what they said."""
+    """The skin, its gateway, and what they said.
+
+    Attributes
+    ----------
+    built : Contract or None
+        What the nodes were built for, where that is not the contract of the gateway.
+    """
 
     contract: Contract
     store: Path | None = None
+    built: Contract | None = None
     now_s: float = 100.0
     lines: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
@@ -167,19 +175,20 @@ class World:
         self.electronics = Witness(self.contract.layout.taxels, noise_n=0.0)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics)
         self.wires = [Wire() for _ in self.contract.layout.bus]
-        self.segments = [
-            Segment(
-                self.contract,
-                bus,
-                {node.node_id for node in self.contract.on_bus(bus)},
-                wire.nodes,
-                self.sampler,
-                store=self.store,
-            )
-            for bus, wire in enumerate(self.wires)
-        ]
+        self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
         self.gateway = self.new_gateway()
+
+    def new_segment(self, bus: int, contract: Contract) -> Segment:
+        return Segment(
+            contract,
+            bus,
+            {node.node_id for node in contract.on_bus(bus)},
+            self.wires[bus].nodes.send,
+            self.sampler,
+            complain=self.complaints.append,
+            store=self.store,
+        )
 
     def power_up(self) -> None:
         for segment in self.segments:
@@ -200,19 +209,22 @@ class World:
         came: list[Measurement] = []
         self.gateway.tick(self.now_s)
         came += self.gateway.send_sync(self.now_s)
-        while sum(wire.deliver() for wire in self.wires):
-            self._receive()
+        self.carry()
         for segment in self.segments:
             segment.tick(self.now_s)
-        while sum(wire.deliver() for wire in self.wires):
-            self._receive()
+        self.carry()
         came += self.gateway.close_settled(self.now_s)
         self.measured += came
         return came
 
+    def carry(self) -> None:
+        """Carry what was sent, and let everybody answer, until nobody says anything more."""
+        while sum(wire.deliver() for wire in self.wires) or any(wire.gateway.has_news for wire in self.wires):
+            self._receive()
+
     def _receive(self) -> None:
         for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
-            segment.receive(self.now_s)
+            segment.take(wire.nodes.receive(), self.now_s)
             self.gateway.take(bus, wire.gateway.receive(), self.now_s)
 
     def run(self, seconds: float) -> list[Measurement]:
@@ -221,6 +233,16 @@ class World:
         for _ in range(round(seconds / STEP_S)):
             self.step()
         return self.measured[first:]
+
+    def pass_time(self, seconds: float) -> None:
+        """Go on without SYNC: for what takes long and asks for no sums."""
+        self.gateway.sync.stop()
+        self.run(seconds)
+        self.gateway.sync.start(self.now_s + PERIOD_S)
+
+    def status(self) -> GatewayStatus:
+        """Return all counters."""
+        return self.gateway.status(dict.fromkeys(range(len(self.wires)), (State.ACTIVE, 0)), self.now_s)
 
     def until_whole(self, at_most_s: float) -> float:
         """Go on until every block is valid; return how long that took."""

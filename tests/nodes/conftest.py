@@ -1,9 +1,11 @@
-"""A segment of nodes on a link without a bus."""
+"""A segment of nodes without a bus."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bus.link import State
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from nodes.electronics import Electronics
@@ -14,20 +16,16 @@ from skin.sources import Frame
 
 
 class ArrayLink:
-    """A link whose frames come from an array: what is tested here is what nodes make of frames, not a bus.
+    """Keeps what nodes send, and echoes it as a bus without traffic would.
 
-    Sent frames are kept, and echoed as a bus without traffic would.
+    What is tested here is what nodes make of frames, not a bus.
     """
-
-    dropped = 0
-    state = State.ACTIVE
 
     def __init__(self) -> None:
         self.sent: list[Frames] = []
         self.waiting: list[Frames] = []
-
-    def fileno(self) -> int:
-        raise NotImplementedError
+        #: Frames that a send finds room for.
+        self.room = 1 << 30
 
     def receive(self) -> Frames:
         arrived = np.concatenate(self.waiting) if self.waiting else frames(0)
@@ -35,14 +33,12 @@ class ArrayLink:
         return arrived
 
     def send(self, burst: Frames) -> int:
-        self.sent.append(burst.copy())
-        echo = burst.copy()
+        taken = burst[: self.room].copy()
+        self.sent.append(taken)
+        echo = taken.copy()
         echo["flags"] |= ECHO
         self.waiting.append(echo)
-        return len(burst)
-
-    def close(self) -> None:
-        pass
+        return len(taken)
 
     def take_sent(self) -> Frames:
         out = np.concatenate(self.sent) if self.sent else frames(0)
@@ -55,8 +51,10 @@ class Still:
 
     has_noise = True
 
-    def __init__(self) -> None:
-        self.force_n = np.random.default_rng(1).uniform(0, 0.02, (64, 64)).astype(np.float32)
+    def __init__(self, contract: Contract) -> None:
+        taxels = contract.layout.taxels
+        random = np.random.default_rng(1)
+        self.force_n = random.uniform(0, taxels.force_max_n, (taxels.rows, taxels.columns)).astype(np.float32)
 
     def frame(self, step: int) -> Frame:
         return Frame(self.force_n, "")
@@ -75,7 +73,21 @@ def link() -> ArrayLink:
 @pytest.fixture
 def segment(contract: Contract, link: ArrayLink) -> Segment:
     """Nodes 1 to 4 of bus0, booted."""
-    sampler = Sampler(contract.phi, Still(), Electronics(contract.layout.taxels, noise_n=0.0))
-    built = Segment(contract, 0, {1, 2, 3, 4}, link, sampler)
+    return new_segment(contract, link, {1, 2, 3, 4})
+
+
+def new_segment(
+    contract: Contract,
+    link: ArrayLink,
+    node_ids: Collection[int],
+    *,
+    sampler: Sampler | None = None,
+    complain: Callable[[str], None] = lambda _: None,
+    store: Path | None = None,
+) -> Segment:
+    """Return nodes of bus0, booted."""
+    if sampler is None:
+        sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    built = Segment(contract, 0, node_ids, link.send, sampler, complain=complain, store=store)
     built.boot(0.0)
     return built

@@ -10,11 +10,10 @@ from dbc.contract import Contract
 from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from nodes.segment import Segment
 from nodes.storage import Storage
 from skin.errors import InputError
 from tests.bus.harness import frame
-from tests.nodes.conftest import ArrayLink, Still
+from tests.nodes.conftest import ArrayLink, Still, new_segment
 from tests.nodes.test_segment import RESET_COMMUNICATION, RESET_NODE, give, read, sync, write
 
 SAVE, LOAD = 0x6576_6173, 0x6461_6F6C
@@ -25,10 +24,9 @@ class Board:
 
     def __init__(self, contract: Contract, store: Path | None = None) -> None:
         self.electronics = Electronics(contract.layout.taxels, noise_n=0.0)
-        self.sampler = Sampler(contract.phi, Still(), self.electronics)
+        self.sampler = Sampler(contract.phi, Still(contract), self.electronics)
         self.link = ArrayLink()
-        self.segment = Segment(contract, 0, {1, 2}, self.link, self.sampler, store=store)
-        self.segment.boot(0.0)
+        self.segment = new_segment(contract, self.link, {1, 2}, sampler=self.sampler, store=store)
         self.chain = contract.phi.order[: contract.phi.block_size]
 
     def write(self, index: int, subindex: int, value: int, size: int) -> int:
@@ -147,6 +145,7 @@ def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tm
         0x1017: {0: b"\1"},
         0x1029: {1: b"\x09"},
         0x1A00: {1: bytes.fromhex("10c80021")},
+        0x1A02: {0: b"\5", 5: bytes.fromhex("10050021")},  # one sum more than a classic frame holds
         0x5000: {0: b"\1"},
         OD_TEST_PATTERN: {0: b"\2"},
     }
@@ -156,3 +155,4 @@ def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tm
     assert board.read(0x1029, 1) == 0
     give(board.segment, board.link, frame(0, bytes((1, 1))))
     assert {can_id for can_id, _ in give(board.segment, board.link, sync(1))} == {0x281}  # the first is mapped wrongly
+    assert {can_id for can_id, _ in give(board.segment, board.link, sync(2))} == {0x481}
