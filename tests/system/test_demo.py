@@ -2,14 +2,18 @@
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from skin.command import main
 
 
 def skin(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -77,6 +81,15 @@ def test_recordings_given_from_outside(slow_layout: Path, tmp_path: Path) -> Non
 
 
 @pytest.fixture
+def own_signals() -> Iterator[None]:
+    """Give this process back what it does at a signal."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
 def wrong_files(tmp_path: Path) -> Path:
     np.save(tmp_path / "flat.npy", np.zeros((5, 10)))
     np.save(tmp_path / "large.npy", np.zeros((5, 100, 100)))
@@ -118,13 +131,20 @@ def wrong_files(tmp_path: Path) -> Path:
     ],
     ids=" ".join,
 )
-def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], wrong_files: Path) -> None:
+@pytest.mark.usefixtures("own_signals")
+def test_wrong_input_is_one_line_and_exit_code_2(
+    arguments: tuple[str, ...], wrong_files: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     quiet = ("--no-view", "--seconds", "1") if arguments[0] == "demo" and "--seconds" not in arguments else ()
-    done = skin(*arguments, *quiet, cwd=wrong_files)
-    assert done.returncode == 2, done.stderr
-    assert not done.stdout
-    lines = [line for line in done.stderr.splitlines() if line.strip()]
-    assert len(lines) == 1, done.stderr
+    monkeypatch.chdir(wrong_files)
+    monkeypatch.setattr(sys, "argv", ["skin", *arguments, *quiet])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capfd.readouterr()
+    assert ended.value.code == 2, said.err
+    assert not said.out
+    lines = [line for line in said.err.splitlines() if line.strip()]
+    assert len(lines) == 1, said.err
     assert lines[0].startswith("skin: ")
 
 
