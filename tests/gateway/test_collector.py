@@ -1,5 +1,7 @@
 """The collector: every frame once, none of another cycle, and counts that balance."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +10,8 @@ from hypothesis import strategies as st
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract, next_counter, phase_of
-from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames, frames
-from gateway.collector import Collector
+from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames, frames
+from gateway.collector import Collector, Gathered
 from skin.layout import load_layout
 from tests.bus.harness import frame
 
@@ -35,6 +37,13 @@ def burst(bus: int, counter: int, sums: np.ndarray = SUMS) -> Frames:
     out["can_id"], out["length"] = TABLE.cob_id[rows], TABLE.length[rows]
     out["data"][:, :8] = encode(sums, TABLE.gather[rows], CONTRACT.packing)
     return out
+
+
+def whole_cycle(collector: Collector, counter: int) -> Gathered:
+    collector.open(counter)
+    for bus in range(4):
+        collector.take(bus, np.concatenate((echo(counter), burst(bus, counter))))
+    return collector.close(counter)
 
 
 def received(collector: Collector) -> int:
@@ -130,7 +139,19 @@ def test_untrusted_block_is_never_valid() -> None:
     assert not gathered.sums[CONTRACT.phi.block_of_sum == 3].any()
 
 
-@pytest.mark.parametrize("flags", [EXTENDED, REMOTE, EXTENDED | REMOTE])
+def test_proof_counts_from_the_next_sync_on_and_a_doubt_from_the_cycle_under_way() -> None:
+    collector = new_collector()
+    collector.trust(slice(3, 5), proven=False)
+    collector.open(1)
+    collector.trust(slice(3, 4), proven=True)
+    collector.trust(slice(7, 8), proven=False)
+    for bus in range(4):
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+    assert np.flatnonzero(~collector.close(1).valid).tolist() == [3, 4, 7]
+    assert np.flatnonzero(~whole_cycle(collector, 2).valid).tolist() == [4, 7]
+
+
+@pytest.mark.parametrize("flags", [EXTENDED, REMOTE, EXTENDED | REMOTE, FD])
 def test_frames_of_another_kind_are_foreign(flags: int) -> None:
     collector = new_collector()
     collector.open(1)
@@ -141,7 +162,7 @@ def test_frames_of_another_kind_are_foreign(flags: int) -> None:
     assert not collector.close(1).valid.any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_any_frames_are_counted_and_never_raise(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -176,3 +197,178 @@ def test_syncs_that_waited_in_the_controller_spoil_their_bus() -> None:
     late = collector.close(3)
     assert not late.valid[:32].any()
     assert late.valid[32:].all()
+
+
+@pytest.mark.parametrize(("gap_ns", "is_valid"), [(3_999_999, False), (4_000_001, True)])
+def test_syncs_closer_than_four_tenths_of_a_period_spoil_their_bus(gap_ns: int, is_valid: bool) -> None:
+    collector = new_collector()
+    for counter, end_ns in ((1, 50_000_000), (2, 50_000_000 + gap_ns)):
+        collector.open(counter)
+        start = echo(counter)
+        start["time_ns"] = end_ns
+        collector.take(0, np.concatenate((start, burst(0, counter))))
+    assert collector.close(2).valid[:32].all() == is_valid
+
+
+@pytest.mark.parametrize("cycles", [4, 5])
+def test_node_that_answers_with_the_other_phase_five_times_is_found_once(cycles: int) -> None:
+    collector = new_collector()
+    for counter in range(1, cycles + 1):
+        collector.open(counter)
+        sent, other = burst(0, counter), burst(0, next_counter(counter))
+        of_node_3 = TABLE.node[TABLE.row_of[0, sent["can_id"]]] == 2
+        collector.take(0, np.concatenate((echo(counter), sent[~of_node_3], other[of_node_3])))
+        collector.close(counter)
+    assert collector.take_swapped() == ([2] if cycles == 5 else [])
+    assert collector.take_swapped() == []
+
+
+def changed(sent: Frames, **values: int) -> Frames:
+    """Return the first frame of a burst with other `flags` or `length`."""
+    frame_0 = sent[:1].copy()
+    for key, value in values.items():
+        frame_0[key] = value
+    return frame_0
+
+
+def with_other_data(sent: Frames) -> Frames:
+    copy = sent[:1].copy()
+    copy["data"][0, 0] ^= 1
+    return copy
+
+
+#: What may happen to the first frame of bus 0, in the order of the wire.
+LOSSES = {
+    "lost": lambda sent: [echo(1), sent[1:]],
+    "before its SYNC": lambda sent: [sent[:1], echo(1), sent[1:]],
+    "after the next SYNC": lambda sent: [echo(1), sent[1:], echo(2), sent[:1]],
+    "shorter": lambda sent: [echo(1), changed(sent, length=7), sent[1:]],
+    "longer": lambda sent: [echo(1), changed(sent, length=12), sent[1:]],
+    "extended": lambda sent: [echo(1), changed(sent, flags=EXTENDED), sent[1:]],
+    "remote": lambda sent: [echo(1), changed(sent, flags=REMOTE), sent[1:]],
+    "of CAN FD": lambda sent: [echo(1), changed(sent, flags=FD), sent[1:]],
+    "given back unsent": lambda sent: [echo(1), changed(sent, flags=ECHO | ERROR), sent[1:]],
+    "its copy differs": lambda sent: [echo(1), sent, with_other_data(sent)],
+}
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_whatever_befalls_a_frame_its_block_alone_is_invalid_and_the_next_cycle_is_whole(loss: str) -> None:
+    collector = new_collector()
+    collector.open(1)
+    for bus in range(1, 4):
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+    collector.take(0, np.concatenate(LOSSES[loss](burst(0, 1))))
+    gathered = collector.close(1)
+    assert np.flatnonzero(~gathered.valid).tolist() == [0]
+    assert not gathered.sums[CONTRACT.phi.block_of_sum == 0].any()
+    assert whole_cycle(collector, 2).complete
+    assert whole_cycle(collector, 3).complete
+
+
+def test_frames_of_more_bytes_than_their_pdo_are_malformed() -> None:
+    collector = new_collector()
+    collector.open(1)
+    collector.take(0, np.concatenate((echo(1), changed(burst(0, 1), length=12))))
+    assert (collector.counts.malformed, collector.counts.accepted) == (1, 0)
+
+
+def test_frames_without_any_sync_are_late() -> None:
+    collector = new_collector()
+    collector.take(0, burst(0, 1))
+    assert (collector.counts.late, collector.counts.accepted) == (64, 0)
+
+
+def test_sync_that_the_controller_gave_back_begins_no_cycle() -> None:
+    collector = new_collector()
+    collector.open(1)
+    collector.take(0, np.concatenate((frame(SYNC_COB_ID, b"\1", ECHO | ERROR), burst(0, 1))))
+    assert (collector.counts.late, collector.counts.accepted) == (64, 0)
+
+
+def test_bus_without_sync_is_not_in_the_cycle_whose_counter_comes_round() -> None:
+    collector = new_collector()
+    collector.open(1)
+    collector.take(0, echo(1))
+    collector.close(1)
+    collector.open(1)
+    collector.take(0, burst(0, 1))
+    assert (collector.counts.late, collector.counts.accepted) == (64, 0)
+    assert not collector.close(1).valid[:32].any()
+
+
+def test_frames_after_the_close_are_late() -> None:
+    collector = new_collector()
+    collector.open(1)
+    sent = burst(0, 1)
+    collector.take(0, np.concatenate((echo(1), sent[:60])))
+    collector.close(1)
+    collector.take(0, sent[60:])
+    assert (collector.counts.accepted, collector.counts.late, collector.counts.missing) == (60, 4, 196)
+
+
+def test_late_and_missing_are_counted_by_node() -> None:
+    collector = new_collector()
+    collector.open(1)
+    sent = burst(0, 1)
+    of_node_3 = TABLE.node[TABLE.row_of[0, sent["can_id"]]] == 2
+    collector.take(0, np.concatenate((echo(1), sent[~of_node_3])))
+    for bus in range(1, 4):
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+    collector.close(1)
+    collector.take(0, sent[of_node_3][:1])
+    assert np.flatnonzero(collector.missing_of_node).tolist() == np.flatnonzero(collector.late_of_node).tolist() == [2]
+    assert (collector.missing_of_node[2], collector.late_of_node[2]) == (2, 1)
+    assert (collector.counts.missing, collector.counts.late) == (2, 1)
+
+
+def test_cycle_waits_for_expected_nodes_only() -> None:
+    collector = new_collector()
+    collector.expected[0] = False
+    of_node_1 = TABLE.node[TABLE.row_of[0, burst(0, 1)["can_id"]]] == 0
+    collector.open(1)
+    for bus in range(1, 4):
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+    sent = burst(0, 1)
+    others = sent[~of_node_1]
+    collector.take(0, np.concatenate((echo(1), sent[of_node_1], others[2:])))
+    assert not collector.is_settled(1)  # the frames of node 1 count for nobody else
+    collector.take(0, others[:2])
+    assert collector.is_settled(1)
+    assert collector.close(1).complete
+    collector.open(2)
+    for bus in range(4):
+        sent = burst(bus, 2)
+        collector.take(bus, np.concatenate((echo(2), sent[~of_node_1] if bus == 0 else sent)))
+    assert collector.is_settled(2)
+
+
+def test_cycle_settles_where_the_next_sync_is_seen_also_when_the_counter_comes_round() -> None:
+    collector = new_collector()
+    collector.open(240)
+    for bus in range(4):
+        collector.take(bus, echo(240))
+    assert not collector.is_settled(240)
+    collector.open(1)
+    for bus in range(4):
+        assert not collector.is_settled(240)
+        collector.take(bus, echo(1))
+    assert collector.is_settled(240)
+    assert not collector.is_settled(1)
+
+
+def test_nodes_that_send_are_heard() -> None:
+    collector = new_collector()
+    collector.take(1, burst(1, 1)[:1])
+    assert np.flatnonzero(collector.heard).tolist() == [32]
+
+
+def test_skin_of_can_fd_takes_frames_of_can_fd() -> None:
+    contract = Contract.from_layout(load_layout(Path("fd")))
+    collector = Collector(contract)
+    collector.trust(slice(None), proven=True)
+    collector.open(1)
+    for bus in range(len(contract.layout.bus)):
+        collector.take(bus, np.concatenate((echo(1), contract.cycle(bus, 0)[1:])))
+    assert collector.close(1).complete
+    assert collector.counts.foreign == 0

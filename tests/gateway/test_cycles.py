@@ -41,6 +41,13 @@ def test_what_is_due_too_late_is_skipped_and_counted() -> None:
     assert clock.counter == 2
 
 
+@pytest.mark.parametrize(("late_s", "is_sent"), [(0.00499, True), (0.00501, False)])
+def test_half_a_period_is_too_late(late_s: float, is_sent: bool) -> None:
+    clock = started()
+    assert (clock.take(1.0 + late_s) is not None) == is_sent
+    assert clock.skipped == 1 - is_sent
+
+
 def test_missed_periods_are_skipped_but_for_the_newest() -> None:
     clock = started()
     assert clock.take(1.031) == pytest.approx(1.03)

@@ -5,17 +5,28 @@ from typing import Final
 import numpy as np
 import pytest
 
-from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand, NmtState
+from dbc.canopen import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    NmtCommand,
+    NmtState,
+)
+from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
-from dbc.frame import ECHO
-from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS
+from dbc.frame import ECHO, ERROR
+from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS, OD_SIGNATURE
 from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import DIALOGUES, LATER_S, PAUSES_S, SILENT_AFTER_S, STABLE_S, TICK_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from skin.layout import parse_layout
 from skin.messages import SILENT
-from tests.gateway.world import PERIOD_S, SMALL, EndOfWire, World, valid
+from tests.bus.harness import frame
+from tests.gateway.world import PERIOD_S, EndOfWire, World, valid
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
@@ -89,8 +100,8 @@ def test_silent_node_is_said_once_and_comes_back(world: World) -> None:
     assert valid(world.measured[-1])[2:].all()
     silent = [line for line in world.lines if "silent" in line]
     assert silent == ["nodes 1-2 on bus0 silent: no heartbeat for 1.5 s"]
-    assert world.gateway._buses[0].master.nmt.tolist() == [SILENT, SILENT]
-    world.run(20)
+    assert world.gateway.masters[0].nmt.tolist() == [SILENT, SILENT]
+    world.pass_time(20)
     assert [line for line in world.lines if "silent" in line] == silent
     wire.loses = None
     world.until_whole(HEARTBEAT_S + SOON_S)
@@ -104,13 +115,14 @@ def test_node_that_will_not_stay_is_tried_ever_more_seldom(world: World) -> None
         end is world.wires[0].nodes and each["can_id"] == NMT_COB_ID and each["data"][0] == NmtCommand.START
     )
     world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
-    world.run(100)
+    world.pass_time(100)
     starts = [data for can_id, data in world.wires[0].log if can_id == NMT_COB_ID and data == b"\1\1"]
     assert len(PAUSES_S) <= len(starts) <= len(PAUSES_S) + 100 / LATER_S + 1
     given_up = [line for line in world.lines if "given up" in line]
     assert given_up == ["node 1 on bus0 given up after 8 tries: tried again every 60 s"]
     world.wires[0].loses = None
-    world.until_whole(LATER_S + HEARTBEAT_S + SOON_S)
+    world.pass_time(LATER_S)
+    world.until_whole(HEARTBEAT_S + SOON_S)
 
 
 def test_every_try_is_a_fresh_one_after_a_stable_time(world: World) -> None:
@@ -118,7 +130,7 @@ def test_every_try_is_a_fresh_one_after_a_stable_time(world: World) -> None:
         world.nmt(0, NmtCommand.STOP, 1)
         world.run(3 * PERIOD_S)
         world.until_whole(SOON_S)
-        world.gateway._buses[0].master._nodes[1].trusted_s -= STABLE_S  # the time itself takes long
+        world.gateway.masters[0].nodes[1].trusted_s -= STABLE_S  # the time itself takes long
         world.run(2 * PERIOD_S)
 
 
@@ -126,8 +138,8 @@ def test_heartbeat_that_was_under_way_is_no_news(small: Contract) -> None:
     world = World(small)
     world.until_whole(2.0)
     world.wires[0].put(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
-    master = world.gateway._buses[0].master
-    for node in master._nodes.values():
+    master = world.gateway.masters[0]
+    for node in master.nodes.values():
         node.trusted_s = world.now_s
     world.run(2 * PERIOD_S)
     assert valid(world.measured[-1]).all()
@@ -137,14 +149,13 @@ def test_heartbeat_that_was_under_way_is_no_news(small: Contract) -> None:
 def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:
     world.gateway = world.new_gateway()
     world.until_whole(2.0)
-    assert not [line for line in world.lines if "left" in line]
+    world.run(0.5)
+    assert world.lines == []  # no node left, none was silent: it is in since it was proven
 
 
 def test_gateway_leaves_nodes_pre_operational(world: World) -> None:
     world.gateway.stop()
-    for wire in world.wires:
-        wire.deliver()
-    world._receive()
+    world.carry()
     assert {node.state for segment in world.segments for node in segment.nodes} == {NmtState.PRE_OPERATIONAL}
 
 
@@ -166,15 +177,20 @@ def test_other_syncs_spoil_the_cycles_of_their_bus(world: World) -> None:
     assert any(not valid(each)[2:].any() for each in came)
     assert all(valid(each)[:2].all() for each in came)
     assert not any(world.wrong_blocks(each) for each in came)
-    assert world.complaints == ["another SYNC producer on bus1: its cycles are not valid"]
     world.until_whole(1.0)
+    world.run(3 * LOOK_PERIOD_S)
+    assert world.complaints == ["another SYNC producer on bus1: its cycles are not valid"]
 
 
 def test_emergency_of_a_node_is_complained_of(world: World) -> None:
     world.wires[0].put(EMCY_BASE + 1, bytes((0x10, 0xFF, 0x81, 0, 0, 0, 0, 0)))
     world.run(0.5)
     assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
-    assert world.gateway._buses[0].master.emcy == [0xFF10, 0]
+    assert world.status().buses[0].emcy == [0xFF10, 0]
+    world.wires[0].put(EMCY_BASE + 1, bytes(8))
+    world.run(0.5)
+    assert world.status().buses[0].emcy == [0, 0]
+    assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
 
 
 def test_heartbeat_time_is_kept(world: World) -> None:
@@ -224,7 +240,7 @@ def test_node_with_swapped_phases_is_named_and_set_right(world: World) -> None:
 def test_node_whose_phases_stay_swapped_is_not_reset_for_ever(world: World) -> None:
     board = CountsSyncs(world)
     world.wires[0].loses = lambda end, each: (setattr(board, "is_swapped", True), board(end, each))[1]
-    world.run(60)
+    world.run(12)
     assert len(PAUSES_S) - 2 <= board.resets <= len(PAUSES_S) + 2
     assert not any(world.wrong_blocks(each) for each in world.measured[-200:])
 
@@ -232,8 +248,8 @@ def test_node_whose_phases_stay_swapped_is_not_reset_for_ever(world: World) -> N
 def test_node_that_was_without_power_for_long_comes_back_at_once(world: World) -> None:
     wire = world.wires[0]
     wire.loses = lambda _, each: not each["flags"] & ECHO
-    world.run(30)
-    assert world.gateway._buses[0].master._nodes[1].tries >= len(PAUSES_S)
+    world.pass_time(30)
+    assert world.gateway.masters[0].nodes[1].tries >= len(PAUSES_S)
     wire.loses = None
     world.segments[0].boot(world.now_s)
     world.until_whole(SOON_S)
@@ -241,6 +257,7 @@ def test_node_that_was_without_power_for_long_comes_back_at_once(world: World) -
 
 def test_node_that_boots_after_every_start_is_given_up(world: World) -> None:
     """As a board whose supply breaks down when it begins to measure."""
+    world.gateway.sync.stop()
     for _ in range(2400):
         world.step()
         node = world.segments[0].nodes[0]
@@ -260,11 +277,15 @@ def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World)
     assert state_of(world, 0, 1) is NmtState.OPERATIONAL
 
 
+def wide_contract(*nodes: int) -> Contract:
+    """Return the contract of a skin of 64 x 64 taxels with so many nodes on its buses."""
+    buses = "".join(f'[[bus]]\nname = "bus{bus}"\nnodes = {count}\n' for bus, count in enumerate(nodes))
+    return Contract.from_layout(parse_layout(f"[taxels]\nrows = 64\ncolumns = 64\n{buses}".encode(), "wide"))
+
+
 def test_absent_nodes_do_not_take_the_turns_of_others() -> None:
     """63 of 64 nodes are not there: the last is asked in its turn."""
-    layout = SMALL.format(top="").replace("rows = 8", "rows = 64").replace("columns = 16", "columns = 64")
-    layout = layout.replace("sums = 32", "sums = 512").replace("nodes = 2", "nodes = 64")
-    contract = Contract.from_layout(parse_layout(layout.encode(), "wide"))
+    contract = wide_contract(64, 64)
     asked: dict[int, float] = {}
     now_s = 0.0
 
@@ -289,3 +310,38 @@ def test_stopped_node_without_heartbeat_is_not_lost(world: World) -> None:
     wire.loses = None
     assert state_of(world, 0, 1) in {NmtState.STOPPED, NmtState.PRE_OPERATIONAL}
     world.until_whole(max(PAUSES_S) + HEARTBEAT_S + SOON_S)
+
+
+def test_highest_node_id_is_proven_started_and_heard() -> None:
+    contract = wide_contract(127, 1)
+    signatures = {node.node_id: expected_signature(configuration(contract, node)) for node in contract.on_bus(0)}
+    answers: list[bytes] = []
+    started: list[int] = []
+
+    def send(can_id: int, data: bytes) -> None:
+        if can_id == SDO_REQUEST_BASE + 127:
+            place = OD_SIGNATURE.to_bytes(2, "little")
+            answers.append(b"\x43" + place + b"\0" + signatures[127].to_bytes(4, "little"))
+        elif can_id == NMT_COB_ID and data[0] == NmtCommand.START:
+            started.append(data[1])
+
+    master = NmtMaster(contract, 0, send, lambda *_: None, lambda _: None)
+    now_s = 0.0
+    while not master.passed:
+        now_s += TICK_S
+        master.tick(now_s)
+        while answers:
+            master.take(frame(SDO_RESPONSE_BASE + 127, answers.pop()), now_s)
+    assert started == [127]
+    master.take(frame(HEARTBEAT_BASE + 127, b"\5"), now_s)
+    master.tick(now_s + SILENT_AFTER_S - TICK_S)
+    assert master.nmt.tolist() == [SILENT] * 126 + [NmtState.OPERATIONAL]
+    master.tick(now_s + SILENT_AFTER_S + TICK_S)
+    assert master.nmt.tolist() == [SILENT] * 127
+
+
+@pytest.mark.parametrize("flags", [ECHO, ECHO | ERROR, ERROR])
+def test_own_frames_and_error_frames_are_no_heartbeats(small: Contract, flags: int) -> None:
+    master = NmtMaster(small, 0, lambda *_: None, lambda *_: None, lambda _: None)
+    master.take(frame(HEARTBEAT_BASE + 1, b"\5", flags), 0.0)
+    assert master.nmt.tolist() == [SILENT, SILENT]

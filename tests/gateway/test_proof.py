@@ -2,8 +2,8 @@
 
 import pytest
 
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand
-from dbc.configuration import configuration, expected_signature, signature
+from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand
+from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.frame import ECHO
 from dbc.indices import (
@@ -19,7 +19,8 @@ from dbc.indices import (
     OD_WINDOW_US,
     SIGNATURE_SAVE,
 )
-from tests.gateway.world import PERIOD_S, STEP_S, World, small_contract, valid
+from skin.layout import parse_layout
+from tests.gateway.world import PERIOD_S, SMALL, STEP_S, World, small_contract, valid
 
 
 def little(value: int, size: int = 4) -> bytes:
@@ -75,13 +76,13 @@ def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
     check(world, 3.0)
     assert not valid(world.measured[-1])[0]
     assert valid(world.measured[-1])[1:].all()
-    assert world.gateway._buses[0].master.refused == [1]
+    assert world.gateway.masters[0].refused == [1]
     refused = [line for line in world.lines if "refused" in line]
     assert len(refused) == 1
     assert "1A00h:1" in refused[0]
     swap_mapping(world, 0, 1, back=True)
     world.until_whole(1.0)
-    assert world.gateway._buses[0].master.refused == []
+    assert world.gateway.masters[0].refused == []
 
 
 def test_test_pattern_is_not_touch(world: World) -> None:
@@ -103,7 +104,7 @@ def test_a_change_that_nobody_saw_is_found_within_the_stated_time(world: World, 
     deaf_to_writes(world, 0)
     change(world)
     world.step()
-    limit_s = world.gateway._buses[0].master.proof_limit_s
+    limit_s = world.gateway.masters[0].proof_limit_s
     assert limit_s < 5.0
     wrong = [bool(world.wrong_blocks(each)) for each in world.run(limit_s)]
     assert any(wrong)  # or there would be nothing to find
@@ -180,7 +181,7 @@ def test_board_without_signature_is_read_object_by_object(small: Contract, answe
     check(world, 1.0)
     assert valid(world.measured[-1]).all()
     assert any("set right: 1A00h:1" in line for line in world.lines)
-    assert world.gateway._buses[0].master._nodes[1].cost > 10
+    assert world.gateway.masters[0].nodes[1].cost > 10
 
 
 @pytest.mark.parametrize(
@@ -208,6 +209,37 @@ def test_another_device_is_refused_by_name(small: Contract, index: int, answer: 
     assert not [data for can_id, data in world.wires[0].log if can_id == NMT_COB_ID and data == b"\1\1"]
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("[sync]", "[encoding]\noffset_binary = true\n[sync]"), "2005h:0 (Encoding"),
+        (("sums = 32", "sums = 32\nseed = 2"), "2002h:0 (Fingerprint"),
+    ],
+    ids=["encoding", "seed of Φ"],
+)
+def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
+    small: Contract, change: tuple[str, str], words: str
+) -> None:
+    other = Contract.from_layout(parse_layout(SMALL.format(top="", bus="nodes = 2").replace(*change).encode(), "other"))
+    world = World(small, built=other)
+    world.segments[1] = world.new_segment(1, small)
+    world.segments[1].boot(world.now_s)
+    world.run(2.0)
+    assert [valid(each).tolist() for each in world.measured[-5:]] == [[False, False, True, True]] * 5
+    assert len(world.lines) == 1
+    assert world.lines[0].startswith(f"nodes 1-2 on bus0 refused: {words}")
+    assert world.status().buses[0].refused == [1, 2]
+    world.wires[0].log.clear()
+    world.pass_time(5.0)
+    assert not [can_id for can_id, _ in world.wires[0].log if SDO_REQUEST_BASE < can_id < HEARTBEAT_BASE]
+    world.segments[0] = world.new_segment(0, small)
+    world.segments[0].boot(world.now_s)
+    world.wires[0].deliver()
+    world.gateway.take(0, world.wires[0].gateway.receive(), world.now_s)
+    assert world.status().buses[0].refused == []
+    world.until_whole(1.0)
+
+
 def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     """What the electronics do may differ from what the dictionary says."""
     world = World(small)
@@ -215,15 +247,6 @@ def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
     assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines
-
-
-def test_signature_is_the_crc_of_ieee_802_3() -> None:
-    assert signature([(0x3231, 0x33, b"456789")]) == 0xCBF4_3926  # the check value of "123456789"
-
-
-def test_signatures_of_all_nodes_differ(small: Contract) -> None:
-    found = {expected_signature(configuration(small, node)) for node in small.nodes}
-    assert len(found) == len(small.nodes)
 
 
 def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:

@@ -8,7 +8,7 @@ import pytest
 from canopen import SdoAbortedError
 
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import CLASSIC_BYTES, FD_BYTES, Contract, NodeContract
+from dbc.contract import CLASSIC_BYTES, FD_BYTES, Contract, NodeContract, phase_of
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO
 from dbc.indices import (
@@ -26,14 +26,16 @@ from nodes.access import check_write
 from nodes.burst import Burst
 from nodes.objects import LocalNode, object_dictionary
 from nodes.tpdo import read_tpdos
-from skin.layout import Encoding, load_layout
+from skin.layout import Encoding, load_layout, parse_layout
 from tests.bus.harness import frame
 
+#: Four nodes of one block on each of two buses of classic CAN.
+SMALL = b'[taxels]\nrows = 16\ncolumns = 16\n[[bus]]\nname = "bus0"\nnodes = 4\n[[bus]]\nname = "bus1"\nnodes = 4\n'
 SUMS = np.random.default_rng(3).integers(-16368, 16369, 1024).astype(np.int32)
 
 
 def made_of(name: str, **encoding: object) -> Contract:
-    layout = load_layout(Path(name))
+    layout = parse_layout(SMALL, name) if name == "small" else load_layout(Path(name))
     return Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
 
 
@@ -53,9 +55,9 @@ def burst_of(contract: Contract, bus: int) -> Burst:
 
 
 CASES = [
-    ("default", {}),
-    ("default", {"sum_bits": 16, "offset_binary": True}),
-    ("default", {"sum_bits": 8}),
+    ("small", {}),
+    ("small", {"sum_bits": 16, "offset_binary": True}),
+    ("small", {"sum_bits": 8}),
     ("fd", {}),
     ("fd", {"sum_bits": 12}),
     ("fd", {"sum_bits": 8, "offset_binary": True}),
@@ -68,10 +70,12 @@ def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, obje
     contract = made_of(name, **encoding)
     collector = Collector(contract)
     collector.trust(slice(None), proven=True)
+    bursts = [burst_of(contract, bus) for bus in range(len(contract.layout.bus))]
+    sums = SUMS[: contract.phi.shape[0]]
     for counter in (1, 2):
         collector.open(counter)
-        for bus in range(len(contract.layout.bus)):
-            burst = burst_of(contract, bus).frames(counter, SUMS, np.ones(len(contract.on_bus(bus)), np.bool_))
+        for bus, each in enumerate(bursts):
+            burst = each.frames(counter, sums, np.ones(len(contract.on_bus(bus)), np.bool_))
             planned = contract.cycle(bus, counter - 1)[1:]
             by_id = burst[np.argsort(burst["can_id"])]
             for key in ("can_id", "length", "flags"):
@@ -80,7 +84,7 @@ def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, obje
             collector.take(bus, np.concatenate((sync, burst)))
         gathered = collector.close(counter)
         assert gathered.complete
-        assert np.array_equal(gathered.sums, contract.packing.counts(contract.packing.raw(SUMS)))
+        assert np.array_equal(gathered.sums, contract.packing.counts(contract.packing.raw(sums)))
     assert collector.counts.foreign == collector.counts.malformed == 0
 
 
@@ -113,11 +117,13 @@ def test_frame_of_the_other_kind_is_foreign() -> None:
     assert collector.counts.foreign == 32
 
 
-def test_remapped_pdo_of_12_bits_packs_like_the_codec() -> None:
-    contract = made_of("one-bus-12bit")
+@pytest.mark.parametrize("offset_binary", [False, True])
+def test_remapped_pdo_of_12_bits_packs_like_the_codec(offset_binary: bool) -> None:
+    contract = made_of("small", sum_bits=12, offset_binary=offset_binary)
     node = contract.nodes[2]
     local = local_of(contract, node)
-    raw = contract.packing.raw(SUMS)
+    sums = SUMS[: contract.phi.shape[0]]
+    raw = contract.packing.raw(sums)
 
     def read(index: int, subindex: int, **_: object) -> int | None:
         place, first = split_block(index)
@@ -126,8 +132,10 @@ def test_remapped_pdo_of_12_bits_packs_like_the_codec() -> None:
         return int(raw[contract.phi.starts[node.block + place] + subindex - 1])
 
     local.on_read(read)
-    burst = burst_of(contract, 0).frames(1, SUMS, np.ones(len(contract.nodes), np.bool_))
-    for tpdo in read_tpdos(local, [1, 2, 3, 4]):
+    burst = burst_of(contract, 0).frames(1, sums, np.ones(len(contract.on_bus(0)), np.bool_))
+    tpdos = read_tpdos(local, [each.number for each in node.tpdos if each.phase == phase_of(1)])
+    assert len(tpdos) == 2
+    for tpdo in tpdos:
         sent = burst[burst["can_id"] == tpdo.cob_id][0]
         assert tpdo.payload(local) == sent["data"][: tpdo.length].tobytes()
 

@@ -48,3 +48,15 @@ def test_inhibit_time_spreads_messages() -> None:
     assert len(sent) == 1
     emcy.flush(0.1, 0.1)
     assert len(sent) == 2
+
+
+def test_reset_forgets_errors_and_messages_that_wait() -> None:
+    sent: list[bytes] = []
+    emcy = EmcyProducer(sent.append)
+    emcy.raised(Emergency.SYNC_LENGTH, 3)
+    emcy.reset()
+    emcy.flush(1.0, 0.0)
+    assert (sent, emcy.register, emcy.history, emcy.is_waiting) == ([], 0, [], False)
+    emcy.raised(Emergency.SYNC_LENGTH, 3)
+    emcy.flush(1.0, 0.0)
+    assert len(sent) == 1

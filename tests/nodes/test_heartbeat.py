@@ -49,3 +49,28 @@ def test_watching_no_longer_forgets_the_loss() -> None:
     consumer.watch([])
     consumer.check(2.0)
     assert not consumer.lost
+
+
+def test_setting_the_same_period_again_does_not_put_the_next_beat_off() -> None:
+    """Every write to a node reads its parameters anew."""
+    beats: list[float] = []
+    producer = HeartbeatProducer(lambda: beats.append(now_s))
+    now_s = 0.0
+    producer.set_period(1.0, now_s)
+    for step in range(21):
+        now_s = step * 0.1
+        producer.set_period(1.0, now_s)
+        producer.beat(now_s)
+    assert beats == [1.0, 2.0]
+
+
+def test_consumer_waits_for_nobody_whose_loss_it_knows() -> None:
+    """What is due says when to look next: a node that is gone must not keep it looking."""
+    consumer = HeartbeatConsumer()
+    consumer.watch([3 << 16 | 100, 4 << 16 | 500])
+    assert consumer.due_s == float("inf")
+    consumer.heard(3, 0.0)
+    consumer.heard(4, 0.0)
+    assert consumer.due_s == 0.1
+    consumer.check(0.2)
+    assert consumer.due_s == 0.5

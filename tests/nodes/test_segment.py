@@ -7,9 +7,9 @@ import pytest
 
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames
-from nodes.segment import Segment
+from nodes.segment import REACTION_NS, Segment
 from tests.bus.harness import frame
-from tests.nodes.conftest import ArrayLink
+from tests.nodes.conftest import ArrayLink, new_segment
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 MILLISECOND_NS = 1_000_000
@@ -19,7 +19,7 @@ def give(segment: Segment, link: ArrayLink, *arrived: Frames, now_s: float = 0.0
     """Let frames arrive; return what the nodes sent, as (identifier, payload)."""
     link.take_sent()
     link.waiting.extend(arrived)
-    segment.receive(now_s)
+    segment.take(link.receive(), now_s)
     return [(int(one["can_id"]), one["data"][: one["length"]].tobytes()) for one in link.take_sent()]
 
 
@@ -84,21 +84,79 @@ def test_stopped_node_answers_no_sdo(segment: Segment, link: ArrayLink) -> None:
 def test_window_is_the_latest_start_of_a_frame(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))))
     link.waiting.append(sync(1, cycle=7))
-    segment.receive(0.0)
+    segment.take(link.receive(), 0.0)
     sent = link.take_sent()
     window_ns = sent["expires_ns"] - 70 * MILLISECOND_NS
     assert (window_ns == 9_800_000 - 135_000).all()
     assert read(segment, link, 1, 0x1007) == 9800
 
 
+def test_each_node_has_its_own_window(segment: Segment, link: ArrayLink) -> None:
+    assert write(segment, link, 0x1007, 0, 5000, 4) == 0
+    give(segment, link, frame(0, bytes((START, 0))))
+    link.waiting.append(sync(1, cycle=7))
+    segment.take(link.receive(), 0.0)
+    sent = link.take_sent()
+    window_us = (sent["expires_ns"] - 70 * MILLISECOND_NS) / 1000
+    assert dict(zip(sent["port"].tolist(), window_us.tolist(), strict=True)) == {
+        1: 5000 - 135,
+        **dict.fromkeys((2, 3, 4), 9800 - 135),
+    }
+
+
+def test_window_of_0_is_no_limit(segment: Segment, link: ArrayLink) -> None:
+    assert write(segment, link, 0x1007, 0, 0, 4) == 0
+    give(segment, link, frame(0, bytes((START, 1))))
+    link.waiting.append(sync(1))
+    segment.take(link.receive(), 0.0)
+    assert (link.take_sent()["expires_ns"] > 10**9 * MILLISECOND_NS).all()
+
+
+def test_nodes_answer_after_the_reaction_time_of_a_microcontroller(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 0))))
+    link.waiting.append(sync(1, cycle=7))
+    segment.take(link.receive(), 0.0)
+    assert set(link.take_sent()["time_ns"].tolist()) == {70 * MILLISECOND_NS + REACTION_NS}
+
+
+def test_no_heartbeat_goes_out_while_a_sync_is_due(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, sync(1), now_s=1e3)
+    for now_s in (1e3 + 0.0071, 1e3 + 0.0199):
+        segment.tick(now_s)
+        assert len(link.take_sent()) == 0
+    segment.tick(1e3 + 0.0201)  # nobody sends SYNC any more
+    assert link.take_sent()["can_id"].tolist() == [0x701, 0x702, 0x703, 0x704]
+
+
+def test_pdos_without_room_are_counted_as_dropped_and_not_as_sent(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))), frame(0, bytes((START, 2))))
+    link.room = 3
+    give(segment, link, sync(1))
+    assert (segment.frames_sent, segment.frames_dropped) == (3, 1)
+    assert [read(segment, link, node_id, 0x2020, 2) for node_id in (1, 2)] == [2, 1]
+    assert [read(segment, link, node_id, 0x2020, 1) for node_id in (1, 2, 3)] == [1, 1, 0]
+
+
+def test_sync_of_two_bytes_has_no_counter(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))))
+    assert give(segment, link, frame(0x80, b"\1\2")) == []
+    assert segment.syncs_seen == 1
+
+
+def test_mapping_after_a_reset_is_that_of_the_dictionary(segment: Segment, link: ArrayLink) -> None:
+    write(segment, link, 0x1800, 1, 0xC000_0181, 4)
+    give(segment, link, frame(0, bytes((RESET_NODE, 1))), frame(0, bytes((START, 1))))
+    assert [can_id for can_id, _ in give(segment, link, sync(1))] == [0x181, 0x281]
+
+
 def test_dropped_outside_the_window_is_counted_and_reported(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))))
     link.waiting.append(sync(1))
-    segment.receive(0.0)
+    segment.take(link.receive(), 0.0)
     unsent = link.take_sent()
     unsent["flags"] |= ECHO | ERROR
     link.waiting[:] = [unsent]
-    segment.receive(0.0)
+    segment.take(link.receive(), 0.0)
     segment.tick(1e6)
     emcy = [one["data"][:8].tobytes() for one in link.take_sent() if one["can_id"] == 0x81]
     assert [struct.unpack("<HB", one[:3]) for one in emcy] == [(0xFF10, 0x81)]
@@ -216,13 +274,13 @@ def test_event_driven_pdo_keeps_its_timers(segment: Segment, link: ArrayLink) ->
     assert segment.frames_sent == read(segment, link, 1, 0x2020, 2) == len(times)
 
 
-def test_a_second_device_with_a_node_id_is_told(
-    segment: Segment, link: ArrayLink, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_device_with_a_node_id_is_told(contract: Contract, link: ArrayLink) -> None:
+    complaints: list[str] = []
+    segment = new_segment(contract, link, {1, 2}, complain=complaints.append)
     give(segment, link, frame(0x702, b"\5", ECHO), frame(0x705, b"\5"))
-    assert capsys.readouterr().err == ""
+    assert complaints == []
     give(segment, link, frame(0x702, b"\5"))
-    assert capsys.readouterr().err == "nodes: node-ID 2 is on bus0 twice\n"
+    assert complaints == ["node-ID 2 is on bus0 twice"]
 
 
 def test_lost_heartbeat_of_a_watched_node(segment: Segment, link: ArrayLink) -> None:
@@ -253,7 +311,7 @@ def test_a_million_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None
         mutated["data"][:, random.integers(0, 8)] ^= random.integers(0, 256, len(mutated)).astype(np.uint8)
         mutated["length"] = np.where(random.random(len(mutated)) < 0.5, mutated["length"], random.integers(0, 65))
         link.waiting.append(wild)
-        segment.receive(0.0)
+        segment.take(link.receive(), 0.0)
         segment.tick(random.uniform(0, 1e6))
         link.sent.clear()
         link.waiting.clear()

@@ -1,0 +1,49 @@
+"""How full a bus was, since the last look and since SYNC started."""
+
+import numpy as np
+import pytest
+
+from dbc.frame import ECHO, ERROR
+from gateway.load import BusLoad
+from skin.layout import Bus
+from tests.bus.harness import frame
+
+#: 500 kbit/s; a frame of 8 bytes has 111 bits, and this one no stuff bits but for some in its CRC.
+WIRES = Bus(name="bus0", nodes=1, bitrate=500_000)
+PLAIN = frame(0x555, b"\x55" * 8)
+FRAME_S = 111 / 500_000
+
+
+def test_load_is_the_time_of_the_frames_over_the_time_since_the_last_look() -> None:
+    load = BusLoad(WIRES, 10.0)
+    load.take(np.repeat(PLAIN, 100))
+    assert load.look(11.0) == pytest.approx(100 * FRAME_S, rel=0.05)
+    assert load.look(12.0) == 0.0
+    load.take(np.repeat(PLAIN, 100))
+    assert load.look(14.0) == pytest.approx(50 * FRAME_S, rel=0.05)
+
+
+def test_mean_load_counts_from_the_restart() -> None:
+    load = BusLoad(WIRES, 10.0)
+    load.take(np.repeat(PLAIN, 100))
+    load.account()
+    load.take(PLAIN)
+    load.restart(20.0)
+    assert load.mean_ratio(21.0) == load.look(21.0) == 0.0
+    load.take(np.repeat(PLAIN, 100))
+    assert load.look(22.0) == pytest.approx(100 * FRAME_S, rel=0.05)
+    assert load.mean_ratio(24.0) == pytest.approx(25 * FRAME_S, rel=0.05)
+
+
+def test_own_frames_take_time_and_frames_given_back_take_none() -> None:
+    load = BusLoad(WIRES, 0.0)
+    own, unsent = PLAIN.copy(), PLAIN.copy()
+    own["flags"], unsent["flags"] = ECHO, ECHO | ERROR
+    load.take(np.concatenate((own, unsent)))
+    assert load.look(1.0) == pytest.approx(FRAME_S, rel=0.05)
+
+
+def test_no_time_is_no_load() -> None:
+    load = BusLoad(WIRES, 1.0)
+    load.take(PLAIN)
+    assert load.look(1.0) == load.mean_ratio(1.0) == 0.0

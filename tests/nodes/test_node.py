@@ -1,0 +1,207 @@
+"""One node: NMT states, resets, error reaction, emergencies, and the objects of each of its blocks."""
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from dbc.canopen import NmtState
+from dbc.configuration import configuration, expected_signature
+from dbc.contract import Contract
+from dbc.frame import ECHO, Frames
+from dbc.indices import OD_HEALTH, OD_OFFSET, OD_SIGNATURE, OD_TEST_PATTERN, SIGNATURE_SAVE, of_block
+from nodes.electronics import PATTERN_FULL, PATTERN_ZERO, Electronics
+from nodes.sampler import Sampler
+from nodes.segment import Segment
+from skin.layout import load_layout
+from tests.bus.harness import frame
+from tests.nodes.conftest import ArrayLink, Still, new_segment
+from tests.nodes.test_segment import PRE_OPERATIONAL, RESET_NODE, START, STOP, give, read, sync, write
+
+WATCHED = 0x7F
+EMCY_1 = 0x81
+
+
+def nmt(command: int) -> Frames:
+    return frame(0, bytes((command, 1)))
+
+
+def emergencies(segment: Segment, link: ArrayLink, now_s: float) -> list[int]:
+    """Let time pass; return the error codes that node 1 sends."""
+    link.take_sent()
+    segment.tick(now_s)
+    sent = link.take_sent()
+    return [struct.unpack("<H", one[:2].tobytes())[0] for one in sent[sent["can_id"] == EMCY_1]["data"]]
+
+
+def lose_heartbeat(segment: Segment, link: ArrayLink, now_s: float = 1e3) -> None:
+    """Let node 1 watch another node, whose heartbeat stops."""
+    assert write(segment, link, 0x1016, 1, WATCHED << 16 | 100, 4) == 0
+    give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=now_s)
+    segment.tick(now_s + 0.2)
+
+
+@pytest.mark.parametrize(
+    ("command", "state"), [(START, 5), (STOP, 4), (PRE_OPERATIONAL, 127)], ids=["start", "stop", "pre-operational"]
+)
+def test_heartbeat_tells_the_state_that_was_commanded(
+    segment: Segment, link: ArrayLink, command: int, state: int
+) -> None:
+    give(segment, link, nmt(START), nmt(command))
+    segment.tick(2.0)
+    sent = link.take_sent()
+    assert sent[sent["can_id"] == 0x701]["data"][0, 0] == state
+
+
+def test_boards_powered_together_do_not_beat_together(segment: Segment, link: ArrayLink) -> None:
+    link.take_sent()
+    first_s: dict[int, float] = {}
+    for step in range(200):
+        segment.tick(step * 0.01)
+        for each in link.take_sent():
+            first_s.setdefault(int(each["can_id"]), step * 0.01)
+    assert sorted(first_s) == [0x701, 0x702, 0x703, 0x704]
+    assert all(0 < each_s < 0.1 for each_s in first_s.values())
+    assert len(set(first_s.values())) == 4
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "state"), [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)]
+)
+def test_error_behaviour_of_an_operational_node(
+    segment: Segment, link: ArrayLink, behaviour: int, state: NmtState
+) -> None:
+    assert write(segment, link, 0x1029, 1, behaviour, 1) == 0
+    give(segment, link, nmt(START))
+    lose_heartbeat(segment, link)
+    assert segment.nodes[0].state is state
+
+
+@pytest.mark.parametrize("command", [STOP, PRE_OPERATIONAL])
+def test_lost_heartbeat_changes_no_other_state(segment: Segment, link: ArrayLink, command: int) -> None:
+    write(segment, link, 0x1029, 1, 0 if command == STOP else 2, 1)
+    assert write(segment, link, 0x1016, 1, WATCHED << 16 | 100, 4) == 0
+    give(segment, link, nmt(command))
+    before = segment.nodes[0].state
+    give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=1e3)
+    segment.tick(1e3 + 0.2)
+    assert segment.nodes[0].state is before
+
+
+def test_emergency_comes_when_a_heartbeat_is_lost_and_goes_when_it_is_back(segment: Segment, link: ArrayLink) -> None:
+    lose_heartbeat(segment, link)
+    assert read(segment, link, 1, 0x1001) == 0x11
+    give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=2e3)
+    assert read(segment, link, 1, 0x1001) == 0
+    assert emergencies(segment, link, 2e3 + 0.05) == [0]
+
+
+def test_stopped_node_keeps_its_emergency_until_it_may_speak(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, nmt(START), frame(0x80, b"\1\2"), nmt(STOP))
+    assert emergencies(segment, link, 1e3) == []
+    give(segment, link, nmt(PRE_OPERATIONAL))
+    assert emergencies(segment, link, 2e3) == [0x8240]
+
+
+def test_emergency_that_is_switched_off_is_not_sent(segment: Segment, link: ArrayLink) -> None:
+    assert write(segment, link, 0x1014, 0, 0x8000_0081, 4) == 0
+    give(segment, link, nmt(START), frame(0x80, b"\1\2"))
+    assert emergencies(segment, link, 1e3) == []
+    assert read(segment, link, 1, 0x1003, 0) == 1
+
+
+def test_inhibit_time_between_emergencies_is_in_tenths_of_a_millisecond(segment: Segment, link: ArrayLink) -> None:
+    assert write(segment, link, 0x1015, 0, 1000, 2) == 0
+    give(segment, link, nmt(START), frame(0x80, b"\1\2"), sync(1), now_s=1e3)  # comes and goes
+    assert emergencies(segment, link, 2e3) == [0x8240]
+    assert emergencies(segment, link, 2e3 + 0.09) == []
+    assert emergencies(segment, link, 2e3 + 0.11) == [0]
+
+
+def test_reset_ends_errors_counters_and_what_was_written(segment: Segment, link: ArrayLink) -> None:
+    write(segment, link, 0x1800, 1, 0xC000_0181, 4)
+    give(segment, link, nmt(START), sync(1), frame(0x80, b"\1\2"))
+    assert (read(segment, link, 1, 0x1001), read(segment, link, 1, OD_HEALTH, 1)) == (0x11, 2)
+    give(segment, link, nmt(RESET_NODE))
+    assert (read(segment, link, 1, 0x1001), read(segment, link, 1, 0x1003, 0)) == (0, 0)
+    assert [read(segment, link, 1, OD_HEALTH, place) for place in (1, 2, 3)] == [0, 0, 0]
+    assert emergencies(segment, link, 1e3) == []
+    give(segment, link, nmt(START))
+    assert [can_id for can_id, _ in give(segment, link, sync(3))] == [0x181, 0x281]
+
+
+def test_an_error_after_a_reset_is_news_again(segment: Segment, link: ArrayLink) -> None:
+    for _ in range(2):
+        give(segment, link, nmt(START), frame(0x80, b"\1\2"))
+        assert emergencies(segment, link, 1e3 + segment.syncs_seen) == [0x8240]
+        give(segment, link, nmt(RESET_NODE))
+
+
+def test_watching_begins_anew_after_a_reset(segment: Segment, link: ArrayLink) -> None:
+    assert write(segment, link, 0x1016, 1, WATCHED << 16 | 100, 4) == 0
+    assert write(segment, link, 0x1010, 1, SIGNATURE_SAVE, 4) == 0
+    give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=1e3)
+    give(segment, link, nmt(RESET_NODE), now_s=1e3)
+    segment.tick(1e3 + 0.2)
+    assert segment.nodes[0].watched.lost == set()
+    give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=2e3)
+    segment.tick(2e3 + 0.2)
+    assert segment.nodes[0].watched.lost == {WATCHED}
+
+
+def test_signature_is_that_of_what_the_node_does_now(segment: Segment, link: ArrayLink, contract: Contract) -> None:
+    settings = configuration(contract, contract.on_bus(0)[0])
+    right = expected_signature(settings)
+    assert read(segment, link, 1, OD_SIGNATURE) == right
+    seen = {right}
+    for index, subindex, value, size in (
+        (0x1007, 0, 5000, 4),
+        (0x1800, 1, 0xC000_0181, 4),
+        (0x1A00, 0, 0, 1),
+        (OD_TEST_PATTERN, 0, 2, 1),
+    ):
+        assert write(segment, link, index, subindex, value, size) == 0
+        assert read(segment, link, 1, OD_SIGNATURE) not in seen
+        seen.add(read(segment, link, 1, OD_SIGNATURE))
+    write(segment, link, 0x2011, 3, 100, 2)
+    assert read(segment, link, 1, OD_SIGNATURE) in seen  # an offset is no part of it
+    give(segment, link, nmt(RESET_NODE))
+    assert read(segment, link, 1, OD_SIGNATURE) == right
+
+
+class Blocks:
+    """Node 1 of the skin of CAN FD, which has four blocks."""
+
+    def __init__(self) -> None:
+        self.contract = Contract.from_layout(load_layout(Path("fd")))
+        taxels = self.contract.layout.taxels
+        self.electronics = Electronics(taxels, noise_n=0.0)
+        self.sampler = Sampler(self.contract.phi, Still(self.contract), self.electronics)
+        self.link = ArrayLink()
+        self.segment = new_segment(self.contract, self.link, {1}, sampler=self.sampler)
+
+    def write(self, index: int, subindex: int, value: int, size: int) -> None:
+        assert write(self.segment, self.link, index, subindex, value, size) == 0
+
+
+def test_saturated_taxels_of_all_blocks_are_counted() -> None:
+    node = Blocks()
+    for block, pattern in enumerate((PATTERN_ZERO, PATTERN_FULL, PATTERN_ZERO, PATTERN_FULL)):
+        node.write(of_block(OD_TEST_PATTERN, block), 0, pattern, 1)
+    give(node.segment, node.link, nmt(START), sync(1))
+    assert read(node.segment, node.link, 1, OD_HEALTH, 4) == 2 * node.contract.phi.block_size
+
+
+def test_offset_goes_to_the_taxel_of_its_block_and_may_be_negative() -> None:
+    node = Blocks()
+    node.write(of_block(OD_OFFSET, 2), 3, 0xFFFB, 2)
+    taxel = node.contract.phi.order[2 * node.contract.phi.block_size + 2]
+    assert node.electronics.offset[taxel] == -5.0
+    assert (node.electronics.offset != 0).sum() == 1
+
+
+def test_own_echo_of_a_heartbeat_is_heard_by_the_nodes_beside_it(segment: Segment, link: ArrayLink) -> None:
+    write(segment, link, 0x1016, 1, 2 << 16 | 100, 4)
+    give(segment, link, frame(0x702, b"\5", ECHO), now_s=1e3)
+    segment.tick(1e3 + 0.2)
+    assert segment.nodes[0].watched.lost == {2}

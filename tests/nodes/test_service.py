@@ -1,0 +1,94 @@
+"""The nodes' turn of input and output, with a clock that the test moves."""
+
+import socket
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pytest
+
+from bus.link import State
+from dbc.contract import Contract
+from dbc.frame import Frames
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from nodes.service import STATUS_PERIOD_S, NodesService
+from skin.messages import NodesStatus, Topic, Truth
+from tests.bus.harness import frame
+from tests.nodes.conftest import ArrayLink, Still
+from tests.nodes.test_segment import START, sync
+
+
+class ReadyLink(ArrayLink):
+    """An `ArrayLink` with a descriptor that tells when the test has put frames in."""
+
+    dropped = 0
+    state = State.ACTIVE
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._near, self._far = socket.socketpair()
+
+    def fileno(self) -> int:
+        return self._near.fileno()
+
+    def put(self, *arrived: Frames) -> None:
+        self.waiting.extend(arrived)
+        self._far.send(b"!")
+
+    def receive(self) -> Frames:
+        self._near.recv(4096)
+        return super().receive()
+
+    def close(self) -> None:
+        self._near.close()
+        self._far.close()
+
+
+class Published:
+    """A fabric that keeps what is published."""
+
+    def __init__(self) -> None:
+        self.statuses: list[NodesStatus] = []
+        self.truths: list[Truth] = []
+
+    def publish(self, _: Topic, message: msgspec.Struct) -> None:
+        if isinstance(message, NodesStatus):
+            self.statuses.append(message)
+        elif isinstance(message, Truth):
+            self.truths.append(message)
+
+
+@pytest.fixture
+def links() -> Iterator[dict[int, ReadyLink]]:
+    made = {bus: ReadyLink() for bus in (0, 1)}
+    yield made
+    for link in made.values():
+        link.close()
+
+
+def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links: dict[int, ReadyLink]) -> None:
+    now_s = 100.0
+    published = Published()
+    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    service = NodesService(contract, links, {0: {1}, 1: {2}}, sampler, published, clock=lambda: now_s)
+    for segment in service.segments.values():
+        segment.boot(now_s)
+    assert [link.take_sent()["can_id"].tolist() for link in links.values()] == [[0x701], [0x702]]
+    service.turn()
+    assert len(published.statuses) == 1
+    links[0].put(frame(0, bytes((START, 0))))
+    links[1].put(frame(0, bytes((START, 0))))
+    service.turn()
+    links[1].put(sync(1))
+    service.turn()
+    assert len(links[0].take_sent()) == 0
+    assert links[1].take_sent()["can_id"].tolist() == [0x182, 0x282]
+    assert [truth.sync_counter for truth in published.truths] == [1]
+    assert len(published.statuses) == 1
+    now_s += STATUS_PERIOD_S
+    service.turn()
+    assert len(published.truths) == 1
+    newest = published.statuses[-1]
+    assert (newest.frames_sent, newest.frames_dropped, newest.syncs_seen) == (2, 0, 1)
+    assert np.frombuffer(published.truths[0].true, "<f4").size == contract.layout.taxels.count

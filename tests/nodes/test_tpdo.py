@@ -1,0 +1,115 @@
+"""When a PDO is due, and what is in it (CiA 301, 7.2.2 and 7.5.2.37)."""
+
+import pytest
+
+from nodes.segment import Segment
+from nodes.tpdo import Tpdo, is_turn
+from tests.bus.harness import frame
+from tests.nodes.conftest import ArrayLink
+from tests.nodes.test_segment import START, give, read, sync, write
+
+COB_ID = 0x181
+
+
+def set_up(
+    segment: Segment, link: ArrayLink, *, every: int, start: int = 0, inhibit_100us: int = 0, event_ms: int = 0
+) -> Tpdo:
+    """Write the communication record of TPDO 1 of node 1, and start the node."""
+    for subindex, value, size in (
+        (1, 0xC000_0000 | COB_ID, 4),
+        (2, every, 1),
+        (3, inhibit_100us, 2),
+        (5, event_ms, 2),
+        (6, start, 1),
+        (1, 0x4000_0000 | COB_ID, 4),
+    ):
+        assert write(segment, link, 0x1800, subindex, value, size) == 0
+    give(segment, link, frame(0, bytes((START, 1))))
+    return segment.nodes[0].tpdos[0]
+
+
+def change_sums(segment: Segment, by: int) -> None:
+    segment.nodes[0]._sampler.sums[:] += by
+
+
+def sent_at(segment: Segment, link: ArrayLink, *counters: int) -> list[int]:
+    """Return those of the SYNC counters that the PDO answers."""
+    return [counter for counter in counters if COB_ID in dict(give(segment, link, sync(counter)))]
+
+
+def test_start_value_and_counter_decide_also_where_the_cycle_does_not_divide_240() -> None:
+    """The counter comes round; counted from start value 5, counter 3 is the 238th."""
+    turns = [counter for counter in range(1, 241) if is_turn(7, 5, counter, 0)]
+    assert turns == [3, *range(5, 240, 7)]
+
+
+def test_turn_without_start_value_counts_syncs() -> None:
+    assert [syncs for syncs in range(1, 10) if is_turn(3, 0, 0, syncs)] == [3, 6, 9]
+    assert [syncs for syncs in range(1, 10) if is_turn(3, 5, 0, syncs)] == [3, 6, 9]  # a SYNC without counter
+
+
+def test_cyclic_pdo_with_start_value(segment: Segment, link: ArrayLink) -> None:
+    set_up(segment, link, every=7, start=5)
+    assert sent_at(segment, link, 1, 2, 3, 4, 5, 6, 12, 18, 19) == [3, 5, 12, 19]
+
+
+def test_cyclic_pdo_without_start_value(segment: Segment, link: ArrayLink) -> None:
+    set_up(segment, link, every=3)
+    assert sent_at(segment, link, 11, 12, 13, 14, 15, 16, 17) == [13, 16]
+
+
+def test_acyclic_pdo_is_sent_at_a_sync_after_a_change(segment: Segment, link: ArrayLink) -> None:
+    set_up(segment, link, every=0)
+    assert sent_at(segment, link, 1, 2, 3) == [1]
+    write(segment, link, 0x2021, 0, 2, 1)
+    assert sent_at(segment, link, 4, 5, 6) == [4]
+
+
+@pytest.mark.parametrize("every", [254, 255])
+def test_event_driven_pdo_keeps_its_inhibit_time_to_the_microsecond(
+    segment: Segment, link: ArrayLink, every: int
+) -> None:
+    tpdo, node = set_up(segment, link, every=every, inhibit_100us=7), segment.nodes[0].local
+    assert tpdo.at_event(10.0, node) is not None
+    change_sums(segment, 1)
+    assert tpdo.at_event(10.000_699, node) is None
+    assert tpdo.at_event(10.000_701, node) is not None
+    assert tpdo.at_event(11.0, node) is None  # nothing has changed
+
+
+def test_event_timer_is_kept_to_the_microsecond(segment: Segment, link: ArrayLink) -> None:
+    tpdo, node = set_up(segment, link, every=255, event_ms=20), segment.nodes[0].local
+    assert tpdo.at_event(10.0, node) is not None
+    assert tpdo.at_event(10.019_999, node) is None
+    assert tpdo.at_event(10.020_001, node) is not None
+    change_sums(segment, 1)
+    assert tpdo.at_event(10.020_002, node) is not None  # a change does not wait for it
+
+
+def test_event_driven_pdo_answers_no_sync(segment: Segment, link: ArrayLink) -> None:
+    set_up(segment, link, every=255)
+    assert sent_at(segment, link, 1, 2, 3) == []
+
+
+def test_event_driven_pdo_is_sent_in_operational_only(segment: Segment, link: ArrayLink) -> None:
+    set_up(segment, link, every=255)
+    give(segment, link, frame(0, b"\x80\1"))
+    segment.tick(1e3)
+    assert COB_ID not in link.take_sent()["can_id"]
+    give(segment, link, frame(0, b"\1\1"))
+    segment.tick(2e3)
+    assert COB_ID in link.take_sent()["can_id"]
+
+
+def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink) -> None:
+    """Negative sums beside an error register: two's complement does not run into the next object."""
+    write(segment, link, 0x1800, 1, 0xC000_0181, 4)
+    write(segment, link, 0x1A00, 0, 0, 1)
+    for place, entry in enumerate((0x2100_0110, 0x1001_0008, 0x2100_0210), 1):
+        assert write(segment, link, 0x1A00, place, entry, 4) == 0
+    assert write(segment, link, 0x1A00, 0, 3, 1) == 0
+    set_up(segment, link, every=1)
+    segment.nodes[0]._sampler.sums[:2] = -1, -2
+    payload = segment.nodes[0].tpdos[0].payload(segment.nodes[0].local)
+    assert payload.hex() == "ffff00feff"
+    assert read(segment, link, 1, 0x2100, 2) == 0xFFFE
