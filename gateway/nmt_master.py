@@ -43,8 +43,8 @@ PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0)
 LATER_S: Final = 60.0
 #: After this long in OPERATIONAL, the next loss begins with the shortest pause.
 STABLE_S: Final = 10.0
-#: A heartbeat with the old state may come this much later than the NMT start.
-UNDER_WAY_S: Final = 0.3
+#: On the bus, a heartbeat with the old state may come this much later than the NMT start.
+UNDER_WAY_NS: Final = 300_000_000
 #: After another client's request the gateway leaves the node's SDO channel alone for this long.
 SDO_QUIET_S: Final = 0.05
 #: A block download of another master has ended when no frame of it comes for this long.
@@ -147,20 +147,25 @@ class NmtMaster:
         can_id, flags = arrived["can_id"], arrived["flags"]
         plain = flags & (ERROR | ECHO | EXTENDED | REMOTE) == 0
         ours = (can_id == NMT_COB_ID) | (can_id > SDO_RESPONSE_BASE) | is_of_node(can_id, EMCY_BASE)
-        for frame in arrived[plain & ours]:
-            identifier = int(frame["can_id"])
+        commanded = (flags & (ERROR | ECHO) == ECHO) & (can_id == NMT_COB_ID)
+        for frame in arrived[plain & ours | commanded]:
+            identifier, time_ns = int(frame["can_id"]), int(frame["time_ns"])
             node = self.nodes.get(identifier & HIGHEST_NODE_ID)
             data = frame["data"][: frame["length"]].tobytes()
-            if identifier == NMT_COB_ID:
-                if len(data) == NMT_BYTES:
+            if identifier == NMT_COB_ID and len(data) == NMT_BYTES:
+                if not frame["flags"] & ECHO:
                     self._foreign_nmt(data[0], data[1], now_s)
+                elif data[0] == NmtCommand.START and data[1] in self.nodes:
+                    self.nodes[data[1]].started_ns = time_ns
             elif node is not None:
-                self._take_of(node, identifier & ~HIGHEST_NODE_ID, data, now_s)
+                base = identifier & ~HIGHEST_NODE_ID
+                if base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
+                    self._heartbeat(node, data[0] & 0x7F, time_ns, now_s)
+                else:
+                    self._take_of(node, base, data, now_s)
 
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
-        if base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
-            self._heartbeat(node, data[0] & 0x7F, now_s)
-        elif base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
+        if base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
             if node.dialogue is not None:
                 node.dialogue.take(data, now_s)
                 self._finish(node, now_s)
@@ -172,7 +177,7 @@ class NmtMaster:
             if node.emcy:
                 self.emergencies.append((node.contract.node_id, node.emcy))
 
-    def _heartbeat(self, node: NodeRecord, state: int, now_s: float) -> None:
+    def _heartbeat(self, node: NodeRecord, state: int, time_ns: int, now_s: float) -> None:
         was_silent = node.nmt == SILENT
         node.heard_s = now_s
         if state == NmtState.INITIALISING:
@@ -182,7 +187,8 @@ class NmtMaster:
             self._booted(node, now_s)
             return
         if state != NmtState.OPERATIONAL and node.trusted:
-            if now_s - node.trusted_s < UNDER_WAY_S:
+            is_under_way = node.started_ns is None or time_ns - node.started_ns < UNDER_WAY_NS
+            if is_under_way and now_s - node.trusted_s < SILENT_AFTER_S:
                 return
             node.nmt = state
             self._lose(node, f"left OPERATIONAL: {_state_text(state)}{self._explanation(node, now_s)}", now_s)
@@ -342,7 +348,7 @@ class NmtMaster:
                 self._lines.add(node.contract.node_id, f"refused: {proof.refusal}", now_s)
             node.refusal, node.prove_at_s = proof.refusal, now_s + LATER_S
             return
-        # A proof holds from its oldest read: with a signature the last transfer, without a signature the first.
+        # A proof holds from its oldest read: with a signature the last transfer, without one the first.
         node.refusal, node.proven_s = "", dialogue.asked_s if proof.has_signature else node.began_s
         if not node.trusted:
             self._let_in(node, now_s)
@@ -352,6 +358,7 @@ class NmtMaster:
         node.trusted, node.trusted_s, node.hint = True, now_s, ""
         self._trust(node.contract, True)
         if node.nmt != NmtState.OPERATIONAL:
+            node.started_ns = None
             self._command(NmtCommand.START, node.contract.node_id)
             node.nmt, node.heard_s = NmtState.OPERATIONAL, now_s
         if node.lost_s is not None:

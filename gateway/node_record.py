@@ -23,6 +23,8 @@ class NodeRecord:
         NMT state in the newest heartbeat, `SILENT` when the heartbeat is overdue.
     trusted : bool
         The node's sums are used.
+    started_ns : int or None
+        When the newest NMT start of the gateway was on the bus; None while the start waits in the controller.
     proven_s : float
         When the newest successful proof read its oldest value.
     prove_at_s : float
@@ -55,6 +57,7 @@ class NodeRecord:
     emcy_s: float = -np.inf
     trusted: bool = False
     trusted_s: float = -np.inf
+    started_ns: int | None = 0
     proven_s: float = -np.inf
     refusal: str = ""
     dialogue: SdoDialogue | None = None

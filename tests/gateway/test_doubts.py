@@ -15,6 +15,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
+from dbc.frame import ECHO
 from dbc.indices import OD_GAIN, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_MAPPING
 from gateway.nmt_master import BLOCK_DOWNLOAD_S, TICK_S, NmtMaster
 from skin.layout import load_layout
@@ -56,6 +57,7 @@ class Boards:
 
     def _send(self, can_id: int, data: bytes) -> None:
         if can_id == NMT_COB_ID:
+            self.hear(can_id, data, ECHO)
             return
         node_id = can_id - SDO_REQUEST_BASE
         self.asked_s.setdefault(node_id, []).append(self.now_s)
@@ -68,8 +70,8 @@ class Boards:
             answer = b"\x43" + data[1:4] + (b"\1\2\3\4" if node_id in self.wrong else self._signatures[node_id])
         self._answers.append((SDO_RESPONSE_BASE + node_id, answer))
 
-    def hear(self, can_id: int, data: bytes) -> None:
-        self.master.take(frame(can_id, data), self.now_s)
+    def hear(self, can_id: int, data: bytes, flags: int = 0) -> None:
+        self.master.take(frame(can_id, data, flags, time_ns=round(self.now_s * 1e9)), self.now_s)
 
     def run(self, seconds: float, *, beating: bool = True) -> None:
         for _ in range(round(seconds / TICK_S)):
@@ -218,6 +220,9 @@ def test_pauses_before_the_tries_are_those_of_the_list(boards: Boards) -> None:
 
 
 def test_heartbeat_from_before_the_start_is_no_news_for_a_short_while(boards: Boards) -> None:
+    boards.hear(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
+    boards.run(0.5, beating=False)
+    assert boards.trusted() == [1, 2]
     trusted_s = boards.master.nodes[1].trusted_s
     boards.now_s = trusted_s + UNDER_WAY_S - TOO_SOON_S
     boards.hear(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))

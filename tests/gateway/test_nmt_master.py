@@ -134,16 +134,49 @@ def test_every_try_is_a_fresh_one_after_a_stable_time(world: World) -> None:
         world.run(2 * PERIOD_S)
 
 
-def test_heartbeat_that_was_under_way_is_no_news(small: Contract) -> None:
-    world = World(small)
-    world.until_whole(2.0)
-    world.wires[0].put(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
-    master = world.gateway.masters[0]
-    for node in master.nodes.values():
-        node.trusted_s = world.now_s
-    world.run(2 * PERIOD_S)
-    assert valid(world.measured[-1]).all()
-    assert not world.lines
+class TestHeartbeatAfterStart:
+    """A heartbeat with the old state, read after the gateway sent NMT start to node 1."""
+
+    def started(self, small: Contract) -> World:
+        """Return a skin whose node 1 on bus0 was stopped by somebody, and is started now."""
+        world = World(small)
+        world.until_whole(2.0)
+        world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
+        world.run(2 * PERIOD_S)
+        world.until_whole(SOON_S)
+        world.lines.clear()
+        return world
+
+    def beat(self, world: World, after_s: float) -> None:
+        """Let a heartbeat arrive that was on the bus so long after the start."""
+        master = world.gateway.masters[0]
+        beat = frame(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
+        started_ns = master.nodes[1].started_ns
+        beat["time_ns"] = (started_ns or 0) + round(after_s * 1e9)
+        master.take(beat, world.now_s + 1.0)
+
+    def test_no_news_where_it_was_under_way_however_late_it_is_read(self, small: Contract) -> None:
+        world = self.started(small)
+        self.beat(world, 0.2)
+        assert world.gateway.masters[0].nodes[1].trusted
+
+    def test_no_news_before_the_start_was_on_the_bus(self, small: Contract) -> None:
+        world = self.started(small)
+        world.gateway.masters[0].nodes[1].started_ns = None
+        self.beat(world, 0.0)
+        assert world.gateway.masters[0].nodes[1].trusted
+
+    def test_news_later_on_the_bus(self, small: Contract) -> None:
+        world = self.started(small)
+        self.beat(world, 0.4)
+        assert not world.gateway.masters[0].nodes[1].trusted
+
+    def test_news_when_the_start_is_never_on_the_bus(self, small: Contract) -> None:
+        world = self.started(small)
+        world.gateway.masters[0].nodes[1].started_ns = None
+        world.now_s += SILENT_AFTER_S
+        self.beat(world, 0.0)
+        assert not world.gateway.masters[0].nodes[1].trusted
 
 
 def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:

@@ -123,9 +123,11 @@ class EndOfWire:
 
 
 class Wire:
-    """A bus without time: frames arrive in the order in which they were sent, at once, at everybody."""
+    """A bus of no length: frames arrive in the order in which they were sent, at once, at everybody."""
 
     def __init__(self) -> None:
+        #: The time of what is sent without a time of its own.
+        self.now_ns = 0
         self.queue: list[tuple[EndOfWire | None, Frames]] = []
         self.gateway = EndOfWire(self)
         self.nodes = EndOfWire(self)
@@ -141,6 +143,7 @@ class Wire:
                 self.log.append((int(each["can_id"]), each["data"][: each["length"]].tobytes()))
             for end in (self.gateway, self.nodes):
                 copy = burst.copy()
+                copy["time_ns"][copy["time_ns"] == 0] = self.now_ns
                 if end is sender:
                     copy["flags"] |= ECHO
                 if self.loses is not None:
@@ -219,6 +222,8 @@ class World:
 
     def carry(self) -> None:
         """Carry what was sent, and let everybody answer, until nobody says anything more."""
+        for wire in self.wires:
+            wire.now_ns = round(self.now_s * 1e9)
         while sum(wire.deliver() for wire in self.wires) or any(wire.gateway.has_news for wire in self.wires):
             self._receive()
 
