@@ -1,4 +1,4 @@
-"""``skin plan``: the load of a layout's buses, and a search for a layout that meets a requirement."""
+"""``skin plan``: the load of a layout's buses."""
 
 from pathlib import Path
 
@@ -6,14 +6,11 @@ from bandwidth.alternatives import alternatives
 from bandwidth.plan import BusPlan
 from bandwidth.plan import plan as plan_buses
 from bandwidth.scheme_rates import schemes
-from bandwidth.search import CanKind, Requirement, search
 from bandwidth.traffic import Disturbance
 from bus.options import BusOptions, Channels, channels
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
-from skin.errors import InputError, RunError
-from skin.layout import layout_text, load_layout
-from skin.output import write_file
+from skin.layout import load_layout
 from skin.service import say
 from skin.terminal import Json, print_json
 
@@ -23,21 +20,13 @@ def plan(
     *,
     check: Path | None = None,
     channel: Channels | None = None,
-    taxels: int | None = None,
-    rate: float | None = None,
-    buses: int | None = None,
-    budget: float | None = None,
-    can: CanKind | None = None,
-    out: Path | None = None,
     plot: Path | None = None,
-    jitter_s: float = 100e-6,
-    sdo_per_s: float = 20.0,
-    errors_per_s: float = 0.0,
+    disturbance: Disturbance | None = None,
     json_: Json = False,
 ) -> int:
-    """Compute the bus load of a skin before any hardware is bought, or search for a layout.
+    """Compute the bus load of a skin before any hardware is bought.
 
-    Exit code 1: a bus does not fit, no layout was found, or a log differs from the plan.
+    Exit code 1: a bus does not fit, or a log differs from the plan. ``skin design`` searches for a layout.
 
     Parameters
     ----------
@@ -47,50 +36,19 @@ def plan(
         Compare a log of the buses with the plan, and print a line for each difference.
     channel
         The channel of each bus in the log. Default: the names of the buses, else all channels in their order.
-    taxels
-        Search for a layout with this number of taxels, a power of two, instead of planning a layout.
-    rate
-        Search: measurements per second. Default: 100.
-    buses
-        Search: largest number of buses. Default: 4.
-    budget
-        Search: highest load of a bus, with the most stuff bits, as a part of 1. Default: 0.8.
-    can
-        Search: type of CAN. Default: any.
-    out
-        Search: file for the TOML of the layout. Default: print the layout.
     plot
         Folder for pictures: rates for other numbers of buses and widths of sums; time line of one cycle.
-    jitter_s
-        Response times: time from SYNC until the slowest node has queued its TPDOs, seconds.
-    sdo_per_s
-        Response times: SDO transfers per second.
-    errors_per_s
-        Response times: disturbed frames per second.
+    disturbance
+        Disturbances that response times include.
     json_
         Print one JSON object.
 
     Examples
     --------
     skin plan palm.toml --plot pictures
-    skin plan --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
+    skin plan palm.toml --check candump-2026-11-20_120000.log
     """
-    allowed = Disturbance(jitter_s, sdo_per_s, errors_per_s)
-    if taxels is not None:
-        if layout is not None or check is not None or plot is not None:
-            raise InputError("expected --taxels or a layout, not both: a search makes its own")
-        required = Requirement(
-            taxels,
-            rate_hz=100.0 if rate is None else rate,
-            buses=4 if buses is None else buses,
-            budget=0.8 if budget is None else budget,
-            can=can or "any",
-        )
-        return _search(required, allowed, out, as_json=json_)
-    only_search = {"--rate": rate, "--buses": buses, "--budget": budget, "--can": can, "--out": out}
-    idle = [name for name, value in only_search.items() if value is not None]
-    if idle:
-        raise InputError(f"{' and '.join(idle)}: only for the search of a layout: give --taxels as well")
+    allowed = disturbance or Disturbance()
     contract = Contract.from_layout(load_layout(layout))
     plans = plan_buses(contract, allowed=allowed)
     if check is not None:
@@ -124,36 +82,6 @@ def _document(contract: Contract, plans: list[BusPlan], allowed: Disturbance) ->
         "alternatives": list(alternatives(layout, allowed)),
         "schemes": list(schemes(layout)),
     }
-
-
-def _search(required: Requirement, allowed: Disturbance, out: Path | None, *, as_json: bool) -> int:
-    found = search(required, allowed)
-    text = None if found.layout is None else layout_text(found.layout)
-    if text is not None and out is not None:
-        try:
-            write_file(out, text)
-        except OSError as error:
-            raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
-    if as_json:
-        print_json(
-            {
-                "required": required,
-                "fits": text is not None,
-                "layout": text,
-                "missing": found.missing(),
-                "candidates": found.candidates,
-            }
-        )
-        return int(text is None)
-    if text is None or found.chosen is None:
-        raise RunError(found.missing() or "")
-    unfit = sum(not each.fits for each in found.candidates)
-    say(
-        "plan",
-        f"{found.chosen.words}: each bus {found.chosen.load_worst or 0:.1%} full at worst; {unfit} others do not fit",
-    )
-    print(str(out) if out is not None else text, end="\n" if out is not None else "")
-    return 0
 
 
 def _check(contract: Contract, plans: list[BusPlan], log: Path, names: list[str], *, as_json: bool) -> int:

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from cyclopts import Parameter
 
 from bandwidth.response import blocking_ns, response_times_ns
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtState
@@ -21,18 +22,19 @@ PER_SECOND_MAX: Final = 20_000.0
 JITTER_MAX_S: Final = 1.0
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Disturbance:
     """Disturbances that response times include.
 
-    Attributes
+    Parameters
     ----------
     jitter_s : float
-        Time from SYNC until the slowest node has queued its TPDOs.
+        Response times: time from SYNC until the slowest node has queued its TPDOs, seconds.
     sdo_per_s : float
-        SDO transfers per second, each a request and a response of 8 bytes.
+        Response times: SDO transfers per second, each a request and a response of 8 bytes.
     errors_per_s : float
-        Frames per second that are disturbed and sent again.
+        Response times: frames per second that are disturbed and sent again.
 
     Raises
     ------

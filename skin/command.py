@@ -32,7 +32,9 @@ VERBS: Final = {
     "view": "viewer.command:view",
     "rebuild": "rebuild.command:rebuild",
     "dbc": "dbc.command:dbc",
+    "dbc-check": "dbc.command:dbc_check",
     "plan": "bandwidth.plan_command:plan",
+    "design": "bandwidth.design_command:design",
     "load": "bandwidth.load_command:load",
     "objects": "touch.command:objects",
     "dataset": "touch.datasets.command:dataset",
@@ -40,8 +42,11 @@ VERBS: Final = {
     "evaluate": "evaluation.command:evaluate",
     "bench": "evaluation.bench.command:bench",
 }
-
-
+#: Options that have become verbs: verb and option, and the verb that does the work now.
+MOVED: Final = {
+    ("dbc", "--check"): "dbc-check",
+    **{("plan", f"--{option}"): "design" for option in ("taxels", "rate", "buses", "budget", "can", "out")},
+}
 HELP_FLAGS: Final = ("--help", "-h")
 
 
@@ -99,9 +104,18 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         set_talk(Talk.VERBOSE if verbose else Talk.QUIET if quiet else Talk.NORMAL, as_json=log_json)
         if verbose:
             logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+        _check_moved(tokens)
         return app(tokens)
 
     return app
+
+
+def _check_moved(tokens: Sequence[str]) -> None:
+    """Raise InputError for an option that has become a verb."""
+    verb, *rest = tokens or ("",)
+    for option in (token.partition("=")[0] for token in rest):
+        if (verb, option) in MOVED:
+            raise InputError(f"'skin {verb} {option}' is 'skin {MOVED[verb, option]}' now: see its --help")
 
 
 def _default(value: object) -> str | None:

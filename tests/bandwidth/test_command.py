@@ -1,4 +1,4 @@
-"""``skin plan`` and ``skin load`` as a person and as a program use them."""
+"""``skin plan``, ``skin design`` and ``skin load`` as a person and as a program use them."""
 
 import json
 import os
@@ -98,17 +98,17 @@ def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_pat
 
 def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
     path = tmp_path / "palm.toml"
-    status, out, said = skin("plan", "--taxels", 1024, "--rate", 100, "--buses", 1, "--out", path)
+    status, out, said = skin("design", "--taxels", 1024, "--rate", 100, "--buses", 1, "--out", path)
     assert (status, out) == (0, f"{path}\n")
     assert "at worst" in said
     layout = parse_layout(path.read_bytes(), "palm")
     assert (layout.taxels.count, len(layout.bus), layout.sync.rate_hz) == (1024, 1, 100.0)
-    status, text, _ = skin("plan", "--taxels", 1024, "--rate", 100, "--buses", 1)
+    status, text, _ = skin("design", "--taxels", 1024, "--rate", 100, "--buses", 1)
     assert parse_layout(text.encode(), "printed") == layout
 
 
 def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
-    arguments = ("plan", "--taxels", 4096, "--rate", 100, "--buses", 1, "--can", "classic")
+    arguments = ("design", "--taxels", 4096, "--rate", 100, "--buses", 1, "--can", "classic")
     status, out, said = skin(*arguments)
     assert (status, out) == (1, "")
     assert "bits a second" in said
@@ -128,10 +128,10 @@ def test_pictures(skin: Skin, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["plan", "default", "--taxels", "64"], "not both"),
-        (["plan", "--out", "x.toml"], "give --taxels"),
-        (["plan", "--taxels", "100"], "power of two"),
-        (["plan", "--rate", "50", "--can", "fd"], "--rate and --can: only for the search"),
+        (["plan", "--taxels", "64"], "'skin plan --taxels' is 'skin design' now"),
+        (["plan", "palm.toml", "--rate=50", "--can", "fd"], "'skin plan --rate' is 'skin design' now"),
+        (["design", "--taxels", "100"], "power of two"),
+        (["design", "--rate", "50"], "taxels"),
         (["plan", "--jitter-s", "-1"], "jitter of 0 to 1 s"),
         (["plan", "--jitter-s", "nan"], "jitter of 0 to 1 s"),
         (["plan", "--errors-per-s", "inf"], "errors of 0 to 20000 a second"),

@@ -1,4 +1,4 @@
-"""``skin dbc``: the files it writes, and the drift it finds."""
+"""``skin dbc`` writes the contract files; ``skin dbc-check`` finds their drift."""
 
 import json
 import sys
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked wit
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["skin", "dbc", *arguments])
+    monkeypatch.setattr(sys, "argv", ["skin", *arguments])
     with pytest.raises(SystemExit) as ended:
         main()
     return int(ended.value.code or 0)
@@ -24,7 +24,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 def test_committed_files_are_those_of_the_default_skin(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(monkeypatch, "--check") == 0
+    assert run(monkeypatch, "dbc-check") == 0
     assert capsys.readouterr().out == ""
     assert {path.name for path in DEFAULT_FOLDER.iterdir()} == {f"bus{bus}.dbc" for bus in range(4)} | {"skin.eds"}
 
@@ -33,15 +33,15 @@ def test_check_names_the_files_that_drifted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     folder = tmp_path / "made" / "here"
-    assert run(monkeypatch, "one-bus-12bit", "--out", str(folder), "--json") == 0
+    assert run(monkeypatch, "dbc", "one-bus-12bit", "--out", str(folder), "--json") == 0
     assert json.loads(capsys.readouterr().out) == [str(folder / "bus0.dbc"), str(folder / "skin.eds")]
-    assert run(monkeypatch, "one-bus-12bit", "--out", str(folder), "--check") == 0
+    assert run(monkeypatch, "dbc-check", "one-bus-12bit", "--files", str(folder)) == 0
     text = (folder / "bus0.dbc").read_text()
     (folder / "bus0.dbc").write_text(text.replace("(16,-21840)", "(16,0)", 1))
     (folder / "skin.eds").unlink()
     (folder / "old.eds").write_text("")
     (folder / "notes.txt").write_text("mine")
-    assert run(monkeypatch, "one-bus-12bit", "--out", str(folder), "--check") == 1
+    assert run(monkeypatch, "dbc-check", "one-bus-12bit", "--files", str(folder)) == 1
     lines = capsys.readouterr().out.splitlines()
     assert [Path(line.split()[0]).name for line in lines] == ["bus0.dbc", "old.eds", "skin.eds"]
 
@@ -49,11 +49,12 @@ def test_check_names_the_files_that_drifted(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "expected --out FOLDER"),
-        (["fd", "--check"], "expected --out FOLDER"),
-        (["--check", "--out", "nowhere"], "nowhere: cannot read the contract files: No such file"),
-        (["nowhere.toml", "--out", "x"], "nowhere.toml: cannot read the layout"),
-        ([str(Path(dbc.__file__)), "--out", "x"], "Expected '='"),
+        (["dbc"], "--out"),
+        (["dbc", "--check"], "'skin dbc --check' is 'skin dbc-check' now"),
+        (["dbc-check", "fd"], "expected --files FOLDER"),
+        (["dbc-check", "--files", "nowhere"], "nowhere: cannot read the contract files: No such file"),
+        (["dbc", "nowhere.toml", "--out", "x"], "nowhere.toml: cannot read the layout"),
+        (["dbc", str(Path(dbc.__file__)), "--out", "x"], "Expected '='"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(
@@ -75,5 +76,5 @@ def test_folder_that_is_a_file_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("")
-    assert run(monkeypatch, "--out", str(tmp_path / "file")) == 2
+    assert run(monkeypatch, "dbc", "--out", str(tmp_path / "file")) == 2
     assert "cannot write the contract files" in capsys.readouterr().err

@@ -74,7 +74,7 @@ def test_completion_knows_every_verb_and_its_options() -> None:
 @pytest.mark.parametrize(("option", "lines"), [("--quiet", 0), ("-q", 0), ("-v", 8)])
 @pytest.mark.usefixtures("talk")
 def test_quiet_and_verbose(option: str, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
-    build_app([]).meta(["dbc", "--check", option])
+    build_app([]).meta(["dbc-check", option])
     capsys.readouterr()
     say("test", "one")
     say("test", "detail", Talk.VERBOSE)

@@ -1,0 +1,80 @@
+"""``skin design``: a search for the layout that meets a requirement."""
+
+from pathlib import Path
+
+from bandwidth.search import CanKind, Requirement, search
+from bandwidth.traffic import Disturbance
+from skin.errors import InputError, RunError
+from skin.layout import layout_text
+from skin.output import write_file
+from skin.service import say
+from skin.terminal import Json, print_json
+
+
+def design(
+    taxels: int,
+    *,
+    rate: float = 100.0,
+    buses: int = 4,
+    budget: float = 0.8,
+    can: CanKind = "any",
+    out: Path | None = None,
+    disturbance: Disturbance | None = None,
+    json_: Json = False,
+) -> int:
+    """Search for a layout whose buses carry a number of taxels at a rate.
+
+    Exit code 1: no layout was found.
+
+    Parameters
+    ----------
+    taxels
+        Number of taxels, a power of two.
+    rate
+        Measurements per second.
+    buses
+        Largest number of buses.
+    budget
+        Highest load of a bus, with the most stuff bits, as a part of 1.
+    can
+        Type of CAN.
+    out
+        File for the TOML of the layout. Default: print the layout.
+    disturbance
+        Disturbances that response times include.
+    json_
+        Print one JSON object.
+
+    Examples
+    --------
+    skin design --taxels 1024 --can fd
+    skin design --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
+    """
+    required = Requirement(taxels, rate_hz=rate, buses=buses, budget=budget, can=can)
+    found = search(required, disturbance)
+    text = None if found.layout is None else layout_text(found.layout)
+    if text is not None and out is not None:
+        try:
+            write_file(out, text)
+        except OSError as error:
+            raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
+    if json_:
+        print_json(
+            {
+                "required": required,
+                "fits": text is not None,
+                "layout": text,
+                "missing": found.missing(),
+                "candidates": found.candidates,
+            }
+        )
+        return int(text is None)
+    if text is None or found.chosen is None:
+        raise RunError(found.missing() or "")
+    unfit = sum(not each.fits for each in found.candidates)
+    say(
+        "design",
+        f"{found.chosen.words}: each bus {found.chosen.load_worst or 0:.1%} full at worst; {unfit} others do not fit",
+    )
+    print(str(out) if out is not None else text, end="\n" if out is not None else "")
+    return 0
