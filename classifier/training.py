@@ -28,6 +28,7 @@ from skin.measurement import Sbhe
 from skin.messages import UNKNOWN_OBJECT
 from skin.taxel import NOISE_N
 
+#: C is chosen from these.
 C_GRID: Final = (0.1, 1.0, 10.0, 100.0)
 #: Part of the touches in the validation set.
 VALIDATION_RATIO: Final = 0.25

@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +11,6 @@ from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 
 from classifier.dagsvm import DagSvm
-
-C_GRID: Final = (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
 
 Indices = npt.NDArray[np.intp]
 
@@ -43,7 +41,7 @@ def choose_C(
     validation: Indices,
     *,
     machine: DagSvm | None = None,
-    C_grid: Sequence[float] = C_GRID,
+    C_grid: Sequence[float],
     progress: Callable[[str, float], None] | None = None,
 ) -> Chosen:
     """Train with every C of the grid on the development set, and keep the C with the best accuracy in validation.
@@ -55,6 +53,8 @@ def choose_C(
     labels : array, shape (count,)
     development, validation : arrays of int
         Disjoint rows of `X`.
+    C_grid : sequence of float
+        Ascending.
     machine : DagSvm, optional
         Its other settings are used; default: linear, as in the paper.
     progress : callable, optional

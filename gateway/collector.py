@@ -47,6 +47,8 @@ class Collector:
         #: `counts.late` and `counts.missing` of each node, by place in the contract.
         self.late_of_node = np.zeros(len(contract.nodes), np.int64)
         self.missing_of_node = np.zeros(len(contract.nodes), np.int64)
+        #: Foreign SYNCs on each bus since the last `take_foreign_syncs`.
+        self._foreign_syncs = [0] * len(contract.layout.bus)
         #: Nodes that sent a TPDO since the array was last cleared.
         self.heard = np.zeros(len(contract.nodes), np.bool_)
         self._table = contract.table
@@ -97,6 +99,11 @@ class Collector:
         self._swapped[found] = 0
         return [int(place) for place in found]
 
+    def take_foreign_syncs(self, bus: int) -> int:
+        """Return the number of foreign SYNCs on a bus since the last call."""
+        count, self._foreign_syncs[bus] = self._foreign_syncs[bus], 0
+        return count
+
     def open(self, counter: int) -> None:
         """Begin the cycle of SYNC `counter`; call it before this SYNC is sent."""
         phase = phase_of(counter)
@@ -121,11 +128,13 @@ class Collector:
     def take(self, bus: int, arrived: Frames) -> None:
         """Use the frames that arrived on a bus, in bus order; the echo of a SYNC starts its cycle on the bus."""
         begin = 0
-        syncs = arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
-        if (syncs & (arrived["can_id"] == SYNC_COB_ID)).any():
+        is_sync = arrived["can_id"] == SYNC_COB_ID
+        foreign = int((is_sync & (arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0)).sum())
+        if foreign:
             # A foreign SYNC: nodes have answered it outside the gateway's cycles.
+            self._foreign_syncs[bus] += foreign
             self._spoil(bus)
-        sent = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ECHO | ERROR) == ECHO)
+        sent = is_sync & (arrived["flags"] & (ECHO | ERROR) == ECHO)
         for place in np.flatnonzero(sent):
             self._take(bus, arrived[begin:place])
             self._on_wire[bus] = int(arrived["data"][place, 0])

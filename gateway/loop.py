@@ -52,7 +52,6 @@ class _Bus:
     refused_syncs: int = 0
     #: The log names the cause already.
     is_explained: bool = False
-    foreign_syncs: int = 0
 
 
 class GatewayLoop:
@@ -119,7 +118,6 @@ class GatewayLoop:
         bus.master.take(arrived, now_s)
         self.collector.take(number, arrived)
         bus.load.take(arrived)
-        bus.foreign_syncs += int(((arrived["flags"] == 0) & (arrived["can_id"] == SYNC_COB_ID)).sum())
 
     def tick(self, now_s: float) -> None:
         """Do all that is due at `now_s`, except SYNC and the end of cycles."""
@@ -233,7 +231,7 @@ class GatewayLoop:
             node = self._contract.nodes[place]
             if node.bus in self._buses:
                 self._buses[node.bus].master.swapped(node.node_id, now_s)
-        for bus in self._buses.values():
+        for number, bus in self._buses.items():
             nmt = bus.master.nmt
             for (place, _), state in zip(bus.places, nmt, strict=True):
                 # A node that sends sums is operational, whatever state its last heartbeat had.
@@ -241,9 +239,8 @@ class GatewayLoop:
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
             bus.master.emergencies.clear()
-            if bus.foreign_syncs:
+            if self.collector.take_foreign_syncs(number):
                 self._complain(f"another SYNC producer on {bus.name}: its cycles are not valid")
-                bus.foreign_syncs = 0
         self.collector.heard[:] = False
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:

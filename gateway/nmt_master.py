@@ -25,7 +25,7 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.configuration import PROOF_ROUNDS, configuration, proof_period_s
+from dbc.configuration import PROOF_ROUNDS, configuration, expected_signature, proof_period_s
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
@@ -95,7 +95,9 @@ class NmtMaster:
         self._send = send
         self._trust = trust
         self.nodes = {
-            node.node_id: NodeRecord(node, settings, frozenset(each.index for each in settings))
+            node.node_id: NodeRecord(
+                node, settings, expected_signature(settings), frozenset(each.index for each in settings)
+            )
             for node in contract.on_bus(bus)
             for settings in [configuration(contract, node)]
         }
@@ -324,7 +326,7 @@ class NmtMaster:
                 self._lose(node, "doubted: its configuration is not that of the layout", now_s)
 
         node.began_s = now_s
-        steps = prove(node.settings, write=self._write, doubt=doubt)
+        steps = prove(node.settings, node.signature, write=self._write, doubt=doubt)
         # One attempt for a silent node: the boot-up message or heartbeat tells when the node is there.
         attempts = 1 if node.nmt == SILENT else ATTEMPTS
         node.dialogue = SdoDialogue(node.contract.node_id, steps, self._send, now_s, attempts=attempts)

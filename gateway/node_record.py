@@ -17,6 +17,8 @@ class NodeRecord:
 
     Attributes
     ----------
+    signature : int
+        The configuration signature (2006h) that the contract asks for.
     compared : frozenset of int
         Indices of the objects that the proof compares.
     nmt : int
@@ -50,6 +52,7 @@ class NodeRecord:
 
     contract: NodeContract
     settings: Sequence[Setting]
+    signature: int
     compared: frozenset[int]
     nmt: int = SILENT
     heard_s: float = -np.inf

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dbc.canopen import COB_ID_INVALID
-from dbc.configuration import Setting, expected_signature
+from dbc.configuration import Setting
 from dbc.indices import (
     OD_CYCLE_PERIOD_US,
     OD_EMCY_COB_ID,
@@ -50,13 +50,15 @@ class Proof:
     has_signature: bool = False
 
 
-def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]) -> Steps:
+def prove(settings: Sequence[Setting], signature: int, *, write: bool, doubt: Callable[[], None]) -> Steps:
     """Compare a node with its contract; return the `Proof`.
 
     Parameters
     ----------
     settings : sequence of Setting
         From `dbc.configuration.configuration`.
+    signature : int
+        Of these settings, see `dbc.configuration.expected_signature`.
     write : bool
         Write the objects that differ, if all of them can be written; else refuse the node.
     doubt : callable
@@ -68,7 +70,7 @@ def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]
         If the node does not answer.
     """
     proof = Proof()
-    if (yield from _signature_is_right(settings, proof)):
+    if (yield from _signature_is_right(signature, proof)):
         return proof
     try:
         wrong = yield from _differences(settings)
@@ -77,7 +79,7 @@ def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]
         if wrong and write and all(setting.is_writable for setting, _ in wrong):
             yield from _write([setting for setting, _ in wrong], settings)
             proof.written = _in_words(wrong)
-            if (yield from _signature_is_right(settings, proof)):
+            if (yield from _signature_is_right(signature, proof)):
                 return proof
             wrong = yield from _differences(settings)
     except SdoAbortedError as error:
@@ -92,14 +94,14 @@ def prove(settings: Sequence[Setting], *, write: bool, doubt: Callable[[], None]
     return proof
 
 
-def _signature_is_right(settings: Sequence[Setting], proof: Proof) -> Generator[Transfer, bytes, bool]:
+def _signature_is_right(expected: int, proof: Proof) -> Generator[Transfer, bytes, bool]:
     """Read the signature; tell whether it is that of the contract."""
     try:
         found = int.from_bytes((yield Read(OD_SIGNATURE)), "little")
     except SdoAbortedError:
         return False
     proof.has_signature = found != NO_SIGNATURE
-    return proof.has_signature and found == expected_signature(settings)
+    return proof.has_signature and found == expected
 
 
 def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list[tuple[Setting, bytes]]]:

@@ -1,6 +1,5 @@
 """The file of images: an ``.npz`` that NumPy reads without pickle."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from rebuild.cycles import Cycles
 from skin.errors import InputError, RunError
+from skin.output import check_output_path, replacing
 
 
 def check_out(path: Path) -> None:
@@ -25,14 +25,7 @@ def check_out(path: Path) -> None:
         raise InputError(f"{path}: expected a file that ends in .npz for the images")
     if path.exists():
         raise InputError(f"{path}: is there already; remove it, or choose another name for --out")
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: the folder for the images does not exist")
-    part = _part_of(path)
-    try:
-        part.open("ab").close()
-        part.unlink()
-    except OSError as error:
-        raise InputError(f"{path}: cannot write the images there: {error.strerror or error}") from error
+    check_output_path(path, "images")
 
 
 def save_images(path: Path, images: npt.NDArray[np.float32], cycles: Cycles, metadata: Mapping[str, Any]) -> None:
@@ -46,9 +39,8 @@ def save_images(path: Path, images: npt.NDArray[np.float32], cycles: Cycles, met
     RunError
         If the file cannot be written.
     """
-    part = _part_of(path)
     try:
-        with part.open("wb") as file:
+        with replacing(path) as file:
             np.savez(
                 file,
                 images=images,
@@ -56,12 +48,5 @@ def save_images(path: Path, images: npt.NDArray[np.float32], cycles: Cycles, met
                 time_ns=cycles.time_ns,
                 metadata=np.array(msgspec.json.encode(metadata).decode()),
             )
-        part.replace(path)
     except OSError as error:
         raise RunError(f"{path}: the images cannot be written: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _part_of(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.part")

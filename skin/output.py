@@ -4,8 +4,9 @@ import contextlib
 import io
 import os
 import secrets
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from skin.errors import InputError
 
@@ -60,8 +61,7 @@ def save_figure(figure: Any, path: Path, **options: Any) -> None:
 def write_file(path: Path, content: bytes | str) -> None:
     """Write a file in one step: after any failure, a full disk included, the old file is complete.
 
-    The content is written to a file beside `path`, which is then renamed. ``/dev/stdout`` and pipes are written
-    directly. Text is written as UTF-8.
+    The content is written with `replacing`. ``/dev/stdout`` and pipes are written directly. Text is written as UTF-8.
 
     Raises
     ------
@@ -73,10 +73,26 @@ def write_file(path: Path, content: bytes | str) -> None:
     if target.exists() and not target.is_file():
         target.write_bytes(data)
         return
+    with replacing(target) as file:
+        file.write(data)
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Give a file to write, which takes the place of the regular file `path` at the end of the ``with``.
+
+    The file stands beside `path` and is then renamed. Nothing is left of it when the ``with`` ends with an error.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    target = path.resolve()  # a link stays a link
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
         with draft.open("xb") as file:
-            file.write(data)
+            yield file
             if target.exists():
                 os.fchmod(file.fileno(), target.stat().st_mode & 0o7777)
         draft.replace(target)

@@ -8,13 +8,16 @@ import msgspec
 from skin.messages import SILENT, NmtState
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
-#: Names of the NMT states in which a node sends no sums (CiA 301, 7.2.8.3.2).
-OFF_DUTY: Final = {
+#: Names of the NMT states on the page (CiA 301, 7.2.8.3.2).
+NMT_WORDS: Final[dict[int, str]] = {
     NmtState.INITIALISING: "booting",
     NmtState.STOPPED: "stopped",
+    NmtState.OPERATIONAL: "operational",
     NmtState.PRE_OPERATIONAL: "pre-operational",
     SILENT: "silent",
 }
+#: The states in which a node sends no sums.
+OFF_DUTY: Final = {state: word for state, word in NMT_WORDS.items() if state != NmtState.OPERATIONAL}
 REFUSED: Final = "refused by the gateway: not of this skin"
 #: States of the gateway's controller that a notice reports.
 LINKS: Final = {

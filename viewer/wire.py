@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from skin.layout import Layout
+from viewer.notices import NMT_WORDS
 from viewer.snapshot import Pictures, Snapshot
 
 
@@ -29,7 +30,7 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
 
 
 def greeting(layout: Layout) -> dict[str, Any]:
-    """Return the constants of the skin for the page: grid, buses, and the block of each taxel."""
+    """Return the constants of the skin for the page: grid, buses, block of each taxel, and names of the NMT states."""
     taxels, phi = layout.taxels, layout.phi()
     block_of_taxel = np.empty(taxels.count, np.int32)
     block_of_taxel[phi.order] = np.arange(taxels.count) // phi.block_size
@@ -54,4 +55,5 @@ def greeting(layout: Layout) -> dict[str, Any]:
         "blocks": layout.blocks,
         "block_of_taxel": block_of_taxel.tolist(),
         "buses": buses,
+        "nmt": {str(int(state)): word for state, word in NMT_WORDS.items()},
     }

@@ -7,11 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from classifier.dagsvm import DagSvm
-from classifier.validation import C_GRID, Chosen, choose_C, global_scale, part_of
+from classifier.validation import Chosen, choose_C, global_scale, part_of
 from evaluation.observations.signals import LABELS, OBJECTS, signal
 from evaluation.observations.splits import Split, draw_split
 from evaluation.result import Row, Values
 
+#: C is chosen from these.
+C_GRID: Final = (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
 #: Longer signals are trained on their inner products, made once for all splits.
 GRAM_FROM: Final = 1024
 #: Iterations of a pair's solver at most. A few values cannot separate the objects, and a large C then runs on for

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from classifier.dagsvm import DagSvm
 from classifier.rows import choose_rows
+from classifier.training import C_GRID
 from classifier.validation import choose_C, global_scale, part_of
 from evaluation.observations.signals import TAXELS, all_rows, drawn_sbhe, measured
 from evaluation.recognition.accuracy import MOST_ITERATIONS
@@ -31,7 +32,6 @@ _EDGE: Final = 5
 _FULL_SCALE_QUANTILE: Final = 0.995
 _SIDE: Final = 64
 POSTURES: Final = tuple(f"posture_{number:02d}" for number in range(1, 18))
-_C_GRID: Final = (0.1, 1.0, 10.0, 100.0)
 #: Name: (taxels give the root of the pressure, every frame is brought to unit length, rows are chosen).
 VARIANTS: Final = {
     "raw sums, one scale": (False, False, False),
@@ -95,7 +95,7 @@ def measure_postures(*, recordings: str, variant: str, size: int, draw: int, per
     machine = DagSvm(max_iter=MOST_ITERATIONS)
     if size >= len(frames):
         X, machine = X @ X.T, DagSvm(kernel="precomputed", max_iter=MOST_ITERATIONS)
-    chosen = choose_C(X, postures, development, validation, machine=machine, C_grid=_C_GRID)
+    chosen = choose_C(X, postures, development, validation, machine=machine, C_grid=C_GRID)
     said = chosen.machine.predict(part_of(X, test, training, chosen.machine))
     return {"accuracy": float(np.mean(said == postures[test]))}
 

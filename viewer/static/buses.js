@@ -2,7 +2,6 @@
 
 import { count, make, percent, span, write } from "./words.js";
 
-const NMT = { 0: "booting", 4: "stopped", 5: "operational", 127: "pre-operational", 255: "silent" };
 // Counter, its name on the page, and whether a value above 0 is bad. Most other frames are heartbeats.
 const COUNTERS = [
   ["accepted", "in time", false],
@@ -16,8 +15,6 @@ const COUNTERS = [
 const rate = (bits) => (bits < 1e6 ? `${bits / 1e3} kbit/s` : `${bits / 1e6} Mbit/s`);
 const bitrates = ({ bitrate, data_bitrate: data }) => (data ? `FD, ${rate(bitrate)} and ${rate(data)}` : rate(bitrate));
 
-export const nmtName = (state) => NMT[state] ?? "unknown";
-
 function counter(name) {
   const row = make("div");
   row.append(make("dt", "", name), make("dd"));
@@ -28,6 +25,7 @@ export class Buses {
   /** `pointed(block or null)` is called when the pointer enters or leaves a node. */
   constructor(skin, pointed) {
     this.tiles = []; // by block
+    this.nmt = skin.nmt; // names of the NMT states
     this.cards = new Map();
     const root = document.getElementById("buses");
     root.replaceChildren(...skin.buses.map((bus) => this.card(bus, pointed)));
@@ -81,7 +79,7 @@ export class Buses {
     let operational = 0;
     seen.nodes.forEach((node, place) => {
       const tile = node >= 1 && node <= bus.nodes ? this.tiles[bus.first_block + (node - 1) * bus.blocks_per_node] : null;
-      const heard = nmtName(seen.nmt[place]);
+      const heard = this.nmt[seen.nmt[place]] ?? "unknown";
       const isRefused = seen.refused.includes(node) && heard !== "silent";
       const state = seen.dead ? "unknown" : isRefused ? "refused" : heard;
       operational += state === "operational";
