@@ -77,6 +77,11 @@ def with_sums(layout: Layout, sums: int) -> Layout:
     return msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=sums))
 
 
+def with_rate(layout: Layout, rate_hz: float) -> Layout:
+    """Return the layout with another rate of SYNC."""
+    return msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
+
+
 def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
     """Return the layout with its blocks divided evenly over `buses` buses with the settings of `like`."""
     nodes = -(-layout.blocks // like.blocks_per_node)

@@ -40,7 +40,7 @@ SUBJECTS: Final[dict[str, str]] = {
     "postures": "evaluation.recognition.postures:evaluate",
 }
 
-#: Subjects that average over no draws of Φ: of ``all``, draws are for the others.
+#: Subjects that average over no draws of Φ; ``all`` hands draws to the others alone.
 _WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates")
 
 
@@ -92,13 +92,15 @@ def evaluate(
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(get_args(Subject))}")
     if subject == "postures" and recordings is None:
         raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
+    if draws is not None and subject in _WITHOUT_DRAWS:
+        raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
     if out is None and subject == "all":
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
     options = Options(quick, meshes, recordings, out, processes, draws, seed)
     results: dict[str, Result] = {}
     for name in SUBJECTS if subject == "all" else [subject]:
-        asked = replace(options, draws=None) if subject == "all" and name in _WITHOUT_DRAWS else options
+        asked = replace(options, draws=None) if name in _WITHOUT_DRAWS else options
         module, _, function = SUBJECTS[name].partition(":")
         found = results[name] = getattr(import_module(module), function)(asked)
         if not json:

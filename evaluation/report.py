@@ -9,9 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from evaluation.result import Options, Picture, Result, Row
-from skin.errors import InputError
-from skin.output import write_file
+from evaluation.result import Options, Picture, Result, Row, write_text
 
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 80rem; margin: 2rem auto; padding: 0 1rem; color: #1a1a1a; }
@@ -43,11 +41,7 @@ def write_report(results: Mapping[str, Result], options: Options, folder: Path) 
         f"<style>{_STYLE}</style></head><body><h1>canskin beside the paper</h1>"
         f"<p>{html.escape(_made(options))}</p><ol>{contents}</ol>{body}</body></html>\n"
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_file(path, text)
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
+    write_text(path, text)
     return path
 
 

@@ -1,7 +1,7 @@
 """What an evaluation is asked, and what it answers: rows beside the paper's, and pictures."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.output import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,19 +77,8 @@ class Options:
 
 @dataclass(frozen=True)
 class Picture:
-    """A plot of the report.
+    """A plot of the report: what it shows, and what draws it."""
 
-    Attributes
-    ----------
-    name : str
-        Of its file, without ending.
-    caption : str
-        What the plot shows.
-    draw : callable
-        Makes the figure.
-    """
-
-    name: str
     caption: str
     draw: "Callable[[], Figure]"
 
@@ -123,10 +113,27 @@ def beside(ours: float, paper: float | None, digits: int = 2) -> Row:
     return {"ours": round(ours, digits), "paper": paper, "difference": difference}
 
 
-def refuse_draws(options: Options, subject: str) -> None:
-    """Raise InputError where draws are asked of a subject that has one Φ alone."""
-    if options.draws is not None:
-        raise InputError(f"'{subject}' averages over no draws of Φ, got {options.draws} draws: leave out --draws")
+def grouped(rows: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Return the rows by their values of `keys`, in order of appearance."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file of results, in a folder that is made if need be.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, text)
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
 
 
 def new_figure(width: float, height: float) -> "Figure":

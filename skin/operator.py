@@ -21,18 +21,8 @@ class Operator(Protocol):
         ...
 
     @property
-    def dtype(self) -> np.dtype[Any]:
-        """Smallest dtype that holds every entry."""
-        ...
-
-    @property
     def norm_squared(self) -> float:
         """Largest eigenvalue of ΦᵀΦ."""
-        ...
-
-    @property
-    def fingerprint(self) -> str:
-        """16 hex digits that differ whenever any entry differs."""
         ...
 
     def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[Any]:

@@ -12,8 +12,7 @@ from classifier.dagsvm import DagSvm
 from classifier.descent import descend
 from classifier.validation import global_scale
 from evaluation.bench.timing import race
-from evaluation.observations.signals import LABELS, OBJECTS, measured, phi_of, sensed
-from evaluation.observations.splits import draw_split
+from evaluation.observations import LABELS, OBJECTS, draw_split, measured, phi_of, sensed
 
 #: Sums per observation: the paper's 1:256, 1:64 and the default skin's 1:4.
 SIZES: Final = (16, 64, 1024)

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from skin.errors import InputError
+from skin.output import check_picture_path
 from skin.terminal import Json, print_json, print_table, progress
 
 Subject = Literal["reconstruct", "images", "missing", "skins", "classify"]
 _MODULES: Final = {subject: f"evaluation.bench.{subject}" for subject in get_args(Subject)}
-FIGURES: Final = (".svg", ".png", ".pdf")
 
 
 def bench(
@@ -53,8 +53,10 @@ def bench(
     """
     if subject not in _MODULES:
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(_MODULES)}")
-    if figure is not None:
-        _check_figure(subject, figure)
+    if figure is not None:  # before minutes are spent on its curves
+        if subject != "missing":
+            raise InputError(f"only 'missing' has a figure, not '{subject}'")
+        check_picture_path(figure)
     arguments = _arguments(subject, rounds, meshes)
     module = import_module(_MODULES[subject])
     with progress(f"measuring {subject}", None):
@@ -85,13 +87,3 @@ def _arguments(subject: str, rounds: int | None, meshes: Path | None) -> dict[st
     if count < 1:
         raise InputError(f"expected 1 round or more, got {count}")
     return {"rounds": count}
-
-
-def _check_figure(subject: str, figure: Path) -> None:
-    """Raise InputError unless the figure can be written, before minutes are spent on its curves."""
-    if subject != "missing":
-        raise InputError(f"only 'missing' has a figure, not '{subject}'")
-    if figure.suffix not in FIGURES:
-        raise InputError(f"{figure}: expected a figure that ends with one of {', '.join(FIGURES)}")
-    if not figure.parent.is_dir() or figure.is_dir():
-        raise InputError(f"{figure}: expected a file in a folder that exists")

@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from evaluation.result import Row, grouped
 from reconstructor.engine import Reconstructor
 from skin.measurement import Sbhe
 from skin.taxel import sense
@@ -57,9 +57,9 @@ def solved(engine: Reconstructor, scene: Scene, valid: npt.NDArray[np.bool_]) ->
         yield engine.solve(sums_n, present)
 
 
-def mean_over(rows: list[dict[str, Any]], value: str, *keys: str) -> list[dict[str, Any]]:
+def mean_over(rows: list[Row], value: str, *keys: str) -> list[Row]:
     """Return one row for each combination of `keys`, in order of appearance, with the mean of `value`."""
-    groups: dict[tuple[Any, ...], list[float]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row[value])
-    return [{**dict(zip(keys, group, strict=True)), value: float(np.mean(values))} for group, values in groups.items()]
+    return [
+        {**dict(zip(keys, group, strict=True)), value: float(np.mean([row[value] for row in found]))}
+        for group, found in grouped(rows, *keys).items()
+    ]

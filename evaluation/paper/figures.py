@@ -7,7 +7,6 @@ import numpy as np
 from evaluation.paper.pictures import draw_curves, draw_images, draw_series
 from evaluation.paper.printed import SAMPLE_RECONSTRUCTED_DB, SAMPLE_SENSOR_DB, TABLE_TWO
 from evaluation.paper.runs import (
-    PENALTY_N,
     RECONSTRUCTIONS,
     SIDE,
     Decibels,
@@ -21,10 +20,11 @@ from evaluation.paper.runs import (
 )
 from evaluation.paper.tables import QUICK_STRIDES, STRIDES, SUMS, TABLE_ITERATIONS, TABLE_SUMS
 from evaluation.psnr import psnr_db
-from evaluation.result import Options, Picture, Result, Row, Values, beside, refuse_draws
+from evaluation.result import Options, Picture, Result, Row, Values, beside
 from evaluation.result_cache import measure_cells
 from reconstructor.fista import fista, largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet
+from reconstructor.settings import PAPER_CONTOURLET
 from touch.contact import Force
 
 #: The step of the images: in the middle of the slide. The paper does not say which it shows.
@@ -39,14 +39,7 @@ TOUCHED_MS, SLIDES_MS = 100, 1100
 
 
 def evaluate(options: Options) -> Result:
-    """Return the numbers behind the figures, and the figures.
-
-    Raises
-    ------
-    InputError
-        If draws are asked for: a figure is of one.
-    """
-    refuse_draws(options, "figures")
+    """Return the numbers behind the figures, and the figures."""
     stride = QUICK_STRIDES["contourlet"] if options.quick else STRIDES["contourlet", TABLE_ITERATIONS]
     methods = [Method("sbhe", sums, "contourlet", TABLE_ITERATIONS) for sums in SUMS]
     cells = [cell("clamp", method, options, stride=stride, series=True) for method in methods]
@@ -69,23 +62,19 @@ def evaluate(options: Options) -> Result:
     ]
     pictures = [
         Picture(
-            "psnr-over-time",
             "PSNR of the clamp's images over time, contourlet, 20 iterations, SBHE. Before the first touch there is "
             "only noise to rebuild.",
             lambda: draw_series(series, stride),
         ),
         Picture(
-            "sample-images",
             "The drill: true forces, the sensor signal, and the image from 1024 sums (contourlet, warm start).",
             lambda: draw_images(sample),
         ),
         Picture(
-            "convergence",
             "PSNR of one image of the clamp against the number of iterations, contourlet, started from zero.",
             lambda: draw_curves(curve, "iterations", "PSNR, dB"),
         ),
         Picture(
-            "convergence-images",
             "The same image after some of its iterations, each with its PSNR.",
             lambda: draw_images(shown),
         ),
@@ -135,7 +124,7 @@ def _convergence(options: Options) -> dict[int, tuple[float, Force]]:
         phi,
         psi,
         phi.forward(felt.reshape(-1)).astype(np.float64),
-        penalty_n=PENALTY_N["sbhe", "contourlet"],
+        penalty_n=PAPER_CONTOURLET.penalty_n,
         lipschitz=2 * largest_eigenvalue(phi, psi),
         iterations=LONGEST,
         observe=observe,

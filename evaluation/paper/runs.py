@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,10 @@ from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Row
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.noiselet_solver import NoiseletSolver
+from reconstructor.kernels.contourlet import ContourletSolver
+from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import PAPER, PAPER_CONTOURLET
-from reconstructor.solver import ImageSolver, make_solver
+from reconstructor.solver import make_solver
 from skin.measurement import sbhe
 from skin.operator import Operator
 from skin.taxel import sense
@@ -24,15 +26,9 @@ from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 
 OBJECTS: Final = tuple(ACQUISITION_OBJECTS)
 SIDE: Final = 64
-#: λ, newtons: the printed one for noiselets, for SBHE a tenth of the printed one, which fits no table.
-PENALTY_N: Final[dict[tuple[Matrix, BasisName], float]] = {
-    ("sbhe", "haar"): PAPER.penalty_n,
-    ("sbhe", "contourlet"): PAPER_CONTOURLET.penalty_n,
-    ("noiselet", "haar"): 1.0,
-    ("noiselet", "contourlet"): 1.0,
-}
-#: L over the largest eigenvalue of (ΦΨ)ᵀΦΨ.
-RATIO: Final = PAPER.lipschitz_ratio
+#: λ for noiselets, newtons: the printed one. For SBHE a tenth of the printed one fits the tables, see `PAPER`.
+NOISELET_PENALTY_N: Final = 1.0
+ImageSolver = FusedSolver | ContourletSolver | NoiseletSolver
 #: Beside the progress bar of `measure`.
 RECONSTRUCTIONS: Final = "reconstructions"
 #: Steps whose sums are formed at a time: Φ works in the cache.
@@ -62,16 +58,12 @@ class Method:
 
     def make(self, seed: int) -> tuple[Operator, ImageSolver]:
         """Return a drawn Φ and its solver with the paper's settings: L twice the largest eigenvalue."""
+        settings = replace(PAPER_CONTOURLET if self.basis == "contourlet" else PAPER, iterations=self.iterations)
         if self.matrix == "noiselet":
             drawn = noiselet(SIDE, SIDE, self.sums, seed=seed)
-            prior: Any = {"haar": "haar-tensor", "contourlet": "contourlet"}[self.basis]
-            penalty_n = PENALTY_N[self.matrix, self.basis]
-            return drawn, NoiseletSolver(
-                drawn, prior=prior, iterations=self.iterations, penalty_n=penalty_n, lipschitz_ratio=RATIO
-            )
+            return drawn, NoiseletSolver(drawn, replace(settings, penalty_n=NOISELET_PENALTY_N))
         phi = sbhe(SIDE * SIDE, self.sums, selection="uniform", seed=seed)
-        settings = PAPER_CONTOURLET if self.basis == "contourlet" else PAPER
-        return phi, make_solver(phi, SIDE, SIDE, replace(settings, iterations=self.iterations))
+        return phi, make_solver(phi, SIDE, SIDE, settings)
 
 
 @lru_cache(maxsize=1)

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from evaluation.paper.pictures import draw_curves
-from evaluation.paper.runs import OBJECTS, PENALTY_N, SIDE, felt_force, phi_seed, true_force
+from evaluation.paper.runs import OBJECTS, SIDE, felt_force, phi_seed, true_force
 from evaluation.psnr import psnr_db
-from evaluation.result import Options, Picture, Result, Row, Values, beside, refuse_draws
+from evaluation.result import Options, Picture, Result, Row, Values, beside
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.baselines import admm, smoothed_l0
 from reconstructor.bases import Basis, haar_tensor
 from reconstructor.fista import fista, objective
+from reconstructor.settings import PAPER
 from skin.measurement import sbhe
 from skin.operator import Operator
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUMS: Final = 1024
-PENALTY: Final = PENALTY_N["sbhe", "haar"]
+PENALTY: Final = PAPER.penalty_n
 #: Budgets: the time of so many iterations of the paper's FISTA.
 BUDGETS: Final = (5, 10, 20, 50, 100)
 #: Steps that are solved: at the end of the press, and on the slide.
@@ -71,19 +72,12 @@ class Solver:
 
 
 def evaluate(options: Options) -> Result:
-    """Return PSNR and gap of the objective for each method, start and budget, means over frames.
-
-    Raises
-    ------
-    InputError
-        If draws are asked for: all frames have one Φ.
-    """
-    refuse_draws(options, "solvers")
+    """Return PSNR and gap of the objective for each method, start and budget, means over frames."""
     steps = QUICK_STEPS if options.quick else STEPS
     cells = [{"name": name, "step": step, **options.shared} for name in OBJECTS for step in steps]
     rows = _best(measure_cells(measure, cells, options, "solvers", jobs=1))
     title = "Solvers: ADMM and smoothed L0 against FISTA at equal time"
-    return Result(title, rows, [Picture("solvers", CAPTION, lambda: _draw(rows))])
+    return Result(title, rows, [Picture(CAPTION, lambda: _draw(rows))])
 
 
 def _best(found: list[Row]) -> list[Row]:

@@ -7,7 +7,7 @@ import numpy as np
 from evaluation.paper.pictures import draw_counts
 from evaluation.paper.printed import TABLE_ONE
 from evaluation.paper.runs import OBJECTS, SIDE, true_force
-from evaluation.result import Options, Picture, Result, Row, beside, refuse_draws
+from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.pursuit import basis_pursuit
 from reconstructor.bases import make_basis
@@ -32,14 +32,7 @@ CAPTION: Final = (
 
 
 def evaluate(options: Options) -> Result:
-    """Return Table I: rows of mean and largest count for each basis and object.
-
-    Raises
-    ------
-    InputError
-        If draws are asked for: nothing is drawn.
-    """
-    refuse_draws(options, "sparsity")
+    """Return Table I: rows of mean and largest count for each basis and object."""
     strides = QUICK_STRIDES if options.quick else STRIDES
     meshes = options.shared["meshes"]
     cells = [
@@ -64,7 +57,7 @@ def evaluate(options: Options) -> Result:
                 }
             )
     title = "Table I: approximate sparsity of touches in four bases"
-    return Result(title, rows, [Picture("sparsity", CAPTION, lambda: draw_counts(rows))])
+    return Result(title, rows, [Picture(CAPTION, lambda: draw_counts(rows))])
 
 
 def count(*, name: str, meshes: str | None, basis: str, stride: int) -> Row:

@@ -79,7 +79,7 @@ def compression(options: Options) -> Result:
         for name, basis, sums, matrix in product(OBJECTS, get_args(BasisName), SUMS, get_args(Matrix))
     ]
     rows = _rows(cells, options) + _sensor_rows(options, draws)
-    return _result("compression", "Table II: quality of the images from fewer sums, 20 iterations", rows)
+    return _result("Table II: quality of the images from fewer sums, 20 iterations", rows)
 
 
 def iterations(options: Options) -> Result:
@@ -102,15 +102,15 @@ def iterations(options: Options) -> Result:
         is_timed = row["matrix"] == "sbhe"
         row["ms"] = times_ms[f"{row['basis']} {row['iterations']}"] if is_timed else None
         row["paper_ms"] = TABLE_THREE[row["object"], row["basis"], row["iterations"]].ms if is_timed else None
-    return _result("iterations", "Table III: quality and time with fewer iterations, 1024 sums", rows)
+    return _result("Table III: quality and time with fewer iterations, 1024 sums", rows)
 
 
-def _result(name: str, title: str, rows: list[Row]) -> Result:
+def _result(title: str, rows: list[Row]) -> Result:
     caption = (
         f"PSNR of every cell of {title.partition(':')[0]}, ours against the paper's; on the diagonal both are equal. A "
         "point is the mean over the draws of Φ, and its bar spans twice their standard deviation."
     )
-    return Result(title, rows, [Picture(name, caption, lambda: draw_differences(rows))])
+    return Result(title, rows, [Picture(caption, lambda: draw_differences(rows))])
 
 
 def _rows(cells: Sequence[Cell], options: Options) -> list[Row]:

@@ -8,8 +8,7 @@ import numpy.typing as npt
 
 from classifier.dagsvm import DagSvm
 from classifier.validation import Chosen, choose_C, global_scale, part_of
-from evaluation.observations.signals import LABELS, OBJECTS, signal
-from evaluation.observations.splits import Split, draw_split
+from evaluation.observations import LABELS, OBJECTS, Split, draw_split, signal
 from evaluation.result import Row, Values
 
 #: C is chosen from these.
@@ -39,7 +38,7 @@ def measure_accuracy(
     Parameters
     ----------
     kind, size, draw, meshes, seed
-        See `evaluation.observations.signals.signal`.
+        See `evaluation.observations.signal`.
     splits : sequence of int
         Numbers of the splits.
     development, validation : float

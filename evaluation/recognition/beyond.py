@@ -1,13 +1,13 @@
 """``skin evaluate recognition``: what goes beyond the paper's classifier, and the live service."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from evaluation.recognition.gains import draw_gains, gain_row
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
-from evaluation.result import Options, Picture, Result, Row
+from evaluation.recognition.pictures import draw_gains, gain_row
+from evaluation.result import Options, Picture, Result, Row, grouped
 from evaluation.result_cache import measure_cells
 from skin.sources import DEFAULT_OBJECTS
 from touch.objects import CATALOGUE
@@ -26,7 +26,7 @@ _QUICK: Final = (PLAIN, "rows chosen", "10 % missing: as 0, rehearsed", "10 % mi
 def evaluate(options: Options) -> Result:
     """Measure every method against the plain DAGSVM, then the live service."""
     methods = _method_rows(options)
-    pictures = [Picture("methods", _CAPTION, lambda: draw_gains(methods))]
+    pictures = [Picture(_CAPTION, lambda: draw_gains(methods))]
     return Result("Recognition beyond the paper, and as a service", [*methods, *_live_rows(options)], pictures)
 
 
@@ -38,27 +38,18 @@ _CAPTION: Final = (
 
 def _method_rows(options: Options) -> list[Row]:
     draws = options.draws_or(DRAWS)
-    cells = [
-        {
-            "method": method,
-            "size": size,
-            "draw": draw,
-            "splits": [draw % 10],
-            **options.shared,
-        }
+    cells: list[Row] = [
+        {"method": method, "size": size, "draw": draw, "splits": [draw % 10], **options.shared}
         for size in ((16,) if options.quick else SIZES)
         for method in (_QUICK if options.quick else METHODS)
         if (size > min(SIZES) or method in _FOR_FEW) and (size < max(SIZES) or method not in _NOT_FOR_MANY)
         for draw in range(draws)
     ]
     results = measure_cells(measure_method, cells, options, "recognition")
-    groups: dict[tuple[Any, ...], list[tuple[float, float]]] = {}
-    for cell, result in zip(cells, results, strict=True):
-        found = zip(result["accuracy"], result["plain"], strict=True)
-        groups.setdefault((cell["method"], cell["size"]), []).extend(found)
     rows = []
-    for (method, size), pairs in groups.items():
-        ours, plain = 100 * np.array(pairs).T
+    measured = ({**cell, **result} for cell, result in zip(cells, results, strict=True))
+    for (method, size), group in grouped(measured, "method", "size").items():
+        ours, plain = (100 * np.concatenate([each[key] for each in group]) for key in ("accuracy", "plain"))
         rows.append(gain_row(method, size, runs=len(ours), ours=ours, plain=plain, parts=ours.tolist()))
     return rows
 

@@ -1,14 +1,15 @@
 """``skin evaluate classification``: the paper's figures on recognising objects from sums, made again."""
 
-from typing import Any, Final
+from collections.abc import Iterable
+from typing import Final
 
 import numpy as np
 
-from evaluation.observations.signals import KINDS
+from evaluation.observations import KINDS
 from evaluation.recognition.accuracy import measure_accuracy
 from evaluation.recognition.pictures import draw_accuracies, draw_confusions
 from evaluation.recognition.printed import ACCURACIES, CONFUSION_SIZE, CONFUSIONS, FULL, THREE_PERCENT, TRAINING
-from evaluation.result import Options, Picture, Result, Row, beside
+from evaluation.result import Options, Picture, Result, Row, beside, grouped
 from evaluation.result_cache import measure_cells
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 
@@ -33,12 +34,10 @@ def evaluate(options: Options) -> Result:
     }
     pictures = [
         Picture(
-            "signal-size",
             f"Accuracy over signal size, {_percent(FULL):g} % training. {_MARKS}",
             lambda: draw_accuracies(sizes, "size", "signal size (values per observation)", lambda row: row["signal"]),
         ),
         Picture(
-            "training-size",
             f"Accuracy over training size, development and validation set together. {_MARKS}",
             lambda: draw_accuracies(
                 training,
@@ -48,7 +47,6 @@ def evaluate(options: Options) -> Result:
             ),
         ),
         Picture(
-            "confusion",
             f"Confusion, percent of the true object (row) called the column, {CONFUSION_SIZE} sums, "
             f"{_percent(THREE_PERCENT):g} % training.",
             lambda: draw_confusions(confusions, CLASSIFICATION_OBJECTS),
@@ -110,17 +108,14 @@ def _is(one: Row, kind: str, size: int, shares: tuple[float, float]) -> bool:
     return (one["kind"], one["size"], one["development"]) == (kind, size, shares[0])
 
 
-def _percent(shares: tuple[float, float]) -> float:
+def _percent(shares: Iterable[float]) -> float:
     return round(100 * sum(shares), 2)
 
 
 def _rows(measured: list[Row], figure: str) -> list[Row]:
     """Return one row for each signal, size and training size, in order of appearance: means over draws and splits."""
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for one in measured:
-        groups.setdefault((one["kind"], one["size"], (one["development"], one["validation"])), []).append(one)
     rows = []
-    for (kind, size, shares), group in groups.items():
+    for (kind, size, *shares), group in grouped(measured, "kind", "size", "development", "validation").items():
         by_draw = [100 * float(np.mean(one["accuracy"])) for one in group]
         every = [100 * accuracy for one in group for accuracy in one["accuracy"]]
         rows.append(
@@ -131,7 +126,7 @@ def _rows(measured: list[Row], figure: str) -> list[Row]:
                 "training_percent": _percent(shares),
                 "draws": len(group),
                 "runs": len(every),
-                **beside(float(np.mean(every)), ACCURACIES.get((kind, size, shares))),
+                **beside(float(np.mean(every)), ACCURACIES.get((kind, size, tuple(shares)))),
                 "least_draw": round(min(by_draw), 2),
                 "most_draw": round(max(by_draw), 2),
                 "sd_runs": round(float(np.std(every)), 2),
@@ -156,12 +151,9 @@ def _confused(confusions: dict[str, list[list[float]]]) -> list[Row]:
                     "signal": NAMES[kind],
                     "size": CONFUSION_SIZE,
                     "training_percent": _percent(THREE_PERCENT),
-                    "draws": None,
-                    "runs": None,
+                    **dict.fromkeys(("draws", "runs")),
                     **beside(share, percent),
-                    "least_draw": None,
-                    "most_draw": None,
-                    "sd_runs": None,
+                    **dict.fromkeys(("least_draw", "most_draw", "sd_runs")),
                 }
             )
     return rows

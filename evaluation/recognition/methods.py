@@ -11,8 +11,7 @@ from classifier.dagsvm import DagSvm
 from classifier.missing import Completion, fit_factors
 from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale
-from evaluation.observations.signals import LABELS, all_rows, drawn_sbhe, measured, sensed
-from evaluation.observations.splits import Split, draw_split
+from evaluation.observations import LABELS, Split, all_rows, draw_split, drawn_sbhe, measured, sensed
 from evaluation.recognition.accuracy import score, trained
 from evaluation.result import Row, Values
 from skin.measurement import Sbhe
@@ -34,7 +33,7 @@ def measure_method(*, method: str, size: int, draw: int, splits: Sequence[int], 
     method : str
         One of `METHODS`.
     size, draw, meshes, seed
-        See `evaluation.observations.signals.signal`; the signal is that of SBHE.
+        See `evaluation.observations.signal`; the signal is that of SBHE.
     splits : sequence of int
         Numbers of the splits.
     """

@@ -12,10 +12,10 @@ from classifier.dagsvm import DagSvm
 from classifier.rows import choose_rows
 from classifier.training import C_GRID
 from classifier.validation import choose_C, global_scale, part_of
-from evaluation.observations.signals import TAXELS, all_rows, drawn_sbhe, measured
+from evaluation.observations import TAXELS, all_rows, drawn_sbhe, measured
 from evaluation.recognition.accuracy import MOST_ITERATIONS
-from evaluation.recognition.gains import draw_gains, gain_row
-from evaluation.result import Options, Picture, Result, Row
+from evaluation.recognition.pictures import draw_gains, gain_row
+from evaluation.result import Options, Picture, Result, Row, grouped
 from evaluation.result_cache import measure_cells
 from skin.errors import InputError
 from touch.reading import read_counts
@@ -65,12 +65,14 @@ def evaluate(options: Options) -> Result:
         for person in people
     ]
     results = measure_cells(measure_postures, cells, options, "postures")
-    groups: dict[tuple[str, int], list[tuple[int, float]]] = {}
-    for cell, result in zip(cells, results, strict=True):
-        groups.setdefault((cell["variant"], cell["size"]), []).append((cell["person"], 100 * result["accuracy"]))
+    percent = [{**cell, "percent": 100 * result["accuracy"]} for cell, result in zip(cells, results, strict=True)]
+    groups = grouped(percent, "variant", "size")
     plain = {size: _mean(found) for (name, size), found in groups.items() if name == next(iter(VARIANTS))}
-    rows = [_row(name, size, found, plain[size]) for (name, size), found in groups.items()]
-    return Result(title, rows, [Picture("postures", _CAPTION, lambda: draw_gains(rows))])
+    rows = []
+    for (name, size), found in groups.items():
+        each = [_mean(own) for own in grouped(found, "person").values()]
+        rows.append(gain_row(name, size, runs=len(found), ours=_mean(found), plain=plain[size], parts=each))
+    return Result(title, rows, [Picture(_CAPTION, lambda: draw_gains(rows))])
 
 
 def measure_postures(*, recordings: str, variant: str, size: int, draw: int, person: int) -> Row:
@@ -146,14 +148,8 @@ def _centred(counts: npt.NDArray[Any], path: Path) -> npt.NDArray[np.float32]:
     return placed.reshape(len(counts), -1)
 
 
-def _mean(found: list[tuple[int, float]]) -> float:
-    return float(np.mean([percent for _, percent in found]))
-
-
-def _row(name: str, size: int, found: list[tuple[int, float]], plain: float) -> Row:
-    people = sorted({person for person, _ in found})
-    each = [_mean([one for one in found if one[0] == person]) for person in people]
-    return gain_row(name, size, runs=len(found), ours=_mean(found), plain=plain, parts=each)
+def _mean(found: list[Row]) -> float:
+    return float(np.mean([row["percent"] for row in found]))
 
 
 _CAPTION: Final = (

@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 from typing import Final
 
-from evaluation.result import Options, Result, Row, refuse_draws
+import numpy as np
+
+from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.comparison_pictures import pictures
 from evaluation.schemes.default_skin import default_kbit_per_s
 from evaluation.schemes.scenes import OWN, SHAKING, SLAP, SLIDES, Touch, recordings_in
-from evaluation.schemes.schemes import Events, Scan, Sums, measure_scheme
-from evaluation.schemes.shown import Scheme
+from evaluation.schemes.schemes import Events, Scan, Scheme, Sums, measure_scheme
 
 #: Thresholds in newtons and dead times in milliseconds that event-triggered taxels are tried with.
 _THRESHOLDS_N: Final = (2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 5e-3)
@@ -19,13 +20,7 @@ _QUICK_RULES: Final = RULES[3:5]
 SHARES: Final = (0.125, 0.25, 0.5)
 #: Touches that are measured at all shares, and who is.
 CURVES: Final = (*SLIDES, "golf ball at rest", SLAP, SHAKING)
-CURVED: Final[tuple[Scheme, ...]] = (
-    Sums(16),
-    Sums(8),
-    Scan(64, 10),
-    Scan(64, 10, "solved"),
-    Scan(32, 10, "solved"),
-)
+CURVED: Final[tuple[Scheme, ...]] = (Sums(16), Sums(8), Scan(64, 10), Scan(64, 10, "solved"), Scan(32, 10, "solved"))
 #: Who goes by the clock.
 CLOCKED: Final[tuple[Scheme, ...]] = (
     Sums(16),
@@ -72,9 +67,8 @@ def evaluate(options: Options) -> Result:
     Raises
     ------
     InputError
-        If `draws` are given, or the recordings cannot be read.
+        If the recordings cannot be read.
     """
-    refuse_draws(options, "rivals")
     touches = list(_touches(options))
     measured = [*_clocked(touches, options), *_events(touches, options)]
     clocked = [row | {"rule": None} for row in measured if row["share"] == 1.0 and row["family"] != "events"]
@@ -127,16 +121,9 @@ def _measured(wanted: list[tuple[Scheme, Touch, float]], options: Options, what:
     cells = [{"scheme": scheme, "touch": touch, "share": share} for scheme, touch, share in wanted]
     results = measure_cells(measure_scheme, cells, options, what)
     return [
-        {
-            "touch": touch,
-            "scheme": scheme,
-            "name": scheme.name,
-            "family": scheme.family,
-            "receiver": scheme.receiver,
-            "share": share,
-        }
+        {**cell, "name": cell["scheme"].name, "family": cell["scheme"].family, "receiver": cell["scheme"].receiver}
         | result
-        for (scheme, touch, share), result in zip(wanted, results, strict=True)
+        for cell, result in zip(cells, results, strict=True)
     ]
 
 
@@ -159,10 +146,8 @@ def chosen_rules(measured: list[Row]) -> list[Row]:
 
 def _one_rule(rules: list[Row]) -> str:
     """Return the scheme whose rule has the best mean PSNR over all touches, with whatever bits it then takes."""
-    quality: dict[str, list[float]] = {}
-    for row in rules:
-        quality.setdefault(row["name"], []).append(row["psnr_mean_db"])
-    return max(quality, key=lambda name: sum(quality[name]) / len(quality[name]))
+    quality = {name: np.mean([row["psnr_mean_db"] for row in rows]) for (name,), rows in grouped(rules, "name").items()}
+    return max(quality, key=quality.__getitem__)
 
 
 def _table_row(found: Row) -> Row:

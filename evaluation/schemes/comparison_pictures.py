@@ -10,8 +10,7 @@ from evaluation.psnr import psnr_db
 from evaluation.result import Options, Picture, Row, new_figure
 from evaluation.schemes.judge import Updates
 from evaluation.schemes.scenes import SHAKING, SIDE, SLAP, SLAP_MS, SLIDES, TAXELS, Touch
-from evaluation.schemes.schemes import Events, Scan, Sums
-from evaluation.schemes.shown import Scheme
+from evaluation.schemes.schemes import Events, Scan, Scheme, Sums
 from evaluation.schemes.wire import TICK_NS
 from skin.layout import load_layout
 from touch.contact import Force
@@ -38,25 +37,21 @@ def pictures(measured: list[Row], options: Options) -> list[Picture]:
     """Return the plots of what was measured; a quick look has no images."""
     found = [
         Picture(
-            "rivals-curves",
             "Error where the skin is touched against bits a second of all four buses, both logarithmic: lower and "
             "further left is better. Every point of an event-triggered skin is one rule; its bits follow the touch.",
             partial(_curves, measured),
         ),
         Picture(
-            "rivals-latency",
             "From the sample to the end of its frame: 99th percentile (bar) and worst (dot), logarithmic. A "
             "change that was never sent counts with the time it waited.",
             partial(_latencies, measured),
         ),
         Picture(
-            "rivals-noise",
             "Bits that an event-triggered skin sends under a sliding golf ball, by threshold and sensor noise. The "
             "grey line is what the sums take, the dotted line what the buses carry.",
             partial(_noise, measured),
         ),
         Picture(
-            "rivals-images",
             f"What is in use {INSTANTS[0][1] - SLAP_MS} and {INSTANTS[1][1] - SLAP_MS} ms after three boxes were "
             f"slapped on, and while a faint box slides, with the PSNR of each image. 0 to {SCALE_MN:g} mN.",
             images_figure,

@@ -4,7 +4,7 @@ from functools import cache
 
 import msgspec
 
-from bandwidth.alternatives import with_buses
+from bandwidth.alternatives import with_buses, with_rate
 from dbc.contract import Contract
 from evaluation.schemes.scenes import Touch
 from evaluation.schemes.sums import run_sums
@@ -27,6 +27,4 @@ def skin_of(bits: int, rate_hz: float) -> Contract:
         like = msgspec.structs.replace(layout.bus[0], blocks_per_node=2 if bits == 12 else 1)
         encoding = msgspec.structs.replace(layout.encoding, sum_bits=bits, offset_binary=True)
         layout = msgspec.structs.replace(with_buses(layout, len(layout.bus), like), encoding=encoding)
-    return Contract.from_layout(
-        msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
-    )
+    return Contract.from_layout(with_rate(layout, rate_hz))

@@ -21,9 +21,9 @@ from evaluation.schemes.event_kernel import (
     new_nodes,
     send_on_delta,
 )
-from evaluation.schemes.judge import Updates
+from evaluation.schemes.judge import Updates, ValueRun
 from evaluation.schemes.patches import lines_of, patches
-from evaluation.schemes.wire import TICK_NS, Asked, Sent, first_beats_ns
+from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, first_beats_ns
 
 BIT_NS: Final = 1000
 #: No classic frame is shorter, so that a bus cannot send more in a tick.
@@ -32,29 +32,13 @@ _FIRST_BYTE: Final = FRAME.fields["can_id"][1]  # type: ignore[index]  # FRAME h
 
 
 @dataclass(frozen=True, eq=False)
-class EventRun:
-    """What event-triggered nodes sent.
+class EventRun(ValueRun):
+    """What event-triggered nodes sent; the latency counts from the sample that reached the threshold.
 
-    Attributes
-    ----------
-    sent : Sent
-    node : array of int, shape (frames,)
-        Place on its bus.
-    updates : Updates
-        All events that arrived.
-    latency_ns : array of int64, shape (events,)
-        From the sample that reached the threshold to the end of the event's frame.
-    frame_of : array of int, shape (events,)
-    waiting_ns : array of int64
-        For how long the changes that were not sent by the end had waited.
+    `waiting_ns`: for how long the changes that were not sent by the end had waited.
     """
 
-    sent: Sent
-    node: npt.NDArray[np.int64]
-    updates: Updates
-    latency_ns: npt.NDArray[np.int64]
-    frame_of: npt.NDArray[np.int64]
-    waiting_ns: npt.NDArray[np.int64]
+    waiting_ns: Nanoseconds
 
 
 def run_events(
@@ -87,7 +71,7 @@ def run_events(
     arrived = wire.arrived_ns[frame]
     latency = arrived - since[frame, slot] * TICK_NS
     waiting = (len(counts) - unsent) * TICK_NS
-    return EventRun(wire, log[:, NODE], Updates(arrived, taxel, values), latency, frame, waiting)
+    return EventRun(wire, Updates(arrived, taxel, values), frame, latency, waiting)
 
 
 def _run_bus(

@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.result import Row
-from evaluation.schemes.wire import TICK_NS
+from evaluation.schemes.scenes import Touch
+from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent
 from skin.psnr import decibels
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
@@ -66,6 +67,31 @@ class Updates:
             shown[self.taxel[part]] = self.force_n[part]
             images[number], done = shown, end
         return Images(ready_ns, images)
+
+
+@dataclass(frozen=True, eq=False)
+class ValueRun:
+    """What nodes that send single values sent.
+
+    Attributes
+    ----------
+    sent : Sent
+    updates : Updates
+        Of shape (values,).
+    frame_of : array of int, shape (values,)
+        The frame that brought the last bit of each update.
+    latency_ns : array of int64, shape (values,)
+        From the sample to the end of that frame.
+    """
+
+    sent: Sent
+    updates: Updates
+    frame_of: npt.NDArray[np.int64]
+    latency_ns: Nanoseconds
+
+    def received(self, touch: Touch) -> Updates:
+        """Return the updates whose frames reach the receiver."""
+        return self.updates.kept(touch.arrives(len(self.sent.asked))[self.frame_of])
 
 
 def quality(true_n: Force, shown: Images | Updates) -> Row:

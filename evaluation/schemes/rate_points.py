@@ -6,10 +6,10 @@ from typing import Final
 
 import msgspec
 
-from bandwidth.alternatives import with_bits, with_buses
+from bandwidth.alternatives import with_buses, with_rate, with_sums
 from bandwidth.highest_rate import highest_rate_hz
 from skin.errors import LayoutError
-from skin.layout import Bus, Layout, layout_text, load_layout, parse_layout
+from skin.layout import Bus, Layout, load_layout, validated
 
 #: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
 BUDGET: Final = 0.9
@@ -43,9 +43,8 @@ def _layouts(wires: str, rows: int, bits: int) -> Iterator[Layout]:
     """Yield one layout for each number of blocks per node that is possible, each at its highest rate."""
     start = load_layout()
     buses, like = WIRES[wires]
-    measurement = msgspec.structs.replace(start.measurement, sums=rows * start.blocks)
-    encoding = msgspec.structs.replace(start.encoding, offset_binary=True)
-    start = with_bits(msgspec.structs.replace(start, measurement=measurement, encoding=encoding), bits)
+    encoding = msgspec.structs.replace(start.encoding, sum_bits=bits, offset_binary=True)
+    start = msgspec.structs.replace(with_sums(start, rows * start.blocks), encoding=encoding)
     for per_node in BLOCKS_PER_NODE:
         layout = with_buses(start, buses, msgspec.structs.replace(like, blocks_per_node=per_node))
         try:
@@ -53,6 +52,4 @@ def _layouts(wires: str, rows: int, bits: int) -> Iterator[Layout]:
         except LayoutError:
             continue  # more nodes than node-IDs, or more frames than identifiers
         if rate_hz > 0:
-            sync = msgspec.structs.replace(layout.sync, rate_hz=rate_hz)
-            layout = msgspec.structs.replace(layout, sync=sync)
-            yield parse_layout(layout_text(layout).encode(), layout.name)
+            yield validated(with_rate(layout, rate_hz))

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,15 +9,13 @@ import numpy as np
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
-from evaluation.result import Options, Picture, Result, Row, new_figure, refuse_draws
+from evaluation.result import Options, Picture, Result, Row, new_figure, write_text
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.rate_points import WIRES, points
 from evaluation.schemes.scenes import SHAKING, SLIDES, Touch, recordings_in
-from evaluation.schemes.shown import Shown
+from evaluation.schemes.schemes import Shown
 from evaluation.schemes.sums import run_sums
-from skin.errors import InputError
 from skin.layout import Layout, layout_text
-from skin.output import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,9 +40,8 @@ def evaluate(options: Options) -> Result:
     Raises
     ------
     InputError
-        If `draws` are given, the recordings cannot be read, or the layouts cannot be written.
+        If the recordings cannot be read, or the layouts cannot be written.
     """
-    refuse_draws(options, "rates")
     looked_at = [point for point in points() if not options.quick or _is_quick(point[1])]
     touches = _touches(options)
     rows = _measured(looked_at, touches, options)
@@ -54,14 +50,13 @@ def evaluate(options: Options) -> Result:
             best = _best(rows, wires, kind)
             rows[best]["best_for"].append(kind)
             if options.out is not None and kind == "slides":
-                _write(options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[best][1]))
+                write_text(options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[best][1]))
     rows = [row | {"best_for": " ".join(row["best_for"])} for row in rows]
     return Result(
         "Rate against quality: what the same bus time is best used for",
         rows,
         [
             Picture(
-                f"rates-{kind}",
                 f"Mean PSNR ({', '.join(touch.words for touch in mine)}), every square the same bus time; below the "
                 "decibels the rate, the best framed. To the right fewer bits and to the top fewer sums, both for more "
                 "rate.",
@@ -137,14 +132,6 @@ def _best(rows: list[Row], wires: str, kind: str) -> int:
     """Return the row of `wires` with the best mean PSNR on a kind of touches."""
     mine = [index for index, row in enumerate(rows) if row["wires"] == wires]
     return max(mine, key=lambda index: float(rows[index][f"psnr_{kind}_db"]))
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, text)
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be written: {error}; give another --out") from error
 
 
 def _surface(rows: list[Row], kind: str) -> "Figure":

@@ -10,9 +10,9 @@ from dbc.canopen import TPDO_BASES
 from dbc.codec import encode
 from dbc.frame import Frames, frames
 from dbc.packing import Packing
-from evaluation.schemes.judge import Updates
+from evaluation.schemes.judge import Updates, ValueRun
 from evaluation.schemes.patches import lines_of, patches
-from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
+from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, carry, syncs
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 
@@ -20,27 +20,10 @@ FRAME_BITS: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
-class ScanRun:
-    """What a scanned array sent.
+class ScanRun(ValueRun):
+    """What a scanned array sent; `scan_ns`, shape (scans,): when the last value of each scan had arrived."""
 
-    Attributes
-    ----------
-    sent : Sent
-    updates : Updates
-        Of the array's cells.
-    frame_of : array of int, shape (values,)
-        The frame that brought the last bit of each update.
-    scan_ns : array of int64, shape (scans,)
-        When the last value of each scan had arrived.
-    latency_ns : array of int64, shape (values,)
-        From the sampling of each value to the end of that frame.
-    """
-
-    sent: Sent
-    updates: Updates
-    frame_of: npt.NDArray[np.int64]
     scan_ns: Nanoseconds
-    latency_ns: Nanoseconds
 
 
 def run_scan(felt_n: Force, bits: int, rate_hz: float) -> ScanRun:
@@ -76,7 +59,7 @@ def run_scan(felt_n: Force, bits: int, rate_hz: float) -> ScanRun:
     updates = Updates(ready.ravel(), np.broadcast_to(held, raw.shape).ravel(), force.ravel())
     latency = ready - sync_ns[:, None, None, first]
     scan_ns = ready.reshape(len(ready), -1).max(axis=1)
-    return ScanRun(wire, updates, frame_of.ravel(), scan_ns, latency.ravel())
+    return ScanRun(wire, updates, frame_of.ravel(), latency.ravel(), scan_ns)
 
 
 def _frames(raw: npt.NDArray[np.int64], bits: int, turns: int) -> Frames:

@@ -1,25 +1,27 @@
 """The schemes: what each sends of a touch, how late, and what its receiver shows."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal, get_args
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 
 from evaluation.result import Row
 from evaluation.schemes.default_skin import default_kbit_per_s, skin_of
 from evaluation.schemes.events import run_events
-from evaluation.schemes.judge import Images, Updates
+from evaluation.schemes.judge import Images, Updates, quality
 from evaluation.schemes.scan import ScanRun, run_scan
-from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS, Touch
-from evaluation.schemes.shown import Family, Receiver, Scheme, Shown, check_receiver
+from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS, Scene, Touch
 from evaluation.schemes.smoothing import CELLS_PENALTY_N, EVENTS_PENALTY_N, SCAN_PENALTY_N, refined, smoothed
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.wire import TICK_NS
+from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent
 from skin.layout import load_layout
 from skin.taxel import sense
 from touch.coarse_arrays import averaged
 from touch.contact import Force
 
+#: What a receiver does: shows what came; or solves as our service does, without or with the sensor's noise known.
+Receiver = Literal["plain", "solved", "noise known"]
+Family = Literal["sums", "scan", "coarse", "events"]
 #: What a cell of a coarse array is: one with the noise of any taxel, or what the node makes of its taxels.
 Cells = Literal["sensor", "mean"]
 #: Nothing is sampled more often than the recorded touches are.
@@ -32,6 +34,36 @@ EVENT_IMAGE_MS: Final = 10
 _PLAIN_ORDER, _SOLVED_ORDER = 1, 3
 
 
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a scheme sent of a touch, and what its receiver had in use.
+
+    Attributes
+    ----------
+    sent : Sent
+        All frames.
+    latency_ns : array of int64, shape (values,)
+        From the sample to the end of the frame that brings it.
+    images : Images or Updates
+        What is in use.
+    rate_hz : float, optional
+        How often all is sent; None for what goes by events.
+    """
+
+    sent: Sent
+    latency_ns: Nanoseconds
+    images: Images | Updates
+    rate_hz: float | None
+
+    def figures(self, what: Scene) -> Row:
+        """Return bits, loads, latencies in ms, and `evaluation.schemes.judge.quality` against the touch's truth."""
+        late = {
+            "latency_p99_ms": float(np.percentile(self.latency_ns, 99)) * 1e-6 if len(self.latency_ns) else 0.0,
+            "latency_worst_ms": float(self.latency_ns.max()) * 1e-6 if len(self.latency_ns) else 0.0,
+        }
+        return self.sent.traffic() | late | quality(what.true_n, self.images) | {"rate_hz": self.rate_hz}
+
+
 @dataclass(frozen=True)
 class Sums:
     """Compressed sums of the default skin's Φ, solved.
@@ -42,19 +74,11 @@ class Sums:
         Of one sum.
     receiver : str
         Sums are no image, so they are always solved.
-
-    Raises
-    ------
-    InputError
-        If they should be shown as they come.
     """
 
     bits: Literal[8, 12, 16]
-    receiver: Receiver = "solved"
+    receiver: Literal["solved", "noise known"] = "solved"
     family: ClassVar[Family] = "sums"
-
-    def __post_init__(self) -> None:
-        check_receiver(self.receiver, ("solved", "noise known"))
 
     @property
     def name(self) -> str:
@@ -92,11 +116,8 @@ class Scan:
 
     side: int
     bits: int
-    receiver: Receiver = "plain"
+    receiver: Literal["plain", "solved"] = "plain"
     cells: Cells = "sensor"
-
-    def __post_init__(self) -> None:
-        check_receiver(self.receiver, get_args(Receiver))
 
     @property
     def family(self) -> Family:
@@ -129,16 +150,14 @@ class Scan:
         return coarse if averages else sense(coarse, np.random.default_rng(touch.seed + 1), touch.noise_n)
 
     def _received(self, run: ScanRun, touch: Touch) -> Images | Updates:
-        updates = run.updates.kept(touch.arrives(len(run.sent.asked))[run.frame_of])
+        updates = run.received(touch)
         if self.receiver == "plain" and self.family == "scan":
             return updates
         held = updates.held(run.scan_ns, self.side**2)
         if self.receiver == "plain":
             return refined(held, _PLAIN_ORDER)
-        cell_noise_n = touch.noise_n * (self.side / SIDE if self.cells == "mean" else 1.0)
         penalty_n = SCAN_PENALTY_N if self.family == "scan" else CELLS_PENALTY_N
-        known_n = cell_noise_n if self.receiver == "noise known" else None
-        return refined(smoothed(held, penalty_n, noise_n=known_n), _SOLVED_ORDER)
+        return refined(smoothed(held, penalty_n), _SOLVED_ORDER)
 
 
 @dataclass(frozen=True)
@@ -152,21 +171,13 @@ class Events:
     dead_ms : int
         How long it is silent after each sending, milliseconds.
     receiver : str
-        What becomes of the values.
-
-    Raises
-    ------
-    InputError
-        If the receiver should know the noise: what an unsent change leaves is no noise of the sensor.
+        What becomes of the values. None knows the noise: what an unsent change leaves is no noise of the sensor.
     """
 
     threshold_n: float
     dead_ms: int
-    receiver: Receiver = "plain"
+    receiver: Literal["plain", "solved"] = "plain"
     family: ClassVar[Family] = "events"
-
-    def __post_init__(self) -> None:
-        check_receiver(self.receiver, ("plain", "solved"))
 
     @property
     def name(self) -> str:
@@ -179,15 +190,18 @@ class Events:
         del share
         what = touch.load()
         run = run_events(what.counts, NEWTON_PER_COUNT, self.threshold_n, self.dead_ms)
-        updates = run.updates.kept(touch.arrives(len(run.sent.asked))[run.frame_of])
         latency_ns = np.concatenate([run.latency_ns, run.waiting_ns])
-        return Shown(run.sent, latency_ns, self._received(updates, len(what.counts)), None)
+        return Shown(run.sent, latency_ns, self._received(run.received(touch), len(what.counts)), None)
 
     def _received(self, updates: Updates, ticks: int) -> Images | Updates:
         if self.receiver == "plain":
             return updates
         held = updates.held(np.arange(0, ticks, EVENT_IMAGE_MS, dtype=np.int64) * TICK_NS, TAXELS)
         return smoothed(held, EVENTS_PENALTY_N, temporal_filter=False)
+
+
+#: A way to acquire a touch: what it is called, its family, what its receiver does, and what it shows.
+Scheme = Sums | Scan | Events
 
 
 def measure_scheme(scheme: Scheme, touch: Touch, share: float) -> Row:

@@ -28,7 +28,7 @@ def _complete(cells: int) -> Sbhe:
     return sbhe(cells, cells)
 
 
-def smoothed(held: Images, penalty_n: float, *, temporal_filter: bool = True, noise_n: float | None = None) -> Images:
+def smoothed(held: Images, penalty_n: float, *, temporal_filter: bool = True) -> Images:
     """Return what the live reconstruction makes of complete images, as if every sum of every block had come.
 
     Parameters
@@ -39,13 +39,10 @@ def smoothed(held: Images, penalty_n: float, *, temporal_filter: bool = True, no
         λ.
     temporal_filter : bool
         Average over time as far as the motion allows; for images whose values are new each time.
-    noise_n : float, optional
-        Of the sensor, where it is known.
     """
     cells = held.force_n.shape[1]
     side, phi = round(cells**0.5), _complete(cells)
-    settings = replace(LIVE, penalty_n=penalty_n, temporal_filter=temporal_filter)
-    engine = Reconstructor(phi, side, side, settings, noise_n=noise_n)
+    engine = Reconstructor(phi, side, side, replace(LIVE, penalty_n=penalty_n, temporal_filter=temporal_filter))
     valid = np.ones(cells, np.bool_)
     sums = np.asarray(phi.forward(held.force_n), np.float32)
     images = np.stack([engine.solve(each, valid).ravel() for each in sums])

@@ -1,7 +1,7 @@
 """Our own: compressed sums of a layout that `skin plan` knows, and the images of the live reconstruction."""
 
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -44,10 +44,10 @@ class SumsRun:
     closed_ns: Nanoseconds
     latency_ns: Nanoseconds
 
-    def images(self, contract: Contract, noise_n: float | None = None, **settings: Any) -> Images:
-        """Return the live reconstruction of every cycle, or that with other settings."""
+    def images(self, contract: Contract, noise_n: float | None = None) -> Images:
+        """Return the live reconstruction of every cycle; `noise_n` of the sensor, where that is known."""
         taxels = contract.layout.taxels
-        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, replace(LIVE, **settings), noise_n=noise_n)
+        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, noise_n=noise_n)
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
         for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
             images[cycle] = engine.solve(sums_n, valid).ravel()

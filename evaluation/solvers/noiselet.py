@@ -4,15 +4,13 @@
 itself. It is here to be compared with SBHE, not to be sent over a bus.
 """
 
-import hashlib
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
 from skin.measurement import seeded
 from skin.operator import check_vectors
 
@@ -75,22 +73,9 @@ class Noiselet:
         return self.kept.size, self.rows * self.columns
 
     @property
-    def dtype(self) -> np.dtype[np.int8]:
-        """int8: every entry is 1 or -1."""
-        return np.dtype(np.int8)
-
-    @property
     def norm_squared(self) -> float:
         """Largest eigenvalue of ΦᵀΦ: n, for every kept row alike."""
         return float(self.shape[1])
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """16 hex digits that differ whenever any entry of Φ differs."""
-        digest = hashlib.sha256(b"noiselet")
-        digest.update(np.asarray((self.rows, self.columns), "<u4").tobytes())
-        digest.update(self.kept.astype("<u4").tobytes())
-        return digest.hexdigest()[:16]
 
     def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
         """Return y = Φ x, shape (..., m), of taxels (..., n); integers are summed exactly in int64."""
@@ -112,18 +97,7 @@ class Noiselet:
 
 
 def noiselet(rows: int, columns: int, sums: int, *, seed: int = 1) -> Noiselet:
-    """Draw a sub-sampled noiselet: `sums` of the rows · columns products, seeded.
-
-    Raises
-    ------
-    InputError
-        If a side is not a power of two from 2, there are more sums than taxels, or the seed is negative.
-    """
-    for size in (rows, columns):
-        if size < 2 or size & (size - 1):
-            raise InputError(f"a noiselet needs sides that are powers of two: got {rows} x {columns}")
-    if not 0 < sums <= rows * columns:
-        raise InputError(f"expected 1 to {rows * columns} sums of {rows * columns} taxels, got {sums}")
+    """Draw a sub-sampled noiselet: `sums` of the rows · columns products, seeded; the sides are powers of two."""
     random = seeded(seed)
     return Noiselet(rows, columns, np.sort(random.permutation(rows * columns)[:sums]).astype(np.intp))
 

@@ -5,7 +5,7 @@ butterflies pair whole rows, wherever they stand. So unlike with the SBHE nothin
 """
 
 from collections.abc import Callable
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from evaluation.result import Values
 from evaluation.solvers.noiselet import Noiselet, butterflies
-from reconstructor.checks import check_estimate, check_grid, check_settings, float_kind, placed
+from reconstructor.checks import check_estimate, placed
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.addresses import tensor_addresses
 from reconstructor.kernels.contourlet import CompiledContourlet, advance_coefficients
@@ -29,9 +29,8 @@ from reconstructor.kernels.haar import shrink_tensor
 from reconstructor.kernels.problem import checked
 from reconstructor.kernels.steps import aligned, deliver, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat
-from skin.errors import InputError
+from reconstructor.settings import SolverSettings
 
-Prior = Literal["haar-tensor", "contourlet"]
 Table = npt.NDArray[np.uint16]
 Steps = npt.NDArray[np.int64]
 
@@ -154,40 +153,17 @@ class NoiseletSolver:
     ----------
     phi : Noiselet
         Of a grid of powers of two, 8 to 256; of a square from 16 for the contourlet.
-    prior : {"haar-tensor", "contourlet"}
-    iterations : int
-    penalty_n : float
-        λ, newtons.
-    lipschitz_ratio : float
-        L over the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is n for Haar and computed for the contourlet; the paper
-        takes 2.
+    settings : SolverSettings
+        Of the prior "haar-tensor" or "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ.
     dtype : float32 or float64
-
-    Raises
-    ------
-    InputError
-        If the grid does not fit or an option is out of its range.
     """
 
-    def __init__(
-        self,
-        phi: Noiselet,
-        *,
-        prior: Prior,
-        iterations: int,
-        penalty_n: float,
-        lipschitz_ratio: float = 1.0,
-        dtype: npt.DTypeLike = np.float32,
-    ) -> None:
-        check_settings(iterations, penalty_n, lipschitz_ratio)
-        if prior not in {"haar-tensor", "contourlet"}:
-            raise InputError(f"unknown prior '{prior}': expected haar-tensor or contourlet")
-        check_grid(phi.rows, phi.columns)
-        self.dtype: Final = float_kind(dtype)
+    def __init__(self, phi: Noiselet, settings: SolverSettings, *, dtype: npt.DTypeLike = np.float32) -> None:
+        self.dtype: Final = np.dtype(dtype)
         self.shape: Final = (phi.rows, phi.columns)
         self.sums: Final = phi.shape[0]
         count = phi.shape[1]
-        if prior == "contourlet":
+        if settings.prior == "contourlet":
             psi = CompiledContourlet(phi.rows, phi.columns)
             largest = largest_eigenvalue(phi, psi)
             places = np.argsort(image_order(phi.rows)).reshape(self.shape)
@@ -199,22 +175,22 @@ class NoiseletSolver:
             places = tensor_addresses(phi.rows, phi.columns)
             self._size = count
             self._more = ()
-        self.lipschitz: Final = lipschitz_ratio * largest
+        self.lipschitz: Final = settings.lipschitz_ratio * largest
         self._run: Callable[..., int] = _solve_contourlet if self._more else _solve_haar
         self._places = places.astype(np.uint16).ravel()
-        self._problem = self._problem_of(phi, places, iterations, penalty_n)
+        self._problem = self._problem_of(phi, places, settings)
         sizes = (count,) * 4 + (self._size,) * 2
         self._scratch = _Scratch(*(aligned(size, self.dtype) for size in sizes))
 
-    def _problem_of(self, phi: Noiselet, places: npt.NDArray[np.intp], iterations: int, penalty_n: float) -> _Problem:
+    def _problem_of(self, phi: Noiselet, places: npt.NDArray[np.intp], settings: SolverSettings) -> _Problem:
         row_at, column_at = places[:, 0] // phi.columns, places[0]
         step = 1 / self.lipschitz
         return _Problem(
             places=(column_at[phi.kept % phi.columns] * phi.rows + row_at[phi.kept // phi.columns]).astype(np.uint16),
             down=np.array([(row_at[first], row_at[last]) for first, last in butterflies(phi.rows)]),
             across=np.array([(column_at[first], column_at[last]) for first, last in butterflies(phi.columns)]),
-            numbers=np.array((step, penalty_n * step, 0.5**0.5), self.dtype),
-            momentum=momentum(iterations).astype(self.dtype),
+            numbers=np.array((step, settings.penalty_n * step, 0.5**0.5), self.dtype),
+            momentum=momentum(settings.iterations).astype(self.dtype),
             rows=phi.rows,
             columns=phi.columns,
         )
@@ -232,18 +208,10 @@ class NoiseletSolver:
             From `new_estimate`, or the result of the solve before.
         sums_n, weights : arrays of `dtype`, shape (m,)
             Newtons, and how much each sum counts, 0 to 1.
-
-        Raises
-        ------
-        InputError
-            As `reconstructor.kernels.fused.FusedSolver.solve`.
         """
         check_estimate(estimate, (self._size,), self.dtype)
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
         return int(self._run(estimate, sums, counting, self._problem, self._scratch, *self._more))
-
-    def reset(self) -> None:
-        """Forget what is kept from solve to solve besides the estimate: nothing."""
 
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
         """Return a new image of shape (rows, columns), negative forces as 0."""

@@ -24,8 +24,8 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         bench("all")  # type: ignore[arg-type]  # what a caller without a type checker may do
     for subject, figure, says in (
         ("images", "x.svg", "only 'missing' has a figure"),
-        ("missing", "curves.txt", r"ends with one of \.svg, \.png, \.pdf"),
-        ("missing", "no/such/folder/curves.svg", "a folder that exists"),
+        ("missing", "curves.txt", r"ends in \.png, \.svg, \.pdf"),
+        ("missing", "no/such/folder/curves.svg", "folder for the picture does not exist"),
     ):
         with pytest.raises(InputError, match=says):
             bench(subject, figure=Path(figure))  # type: ignore[arg-type]  # of a loop

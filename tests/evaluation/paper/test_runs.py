@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from evaluation.paper.printed import SENSOR, TABLE_TWO, Matrix, Psnr
-from evaluation.paper.runs import CHUNK, PENALTY_N, Method, cell, measure, rebuilt_images, sums_of, true_force
+from evaluation.paper.runs import CHUNK, NOISELET_PENALTY_N, Method, cell, measure, rebuilt_images, sums_of, true_force
 from evaluation.paper.tables import measure_sensor, psnr_columns
 from evaluation.psnr import psnr_db
 from evaluation.result import Options
 from evaluation.solvers.noiselet import noiselet
 from reconstructor.bases import make_basis
 from reconstructor.fista import fista
+from reconstructor.settings import PAPER
 
 GOLF = {"name": "golf-ball", "meshes": None, "seed": 0, "draw": 0}
 
@@ -30,8 +31,8 @@ def test_a_run_is_the_plain_fista_kept_from_step_to_step(matrix: Matrix) -> None
     psi, s, expected = make_basis("haar-tensor", 64, 64), None, []
     for image in true:
         sums_n = phi.forward(image.reshape(-1).astype(np.float64))
-        penalty_n, lipschitz = PENALTY_N[matrix, "haar"], 2 * phi.norm_squared
-        s = fista(phi, psi, sums_n, penalty_n=penalty_n, lipschitz=lipschitz, iterations=4, start=s)
+        penalty_n = NOISELET_PENALTY_N if matrix == "noiselet" else PAPER.penalty_n
+        s = fista(phi, psi, sums_n, penalty_n=penalty_n, lipschitz=2 * phi.norm_squared, iterations=4, start=s)
         rebuilt = np.maximum(psi.adjoint(s), 0).astype(np.float32)
         expected.append(psnr_db(image, rebuilt))
     found = [psnr_db(*pair) for pair in zip(true, rebuilt_images(phi, solver, true), strict=True)]

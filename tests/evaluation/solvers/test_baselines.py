@@ -30,7 +30,15 @@ def test_admm_and_fista_find_the_same_minimum(phi: object) -> None:
     psi, penalty_n = haar_pyramid(16, 16), 0.01 * phi.norm_squared / 16
     sums = phi.forward(psi.adjoint(sparse_image(psi)).ravel()) + np.random.default_rng(0).normal(0, 0.002, 64)
     seen: list[int] = []
-    theirs = admm(phi, psi, sums, penalty_n=penalty_n, iterations=1500, observe=lambda k, _: seen.append(k))
+    theirs = admm(
+        phi,
+        psi,
+        sums,
+        penalty_n=penalty_n,
+        iterations=1500,
+        coupling=phi.norm_squared / 10,
+        observe=lambda k, _: seen.append(k),
+    )
     ours = fista(phi, psi, sums, penalty_n=penalty_n, lipschitz=phi.norm_squared, iterations=3000)
     values = [objective(phi, psi, sums, s, penalty_n) for s in (theirs, ours)]
     assert values[0] == pytest.approx(values[1], rel=1e-6)
@@ -55,18 +63,6 @@ def test_smoothed_l0_leaves_the_noise_unexplained() -> None:
     found = smoothed_l0(NOISELET, psi, sums, tolerance_n=tolerance, smallest_n=5e-4, shrink=0.9, inner=10)
     assert np.linalg.norm(NOISELET.forward(psi.adjoint(found).ravel()) - sums) <= tolerance * (1 + 1e-9)
     np.testing.assert_allclose(found, sparse_image(psi), atol=0.004)
-
-
-def test_closed_forms_need_an_orthonormal_basis() -> None:
-    sums = np.zeros(64)
-    with pytest.raises(InputError, match="orthonormal basis"):
-        admm(PHI, Contourlet(16, 16), sums, penalty_n=0.01, iterations=1)
-    with pytest.raises(InputError, match="orthonormal basis"):
-        smoothed_l0(PHI, Contourlet(16, 16), sums, tolerance_n=0, smallest_n=1e-3)
-    with pytest.raises(InputError, match="0 < shrink < 1"):
-        smoothed_l0(PHI, haar_tensor(16, 16), sums, tolerance_n=0, smallest_n=1e-3, shrink=1)
-    with pytest.raises(InputError, match="256 taxels but the image of Ψ has 512"):
-        admm(PHI, haar_tensor(16, 32), sums, penalty_n=0.01, iterations=1)
 
 
 def test_largest_eigenvalue() -> None:
@@ -95,10 +91,8 @@ def test_golf_ball_has_the_sparsity_of_table_i() -> None:
     assert 14 <= np.count_nonzero(np.abs(s) > 0.001) <= 27
 
 
-def test_basis_pursuit_refuses_and_gives_up_plainly() -> None:
+def test_basis_pursuit_gives_up_plainly() -> None:
     psi = Contourlet(16, 16)
     assert not basis_pursuit(psi, np.zeros((16, 16))).any()
-    with pytest.raises(InputError, match=r"shape \(16, 16\)"):
-        basis_pursuit(psi, np.ones((16, 8)))
     with pytest.raises(InputError, match="did not converge in 20"):
         basis_pursuit(psi, np.random.default_rng(0).normal(size=(16, 16)), iterations=20)

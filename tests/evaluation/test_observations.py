@@ -1,9 +1,12 @@
-"""What is measured of every observation."""
+"""What is measured of every observation, and splits by perturbation: nothing of a test perturbation is met before."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from evaluation.observations.signals import LABELS, all_rows, phi_of, sensed, signal, true_force_n
+from evaluation.observations import LABELS, OBJECTS, all_rows, draw_split, phi_of, sensed, signal, true_force_n
+from touch.classification_poses import PERTURBATIONS
 from touch.coarse_arrays import averaged
 
 
@@ -38,3 +41,27 @@ def test_other_cycles_have_other_noise() -> None:
     difference_n = (sensed(None, 0) - sensed(None, 0, 1))[pressed]
     assert np.std(difference_n) == pytest.approx(2**0.5 * 1e-3, rel=0.01)
     assert np.mean(difference_n) == pytest.approx(0, abs=1e-5)
+
+
+@given(st.integers(0, 50), st.sampled_from([(0.4, 0.2), (0.02, 0.01), (0.0066, 0.0033)]))
+def test_parts_share_no_perturbation_and_hold_all_objects(number: int, shares: tuple[float, float]) -> None:
+    split = draw_split(number, *shares)
+    parts = [set(part % PERTURBATIONS) for part in split]
+    assert sum(map(len, parts)) == PERTURBATIONS
+    assert set().union(*parts) == set(range(PERTURBATIONS))
+    for part in split:
+        np.testing.assert_array_equal(np.unique(LABELS[part]), np.arange(OBJECTS))
+
+
+def test_sizes_are_those_of_the_paper() -> None:
+    split = draw_split(0, 0.4, 0.2)
+    assert [part.size for part in split] == [2304, 1152, 2304]
+    assert [part.size // OBJECTS for part in draw_split(0, 0.0066, 0.0033)] == [2, 1, 357]
+    assert split.training.size == 3456
+
+
+def test_numbers_and_seeds_give_other_splits() -> None:
+    drawn = [draw_split(*numbers).test for numbers in ((0, 0.4, 0.2), (1, 0.4, 0.2), (0, 0.4, 0.2, 1))]
+    assert not np.array_equal(drawn[0], drawn[1])
+    assert not np.array_equal(drawn[0], drawn[2])
+    np.testing.assert_array_equal(drawn[0], draw_split(0, 0.4, 0.2).test)

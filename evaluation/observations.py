@@ -1,8 +1,8 @@
-"""The signals that are classified: what the sensor felt in every observation, and what is measured of it."""
+"""What the recognition of objects is measured on: signals of every observation, and splits of the observations."""
 
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ TAXELS: Final = 4096
 OBJECTS: Final = len(CLASSIFICATION_OBJECTS)
 #: Label of every row of a signal: observations are ordered by object, then by perturbation.
 LABELS: Final = np.repeat(np.arange(OBJECTS), PERTURBATIONS)
+Indices = npt.NDArray[np.intp]
 
 
 @cache
@@ -82,3 +83,31 @@ def signal(kind: str, size: int, draw: int, meshes: str | None, seed: int) -> Va
     side = round(size**0.5)
     rng = np.random.default_rng([seed, size, kind == "large"])
     return sense(true_force_n(meshes, kind, side), rng).reshape(-1, size)
+
+
+class Split(NamedTuple):
+    """Rows of a signal in each part; all objects of a perturbation are in the same part (section VI-B)."""
+
+    development: Indices
+    validation: Indices
+    test: Indices
+
+    @property
+    def training(self) -> Indices:
+        """Development and validation set together."""
+        return np.concatenate([self.development, self.validation])
+
+
+def draw_split(number: int, development: float, validation: float, seed: int = 0) -> Split:
+    """Return split number `number`: parts of the perturbations, at least one in each, drawn uniformly.
+
+    Parameters
+    ----------
+    development, validation : float
+        Ratios of the 360 perturbations; what is left is the test set.
+    """
+    first = max(1, round(development * PERTURBATIONS))
+    second = first + max(1, round(validation * PERTURBATIONS))
+    drawn = np.random.default_rng([seed, number]).permutation(PERTURBATIONS)
+    first_rows = np.arange(OBJECTS)[:, None] * PERTURBATIONS
+    return Split(*((first_rows + np.sort(part)).ravel() for part in np.split(drawn, [first, second])))

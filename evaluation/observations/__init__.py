@@ -1,1 +1,0 @@
-"""What the recognition of objects is measured on: signals of every observation, and splits of them."""
