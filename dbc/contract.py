@@ -149,13 +149,6 @@ class FrameTable:
     row_of: npt.NDArray[np.intp]
 
 
-def encoding_text(encoding: int) -> str:
-    """Return `NodeContract.encoding` as text."""
-    bits, step, is_offset, blocks = encoding & 0xFF, encoding >> 8 & 0xFF, encoding >> 16 & 0xFF, encoding >> 24
-    signs = "offset binary" if is_offset else "signed"
-    return f"{bits}-bit {signs} sums in steps of {1 << min(step, 32)} of {blocks} blocks"
-
-
 def phase_of(sync_counter: int) -> int:
     """Return the phase of a SYNC counter value (1 to 240)."""
     return (sync_counter - 1) % PHASES

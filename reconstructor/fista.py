@@ -1,4 +1,4 @@
-"""FISTA for any Φ and Ψ in plain NumPy: the reference of the compiled solvers.
+"""FISTA for any Φ and Ψ in plain NumPy.
 
     min over s of  ½‖ΦΨs - y‖² + λ‖s‖₁,   x = Ψs
 
@@ -17,12 +17,16 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from reconstructor.bases import Basis
 from reconstructor.checks import Values, check_above_zero, check_iterations, check_penalty, check_values
-from reconstructor.proximal import Proximal, soft
 from skin.errors import InputError
 from skin.operator import Operator
 
 #: Called with the number of the iteration, from 1, and the estimate after it.
 Observer = Callable[[int, Values], None]
+
+
+def soft(values: Values, threshold: float) -> Values:
+    """Return sign(v) · max(|v| - threshold, 0), the proximal step of threshold · ‖·‖₁."""
+    return values - np.clip(values, -threshold, threshold)
 
 
 def momentum(iterations: int) -> npt.NDArray[np.float64]:
@@ -66,73 +70,14 @@ def fista(
     InputError
         If sizes do not fit, an array is not of finite float32 or float64, or a number is out of its range.
     """
-    begin = check_problem(phi, psi, sums_n, start)
-    _check_numbers(penalty_n, lipschitz, iterations)
-
-    def gradient(s: Values) -> Values:
-        residual = phi.forward(psi.adjoint(s).reshape(-1)) - sums_n
-        return psi.forward(phi.adjoint(residual).reshape(psi.image_shape))
-
-    shrink = penalty_n / lipschitz
-    return _accelerated(
-        gradient,
-        lambda s, _: soft(s, shrink),
-        begin,
-        lipschitz=lipschitz,
-        iterations=iterations,
-        observe=observe,
-    )
-
-
-def fista_image(
-    phi: Operator,
-    proximal: Proximal,
-    sums_n: Values,
-    *,
-    penalty_n: float,
-    lipschitz: float,
-    iterations: int,
-    start: Values,
-    observe: Observer | None = None,
-) -> Values:
-    """Return the image x, shape (rows, columns), with `proximal` in place of the shrinkage of coefficients.
-
-    Equal to `fista` if `proximal` shrinks the coefficients of one orthonormal Ψ; raises the same errors.
-    """
-    check_values("sums", sums_n, phi.shape[:1])
-    check_values("start", start, np.shape(start))
-    if start.ndim != 2 or start.size != phi.shape[1]:
-        raise InputError(f"Φ measures {phi.shape[1]} taxels but the start is of shape {start.shape}")
-    _check_numbers(penalty_n, lipschitz, iterations)
-
-    def gradient(x: Values) -> Values:
-        return phi.adjoint(phi.forward(x.reshape(-1)) - sums_n).reshape(x.shape)
-
-    shrink = penalty_n / lipschitz
-    return _accelerated(
-        gradient,
-        lambda x, k: proximal(x, shrink, k),
-        start,
-        lipschitz=lipschitz,
-        iterations=iterations,
-        observe=observe,
-    )
-
-
-def _accelerated(
-    gradient: Callable[[Values], Values],
-    proximal: Callable[[Values, int], Values],
-    start: Values,
-    *,
-    lipschitz: float,
-    iterations: int,
-    observe: Observer | None,
-) -> Values:
-    """Proximal gradient steps of 1/L, each from a point ahead of the last estimate."""
-    estimate = ahead = start
+    estimate = ahead = check_problem(phi, psi, sums_n, start)
+    check_penalty(penalty_n)
+    check_above_zero("L", lipschitz)
+    check_iterations(iterations)
     for k, weight in enumerate(momentum(iterations)):
-        previous = estimate
-        estimate = proximal(ahead - gradient(ahead) / lipschitz, k)
+        residual = phi.forward(psi.adjoint(ahead).reshape(-1)) - sums_n
+        gradient = psi.forward(phi.adjoint(residual).reshape(psi.image_shape))
+        previous, estimate = estimate, soft(ahead - gradient / lipschitz, penalty_n / lipschitz)
         ahead = estimate + weight * (estimate - previous)
         if observe is not None:
             observe(k + 1, estimate)
@@ -187,12 +132,6 @@ def check_problem(phi: Operator, psi: Basis, sums_n: Values, start: Values | Non
         return np.zeros(psi.shape, sums_n.dtype)
     check_values("start", start, psi.shape)
     return start
-
-
-def _check_numbers(penalty_n: float, lipschitz: float, iterations: int) -> None:
-    check_penalty(penalty_n)
-    check_above_zero("L", lipschitz)
-    check_iterations(iterations)
 
 
 def objective(phi: Operator, psi: Basis, sums_n: Values, coefficients: Values, penalty_n: float) -> float:

@@ -17,8 +17,7 @@ import pywt
 
 from evaluation.bench.problem import Method, Problem
 from evaluation.result import Values
-from reconstructor.fista import momentum
-from reconstructor.proximal import soft
+from reconstructor.fista import momentum, soft
 
 #: Most sweeps of coordinate descent that are tried.
 SWEEPS: Final = 40

@@ -19,8 +19,6 @@ from skin.taxel import sense
 from touch.coarse_arrays import averaged
 from touch.contact import Force
 
-#: What a receiver does: shows what came; or solves as our service does, without or with the sensor's noise known.
-Receiver = Literal["plain", "solved", "noise known"]
 Family = Literal["sums", "scan", "coarse", "events"]
 #: What a cell of a coarse array is: one with the noise of any taxel, or what the node makes of its taxels.
 Cells = Literal["sensor", "mean"]

@@ -8,8 +8,7 @@ import numpy as np
 
 from evaluation.result import Values
 from reconstructor.bases import Basis
-from reconstructor.fista import Observer, check_problem
-from reconstructor.proximal import soft
+from reconstructor.fista import Observer, check_problem, soft
 from skin.operator import Operator
 
 

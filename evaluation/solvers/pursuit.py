@@ -4,7 +4,7 @@ import numpy as np
 
 from evaluation.result import Values
 from reconstructor.bases import Basis
-from reconstructor.proximal import soft
+from reconstructor.fista import soft
 from skin.errors import InputError
 
 

@@ -39,7 +39,7 @@ class FusedSolver:
 
     R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. The iteration is over the image, not over
     its coefficients. For an orthonormal Ψ both iterations are the same, and shifts of the basis and non-negativity need
-    no extra time. Equal to `reconstructor.fista.fista_image`.
+    no extra time.
 
     Parameters
     ----------

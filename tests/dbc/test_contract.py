@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
-from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, _length, _spread, encoding_text, next_counter, phase_of
+from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, _length, _spread, next_counter, phase_of
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
@@ -157,12 +157,6 @@ def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
         for offset in (False, True)
     }
     assert len(encodings) == 6
-    assert len({encoding_text(encoding) for encoding in encodings}) == 6
-
-
-def test_encoding_is_said_in_words_whatever_a_node_answers() -> None:
-    assert encoding_text(CONTRACT.nodes[0].encoding) == "16-bit signed sums in steps of 1 of 1 blocks"
-    assert "offset binary" in encoding_text(0xFFFF_FFFF)
 
 
 @settings(max_examples=60, deadline=None)

@@ -12,14 +12,13 @@ from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.bases import haar_tensor
 from reconstructor.batch import RecordingSolver
 from reconstructor.engine import Reconstructor
-from reconstructor.fista import fista_image
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.lanes import LANES, LaneSolver
-from reconstructor.proximal import Shrinkage
 from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, Prior, SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 from tests.reconstructor.conftest import Scene, psnr_db
+from tests.reconstructor.reference import Shrinkage, fista_image
 
 PHI = sbhe(512, 128, block_size=16, selection="uniform", seed=3)
 

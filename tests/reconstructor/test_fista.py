@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from reconstructor.bases import Dct, daubechies4_tensor, haar_pyramid, haar_tensor
-from reconstructor.fista import fista, fista_image, momentum, objective
-from reconstructor.proximal import Shrinkage, Variation, soft
+from reconstructor.fista import fista, momentum, objective, soft
 from skin.measurement import sbhe
+from tests.reconstructor.reference import Shrinkage, Variation, fista_image
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
 SUMS = np.random.default_rng(0).normal(0, 0.02, 64)

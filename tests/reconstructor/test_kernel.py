@@ -9,14 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reconstructor.bases import make_basis
-from reconstructor.fista import fista_image
 from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
 from reconstructor.kernels.fused import FusedSolver
-from reconstructor.proximal import Proximal, Shrinkage, Variation
 from reconstructor.settings import Prior, SolverSettings
 from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
+from tests.reconstructor.reference import Proximal, Shrinkage, Variation, fista_image
 
 PRIORS = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "variation")
 

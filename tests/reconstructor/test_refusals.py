@@ -11,11 +11,10 @@ from reconstructor.array_api import BatchSolver
 from reconstructor.bases import BASES, Contourlet, haar_tensor
 from reconstructor.batch import RecordingSolver
 from reconstructor.engine import Reconstructor
-from reconstructor.fista import fista, fista_image, largest_eigenvalue, objective
+from reconstructor.fista import fista, largest_eigenvalue, objective
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.lanes import LANES, LaneSolver
-from reconstructor.proximal import Shrinkage, Variation
 from reconstructor.settings import Prior, SolverSettings
 from skin.errors import InputError
 from skin.measurement import sbhe
@@ -119,16 +118,9 @@ def test_contourlet_takes_squares() -> None:
     one_line(lambda: Contourlet(16, 32), "square")
 
 
-SOLVERS: dict[str, Callable[..., Any]] = {
-    "fista": lambda **changed: fista(PHI, PSI, **{**FISTA, **changed}),
-    "fista_image": lambda **changed: fista_image(
-        PHI, Shrinkage(PSI), **{**FISTA, "start": np.zeros((16, 16)), **changed}
-    ),
-}
 FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "iterations": 3}
 
 
-@pytest.mark.parametrize("solve", SOLVERS.values(), ids=SOLVERS)
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
@@ -147,14 +139,13 @@ FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "
         ({"iterations": 2.5}, "at least 1 iteration"),
     ],
 )
-def test_plain_solvers(solve: Callable[..., Any], changed: dict[str, Any], says: str) -> None:
-    one_line(lambda: solve(**changed), says)
+def test_plain_solver(changed: dict[str, Any], says: str) -> None:
+    one_line(lambda: fista(PHI, PSI, **{**FISTA, **changed}), says)
 
 
 @pytest.mark.parametrize("value", [0.0, -16.0, NAN, INF])
 def test_steps(value: float) -> None:
-    one_line(lambda: SOLVERS["fista"](lipschitz=value), "L: expected a number above 0")
-    one_line(lambda: SOLVERS["fista_image"](lipschitz=value), "L: expected a number above 0")
+    one_line(lambda: fista(PHI, PSI, **{**FISTA, "lipschitz": value}), "L: expected a number above 0")
     one_line(lambda: largest_eigenvalue(PHI, PSI, value), "relative error: expected a number above 0")
 
 
@@ -167,7 +158,6 @@ def test_other_functions_of_the_plain_solvers() -> None:
     ):
         one_line(call, "256 taxels but the image of Ψ has 512")
     one_line(lambda: objective(PHI, PSI, SUMS, np.zeros(256), 0.01), "start: .*shape")
-    one_line(lambda: Variation((16, 16), 0), "at least 1 iteration")
 
 
 def settings(prior: Prior = "haar-tensor", **changed: Any) -> SolverSettings:

@@ -76,11 +76,6 @@ class DatasetFolder:
             self._manifest["chunks"][name] = {**about, "shape": list(values.shape), "sha256": digest}
         self._save_manifest()
 
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """The manifest in the folder."""
-        return dict(self._manifest)
-
     def _known_chunks(self) -> dict[str, Any]:
         path = self.path / MANIFEST
         try:

@@ -1,4 +1,5 @@
 import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from skin.errors import InputError, RunError
-from touch.datasets.folder import DatasetFolder, alone
+from touch.datasets.folder import MANIFEST, DatasetFolder, alone
 
 ABOUT: dict[str, Any] = {
     "data_set": "acquisition",
@@ -110,4 +111,4 @@ def test_one_run_at_a_time(tmp_path: Path) -> None:
     with alone(tmp_path), pytest.raises(InputError, match="another run uses"), alone(tmp_path):
         pass
     with alone(tmp_path):
-        assert DatasetFolder(tmp_path, ABOUT).manifest["chunks"] == {}
+        assert json.loads((tmp_path / MANIFEST).read_text())["chunks"] == {}

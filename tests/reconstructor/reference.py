@@ -1,4 +1,4 @@
-"""Proximal steps, which FISTA takes after each gradient step."""
+"""The plain form of the compiled solvers: FISTA on the image, with a proximal step between two gradient steps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,9 @@ from typing import Protocol
 import numpy as np
 
 from reconstructor.bases import Basis
-from reconstructor.checks import Values, check_iterations
+from reconstructor.checks import Values
+from reconstructor.fista import momentum, soft
+from skin.operator import Operator
 
 
 class Proximal(Protocol):
@@ -18,9 +20,26 @@ class Proximal(Protocol):
         ...
 
 
-def soft(values: Values, threshold: float) -> Values:
-    """Return sign(v) · max(|v| - threshold, 0), the proximal step of threshold · ‖·‖₁."""
-    return values - np.clip(values, -threshold, threshold)
+def fista_image(
+    phi: Operator,
+    proximal: Proximal,
+    sums_n: Values,
+    *,
+    penalty_n: float,
+    lipschitz: float,
+    iterations: int,
+    start: Values,
+) -> Values:
+    """Return the image x, shape (rows, columns): `fista` with `proximal` in place of the shrinkage of coefficients.
+
+    The same iteration as `fista` when `proximal` shrinks the coefficients of one orthonormal Ψ.
+    """
+    estimate = ahead = start
+    for k, weight in enumerate(momentum(iterations)):
+        gradient = phi.adjoint(phi.forward(ahead.reshape(-1)) - sums_n).reshape(start.shape)
+        previous, estimate = estimate, proximal(ahead - gradient / lipschitz, penalty_n / lipschitz, k)
+        ahead = estimate + weight * (estimate - previous)
+    return estimate
 
 
 @dataclass(frozen=True)
@@ -51,21 +70,10 @@ class Variation:
     `inner` projected gradient steps on the dual (Chambolle 2004), which starts from the dual of the last call. With
     many steps this converges to the proximal step. u = max(floor, x - Dᵀp), p ← clip(p + D u / 8, ±τ).
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the images.
-    inner : int
-    nonnegative : bool
-
-    Raises
-    ------
-    InputError
-        If `inner` is below 1.
+    `shape`: rows and columns of the images.
     """
 
     def __init__(self, shape: tuple[int, int], inner: int, *, nonnegative: bool = True) -> None:
-        check_iterations(inner)
         self._inner = inner
         self._floor = 0.0 if nonnegative else -np.inf
         self._down = np.zeros((shape[0] - 1, shape[1]))
