@@ -22,24 +22,9 @@ Values = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Options:
-    """What every evaluation is asked.
+    """What every evaluation is asked: the options of ``skin evaluate``.
 
-    Attributes
-    ----------
-    quick : bool
-        Fewer steps, draws and objects: a look at all that the whole does, not its figures.
-    meshes : pathlib.Path, optional
-        Folder of meshes that take the place of the shapes that ship.
-    recordings : pathlib.Path, optional
-        Folder of real pressure recordings.
-    out : pathlib.Path, optional
-        Folder of measured results, which a later run takes up; without it nothing is kept.
-    jobs : int
-        Processes that measure at the same time.
-    draws : int, optional
-        Draws of Φ that are averaged; without it the subject's own number.
-    seed : int
-        Of all random numbers.
+    Without `out` nothing is kept; without `draws` each subject has its own number.
 
     Raises
     ------

@@ -26,18 +26,9 @@ class Scene:
 
 
 def make_scenes(phi: Sbhe, speed: int, meshes: Path | None = None, seed: int = 11) -> Iterator[Scene]:
-    """Return every scene at `speed` times the paper's 0.045 mm a cycle.
+    """Yield every scene at `speed` times the paper's 0.045 mm a cycle: every so many of the paper's 4200 steps.
 
-    Parameters
-    ----------
-    phi : Sbhe
-        Of the 64 x 64 array.
-    speed : int
-        Every so many steps of the paper's 4200 are taken.
-    meshes : pathlib.Path, optional
-        Folder of meshes, see `touch.objects.spheres_of`.
-    seed : int
-        Of the noise.
+    `phi` is of the 64 x 64 array; `meshes` as in `touch.objects.spheres_of`; `seed` is of the noise.
 
     Raises
     ------

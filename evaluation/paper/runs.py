@@ -38,17 +38,9 @@ Decibels = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Method:
-    """How a trajectory is measured and rebuilt.
+    """How a trajectory is measured and rebuilt: kind of Φ, m, Ψ, and FISTA iterations of each step.
 
-    Attributes
-    ----------
-    matrix : {"sbhe", "noiselet"}
-        Kind of Φ; its rows are drawn uniformly, as in the paper.
-    sums : int
-        m.
-    basis : {"haar", "contourlet"}
-    iterations : int
-        Of FISTA, each step.
+    The rows of Φ are drawn uniformly, as in the paper.
     """
 
     matrix: Matrix
@@ -112,11 +104,4 @@ def measure(*, name: str, meshes: str | None, stride: int, seed: int, draw: int,
 
 def cell(name: str, method: Method, options: Options, *, draw: int = 0, stride: int = 1, series: bool = False) -> Row:
     """Return the arguments of `measure` for a cell."""
-    return {
-        **options.shared,
-        "name": name,
-        "stride": stride,
-        "draw": draw,
-        "method": method,
-        "series": series,
-    }
+    return {**options.shared, "name": name, "stride": stride, "draw": draw, "method": method, "series": series}

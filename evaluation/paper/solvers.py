@@ -50,18 +50,16 @@ Run = Callable[[set[int], Values | None], dict[int, Values]]
 
 @dataclass(frozen=True)
 class Solver:
-    """A method with one of its settings.
+    """A method with one of its settings, both as shown.
 
     Attributes
     ----------
-    method, setting : str
-        As shown.
     run : callable
         Makes the coefficients.
     starts : tuple of str
-        Those of `STARTS` that it can begin from.
+        Those of `STARTS` that the method can begin from.
     same_objective : bool
-        True where it minimises FISTA's objective, so that its gap says something.
+        True where the method minimises FISTA's objective, so that its gap says something.
     """
 
     method: str

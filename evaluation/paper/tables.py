@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from itertools import product
+from itertools import islice, product
 from typing import Final, NamedTuple, get_args
 
 import numpy as np
@@ -115,29 +115,21 @@ def _result(title: str, rows: list[Row]) -> Result:
 
 def _rows(cells: Sequence[Cell], options: Options) -> list[Row]:
     """Measure every draw of every cell; objects come first in `cells`, so that a process keeps its trajectory."""
+
+    def stride(method: Method) -> int:
+        return QUICK_STRIDES[method.basis] if options.quick else STRIDES[method.basis, method.iterations]
+
     calls = [
-        cell(
-            each.name,
-            each.method,
-            options,
-            draw=draw,
-            stride=QUICK_STRIDES[each.method.basis]
-            if options.quick
-            else STRIDES[each.method.basis, each.method.iterations],
-        )
+        cell(each.name, each.method, options, draw=draw, stride=stride(each.method))
         for each in cells
         for draw in range(each.draws)
     ]
     results = iter(measure_cells(measure, calls, options, RECONSTRUCTIONS))
-    return [
-        each.labels
-        | psnr_columns(
-            [next(results) for _ in range(each.draws)],
-            each.printed,
-            TOLERANCE_DB[each.method.matrix, each.method.basis],
-        )
-        for each in cells
-    ]
+    rows = []
+    for each in cells:
+        tolerance_db = TOLERANCE_DB[each.method.matrix, each.method.basis]
+        rows.append(each.labels | psnr_columns(list(islice(results, each.draws)), each.printed, tolerance_db))
+    return rows
 
 
 def _sensor_rows(options: Options, draws: int) -> list[Row]:
@@ -148,8 +140,7 @@ def _sensor_rows(options: Options, draws: int) -> list[Row]:
     results = iter(measure_cells(measure_sensor, calls, options, "sensor"))
     labels = {"matrix": "none: sensor signal", "sums": 4096, "basis": ""}
     return [
-        {"object": name, **labels}
-        | psnr_columns([next(results) for _ in range(draws)], SENSOR[name], SENSOR_TOLERANCE_DB)
+        {"object": name, **labels} | psnr_columns(list(islice(results, draws)), SENSOR[name], SENSOR_TOLERANCE_DB)
         for name in OBJECTS
     ]
 

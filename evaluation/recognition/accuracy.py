@@ -35,14 +35,7 @@ def measure_accuracy(
 ) -> Row:
     """Return the accuracy on the test set of each split, and the mean confusion matrix, for one draw of Φ.
 
-    Parameters
-    ----------
-    kind, size, draw, meshes, seed
-        See `evaluation.observations.signal`.
-    splits : sequence of int
-        Numbers of the splits.
-    development, validation : float
-        Ratios of the perturbations.
+    See `evaluation.observations.signal` and `evaluation.observations.draw_split`.
     """
     values = signal(kind, size, draw, meshes, seed)
     gram = np.asarray(values, np.float32) @ np.asarray(values, np.float32).T if size >= GRAM_FROM else None

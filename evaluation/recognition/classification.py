@@ -71,16 +71,9 @@ def _cells(options: Options) -> list[Row]:
         wanted = [one for one in wanted if one[1] in _COMPARED_SIZES and one[2] in {FULL, THREE_PERCENT}]
     draws = options.draws_or(DRAWS)
     return [
-        {
-            "kind": kind,
-            "size": size,
-            "draw": draw,
-            "splits": _splits(size, draw, shares[0], options),
-            "development": shares[0],
-            "validation": shares[1],
-            **options.shared,
-        }
-        for kind, size, shares in wanted
+        {"kind": kind, "size": size, "draw": draw, "splits": _splits(size, draw, development, options)}
+        | {"development": development, "validation": validation, **options.shared}
+        for kind, size, (development, validation) in wanted
         for draw in range(_draws(kind, size, draws))
     ]
 

@@ -35,18 +35,8 @@ def trained_model(seed: int) -> Model:
 def measure_live(*, names: Sequence[str], touches: int, lost_ratio: float, noise_ratio: float, seed: int) -> Row:
     """Return what is said in the cycles of a live series in which an object touches.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Objects that touch, in turn.
-    touches : int
-        How many touches.
-    lost_ratio : float
-        Part of the blocks that is dead all the time.
-    noise_ratio : float
-        Noise of the taxels as a part of that the model was trained with.
-    seed : int
-        Of the model, the touches, the noise and the dead blocks.
+    The objects `names` touch in turn. A part of the blocks, `lost_ratio`, is dead all the time; the noise of the taxels
+    is `noise_ratio` of that the model was trained with.
 
     Returns
     -------

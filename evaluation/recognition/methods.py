@@ -26,16 +26,9 @@ _SHRINKAGES: Final = (1e-3, 1e-2, 1e-1)
 
 
 def measure_method(*, method: str, size: int, draw: int, splits: Sequence[int], meshes: str | None, seed: int) -> Row:
-    """Return the accuracy of a method on the test set of each split, and that of the paper's on the same sums.
+    """Return the accuracy of one of `METHODS` on the test set of each split, and that of the paper's on the same sums.
 
-    Parameters
-    ----------
-    method : str
-        One of `METHODS`.
-    size, draw, meshes, seed
-        See `evaluation.observations.signal`; the signal is that of SBHE.
-    splits : sequence of int
-        Numbers of the splits.
+    The sums are those of an SBHE, see `evaluation.observations.signal`.
     """
     phi = drawn_sbhe(size, draw)
     values = measured(phi, sensed(meshes, seed))

@@ -50,11 +50,8 @@ def run_events(
     ----------
     counts : array of int16, shape (ticks, 4096)
         What every taxel reads, each millisecond.
-    newton_per_count : float
-    threshold_n : float
-        By how much a taxel must differ from what was sent last.
-    dead_ms : int
-        How long it is silent after each sending.
+    newton_per_count, threshold_n, dead_ms
+        See `evaluation.schemes.schemes.Events`.
     """
     side = round(counts.shape[1] ** 0.5)
     held = patches(side)

@@ -66,12 +66,7 @@ class Shown:
 class Sums:
     """Compressed sums of the default skin's Φ, solved.
 
-    Attributes
-    ----------
-    bits : int
-        Of one sum.
-    receiver : str
-        Sums are no image, so they are always solved.
+    Sums are no image, so a receiver always solves them.
     """
 
     bits: Literal[8, 12, 16]
@@ -99,17 +94,7 @@ class Sums:
 class Scan:
     """An array of `side` x `side` cells, every value sent in turn.
 
-    Attributes
-    ----------
-    side : int
-        Cells of a side: those of the skin, or a coarse array's.
-    bits : int
-        Of one value.
-    receiver : str
-        What becomes of the values.
-    cells : str
-        What a cell of a coarse array is: ``sensor``, one with the noise of any taxel, or ``mean``, what the node
-        makes of its taxels.
+    `side` is that of the skin, or a coarse array's; `bits` are those of one value.
     """
 
     side: int
@@ -165,11 +150,11 @@ class Events:
     Attributes
     ----------
     threshold_n : float
-        By how much a taxel must differ from what was sent last, newtons.
+        By how much a taxel must differ from the value that was sent last, newtons.
     dead_ms : int
-        How long it is silent after each sending, milliseconds.
+        How long a taxel is not sent after each sending, milliseconds.
     receiver : str
-        What becomes of the values. None knows the noise: what an unsent change leaves is no noise of the sensor.
+        None knows the noise: what an unsent change leaves is no noise of the sensor.
     """
 
     threshold_n: float

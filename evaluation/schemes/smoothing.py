@@ -31,14 +31,7 @@ def _complete(cells: int) -> Sbhe:
 def smoothed(held: Images, penalty_n: float, *, temporal_filter: bool = True) -> Images:
     """Return what the live reconstruction makes of complete images, as if every sum of every block had come.
 
-    Parameters
-    ----------
-    held : Images
-        Of a square array of 8 x 8 cells or more.
-    penalty_n : float
-        λ.
-    temporal_filter : bool
-        Average over time as far as the motion allows; for images whose values are new each time.
+    The array is a square of 8 x 8 cells or more. The temporal filter is for images whose values are new each time.
     """
     cells = held.force_n.shape[1]
     side, phi = round(cells**0.5), _complete(cells)

@@ -62,10 +62,8 @@ def run_sums(contract: Contract, counts: npt.NDArray[np.int16], loss_ratio: floa
     contract : Contract
     counts : array of int16, shape (ticks, n)
         What every taxel reads, each millisecond.
-    loss_ratio : float
-        Part of all frames that do not reach the gateway.
-    seed : int
-        Of the losses.
+    loss_ratio, seed
+        Part of all frames that do not reach the gateway, and the seed by which they are drawn.
     """
     period_ns = 1e9 / contract.layout.sync.rate_hz
     cycles = int(len(counts) * TICK_NS / period_ns + 1e-9)
