@@ -14,7 +14,9 @@ from skin.errors import SkinError
 from skin.layout import Bus, Layout, validated
 
 SUM_BITS: Final = (12, 8)
-DATA_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
+#: Data bit rates of CAN FD, and blocks per node, that are compared.
+FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
+BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 #: Blocks per node whose 16-bit sums fill a CAN FD frame.
 FD_BLOCKS: Final = 4
 
@@ -56,12 +58,12 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
         yield f"{2 * sums} sums", with_sums(layout, 2 * sums)
     if sums % (2 * layout.blocks) == 0:
         yield f"{sums // 2} sums", with_sums(layout, sums // 2)
-    for per_node in (2, 4, 8):
+    for per_node in BLOCKS_PER_NODE:
         if per_node > first.blocks_per_node:
             changed = with_buses(layout, buses, msgspec.structs.replace(first, blocks_per_node=per_node))
             yield f"{per_node} blocks per node", changed
     for per_node in sorted({first.blocks_per_node, FD_BLOCKS}):
-        for rate in DATA_BITRATES:
+        for rate in FD_BITRATES:
             fast = msgspec.structs.replace(first, fd=True, data_bitrate=rate, blocks_per_node=per_node)
             if fast != first:
                 yield f"CAN FD {rate // 1_000_000} Mbit/s, {per_node} per node", with_buses(layout, buses, fast)

@@ -14,13 +14,13 @@ from can.io.generic import TextIOMessageReader
 
 from bus.link import DISCARDED, Link
 from bus.messages import to_logged_frames
+from dbc.canopen import EXTENDED_ID_MASK
 from dbc.frame import Frames, frames
 from skin.errors import InputError
 from skin.layout import Layout
 
 #: Largest time stamp, seconds since the epoch: the year 2262, the limit of nanoseconds in 64 bits.
 _LATEST_S: Final = 9.2e9
-_HIGHEST_ID: Final = 0x1FFFFFFF
 #: An error frame of SocketCAN in a log of candump: the identifier contains CAN_ERR_FLAG.
 _ERROR_FRAME: Final = re.compile(r"(\s*\(\S+\)\s+\S+\s+)([23][0-9A-Fa-f]{7})(#.*)", re.DOTALL)
 _ERROR_FLAG: Final = 0x20000000
@@ -134,7 +134,7 @@ def _check(message: can.Message) -> None:
     longest = 64 if message.is_fd else 8
     if not 0 <= message.timestamp <= _LATEST_S:
         raise ValueError(f"a time of {message.timestamp:g} s")
-    if not 0 <= message.arbitration_id <= _HIGHEST_ID:
+    if not 0 <= message.arbitration_id <= EXTENDED_ID_MASK:
         raise ValueError(f"an identifier of {message.arbitration_id:X}h")
     if message.dlc < 0 or len(message.data) > longest:
         raise ValueError(f"a frame of {max(message.dlc, len(message.data))} bytes")

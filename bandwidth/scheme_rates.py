@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES
 from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.plan import CAUTION, BusTime, sync_frames
 from dbc.canopen import HIGHEST_NODE_ID
@@ -23,10 +24,9 @@ from skin.layout import Layout
 
 SUM_BITS: Final = (16, 12, 8)
 TAXEL_BITS: Final = (10, 12, 16)
-BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 BUSES: Final = (1, 2, 4)
 #: Data bit rates of CAN FD; None is classic CAN.
-DATA_BITRATES: Final = (None, 2_000_000, 5_000_000, 8_000_000)
+DATA_BITRATES: Final = (None, *FD_BITRATES)
 #: Longest CAN FD frames to compare, bytes.
 FD_LIMITS: Final = (8, 16, 32, FD_BYTES)
 BITRATE: Final = 1_000_000

@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 import msgspec
 
-from bandwidth.alternatives import with_bits, with_buses, with_sums
+from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_bits, with_buses, with_sums
 from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.plan import bus_time
 from bandwidth.response import UNBOUNDED
@@ -22,8 +22,6 @@ CanKind = Literal["any", "classic", "fd"]
 
 #: Widths to try. The rounding of 8 bits is not small compared with the sensor noise, so 8 bits come last.
 SUM_BITS: Final = ((16, 12), (8,))
-BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
-FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
 DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
     "classic": (None,),
     "fd": FD_BITRATES,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from skin.command import WRONG_INPUT
 from skin.errors import InputError, RunError
 
 #: A process that has ended is started again after this time; the page shows its absence until then.
@@ -15,7 +16,6 @@ RESTART_AFTER_S: Final = 2.0
 STOP_PATIENCE_S: Final = 5.0
 #: Time limit for the end of all services when the user waits.
 HASTE_S: Final = 1.0
-WRONG_INPUT: Final = 2
 
 
 @dataclass

@@ -6,7 +6,7 @@ from typing import Final
 
 import msgspec
 
-from bandwidth.alternatives import with_buses, with_rate, with_sums
+from bandwidth.alternatives import BLOCKS_PER_NODE, with_buses, with_rate, with_sums
 from bandwidth.highest_rate import highest_rate_hz
 from skin.errors import LayoutError
 from skin.layout import Bus, Layout, load_layout, validated
@@ -16,7 +16,6 @@ BUDGET: Final = 0.9
 SUM_BITS: Final = (8, 12, 16)
 #: Rows of 32 that every block sends.
 ROWS: Final = (4, 8, 16, 32)
-BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 #: The recorded touches have one image a millisecond: more cycles would see nothing new.
 RATE_MAX_HZ: Final = 1000.0
 _FD: Final = Bus(name="bus0", nodes=1, fd=True, data_bitrate=5_000_000)

@@ -3,17 +3,14 @@
 Samples are in the orders of `reconstructor.kernels.contourlet_tables`.
 """
 
-from typing import Final
-
 import numba
 
+from reconstructor.bases.pkva import ROOT_TWO
 from reconstructor.kernels.contourlet_tables import ContourletBuffers, ContourletTables, Phases
 from reconstructor.kernels.steps import gather
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 
 # Compiled functions take no keyword arguments.
-
-ROOT_TWO: Final = 2**0.5
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
