@@ -7,8 +7,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.result import Values
 from evaluation.solvers.noiselet import Noiselet, noiselet
+from reconstructor.checks import Values
 from skin.measurement import Sbhe, sbhe
 from skin.operator import Operator
 from skin.taxel import sense

@@ -6,9 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 from skin.errors import InputError
 from skin.output import write_file
 
@@ -16,8 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = dict[str, Any]
-#: Numbers of any floating type.
-Values = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)

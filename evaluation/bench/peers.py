@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pywt
 
 from evaluation.bench.problem import Method, Problem
-from evaluation.result import Values
+from reconstructor.checks import Values
 from reconstructor.fista import momentum, soft
 
 #: Most sweeps of coordinate descent that are tried.

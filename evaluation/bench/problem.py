@@ -8,8 +8,9 @@ import numpy as np
 
 from evaluation.bench.timing import race
 from evaluation.psnr import psnr_db
-from evaluation.result import Row, Values
+from evaluation.result import Row
 from reconstructor.bases import Basis
+from reconstructor.checks import Values
 from reconstructor.fista import fista, objective
 from skin.layout import load_layout
 from skin.measurement import Sbhe

@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_limits
 from evaluation.bench.limit import measure_limit
 from evaluation.bench.peers import dense_only, peers
 from evaluation.bench.problem import Method, Problem, compare, make_problem
-from evaluation.result import Values
 from reconstructor.bases import haar_pyramid
+from reconstructor.checks import Values
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.kernels.fused import FusedSolver

@@ -11,10 +11,11 @@ import numpy as np
 from evaluation.paper.pictures import draw_curves
 from evaluation.paper.runs import OBJECTS, SIDE, felt_force, phi_seed, true_force
 from evaluation.psnr import psnr_db
-from evaluation.result import Options, Picture, Result, Row, Values, beside
+from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.baselines import admm, smoothed_l0
 from reconstructor.bases import Basis, haar_tensor
+from reconstructor.checks import Values
 from reconstructor.fista import fista, objective
 from reconstructor.settings import PAPER
 from skin.measurement import sbhe

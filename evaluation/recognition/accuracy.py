@@ -9,7 +9,8 @@ import numpy.typing as npt
 from classifier.dagsvm import DagSvm
 from classifier.validation import Chosen, choose_C, global_scale, part_of
 from evaluation.observations import LABELS, OBJECTS, Split, draw_split, signal
-from evaluation.result import Row, Values
+from evaluation.result import Row
+from reconstructor.checks import Values
 
 #: C is chosen from these.
 C_GRID: Final = (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)

@@ -13,7 +13,8 @@ from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale
 from evaluation.observations import LABELS, Split, all_rows, draw_split, drawn_sbhe, measured, sensed
 from evaluation.recognition.accuracy import score, trained
-from evaluation.result import Row, Values
+from evaluation.result import Row
+from reconstructor.checks import Values
 from skin.measurement import Sbhe
 
 #: Development and validation set as in the paper's figure over signal size.

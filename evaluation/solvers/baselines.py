@@ -6,8 +6,8 @@ is then the largest eigenvalue of ΦᵀΦ, and the linear systems inside have cl
 
 import numpy as np
 
-from evaluation.result import Values
 from reconstructor.bases import Basis
+from reconstructor.checks import Values
 from reconstructor.fista import Observer, check_problem, soft
 from skin.operator import Operator
 

@@ -11,9 +11,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.result import Values
 from evaluation.solvers.noiselet import Noiselet, butterflies
-from reconstructor.checks import check_estimate, placed
+from reconstructor.checks import Values, check_estimate, placed
 from reconstructor.fista import largest_eigenvalue, momentum
 from reconstructor.kernels.addresses import tensor_addresses
 from reconstructor.kernels.contourlet import CompiledContourlet, advance_coefficients

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from evaluation.result import Values
 from reconstructor.bases import Basis
+from reconstructor.checks import Values
 from reconstructor.fista import soft
 from skin.errors import InputError
 
