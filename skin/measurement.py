@@ -76,11 +76,6 @@ class Sbhe:
         return int(self.kept.sum()), self.order.size
 
     @property
-    def dtype(self) -> np.dtype[np.int8]:
-        """int8: every entry is 0, 1 or -1."""
-        return np.dtype(np.int8)
-
-    @property
     def norm_squared(self) -> float:
         """Largest eigenvalue of ΦᵀΦ: B."""
         return float(self.block_size)

@@ -9,6 +9,7 @@ import io
 import warnings
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -24,22 +25,19 @@ SWEEPS: Final = 40
 
 
 def peers(problem: Problem, dtype: npt.DTypeLike) -> list[Method]:
-    """Return every peer that is installed, for one dtype."""
-    kind = np.dtype(dtype)
-    data = _Data(problem, kind)
-    methods = [
-        Method("NumPy dense, L doubled (paper)", kind.name, lambda: _dense(data, 2.0), np.asarray),
-        Method("NumPy dense", kind.name, lambda: _dense(data, 1.0), np.asarray),
+    """Return the paper's method and every peer that is installed, for one dtype."""
+    data = _Data(problem, np.dtype(dtype))
+    libraries = [make(data) for module, make in _LIBRARIES.items() if find_spec(module) is not None]
+    return [*dense(problem, dtype), *chain.from_iterable(libraries)]
+
+
+def dense(problem: Problem, dtype: npt.DTypeLike) -> list[Method]:
+    """Return the paper's method alone, with its L and with half of it."""
+    data = _Data(problem, np.dtype(dtype))
+    return [
+        Method("NumPy dense, L doubled (paper)", data.kind.name, lambda: _dense(data, 2.0), np.asarray),
+        Method("NumPy dense", data.kind.name, lambda: _dense(data, 1.0), np.asarray),
     ]
-    for module, make in _LIBRARIES.items():
-        if find_spec(module) is not None:
-            methods += list(make(data))
-    return methods
-
-
-def dense_only(problem: Problem, dtype: npt.DTypeLike) -> list[Method]:
-    """Return the paper's method alone."""
-    return peers(problem, dtype)[:2]
 
 
 class _Data:

@@ -8,8 +8,9 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from evaluation.bench.limit import measure_limit
-from evaluation.bench.peers import dense_only, peers
+from evaluation.bench.peers import dense, peers
 from evaluation.bench.problem import Method, Problem, compare, make_problem
+from evaluation.result import Row
 from reconstructor.bases import haar_pyramid
 from reconstructor.checks import Values
 from reconstructor.fista import largest_eigenvalue
@@ -24,21 +25,18 @@ OURS: Final = "canskin"
 def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […], "contourlet": […], "limit": {…}}``; rows as in the verb's docstring."""
     with threadpool_limits(1):
-        haar = _rows(make_problem(haar_pyramid(64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, rounds, everyone=True)
+        haar = _rows(make_problem(haar_pyramid(64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds)
         psi = CompiledContourlet(64, 64)
         eigenvalue = largest_eigenvalue(load_layout().phi(), psi)
-        contourlet = _rows(
-            make_problem(psi, PAPER_CONTOURLET.penalty_n, eigenvalue), _contourlet, rounds, everyone=False
-        )
+        contourlet = _rows(make_problem(psi, PAPER_CONTOURLET.penalty_n, eigenvalue), _contourlet, dense, rounds)
         limit = measure_limit(iterations=20)
     least = next(row["ms_least"] for row in haar if row["method"] == OURS)
     return {"rows": haar, "contourlet": contourlet, "limit": {**limit, "ours_to_limit": least / limit["limit_ms"]}}
 
 
-def _rows(problem: Problem, ours: Any, rounds: int, *, everyone: bool) -> list[dict[str, Any]]:
+def _rows(problem: Problem, ours: Any, others: Any, rounds: int) -> list[Row]:
     methods: list[Method] = []
     for dtype in (np.float32, np.float64):
-        others = peers if everyone else dense_only
         methods += [ours(problem, dtype), *others(problem, dtype)]
     rows = compare(problem, methods, rounds)
     own_ms = {row["dtype"]: row["ms"] for row in rows if row["method"] == OURS}
