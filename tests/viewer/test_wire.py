@@ -61,3 +61,8 @@ def test_greeting_has_both_bit_rates_of_an_fd_bus(messages: Any) -> None:
     ]
     assert fd.bus[0].data_bitrate is not None
     assert {bus["data_bitrate"] for bus in greeting(messages.layout)["buses"]} == {None}
+
+
+def test_greeting_has_a_word_for_every_nmt_state(messages: Any) -> None:
+    words = {"0": "booting", "4": "stopped", "5": "operational", "127": "pre-operational", "255": "silent"}
+    assert greeting(messages.layout)["nmt"] == words
