@@ -118,7 +118,7 @@ def _events(touches: list[Touch], options: Options) -> list[Row]:
 
 def _measured(wanted: list[tuple[Scheme, Touch, float]], options: Options, what: str) -> list[Row]:
     """Return what each row is of, in fields, and its figures."""
-    cells = [{"scheme": scheme, "touch": touch, "share": share} for scheme, touch, share in wanted]
+    cells: list[Row] = [{"scheme": scheme, "touch": touch, "share": share} for scheme, touch, share in wanted]
     results = measure_cells(measure_scheme, cells, options, what)
     return [
         {**cell, "name": cell["scheme"].name, "family": cell["scheme"].family, "receiver": cell["scheme"].receiver}
@@ -146,8 +146,8 @@ def chosen_rules(measured: list[Row]) -> list[Row]:
 
 def _one_rule(rules: list[Row]) -> str:
     """Return the scheme whose rule has the best mean PSNR over all touches, with whatever bits it then takes."""
-    quality = {name: np.mean([row["psnr_mean_db"] for row in rows]) for (name,), rows in grouped(rules, "name").items()}
-    return max(quality, key=quality.__getitem__)
+    rows_of = {str(name): rows for (name,), rows in grouped(rules, "name").items()}
+    return max(rows_of, key=lambda name: float(np.mean([row["psnr_mean_db"] for row in rows_of[name]])))
 
 
 def _table_row(found: Row) -> Row:
