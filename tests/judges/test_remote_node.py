@@ -2,6 +2,8 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from operator import attrgetter
+from typing import Generic, TypeVar
 
 import canopen
 import pytest
@@ -18,25 +20,37 @@ ERROR_FIELD = 0x1003
 SYNC_LENGTH, HEARTBEAT_LOST, NO_ERROR = 0x8240, 0x8130, 0x0000
 
 
-class Beats(list[int]):
-    """NMT states in the order a node's heartbeats brought them; the library's own waits miss what comes before them."""
+Arrival = TypeVar("Arrival")
 
-    def __init__(self, node: canopen.RemoteNode) -> None:
+
+class Arrivals(Generic[Arrival]):
+    """What a node sends, in order; the library's own waits miss what comes before they begin."""
+
+    def __init__(self, subscribe: Callable[[Callable[[Arrival], object]], None], key: Callable[[Arrival], int]) -> None:
         self._news = threading.Condition()
-        node.nmt.add_heartbeat_callback(self._beat)
+        self._arrived: list[Arrival] = []
+        self._key = key
+        subscribe(self._take)
 
-    def expect(self, state: int, doing: Callable[[], object] = lambda: None) -> None:
-        """Do something, then wait for a heartbeat with `state`."""
+    def expect(self, wanted: int, doing: Callable[[], object] = lambda: None) -> Arrival:
+        """Do something, then wait for what has the key `wanted`, and return it."""
         with self._news:
-            self.clear()
+            self._arrived.clear()
         doing()
         with self._news:
-            assert self._news.wait_for(lambda: state in self, PATIENCE_S), f"no state {state} in {self}"
+            assert self._news.wait_for(lambda: wanted in map(self._key, self._arrived), PATIENCE_S), (
+                f"no {wanted} in {list(map(self._key, self._arrived))}"
+            )
+            return next(each for each in self._arrived if self._key(each) == wanted)
 
-    def _beat(self, state: int) -> None:
+    def _take(self, arrival: Arrival) -> None:
         with self._news:
-            self.append(state)
+            self._arrived.append(arrival)
             self._news.notify()
+
+
+def heartbeats(node: canopen.RemoteNode) -> Arrivals[int]:
+    return Arrivals(node.nmt.add_heartbeat_callback, int)
 
 
 @pytest.fixture(scope="module")
@@ -51,19 +65,26 @@ def network(processes: Processes) -> Iterator[canopen.Network]:
     for node_id in range(1, NODES + 1):
         node = master.add_node(canopen.RemoteNode(node_id, canopen.import_od(eds, node_id)))
         node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
-    beats = Beats(master[NODES])
-    beats.expect(BOOT_UP, lambda: processes.skin("nodes", "nodes", "--only", f"bus0:1-{NODES}", "--no-fabric"))
+    heartbeats(master[NODES]).expect(
+        BOOT_UP, lambda: processes.skin("nodes", "nodes", "--only", f"bus0:1-{NODES}", "--no-fabric")
+    )
     yield master
     master.disconnect()
 
 
 @pytest.fixture(scope="module")
-def beats(network: canopen.Network) -> dict[int, Beats]:
-    return {node_id: Beats(network[node_id]) for node_id in network}
+def beats(network: canopen.Network) -> dict[int, Arrivals[int]]:
+    return {node_id: heartbeats(network[node_id]) for node_id in network}
+
+
+@pytest.fixture(scope="module")
+def emergencies(network: canopen.Network) -> Arrivals[canopen.emcy.EmcyError]:
+    """Return the emergencies of node 1, by their code."""
+    return Arrivals(network[1].emcy.add_callback, attrgetter("code"))
 
 
 @pytest.fixture
-def node(network: canopen.Network, beats: dict[int, Beats]) -> canopen.RemoteNode:
+def node(network: canopen.Network, beats: dict[int, Arrivals[int]]) -> canopen.RemoteNode:
     """Return node 1 after a reset of all."""
     for each in network.values():
         reset(each, beats)
@@ -71,11 +92,11 @@ def node(network: canopen.Network, beats: dict[int, Beats]) -> canopen.RemoteNod
     return network[1]
 
 
-def reset(node: canopen.RemoteNode, beats: dict[int, Beats], command: int = 0x81) -> None:
+def reset(node: canopen.RemoteNode, beats: dict[int, Arrivals[int]], command: int = 0x81) -> None:
     beats[node.id].expect(BOOT_UP, lambda: node.nmt.send_command(command))
 
 
-def test_boot_shows_who_the_node_is(node: canopen.RemoteNode, beats: dict[int, Beats]) -> None:
+def test_boot_shows_who_the_node_is(node: canopen.RemoteNode, beats: dict[int, Arrivals[int]]) -> None:
     beats[1].expect(PRE_OPERATIONAL)
     assert node.sdo["Identity"]["Product code"].raw == int.from_bytes(b"SKIN", "big")
     assert node.sdo["Identity"]["Serial number"].raw == 1
@@ -99,7 +120,7 @@ def test_every_object_of_the_eds_can_be_read(node: canopen.RemoteNode) -> None:
 
 
 def test_the_dictionary_is_written_in_one_frame_and_in_segments(
-    node: canopen.RemoteNode, beats: dict[int, Beats]
+    node: canopen.RemoteNode, beats: dict[int, Arrivals[int]]
 ) -> None:
     node.sdo[0x1017].raw = 40
     assert node.sdo[0x1017].raw == 40
@@ -138,8 +159,7 @@ def test_sums_arrive_as_the_master_mapped_them(node: canopen.RemoteNode, network
     tpdo.save()
     node.sdo[TEST_PATTERN].raw = RAMP
     node.nmt.state = "OPERATIONAL"
-    network.sync.transmit(1)
-    assert tpdo.wait_for_reception(PATIENCE_S) is not None
+    Arrivals(tpdo.add_callback, attrgetter("cob_id")).expect(tpdo.cob_id, lambda: network.sync.transmit(1))
     assert len(tpdo.data) == 7
     carried = [variable.raw for variable in tpdo]
     assert carried == [*(node.sdo[SUMS][subindex].raw for subindex in (8, 1, 5)), 0]
@@ -147,32 +167,34 @@ def test_sums_arrive_as_the_master_mapped_them(node: canopen.RemoteNode, network
 
 
 def test_a_sync_of_the_wrong_length_is_an_emergency_until_it_is_right(
-    node: canopen.RemoteNode, network: canopen.Network
+    node: canopen.RemoteNode, network: canopen.Network, emergencies: Arrivals[canopen.emcy.EmcyError]
 ) -> None:
     node.nmt.state = "OPERATIONAL"
-    network.sync.transmit()  # 1019h wants a counter
-    assert node.emcy.wait(SYNC_LENGTH, PATIENCE_S).register & 0x11 == 0x11
+    wrong = emergencies.expect(SYNC_LENGTH, network.sync.transmit)  # 1019h wants a counter
+    assert wrong.register & 0x11 == 0x11
     assert node.sdo[0x1003][1].raw & 0xFFFF == SYNC_LENGTH
     assert node.sdo[0x1001].raw & 0x10
-    network.sync.transmit(1)
-    assert node.emcy.wait(NO_ERROR, PATIENCE_S).register == 0
+    assert emergencies.expect(NO_ERROR, lambda: network.sync.transmit(1)).register == 0
 
 
 def test_a_node_reports_the_heartbeat_it_misses(
-    node: canopen.RemoteNode, network: canopen.Network, beats: dict[int, Beats]
+    node: canopen.RemoteNode,
+    network: canopen.Network,
+    beats: dict[int, Arrivals[int]],
+    emergencies: Arrivals[canopen.emcy.EmcyError],
 ) -> None:
     node.sdo[0x1016][1].raw = 2 << 16 | 200
     node.nmt.state = "OPERATIONAL"
     beats[2].expect(PRE_OPERATIONAL, lambda: network[2].sdo.download(0x1017, 0, bytes((20, 0))))
-    network[2].sdo[0x1017].raw = 0
-    lost = node.emcy.wait(HEARTBEAT_LOST, PATIENCE_S)
+    lost = emergencies.expect(HEARTBEAT_LOST, lambda: network[2].sdo.download(0x1017, 0, bytes(2)))
     assert lost.data[0] == 2
     beats[1].expect(PRE_OPERATIONAL, lambda: node.sdo.download(0x1017, 0, bytes((20, 0))))  # as 1029h says
-    network[2].sdo[0x1017].raw = 20
-    assert node.emcy.wait(NO_ERROR, PATIENCE_S).register == 0
+    assert emergencies.expect(NO_ERROR, lambda: network[2].sdo.download(0x1017, 0, bytes((20, 0)))).register == 0
 
 
-def test_reset_communication_keeps_what_the_node_measures(node: canopen.RemoteNode, beats: dict[int, Beats]) -> None:
+def test_reset_communication_keeps_what_the_node_measures(
+    node: canopen.RemoteNode, beats: dict[int, Arrivals[int]]
+) -> None:
     node.sdo[GAIN][1].raw = 0.25
     node.sdo[0x1017].raw = 30
     reset(node, beats, 0x82)
@@ -180,7 +202,7 @@ def test_reset_communication_keeps_what_the_node_measures(node: canopen.RemoteNo
     assert node.sdo[GAIN][1].raw == 0.25
 
 
-def test_stored_parameters_outlive_a_reset(node: canopen.RemoteNode, beats: dict[int, Beats]) -> None:
+def test_stored_parameters_outlive_a_reset(node: canopen.RemoteNode, beats: dict[int, Arrivals[int]]) -> None:
     node.sdo[0x1017].raw = 123
     node.sdo.download(0x1010, 1, b"save")
     node.sdo[0x1017].raw = 456
