@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from bus.confinement import RECOVERY_BITS
 from bus.controller import Controller
 from bus.error_frames import ErrorClass, State, state_of_report, state_report
 from bus.faults import Fault
-from bus.outbox import DISCARDED, Events
+from bus.outbox import DISCARDED, OTHERS, OWNER, Events
 from bus.simulated_bus import SimulatedBus
 from dbc.frame import ERROR
 from tests.bus.harness import burst, frame
 
 BIT_NS = 1000
+#: ISO 11898-1: 128 occurrences of eleven recessive bits.
+RECOVERY_NS = 128 * 11 * BIT_NS
 
 
 def reports(events: Events) -> list[ErrorClass]:
@@ -62,7 +63,7 @@ def test_bus_off_after_32_errors_and_recovery_after_restart_and_128_times_11_bit
     assert (bus.run_until(91_000_000).frames["flags"] & DISCARDED == DISCARDED).all()
     bus.set_faults([])
     back = bus.run_until(200_000_000).frames
-    assert back["time_ns"].tolist() == [off["time_ns"][0] + 100_000_000 + RECOVERY_BITS * BIT_NS]
+    assert back["time_ns"].tolist() == [off["time_ns"][0] + 100_000_000 + RECOVERY_NS]
     assert back["can_id"][0] & ErrorClass.RESTARTED
     assert bad.state is State.ACTIVE
     bus.submit(bad, burst([0x100]), 200_000_000)
@@ -86,6 +87,32 @@ def test_traffic_of_others_makes_recovery_longer() -> None:
 
     quiet, busy = recovery_ns(0), recovery_ns(5)
     assert 5 * 80 * BIT_NS < busy - quiet < 5 * 135 * BIT_NS
+
+
+def test_traffic_before_the_restart_does_not_make_recovery_longer() -> None:
+    bus = SimulatedBus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)], restart_s=0.1)
+    bad, good = bus.attach("bad"), bus.attach("good")
+    bus.attach("third")
+    bus.submit(bad, burst([0x100]), 0)
+    bus.run_until(50_000_000)
+    assert bad.state is State.BUS_OFF
+    (off_ns,) = {controller.restart_ns - 100_000_000 for controller in bad.controllers.values()}
+    bus.submit(good, burst(range(0x200, 0x205)), 50_000_000)
+    events = bus.run_until()
+    back = events.frames["can_id"] & ErrorClass.RESTARTED != 0
+    assert events.frames["time_ns"][back].tolist() == [off_ns + 100_000_000 + RECOVERY_NS]
+
+
+def test_a_station_that_left_in_bus_off_does_not_recover() -> None:
+    bus = SimulatedBus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)])
+    bad = bus.attach("bad")
+    bus.attach("good")
+    bus.submit(bad, burst([0x100]), 0)
+    bus.run_until(50_000_000)
+    assert bad.state is State.BUS_OFF
+    bus.detach(bad)
+    assert bus.next_event_ns() is None
+    assert len(bus.run_until().frames) == 0
 
 
 def test_good_frames_heal_sender_and_receivers() -> None:
@@ -113,6 +140,20 @@ def test_two_controllers_with_one_identifier_and_different_data_destroy_each_oth
     assert bus.counts.transmitted == 0
 
 
+def test_an_error_frame_takes_20_bits_and_an_intermission_follows() -> None:
+    bus = SimulatedBus()
+    one, two = bus.attach("one"), bus.attach("two")
+    bus.submit(one, frame(0x181, b"\x01\x02"), 5)
+    bus.submit(two, frame(0x181, b"\x01\x03"), 5)
+    events = bus.run_until(1_000_000)
+    mine = (events.owner == one.number) & (events.frames["can_id"] & ErrorClass.PROTOCOL != 0)
+    times_ns = events.frames["time_ns"][mine]
+    clash = 19 + 8  # the second byte differs
+    assert times_ns[0] == 5 + (clash + 20) * BIT_NS
+    assert (np.diff(times_ns[:10]) == (clash + 20 + 3) * BIT_NS).all()  # all error active: nobody waits longer
+    assert bus.counts.busy_ns == bus.counts.errors * (clash + 20 + 3) * BIT_NS
+
+
 def test_two_controllers_with_equal_frames_do_not_notice_each_other() -> None:
     bus = SimulatedBus()
     one, two = bus.attach("one"), bus.attach("two")
@@ -122,6 +163,7 @@ def test_two_controllers_with_equal_frames_do_not_notice_each_other() -> None:
     assert sorted(events.owner.tolist()) == [one.number, two.number]
     assert bus.counts.errors == 0
     assert len(set(events.frames["time_ns"].tolist())) == 1
+    assert sorted(events.audience.tolist()) == [OWNER, OTHERS | OWNER]  # receivers get one frame, not two
 
 
 def test_a_passive_transmitter_lets_others_go_first() -> None:
@@ -167,6 +209,17 @@ def test_a_controller_without_power_neither_sends_nor_acknowledges() -> None:
     bus.set_faults([])
     got = bus.run_until().frames
     assert list(got["can_id"][got["flags"] == 0]) == [0x200]
+
+
+def test_a_controller_that_loses_power_gets_its_waiting_frames_back() -> None:
+    bus = SimulatedBus()
+    alive = bus.attach("alive")
+    bus.attach("second")
+    bus.attach("third")
+    bus.submit(alive, burst([0x100, 0x101]), 0)
+    bus.set_faults([Fault(controller="alive:0", off=True)])
+    assert (bus.run_until().frames["flags"] == DISCARDED).tolist() == [True, True]
+    assert (bus.counts.transmitted, bus.counts.discarded) == (0, 2)
 
 
 def test_same_seed_same_events() -> None:

@@ -81,6 +81,15 @@ def test_a_release_time_in_the_future_is_kept() -> None:
     assert late.frames["time_ns"].tolist() == [ends]
 
 
+def test_a_sender_that_the_host_let_run_late_is_punctual_on_an_idle_wire() -> None:
+    bus, (one, _) = pair()
+    bus.run_until(2_000_000)
+    late = frame(0x080, b"\x01", time_ns=1_000_000)
+    bus.submit(one, late, 2_000_000)
+    ends = 1_000_000 + frame_time_ns(late, 1_000_000)[0] - INTERMISSION_NS
+    assert bus.run_until().frames["time_ns"].tolist() == [ends]
+
+
 def test_a_frame_that_cannot_start_in_time_is_given_back() -> None:
     bus, (one, _) = pair()
     sent = burst([0x100, 0x200, 0x300])

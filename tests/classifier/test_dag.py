@@ -38,3 +38,17 @@ def test_confidence_is_the_product_along_the_path() -> None:
     _, confidence = DecisionGraph(3).decide(np.array([2.0, 1.0, -7.0]))  # asks (0, 2), then (0, 1)
     assert confidence == pytest.approx(1 / (1 + np.exp(-1.0)) / (1 + np.exp(-2.0)))
     assert DecisionGraph(2).decide(np.array([1000.0])) == (0, 1.0)
+
+
+@given(st.integers(2, 9), st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=36, max_size=36))
+def test_many_decisions_at_once_are_those_of_each_ties_included(classes: int, drawn: list[float]) -> None:
+    graph = DecisionGraph(classes)
+    margins = np.array(drawn)[: len(pairs(classes))]
+    assert graph.winners(np.stack([margins, -margins])).tolist() == [
+        graph.decide(margins)[0],
+        graph.decide(-margins)[0],
+    ]
+
+
+def test_tie_goes_to_the_first_class_and_is_a_coin_toss() -> None:
+    assert DecisionGraph(2).decide(np.array([0.0])) == (0, 0.5)

@@ -19,7 +19,14 @@ def test_distance_is_that_of_mahalanobis() -> None:
     whitening = np.array([np.diag([1.0, 2.0]), np.eye(2)])
     assert nearest(np.array([0.0, 3.0]), centres, whitening) == (0, 6.0)
     assert nearest(np.array([10.0, 3.0]), centres, whitening) == (1, 3.0)
-    assert novelty(np.array([0.0, 3.0]), Regions(centres, whitening, np.array([3.0, 1.0]))) == 2.0
+    regions = Regions(centres, whitening, np.array([3.0, 1.0]))
+    assert novelty(np.array([0.0, 3.0]), regions) == 2.0
+    assert novelty(np.array([10.0, 3.0]), regions) == 3.0  # by the limit of the nearest region
+
+
+def test_every_feature_counts_in_the_distance() -> None:
+    centres, whitening = np.array([[9.0, 9.0, 9.0], [0.0, 0.0, 0.0]]), np.array([np.eye(3)] * 2)
+    assert nearest(np.array([2.0, 2.0, 1.0]), centres, whitening) == (1, 3.0)
 
 
 def test_known_is_near_and_new_is_far() -> None:

@@ -185,3 +185,25 @@ def test_any_skin_sends_every_sum_once_per_phase(
         lengths = table.length[table.phase == phase]
         assert set(lengths.tolist()) <= set(FD_LENGTHS if fd else range(1, 9))
         assert (8 * lengths.astype(int) >= (gathered >= 0).sum(1) * bits).all()
+
+
+@pytest.mark.parametrize(
+    ("fd", "data_bitrate", "flags"), [(False, None, 0), (True, None, FD), (True, 5_000_000, FD | BRS)]
+)
+def test_pdos_switch_the_rate_only_where_the_bus_has_a_second_one(
+    fd: bool, data_bitrate: int | None, flags: int
+) -> None:
+    layout = load_layout()
+    buses = [msgspec.structs.replace(bus, fd=fd, data_bitrate=data_bitrate) for bus in layout.bus]
+    contract = Contract.from_layout(msgspec.structs.replace(layout, bus=buses))
+    assert {node.flags for node in contract.nodes} == {flags}
+    assert {node.pdo_bytes for node in contract.nodes} == {64 if fd else 8}
+
+
+@pytest.mark.parametrize(
+    ("bits", "offset_binary", "encoding"),
+    [(16, False, 0x01_00_00_10), (16, True, 0x01_01_00_10), (12, False, 0x01_00_04_0C), (12, True, 0x01_01_04_0C)],
+)
+def test_encoding_is_width_scale_sign_and_blocks_by_byte(bits: int, offset_binary: bool, encoding: int) -> None:
+    layout = msgspec.structs.replace(load_layout(), encoding=Encoding(sum_bits=bits, offset_binary=offset_binary))
+    assert {node.encoding for node in Contract.from_layout(layout).nodes} == {encoding}

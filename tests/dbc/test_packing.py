@@ -127,3 +127,9 @@ def test_offset_binary_shortens_the_frames_of_an_idle_skin() -> None:
         mean[offset_binary] = float(wire_bits(cycle)[0].mean())
     assert mean[False] > 124
     assert mean[True] < 113
+
+
+@pytest.mark.parametrize("bits", [16, 12, 8])
+def test_bits_behind_the_last_sum_are_zero(bits: int) -> None:
+    payload = encode(np.array([-1]), np.array([[0, -1, -1, -1]]), Packing(bits, 1, 0))
+    assert int.from_bytes(payload.tobytes(), "little") == (1 << bits) - 1

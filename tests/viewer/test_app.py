@@ -42,7 +42,8 @@ def header(content: bytes) -> Any:
 def test_page_is_complete_and_guarded(client: TestClient, path: str) -> None:
     answer = client.get(path)
     assert answer.status_code == 200
-    assert "default-src 'none'; script-src 'self'" in answer.headers["content-security-policy"]
+    policy = answer.headers["content-security-policy"].split("; ")
+    assert {"default-src 'none'", "script-src 'self'", "frame-ancestors 'none'", "base-uri 'none'"} <= set(policy)
     assert answer.headers["x-content-type-options"] == "nosniff"
 
 
@@ -89,15 +90,29 @@ def test_page_that_breaks_the_rules_is_hung_up_on(client: TestClient) -> None:
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:9999", "null"])
 def test_foreign_origin_is_refused(client: TestClient, origin: str) -> None:
-    with pytest.raises(WebSocketDisconnect) as caught, client.websocket_connect("/ws", headers={"origin": origin}):
+    address = "ws://127.0.0.1:8765/ws"  # the right host: only the origin is wrong
+    with pytest.raises(WebSocketDisconnect) as caught, client.websocket_connect(address, headers={"origin": origin}):
         pass
-    assert caught.value.code == 1008
+    assert (caught.value.code, caught.value.reason) == (1008, f"pages of {origin} may not read this skin")
 
 
 def test_own_origin_is_welcome(client: TestClient) -> None:
     headers = {"origin": "http://127.0.0.1:8765", "host": "127.0.0.1:8765"}
     with client.websocket_connect("/ws", headers=headers) as socket:
         assert socket.receive_text()
+
+
+def test_socket_through_a_name_pointed_at_this_machine_is_refused(client: TestClient) -> None:
+    headers = {"origin": "http://evil.example:8765"}
+    address = "ws://evil.example:8765/ws"
+    with pytest.raises(WebSocketDisconnect) as caught, client.websocket_connect(address, headers=headers):
+        pass
+    assert (caught.value.code, "host 'evil.example:8765'" in caught.value.reason) == (1008, True)
+
+
+def test_server_without_a_host_answers_to_none(feed: Feed) -> None:
+    with TestClient(build_app(feed, hosts=()), base_url="http://127.0.0.1:8765") as client:
+        assert client.get("/healthz").status_code == 403
 
 
 def test_name_pointed_at_this_machine_is_refused(client: TestClient) -> None:

@@ -184,6 +184,16 @@ def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> N
     assert all(each.stale for each in snapshot.nodes)
 
 
+def test_the_process_of_nodes_silent_for_longest_makes_room(state: ViewState, messages: Any) -> None:
+    for number in range(PROCESSES):
+        state.take_nodes(messages.nodes(f"nodes-{number:03}"), 1.0)
+    state.take_nodes(messages.nodes("nodes-000"), 2.0)
+    state.take_nodes(messages.nodes("another"), 2.0)
+    shown = {each.process for each in state.snapshot(2.1)[0].nodes}
+    assert {"nodes-000", "another"} < shown
+    assert "nodes-001" not in shown
+
+
 def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, messages: Any) -> None:
     for name in ("viewer", "gateway", "reconstructor", "nodes"):
         state.take_service(name, True, 0.0)
@@ -196,6 +206,13 @@ def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, message
     ]
     assert snapshot.image is not None
     assert snapshot.image.stale
+
+
+def test_lost_hub_is_told_at_once_however_fresh_the_last_message_is(state: ViewState, messages: Any) -> None:
+    state.take_service("viewer", True, 0.0)
+    state.take_image(messages.image(), 1.9)
+    state.take_service("viewer", False, 2.0)
+    assert state.snapshot(2.1)[0].cut_off
 
 
 def test_hub_is_not_lost_while_messages_come(state: ViewState, messages: Any) -> None:
