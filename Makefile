@@ -1,6 +1,7 @@
 # make demo     the whole chain on this machine, about 20 s
 # make test     everything that must hold: style, types, imports, tests
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
+# make mutants  small faults put into the code that no quick test notices (docs/develop.md); hours without PATHS or ARGS
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
 
@@ -8,11 +9,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 # What the demo is given, for example: make demo ARGS="--seconds 10 --objects golf-ball"
 ARGS ?=
+# Files or folders of code for make mutants, for example: make mutants PATHS=dbc/packing.py ARGS="--sample 20"
+PATHS ?=
 # The oldest Python that works, as pyproject.toml has it.
 OLDEST := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < tuple(map(int, "$(OLDEST)".split("."))))
 
-.PHONY: setup demo test test-vcan figures check loop
+.PHONY: setup demo test test-vcan mutants figures check loop
 
 setup: .venv/.installed
 
@@ -39,6 +42,10 @@ endef
 	$(call install,.)
 	@touch $@
 
+.venv/.mutants: pyproject.toml
+	$(call install,.[test,mutants])
+	@touch .venv/.demo .venv/.installed $@
+
 demo: .venv/.demo
 	@$(BIN)/skin demo $(ARGS)
 
@@ -50,6 +57,9 @@ test: check
 
 test-vcan: setup
 	tests/vcan/run
+
+mutants: .venv/.mutants
+	@$(BIN)/python tests/mutants/find.py $(PATHS) $(ARGS)
 
 # The quick loop while working: no slow tests.
 loop: setup

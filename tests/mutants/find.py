@@ -1,0 +1,314 @@
+"""Find faults that no test notices: `make mutants`, explained in docs/develop.md.
+
+cosmic-ray makes the mutants and runs the tests. Here stands what our tree needs beyond that: which mutants are worth a
+run, which tests judge each, a copy of the tree to change, and the marks of the equivalent ones.
+"""
+
+import argparse
+import ast
+import difflib
+import os
+import random
+import resource
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import parso
+from cosmic_ray.ast import ast_nodes, get_ast_from_path
+from cosmic_ray.mutating import mutate_and_test, mutate_code
+from cosmic_ray.operators.operator import Example, Operator
+from cosmic_ray.plugins import OPERATOR_PROVIDERS, get_operator
+from cosmic_ray.testing import run_tests
+from cosmic_ray.util import read_python_source
+from cosmic_ray.work_db import use_db
+from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkItem, WorkResult
+
+from skin.terminal import progress
+
+ROOT: Final = Path(__file__).parents[2]
+MARKS: Final = Path(__file__).with_name("equivalent.toml")
+FOLDER: Final = ROOT / "build" / "mutants"
+#: The tree that is changed. It stays where it is, so that no compiled file is made twice.
+COPY: Final = FOLDER / "tree"
+#: Results in cosmic-ray's own form: `cr-report`, `cr-html` read them.
+SESSION: Final = FOLDER / "session.sqlite"
+PATHS: Final = (
+    "bandwidth",
+    "bus",
+    "classifier/dag.py",
+    "classifier/decide.py",
+    "classifier/novelty.py",
+    "dbc",
+    "gateway",
+    "nodes",
+    "reconstructor/kernels/temporal_filter.py",
+    "reconstructor/temporal_filter.py",
+    "viewer/guard.py",
+    "viewer/state.py",
+)
+#: Small faults only: cosmic-ray replaces each binary operator and each comparison by every other one, and most of
+#: those mutants end in the first line that any test runs.
+BINARY: Final = (
+    "Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "FloorDiv_Mul", "Mod_FloorDiv", "Pow_Mul", "RShift_LShift",
+    "LShift_RShift", "BitOr_BitAnd", "BitAnd_BitOr", "BitXor_BitOr",
+)  # fmt: skip
+COMPARISONS: Final = ("Eq_NotEq", "NotEq_Eq", "Lt_LtE", "LtE_Lt", "Gt_GtE", "GtE_Gt", "Is_IsNot", "IsNot_Is")
+OPERATORS: Final = (
+    *(f"core/ReplaceBinaryOperator_{swap}" for swap in BINARY),
+    *(f"core/ReplaceComparisonOperator_{swap}" for swap in COMPARISONS),
+    "core/AddNot",
+    "core/NumberReplacer",
+    "core/ReplaceAndWithOr",
+    "core/ReplaceBreakWithContinue",
+    "core/ReplaceContinueWithBreak",
+    "core/ReplaceFalseWithTrue",
+    "core/ReplaceOrWithAnd",
+    "core/ReplaceTrueWithFalse",
+    "core/ReplaceUnaryOperator_Delete_Not",
+    "core/ReplaceUnaryOperator_USub_UAdd",
+    "core/ZeroIterationForLoop",
+    "canskin/RemoveStatement",
+)
+#: A mutant hangs when its tests take this many times what they take without a fault, and at least so long.
+PATIENCE: Final = 5.0
+LEAST_PATIENCE_S: Final = 60.0
+#: Memory of one process, so that a loop without an end takes the machine's memory away from nobody.
+MEMORY_BYTES: Final = 4 << 30
+
+
+class RemoveStatement(Operator):
+    """Leaves out a call, or an assignment to a field or an element: the fault that cosmic-ray does not know."""
+
+    def mutation_positions(self, node: parso.tree.NodeOrLeaf) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+        """Yield the place of `node` when it is such a statement."""
+        if node.parent is None or node.parent.type != "simple_stmt":
+            return
+        is_call = node.type in {"atom_expr", "power", "await"}
+        if is_call or node.type in {"raise_stmt", "del_stmt"} or (node.type == "expr_stmt" and _changes_object(node)):
+            yield node.start_pos, node.end_pos
+
+    def mutate(self, node: parso.tree.NodeOrLeaf, _index: int) -> parso.tree.NodeOrLeaf:
+        """Return `pass` in its place."""
+        return parso.python.tree.Keyword("pass", node.start_pos, node.get_first_leaf().prefix)
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Show the operator at work."""
+        return (Example("x.clear()", "pass"), Example("x.y = 1", "pass"))
+
+
+def _changes_object(statement: parso.tree.BaseNode) -> bool:
+    """Tell whether an assignment changes an object; without a local variable, the next line would fail anyway."""
+    target, sign = statement.children[0], statement.children[1]
+    is_part = any(mark in target.get_code(include_prefix=False) for mark in ".[")
+    return is_part or (sign.type == "operator" and sign.value != "=")
+
+
+class NothingToJudgeError(Exception):
+    """No mutant, or tests that fail without any."""
+
+
+class Change(NamedTuple):
+    """What a mutant changes: the file from the root on, the line, and what stands there before and after."""
+
+    path: str
+    line: int
+    before: str
+    after: str
+
+    @property
+    def mark(self) -> tuple[str, str, str]:
+        """How `equivalent.toml` names it: by its text, which stays when lines move."""
+        return self.path, " ".join(self.before.split()), " ".join(self.after.split())
+
+
+def main() -> int:
+    """Run the command line; 1 when nothing could be judged, whatever survived."""
+    options = _options()
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+    _copy_tree()
+    os.chdir(COPY)
+    # A compiled kernel must not outlive the change, and its compiled callers hold a copy. So nothing is compiled.
+    os.environ |= {"PYTHONPATH": str(COPY), "NUMBA_DISABLE_JIT": "1"}
+    OPERATOR_PROVIDERS["canskin"] = {"RemoveStatement": RemoveStatement}
+    try:
+        return _judge(_choose(options))
+    except (NothingToJudgeError, KeyboardInterrupt) as error:
+        print(str(error) or "stopped", file=sys.stderr)
+        return 1
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="make mutants", description="find faults that no quick test notices")
+    parser.add_argument("paths", nargs="*", default=PATHS, help="files or folders of code (default: %(default)s)")
+    parser.add_argument("--sample", type=int, metavar="N", help="draw N mutants at random (default: all)")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw (default: %(default)s)")
+    parser.add_argument("--without", nargs="+", default=(), metavar="PATH", help="leave these files or folders out")
+    options = parser.parse_args()
+    for path in (*options.paths, *options.without):
+        if not (ROOT / path).exists():
+            parser.error(f"expected a file or folder from the root of the project on, got {path!r}")
+    return options
+
+
+def _copy_tree() -> None:
+    """Bring `COPY` up to date; a file that did not change keeps its time."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT, check=True, capture_output=True, text=True,
+    ).stdout.split("\0")  # fmt: skip
+    ours = {name for name in listed if name and (ROOT / name).is_file()}
+    for path in [path for path in COPY.rglob("*") if path.is_file() and "__pycache__" not in path.parts]:
+        if path.relative_to(COPY).as_posix() not in ours:
+            path.unlink()
+    for name in ours:
+        source, target = ROOT / name, COPY / name
+        if not target.exists() or source.read_bytes() != target.read_bytes():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, target)
+
+
+def _mutants(paths: list[str]) -> list[WorkItem]:
+    """List the mutants of `paths`, in an order that is the same in every run."""
+    files = {file for path in paths for file in ([Path(path)] if path.endswith(".py") else Path(path).rglob("*.py"))}
+    return [item for file in sorted(files) for item in _mutants_of(file)]
+
+
+def _mutants_of(file: Path) -> Iterator[WorkItem]:
+    nodes = list(ast_nodes(get_ast_from_path(file)))
+    for name in OPERATORS:
+        operator = get_operator(name)()
+        places = (place for node in nodes for place in operator.mutation_positions(node))
+        for occurrence, (start, end) in enumerate(places):
+            mutation = MutationSpec(file, name, occurrence, start, end)
+            yield WorkItem.single(f"{file} {name} {occurrence}", mutation)
+
+
+def _choose(options: argparse.Namespace) -> list[tuple[WorkItem, Change]]:
+    """Draw the mutants to judge."""
+    items = [item for item in _mutants(options.paths) if not any(_is_below(item, path) for path in options.without)]
+    if options.sample is not None:
+        random.Random(options.seed).shuffle(items)
+    marks = {(mark["file"], mark["before"], mark["after"]) for mark in tomllib.loads(MARKS.read_text())["equivalent"]}
+    chosen: list[tuple[WorkItem, Change]] = []
+    met = set()
+    for item in items:
+        if len(chosen) == options.sample:
+            break
+        change = _change(item)
+        if change is not None and change.mark in marks:
+            met.add(change.mark)
+        elif change is not None:
+            chosen.append((item, change))
+    if options.sample is None:
+        files = {item.mutations[0].module_path.as_posix() for item in items}
+        for path, before, after in sorted(mark for mark in marks - met if mark[0] in files):
+            print(
+                f"{MARKS.relative_to(ROOT)} marks what no longer is: {path}: {before!r} to {after!r}", file=sys.stderr
+            )
+    print(f"{len(chosen)} mutants, {len(met)} more are marked as equivalent", flush=True)
+    return chosen
+
+
+def _is_below(item: WorkItem, path: str) -> bool:
+    return item.mutations[0].module_path.is_relative_to(path)
+
+
+def _change(item: WorkItem) -> Change | None:
+    """Return what a mutant changes; None when no behaviour can change."""
+    mutation = item.mutations[0]
+    source = _source(mutation.module_path)
+    mutated = mutate_code(source, get_operator(mutation.operator_name)(), mutation.occurrence)
+    if mutated is None or _behaviour(source) == _behaviour(mutated):
+        return None
+    before, after = source.splitlines(), mutated.splitlines()
+    matcher = difflib.SequenceMatcher(None, before, after, autojunk=False)
+    edits = [edit for edit in matcher.get_opcodes() if edit[0] != "equal"]
+    (_, first, _, _, _), (_, _, end, _, end_after) = edits[0], edits[-1]
+    return Change(
+        mutation.module_path.as_posix(), first + 1, "\n".join(before[first:end]), "\n".join(after[first:end_after])
+    )
+
+
+@cache
+def _source(path: Path) -> str:
+    source: str = read_python_source(path)
+    return source
+
+
+@cache
+def _behaviour(source: str) -> str:
+    """Return the syntax tree of `source` without annotations, decorators and the kinds of parameters."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            node.returns, node.decorator_list = None, []
+        elif isinstance(node, ast.ClassDef):
+            node.decorator_list = []
+        elif isinstance(node, ast.arg):
+            node.annotation = None
+        elif isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Constant(None)
+        elif isinstance(node, ast.arguments):
+            node.args = [*node.posonlyargs, *node.args, *node.kwonlyargs]
+            node.defaults += [default for default in node.kw_defaults if default]
+            node.posonlyargs, node.kwonlyargs, node.kw_defaults = [], [], []
+    return ast.dump(tree)
+
+
+def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
+    """Run the tests of each mutant, list the survivors, and tell the share that was noticed."""
+    if not chosen:
+        raise NothingToJudgeError("no mutant in these paths: name files or folders with Python code")
+    noticed = judged = 0
+    SESSION.unlink(missing_ok=True)
+    with use_db(SESSION) as session, progress("mutants", len(chosen)) as bar:
+        session.add_work_items(item for item, _ in chosen)
+        try:
+            for item, change in chosen:
+                patience_s = _patience_s(change.path.split("/", maxsplit=1)[0])
+                result: WorkResult = mutate_and_test(item.mutations, _command(change.path), patience_s)
+                session.set_result(item.job_id, result)
+                bar.advance()
+                judged += 1
+                noticed += result.is_killed
+                if not result.is_killed:
+                    lines = [f"  - {line}" for line in change.before.split("\n")]
+                    lines += [f"  + {line}" for line in change.after.split("\n")]
+                    print(f"{change.path}:{change.line}", *lines, sep="\n", flush=True)
+        finally:
+            print(f"{noticed} of {judged} mutants noticed, {noticed / max(judged, 1):.0%}")
+    return 0
+
+
+@cache
+def _patience_s(folder: str) -> float:
+    """Run the tests of a folder of code without a fault, and return how long those of a mutant may take."""
+    began_s = time.monotonic()
+    outcome, output = run_tests(_command(f"{folder}/any"), None)
+    if outcome is not TestOutcome.SURVIVED:
+        raise NothingToJudgeError(f"{output}\nthe tests of {folder} fail without any fault: mend them first")
+    return max(LEAST_PATIENCE_S, PATIENCE * (time.monotonic() - began_s))
+
+
+def _command(path: str) -> str:
+    """Return the command that judges a file of code: the quick tests of its folder, those that name it first."""
+    folder, module = path.split("/", maxsplit=1)[0], path.removesuffix(".py").replace("/", ".")
+    tests = sorted(
+        Path("tests", folder).rglob("test_*.py"),
+        key=lambda test: (test.stem != f"test_{Path(path).stem}", module not in test.read_text(), test),
+    )
+    options = "-x -q -p no:cacheprovider -m 'not slow' --hypothesis-seed=0"
+    return f"{shlex.quote(sys.executable)} -m pytest {options} {shlex.join(map(str, tests))}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
