@@ -7,6 +7,7 @@ run, which tests judge each, a copy of the tree to change, and the marks of the 
 import argparse
 import ast
 import difflib
+import fcntl
 import os
 import random
 import resource
@@ -17,7 +18,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -29,8 +30,9 @@ from cosmic_ray.plugins import OPERATOR_PROVIDERS, get_operator
 from cosmic_ray.testing import run_tests
 from cosmic_ray.util import read_python_source
 from cosmic_ray.work_db import use_db
-from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkItem, WorkResult
+from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkItem, WorkResult
 
+from skin.errors import InputError, RunError, SkinError
 from skin.terminal import progress
 
 ROOT: Final = Path(__file__).parents[2]
@@ -112,10 +114,6 @@ def _changes_object(statement: parso.tree.BaseNode) -> bool:
     return is_part or (sign.type == "operator" and sign.value != "=")
 
 
-class NothingToJudgeError(Exception):
-    """No mutant, or tests that fail without any."""
-
-
 class Change(NamedTuple):
     """What a mutant changes: the file from the root on, the line, and what stands there before and after."""
 
@@ -131,19 +129,30 @@ class Change(NamedTuple):
 
 
 def main() -> int:
-    """Run the command line; 1 when nothing could be judged, whatever survived."""
+    """Run the command line; 0 when every mutant was judged, whatever survived."""
     options = _options()
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    with (FOLDER / "lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return _run(options)
+        except BlockingIOError:
+            print(f"another `make mutants` is at work in {FOLDER}: wait for its end", file=sys.stderr)
+        except SkinError as error:
+            print(error, file=sys.stderr)
+        except KeyboardInterrupt:
+            print("stopped", file=sys.stderr)
+    return 2
+
+
+def _run(options: argparse.Namespace) -> int:
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     _copy_tree()
     os.chdir(COPY)
     # A compiled kernel must not outlive the change, and its compiled callers hold a copy. So nothing is compiled.
     os.environ |= {"PYTHONPATH": str(COPY), "NUMBA_DISABLE_JIT": "1"}
     OPERATOR_PROVIDERS["canskin"] = {"RemoveStatement": RemoveStatement}
-    try:
-        return _judge(_choose(options))
-    except (NothingToJudgeError, KeyboardInterrupt) as error:
-        print(str(error) or "stopped", file=sys.stderr)
-        return 1
+    return _judge(_choose(options))
 
 
 def _options() -> argparse.Namespace:
@@ -211,9 +220,7 @@ def _choose(options: argparse.Namespace) -> list[tuple[WorkItem, Change]]:
     if options.sample is None:
         files = {item.mutations[0].module_path.as_posix() for item in items}
         for path, before, after in sorted(mark for mark in marks - met if mark[0] in files):
-            print(
-                f"{MARKS.relative_to(ROOT)} marks what no longer is: {path}: {before!r} to {after!r}", file=sys.stderr
-            )
+            print(f"{MARKS.name}: {path} has no mutant {before!r} to {after!r} any more", file=sys.stderr)
     print(f"{len(chosen)} mutants, {len(met)} more are marked as equivalent", flush=True)
     return chosen
 
@@ -244,7 +251,7 @@ def _source(path: Path) -> str:
     return source
 
 
-@cache
+@lru_cache(256)
 def _behaviour(source: str) -> str:
     """Return the syntax tree of `source` without annotations, decorators and the kinds of parameters."""
     tree = ast.parse(source)
@@ -267,7 +274,7 @@ def _behaviour(source: str) -> str:
 def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
     """Run the tests of each mutant, list the survivors, and tell the share that was noticed."""
     if not chosen:
-        raise NothingToJudgeError("no mutant in these paths: name files or folders with Python code")
+        raise InputError("no mutant in these paths: name files or folders with Python code")
     noticed = judged = 0
     SESSION.unlink(missing_ok=True)
     with use_db(SESSION) as session, progress("mutants", len(chosen)) as bar:
@@ -276,6 +283,8 @@ def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
             for item, change in chosen:
                 patience_s = _patience_s(change.path.split("/", maxsplit=1)[0])
                 result: WorkResult = mutate_and_test(item.mutations, _command(change.path), patience_s)
+                if result.worker_outcome is not WorkerOutcome.NORMAL:
+                    raise RunError(f"{change.path}:{change.line}: no such mutant can be made: {result.output}")
                 session.set_result(item.job_id, result)
                 bar.advance()
                 judged += 1
@@ -295,7 +304,7 @@ def _patience_s(folder: str) -> float:
     began_s = time.monotonic()
     outcome, output = run_tests(_command(f"{folder}/any"), None)
     if outcome is not TestOutcome.SURVIVED:
-        raise NothingToJudgeError(f"{output}\nthe tests of {folder} fail without any fault: mend them first")
+        raise RunError(f"{output}\nthe tests of {folder} fail without any fault: mend them first")
     return max(LEAST_PATIENCE_S, PATIENCE * (time.monotonic() - began_s))
 
 
