@@ -211,6 +211,14 @@ def test_a_controller_without_power_neither_sends_nor_acknowledges() -> None:
     assert list(got["can_id"][got["flags"] == 0]) == [0x200]
 
 
+def test_a_controller_without_power_counts_no_errors_of_others() -> None:
+    bus = SimulatedBus(faults=[Fault(controller="dead:0", off=True), Fault(controller="bad:0", bit_error_rate=1.0)])
+    bad, dead, good = bus.attach("bad"), bus.attach("dead"), bus.attach("good")
+    bus.submit(bad, burst([0x100]), 0)
+    bus.run_until(50_000_000)
+    assert (dead.controllers[0].receive_errors, good.controllers[0].receive_errors) == (0, 32)
+
+
 def test_a_controller_that_loses_power_gets_its_waiting_frames_back() -> None:
     bus = SimulatedBus()
     alive = bus.attach("alive")

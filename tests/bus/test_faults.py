@@ -66,6 +66,18 @@ def test_rules_aim_at_controllers_and_identifiers() -> None:
     assert sorted(events.frames["can_id"][events.audience & OWNER != 0].tolist()) == [0x000, 0x080, 0x183, 0x184]
 
 
+def test_a_rule_of_a_mask_alone_aims_at_identifiers_without_these_bits() -> None:
+    book = FaultBook([Fault(mask=0x780, loss_ratio=1.0)])
+    assert [book.odds("a:0", can_id).loss for can_id in (0x000, 0x07F, 0x080, 0x181)] == [1, 1, 0, 0]
+
+
+def test_rules_that_are_replaced_no_longer_hold() -> None:
+    book = FaultBook([Fault(loss_ratio=1.0)])
+    assert book.odds("a:0", 0x100).loss == 1
+    book.replace([])
+    assert book.odds("a:0", 0x100).loss == 0
+
+
 def test_a_duplicate_costs_the_wire_and_is_echoed_once() -> None:
     bus = SimulatedBus(faults=[Fault(duplicate_ratio=1.0)])
     one, _ = bus.attach("one"), bus.attach("two")

@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.newest_sums import HOLD_CYCLES
 from classifier.samples import simulate_sums
@@ -127,14 +127,14 @@ def test_blocks_that_come_by_turns_are_enough(
     assert set(labels[5:]) == {"plate"}
 
 
-@pytest.mark.parametrize("step", [FORGET_CYCLES + 1, 0, -100])
-def test_past_is_forgotten_after_a_gap_or_a_restart(
-    model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray, step: int
+@pytest.mark.parametrize(("step", "label"), [(11, "plate"), (0, "plate"), (-100, "plate"), (1, "dome"), (10, "dome")])
+def test_past_is_forgotten_after_a_gap_of_ten_cycles_or_a_restart(
+    model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray, step: int, label: str
 ) -> None:
     classifier = Classifier(model, phi)
     for cycle, y in enumerate(pressed["dome"], start=1000):
         classifier.decide(y, valid, cycle)
-    assert classifier.decide(pressed["plate"][0], valid, 1019 + step).label == "plate"
+    assert classifier.decide(pressed["plate"][0], valid, 1019 + step).label == label
 
 
 def test_extreme_sums_give_a_decision(model: Model, phi: Sbhe, valid: np.ndarray) -> None:

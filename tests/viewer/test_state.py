@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skin.peers import Peer, new_peer
-from viewer.state import PROCESSES, SERVICES, ViewState
+from viewer.state import PEERS, PROCESSES, SERVICES, ViewState
 
 EPOCH_S = 1000.0
 
@@ -300,6 +300,15 @@ def test_services_do_not_pile_up(state: ViewState) -> None:
     for number in range(3 * SERVICES):
         state.take_service(f"lasting-{number}", True, 2000.0)
     assert len(state.snapshot(3000.0)[0].services) == SERVICES
+
+
+def test_other_skins_do_not_pile_up(state: ViewState) -> None:
+    others = [new_peer(f"skin-{number:03}", "gateway", "0123456789abcdef") for number in range(PEERS + 10)]
+    for peer in others:
+        state.take_peer(peer, True, 0.0)
+    assert state.snapshot(0.1)[0].other_skins == [peer.skin for peer in others[:PEERS]]
+    state.take_peer(others[0], False, 1.0)
+    assert others[0].skin not in state.snapshot(1.1)[0].other_skins
 
 
 def test_service_of_another_phi_or_version_is_an_error_that_names_both(state: ViewState, messages: Any) -> None:
