@@ -18,8 +18,10 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache, lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
 import parso
@@ -40,6 +42,8 @@ MARKS: Final = Path(__file__).with_name("equivalent.toml")
 FOLDER: Final = ROOT / "build" / "mutants"
 #: The tree that is changed. It stays where it is, so that no compiled file is made twice.
 COPY: Final = FOLDER / "tree"
+#: Compiled kernels, for mutants that change none.
+KERNELS: Final = FOLDER / "kernels"
 #: Results in cosmic-ray's own form: `cr-report`, `cr-html` read them.
 SESSION: Final = FOLDER / "session.sqlite"
 PATHS: Final = (
@@ -149,8 +153,7 @@ def _run(options: argparse.Namespace) -> int:
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     _copy_tree()
     os.chdir(COPY)
-    # A compiled kernel must not outlive the change, and its compiled callers hold a copy. So nothing is compiled.
-    os.environ |= {"PYTHONPATH": str(COPY), "NUMBA_DISABLE_JIT": "1"}
+    os.environ["PYTHONPATH"] = str(COPY)
     OPERATOR_PROVIDERS["canskin"] = {"RemoveStatement": RemoveStatement}
     return _judge(_choose(options))
 
@@ -282,7 +285,8 @@ def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
         try:
             for item, change in chosen:
                 patience_s = _patience_s(change.path.split("/", maxsplit=1)[0])
-                result: WorkResult = mutate_and_test(item.mutations, _command(change.path), patience_s)
+                with _kernels(change.path):
+                    result: WorkResult = mutate_and_test(item.mutations, _command(change.path), patience_s)
                 if result.worker_outcome is not WorkerOutcome.NORMAL:
                     raise RunError(f"{change.path}:{change.line}: no such mutant can be made: {result.output}")
                 session.set_result(item.job_id, result)
@@ -301,11 +305,35 @@ def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
 @cache
 def _patience_s(folder: str) -> float:
     """Run the tests of a folder of code without a fault, and return how long those of a mutant may take."""
+    os.environ["NUMBA_CACHE_DIR"] = str(KERNELS)
+    run_tests(_command(f"{folder}/any"), None)  # compiles what the tests need
     began_s = time.monotonic()
     outcome, output = run_tests(_command(f"{folder}/any"), None)
     if outcome is not TestOutcome.SURVIVED:
         raise RunError(f"{output}\nthe tests of {folder} fail without any fault: mend them first")
     return max(LEAST_PATIENCE_S, PATIENCE * (time.monotonic() - began_s))
+
+
+@contextmanager
+def _kernels(path: str) -> Iterator[None]:
+    """Choose which compiled kernels the tests use; a change of what is compiled gets kernels of its own."""
+    with TemporaryDirectory(dir=FOLDER) as own:
+        os.environ["NUMBA_CACHE_DIR"] = own if path in _compiled() else str(KERNELS)
+        yield
+
+
+@cache
+def _compiled() -> set[str]:
+    """Find the files that compiled code is made of: those with kernels, and all that these import of ours."""
+    found: set[str] = set()
+    new = {path.as_posix() for path in Path().glob("*/**/*.py") if "numba" in path.read_text()}
+    while new:
+        found |= new
+        trees = (ast.walk(ast.parse(_source(Path(path)))) for path in new)
+        imports = {node.module for tree in trees for node in tree if isinstance(node, ast.ImportFrom) and node.module}
+        new = {f"{name.replace('.', '/')}.py" for name in imports} - found
+        new = {path for path in new if Path(path).exists()}
+    return found
 
 
 def _command(path: str) -> str:
