@@ -43,7 +43,7 @@ endef
 	@touch $@
 
 .venv/.mutants: pyproject.toml
-	$(call install,.[test,mutants])
+	$(call install,.[mutants])
 	@touch .venv/.demo .venv/.installed $@
 
 demo: .venv/.demo
