@@ -306,7 +306,6 @@ def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
 def _patience_s(folder: str) -> float:
     """Run the tests of a folder of code without a fault, and return how long those of a mutant may take."""
     os.environ["NUMBA_CACHE_DIR"] = str(KERNELS)
-    run_tests(_command(f"{folder}/any"), None)  # compiles what the tests need
     began_s = time.monotonic()
     outcome, output = run_tests(_command(f"{folder}/any"), None)
     if outcome is not TestOutcome.SURVIVED:
