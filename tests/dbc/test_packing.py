@@ -133,3 +133,11 @@ def test_offset_binary_shortens_the_frames_of_an_idle_skin() -> None:
 def test_bits_behind_the_last_sum_are_zero(bits: int) -> None:
     payload = encode(np.array([-1]), np.array([[0, -1, -1, -1]]), Packing(bits, 1, 0))
     assert int.from_bytes(payload.tobytes(), "little") == (1 << bits) - 1
+
+
+@pytest.mark.parametrize(
+    ("bits", "offset", "low", "high"),
+    [(16, 0, -32768, 32767), (16, 0x5555, 0, 65535), (12, 0, -2048, 2047), (8, 0x55, 0, 255)],
+)
+def test_raw_values_are_what_the_width_holds(bits: int, offset: int, low: int, high: int) -> None:
+    assert Packing(bits, 1, offset).raw_range == (low, high)
