@@ -237,7 +237,10 @@ def _change(item: WorkItem) -> Change | None:
     mutation = item.mutations[0]
     source = _source(mutation.module_path)
     mutated = mutate_code(source, get_operator(mutation.operator_name)(), mutation.occurrence)
-    if mutated is None or _behaviour(source) == _behaviour(mutated):
+    try:
+        if mutated is None or _behaviour(source) == _behaviour(mutated):
+            return None
+    except SyntaxError:  # the ** of a dict display, taken for a power
         return None
     before, after = source.splitlines(), mutated.splitlines()
     matcher = difflib.SequenceMatcher(None, before, after, autojunk=False)
