@@ -99,8 +99,15 @@ def nodes(
     chosen = choose_nodes(contract, only or [], without or [])
     source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed)
     noise = 0.0 if source.has_noise else noise_n
-    period_s = skin.sync.period_s
-    electronics = Electronics(skin.taxels, noise_n=noise, seed=seed, defects=defects, period_s=period_s)
+    electronics = Electronics(
+        skin.taxels,
+        noise_n=noise,
+        seed=seed,
+        defects=defects,
+        period_s=skin.sync.period_s,
+        samples=skin.samples_per_sync,
+        blocks=contract.phi.taxels_of_blocks,
+    )
     sampler = Sampler(contract.phi, source, electronics)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nodes.averaging import SampleFilter
 from skin.layout import Taxels
 from skin.taxel import NOISE_N, TaxelModel, to_counts
 
@@ -28,9 +29,16 @@ class Electronics:
         Defects of the taxels, as `skin.defects.parse_defects` returns them.
     period_s : float
         Time between two steps of the touch; drift and damper need it.
+    samples : int
+        Samples of every taxel in one step, the last one at the step's instant. Between two steps the force is
+        interpolated. More than one are averaged (`nodes.averaging`).
+    blocks : array of int, shape (blocks, block size), optional
+        Taxels of each block; more than one sample need it.
 
     Attributes
     ----------
+    sampled : array of int32, shape (n,)
+        What every taxel read at the newest step, corrected; not averaged.
     gain, offset : array of float32, shape (n,)
         Correction per taxel: ``gain * counts + offset``, in counts.
     taxels : Taxels
@@ -45,7 +53,10 @@ class Electronics:
         seed: int = 0,
         defects: Mapping[str, Any] | None = None,
         period_s: float = 0.01,
+        samples: int = 1,
+        blocks: npt.NDArray[np.intp] | None = None,
     ) -> None:
+        self.sampled = np.zeros(taxels.count, np.int32)
         self.taxels = taxels
         self.gain = np.ones(taxels.count, np.float32)
         self.offset = np.zeros(taxels.count, np.float32)
@@ -54,34 +65,69 @@ class Electronics:
         self._period_s = period_s
         self._last: tuple[int, npt.NDArray[np.float32]] | None = None
         self._pattern = np.full(taxels.count, -1, np.int32)
+        self._samples = samples
+        self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
+        self._felt = np.zeros(taxels.count, np.int32)
+        self._felt_step = -1
 
-    def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[np.int32]:
-        """Return corrected ADC counts, shape (n,), of true forces, shape (rows, columns), at `step`."""
-        signal = self._model.signal_of_moments(
-            self._with_damper(force_n, step)[None], self._random, np.array([step * self._period_s])
-        )
-        counts = to_counts(signal.ravel(), self.taxels)
+    @property
+    def averages(self) -> bool:
+        """Whether samples are averaged: then every step has to be read, or prepared, after the one before."""
+        return self._filter is not None
+
+    def prepare(self, force_n: npt.NDArray[np.float32], step: int) -> None:
+        """Sample the forces at `step` before they are asked for: noise and average take most of the time."""
+        if step == self._felt_step:
+            return
+        moments_n = self._moments_n(force_n, step)
+        count = len(moments_n)
+        time_s = self._period_s * (step - 1 + np.arange(1, count + 1) / count)
+        signal = self._model.signal_of_moments(moments_n, self._random, time_s)
+        counts = to_counts(signal.reshape(count, -1), self.taxels)
+        self._felt, self._felt_step = counts[-1], step
+        if self._filter is not None:
+            self._filter.take(counts.astype(np.float32))
+
+    def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[Any]:
+        """Return what the sums are made of, corrected, shape (n,), of true forces, shape (rows, columns), at `step`.
+
+        ADC counts, int32; where samples are averaged, averages of counts, float32.
+        """
+        self.prepare(force_n, step)
+        self._felt_step = -1
+        self.sampled = np.rint(self._corrected(self._felt)).astype(np.int32)
+        np.copyto(self.sampled, self._pattern, where=self._pattern >= 0)
+        if self._filter is None:
+            return self.sampled
+        averages = self._corrected(self._filter.counts)
+        np.copyto(averages, self._pattern, where=self._pattern >= 0, casting="unsafe")
+        return averages
+
+    def restart(self, block: int) -> None:
+        """Begin the averages of a block anew."""
+        if self._filter is not None:
+            self._filter.restart(block)
+
+    def _corrected(self, counts: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         corrected = counts.astype(np.float32)
         with np.errstate(over="ignore"):  # an SDO write may set a huge gain; the result is clipped
             corrected *= self.gain
         corrected += self.offset
-        np.rint(corrected, out=corrected)
         np.clip(corrected, 0, self.taxels.count_max, out=corrected)
-        np.copyto(counts, corrected, casting="unsafe")
-        np.copyto(counts, self._pattern, where=self._pattern >= 0)
-        return counts
+        return corrected
 
-    def _with_damper(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float32]:
-        """Return the force plus the damper's force; the speed is the mean since the last step that was read."""
-        if self._model.damper is None:
-            return force_n
+    def _moments_n(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float32]:
+        """Return the forces of the samples up to `step`, with the damper's part: the speed is that since the last."""
         last_step, last_n = self._last or (step, force_n)
         self._last = step, force_n
         if step <= last_step:
-            return force_n
-        damped = self._model.damper(np.stack([last_n, force_n]), (step - last_step) * self._period_s)
-        pressed: npt.NDArray[np.float32] = damped[1]
-        return pressed
+            last_step, last_n = step - 1, force_n
+        parts = (np.arange(1, self._samples, dtype=np.float32) / self._samples)[:, None, None]
+        moments_n = np.concatenate([last_n[None], last_n + parts * (force_n - last_n), force_n[None]])
+        if self._model.damper is not None:
+            moments_n = self._model.damper(moments_n, (step - last_step) * self._period_s / self._samples)
+        felt_n: npt.NDArray[np.float32] = moments_n[1:]
+        return felt_n
 
     def set_pattern(self, chain: npt.NDArray[np.intp], pattern: int) -> None:
         """Set the test pattern of one block; `chain` holds its taxels in chain order."""

@@ -1,7 +1,7 @@
 """At a SYNC every block samples the same instant of the touch."""
 
 from collections import deque
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +43,6 @@ class Sampler:
         self._step = -1
         self._counter = 0
         self._kept: deque[tuple[int, int, npt.NDArray[np.int32]]] = deque(maxlen=KEPT_CYCLES)
-        self._counts = np.zeros(phi.shape[1], np.int32)
         self._truth: Truth | None = None
 
     def first_sum(self, block: int) -> int:
@@ -62,11 +61,12 @@ class Sampler:
             self._patterns[block] = int(value)
 
     def reset(self, block: int) -> None:
-        """Set a block to the defaults: gain 1, offset 0, no test pattern."""
+        """Set a block to the defaults: gain 1, offset 0, no test pattern; begin its averages anew."""
         chain = self._chain(block)
         self._electronics.gain[chain] = 1
         self._electronics.offset[chain] = 0
         self._electronics.set_pattern(chain, PATTERN_OFF)
+        self._electronics.restart(block)
         self._patterns[block] = PATTERN_OFF
 
     def pattern(self, block: int) -> int:
@@ -75,7 +75,7 @@ class Sampler:
 
     def saturated(self, block: int) -> int:
         """Count the taxels of `block` at the top of their range."""
-        return int((self._counts[self._chain(block)] >= self._electronics.taxels.count_max).sum())
+        return int((self._electronics.sampled[self._chain(block)] >= self._electronics.taxels.count_max).sum())
 
     def _chain(self, block: int) -> npt.NDArray[np.intp]:
         """Return the taxels of a block in chain order."""
@@ -91,21 +91,29 @@ class Sampler:
         if self._step < 0:
             self._step = max(0, counter - 1)
         else:
-            self._step += (counter - self._counter) % SYNC_OVERFLOW or 1
+            missed = (counter - self._counter) % SYNC_OVERFLOW or 1
+            self._step += missed
+            if missed > 1 and self._electronics.averages:
+                self._electronics.prepare(self._source.frame(self._step - 1).force_n, self._step - 1)
         self._counter = counter
         frame = self._source.frame(self._step)
-        self._counts = self._electronics.read(frame.force_n, self._step)
-        self.sums = self._phi.forward(self._counts).astype(np.int32, copy=False)
+        exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(frame.force_n, self._step))
+        self.sums = np.rint(exact).astype(np.int32)
         self._kept.append((counter, time_ns, self.sums))
         self._truth = Truth(
             step=self._step,
             sync_counter=counter,
             sync_mono_ns=time_ns,
             true=frame.force_n.astype("<f4").tobytes(),
-            sensor=to_newtons(self._counts, self._electronics.taxels).astype("<f4").tobytes(),
+            sensor=to_newtons(self._electronics.sampled, self._electronics.taxels).astype("<f4").tobytes(),
             label=frame.label,
         )
         return self.sums
+
+    def prepare(self) -> None:
+        """Sample ahead what the next SYNC will most likely ask for."""
+        if self._step >= 0:
+            self._electronics.prepare(self._source.frame(self._step + 1).force_n, self._step + 1)
 
     def take_truth(self) -> Truth | None:
         """Return the true forces and the sensor signal of the newest cycle, once."""

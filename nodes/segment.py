@@ -66,6 +66,8 @@ class Segment:
     ----------
     frames_rejected : int
         Number of received frames that made the CANopen library raise; they are dropped.
+    sync_at_s : float
+        When the newest SYNC was read.
     """
 
     def __init__(
@@ -88,7 +90,7 @@ class Segment:
         self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
-        self._sync_at_s = self._tick_at_s = float("-inf")
+        self.sync_at_s = self._tick_at_s = float("-inf")
         self._sampler = sampler
         self._send = send
         self._network = SegmentNetwork(send)
@@ -130,7 +132,7 @@ class Segment:
 
         A heartbeat sent while a SYNC waits to be read would delay the burst that answers this SYNC.
         """
-        since_s = now_s - self._sync_at_s
+        since_s = now_s - self.sync_at_s
         quiet = QUIET_FROM * self._period_s < since_s < QUIET_TO * self._period_s
         if quiet or now_s < self._tick_at_s:
             return
@@ -170,7 +172,7 @@ class Segment:
         if len(data) == 1 and not 1 <= data[0] <= LAST_SYNCHRONOUS:
             return  # no counter of CiA 301, 7.2.5.2
         self.syncs_seen += 1
-        self._sync_at_s = now_s
+        self.sync_at_s = now_s
         listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
         self._judge_sync(listening, len(data))
         counter = data[0] if len(data) == 1 else 0

@@ -18,6 +18,8 @@ from skin.service import Complaints, StopSignal, be_punctual
 #: Longest wait for frames.
 TURN_S: Final = 0.005
 STATUS_PERIOD_S: Final = 0.2
+#: The next cycle is sampled ahead from so many periods after a SYNC on: all buses have had their answers by then.
+PREPARE_FROM: Final = 0.3
 
 
 class NodesService:
@@ -67,6 +69,7 @@ class NodesService:
         self._fabric = fabric
         self._clock = clock
         self._status_at_s = 0.0
+        self._prepare_after_s = PREPARE_FROM * contract.layout.sync.period_s
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`."""
@@ -87,6 +90,8 @@ class NodesService:
         for segment in self.segments.values():
             segment.tick(now_s)
         self._publish(now_s)
+        if now_s - max(segment.sync_at_s for segment in self.segments.values()) >= self._prepare_after_s:
+            self._sampler.prepare()
 
     def publish_status(self) -> None:
         """Publish the counters of all segments."""

@@ -82,7 +82,13 @@ def rebuild(
     settings = options.settings()
     library = gpu_library() if device == "gpu" else None
     solve = RecordingSolver(
-        contract.phi, taxels.rows, taxels.columns, settings, noise_n=options.noise_n, library=library
+        contract.phi,
+        taxels.rows,
+        taxels.columns,
+        settings,
+        noise_n=options.noise_n,
+        samples=1 if is_recording else contract.layout.samples_per_sync,  # a recording has one frame for each cycle
+        library=library,
     )
     cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
     say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, {solve.method}, on the {device}")

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from reconstructor.array_api import BatchSolver
 from reconstructor.checks import LARGEST_N
-from reconstructor.clipping import ClipCorrection
 from reconstructor.engine import Reconstructor
 from reconstructor.kernels.lanes import LANES, LaneSolver
 from reconstructor.settings import LIVE, WAVELETS, SolverSettings
+from skin.clipping import ClipCorrection
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
@@ -49,7 +49,7 @@ class RecordingSolver:
     rows, columns : int
         The grid, powers of two from 8 to 256.
     settings : SolverSettings
-    noise_n : float, optional
+    noise_n, samples
         See `Reconstructor`.
     library : module, optional
         A library of the Python array API, for example `reconstructor.array_api.gpu_library`.
@@ -73,10 +73,11 @@ class RecordingSolver:
         settings: SolverSettings = LIVE,
         *,
         noise_n: float | None = None,
+        samples: int = 1,
         library: ModuleType | None = None,
     ) -> None:
         self._shape, self._sums = (rows, columns), phi.shape[0]
-        self._correct = None if noise_n is None else ClipCorrection(noise_n)
+        self._correct = ClipCorrection(noise_n) if noise_n else None
         self._solve: Callable[[Sums, Validity, Images, Callable[[int], None]], None]
         if library is not None:
             self._arrays = BatchSolver(phi, rows, columns, settings, library=library)
@@ -87,7 +88,7 @@ class RecordingSolver:
             self._solve = self._in_lanes
             self.method = f"{LANES} parts of the recording side by side"
         else:
-            self._engine = Reconstructor(phi, rows, columns, settings)
+            self._engine = Reconstructor(phi, rows, columns, settings, samples=samples)
             self._solve = self._one_by_one
             self.method = "one image after the other"
 

@@ -41,7 +41,14 @@ def reconstruct(
     skin = load_layout(layout)
     options = solver or SolverOptions()
     settings = options.settings()
-    engine = Reconstructor(skin.phi(), skin.taxels.rows, skin.taxels.columns, settings, noise_n=options.noise_n)
+    engine = Reconstructor(
+        skin.phi(),
+        skin.taxels.rows,
+        skin.taxels.columns,
+        settings,
+        noise_n=options.noise_n,
+        samples=skin.samples_per_sync,
+    )
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
     patience.start()
     try:

@@ -5,15 +5,26 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.clipping import ClipCorrection
 from reconstructor.settings import LIVE, SolverSettings
 from reconstructor.solver import make_solver
 from reconstructor.temporal_filter import TemporalFilter
+from skin.clipping import ClipCorrection
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
 #: Noise of one sum of 32 untouched taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.
 SUM_NOISE_N: Final = 0.0033
+#: λ = `penalty_n` is right for averaged sums whose noise floor (`TemporalFilter.noise_n`) is this, where 10 samples are
+#: averaged from SYNC to SYNC: with 1 mN of noise the floor is a quarter. Of 0.1 to 1.2, a quarter gives the best images
+#: on the scenes of `skin evaluate rivals` but for 0.2 dB.
+AVERAGED_SUM_NOISE_N: Final = 0.00019
+AVERAGED_SAMPLES: Final = 10
+#: Nodes average less while a touch moves. So λ grows with the root of the sums' change from cycle to cycle, where the
+#: change is more than so many times the noise floor, by at most this factor.
+MOVING_FROM: Final = 10.0
+MOVING_MOST: Final = 4.0
+#: The slowest average of a node forgets this part from sample to sample.
+SLOWEST_GAIN: Final = 1 / 256
 #: Bounds of the scaled λ / `penalty_n`; with a smaller λ, ten iterations would not fill missing blocks.
 LEAST_PENALTY: Final = 0.03
 MOST_PENALTY: Final = 10.0
@@ -27,7 +38,8 @@ class Reconstructor:
     touch has replaced it.
 
     With `temporal_filter`, sums are averaged over cycles with the gain of `TemporalFilter`, and λ is scaled with their
-    noise; λ = `penalty_n` for sums of one cycle with a noise of `SUM_NOISE_N`.
+    noise; λ = `penalty_n` for sums of one cycle with a noise of `SUM_NOISE_N`. Sums that the nodes
+    have averaged (`samples`) are taken as they come; λ is scaled with their noise and with their change.
 
     The taxels of a missing block are estimated from the taxels around them, somewhat too low. Old values vanish within
     a few cycles, within one or two while the touch moves. Without any valid sum the image is zero, and past sums and
@@ -41,14 +53,18 @@ class Reconstructor:
         The grid, powers of two from 8 to 256.
     settings : SolverSettings
     noise_n : float, optional
-        Standard deviation of the noise of a sensor that clips at 0, to correct the bias of clipping.
+        Standard deviation of the noise of a sensor that clips at 0, to correct the bias of clipping. 0 and None: no
+        correction.
+    samples : int
+        Samples of each taxel from one SYNC to the next (`skin.layout.Layout.samples_per_sync`). Where there are more
+        than one, sums come averaged and without the bias of clipping, and `noise_n` has to be left out or 0.
     dtype : float32 or float64
         Of all arithmetic.
 
     Raises
     ------
     InputError
-        If the grid or the settings do not fit.
+        If the grid, the settings or the noise do not fit.
     """
 
     def __init__(
@@ -59,11 +75,19 @@ class Reconstructor:
         settings: SolverSettings = LIVE,
         *,
         noise_n: float | None = None,
+        samples: int = 1,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         self._kernel = make_solver(phi, rows, columns, settings, dtype=dtype)
-        self._correct = None if noise_n is None else ClipCorrection(noise_n)
-        self._filter = TemporalFilter(phi.shape[0], self._kernel.dtype)
+        if noise_n and samples > 1:
+            raise InputError(
+                f"nodes that average (sampling.rate_hz of the layout) undo the bias of clipping themselves:"
+                f" leave the sensor's noise out, got {noise_n:g} N"
+            )
+        self._correct = ClipCorrection(noise_n) if noise_n else None
+        self._filter = TemporalFilter(phi.shape[0], self._kernel.dtype, averages=samples == 1)
+        self._comes_averaged = samples > 1
+        self._sum_noise_n = SUM_NOISE_N if samples == 1 else averaged_sum_noise_n(samples)
         self._settings = settings
         self._estimate = self._kernel.new_estimate()
 
@@ -122,8 +146,10 @@ class Reconstructor:
         if not self._settings.temporal_filter:
             return 1.0
         noise_n = self._filter.noise_n
-        seen = min(max(noise_n / SUM_NOISE_N, LEAST_PENALTY), MOST_PENALTY) if noise_n else 1.0
-        return seen * self._filter.noise_ratio
+        seen = min(max(noise_n / self._sum_noise_n, LEAST_PENALTY), MOST_PENALTY) if noise_n else 1.0
+        if not self._comes_averaged:
+            return seen * self._filter.noise_ratio
+        return seen * min(MOVING_MOST, float(max(1.0, self._filter.surprise / MOVING_FROM) ** 0.5))
 
     def reset(self) -> None:
         """Drop previous images and sums."""
@@ -142,3 +168,12 @@ class Reconstructor:
         for _ in range(2):
             self.solve(np.zeros_like(self._filter.sums), valid)
         self.restart()
+
+
+def averaged_sum_noise_n(samples: int) -> float:
+    """Return `AVERAGED_SUM_NOISE_N` for other numbers of samples: the more, the more an average moves in one cycle."""
+
+    def forgotten(count: int) -> float:
+        return float(1 - (1 - SLOWEST_GAIN) ** count)
+
+    return AVERAGED_SUM_NOISE_N * float((forgotten(samples) / forgotten(AVERAGED_SAMPLES)) ** 0.5)

@@ -24,6 +24,7 @@ class SolverOptions:
         λ in newtons; default: that of the solver.
     noise_n : float
         Standard deviation of the noise of a sensor that clips at 0, newtons; corrects the bias of clipping.
+        Nodes that average (``sampling.rate_hz``) learn the noise and correct the bias themselves.
     """
 
     solver: str = "live"

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.checks import Values
-from reconstructor.kernels.temporal_filter import CORRELATION_GAIN, FLOOR, GAIN, FilterState, update
+from reconstructor.kernels.temporal_filter import CORRELATION_GAIN, FLOOR, GAIN, SURPRISE, FilterState, update
 
 
 class TemporalFilter:
@@ -27,11 +27,15 @@ class TemporalFilter:
     sums : int
         m.
     dtype : float32 or float64
+    averages : bool
+        False for sums that come averaged: they are taken as they come, with a gain of 1. The noise floor is then that
+        of their differences from cycle to cycle.
     """
 
-    def __init__(self, sums: int, dtype: npt.DTypeLike) -> None:
+    def __init__(self, sums: int, dtype: npt.DTypeLike, *, averages: bool = True) -> None:
+        self._averages = averages
         kind = np.dtype(dtype)
-        self._filtered = FilterState(np.zeros(sums, kind), np.zeros(sums, kind), np.zeros(sums, kind), np.zeros(3))
+        self._filtered = FilterState(np.zeros(sums, kind), np.zeros(sums, kind), np.zeros(sums, kind), np.zeros(4))
         self.reset()
 
     @property
@@ -59,16 +63,21 @@ class TemporalFilter:
         """Standard deviation of the noise of the sums of one cycle: root of the noise floor, 0 while unknown."""
         return float(self._filtered.state[FLOOR] ** 0.5)
 
+    @property
+    def surprise(self) -> float:
+        """Root mean square of the last innovation over that of noise alone; 1 before there is any."""
+        return float(self._filtered.state[SURPRISE] ** 0.5)
+
     def take(self, sums_n: Values, valid: npt.NDArray[np.bool_]) -> bool:
         """Process one cycle, arrays of shape (m,); return False, without a change, if a valid sum is not finite."""
-        return bool(update(self._filtered, sums_n, valid))
+        return bool(update(self._filtered, sums_n, valid, self._averages))
 
     def reset(self) -> None:
         """Drop all sums; keep the noise floor, because the sensor is the same."""
         for each in (self._filtered.sums, self._filtered.weights, self._filtered.innovation):
             each[:] = 0
         state = self._filtered.state
-        state[CORRELATION_GAIN] = state[GAIN] = 1.0
+        state[CORRELATION_GAIN] = state[GAIN] = state[SURPRISE] = 1.0
 
     def restart(self) -> None:
         """Return to the state after construction."""

@@ -18,6 +18,8 @@ BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
 #: Highest SYNC rate of a layout: far above any skin, to catch typing errors.
 RATE_MAX_HZ: Final = 2000.0
+#: Highest sampling rate of a layout.
+SAMPLING_MAX_HZ: Final = 10_000.0
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
@@ -82,6 +84,12 @@ class Sync(_Table, frozen=True, kw_only=True):
         return 1 / self.rate_hz
 
 
+class Sampling(_Table, frozen=True, kw_only=True):
+    """How often a node samples its taxels: `rate_hz` times a second, or, without it, once per SYNC."""
+
+    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=SAMPLING_MAX_HZ)] | None = None
+
+
 class Encoding(_Table, frozen=True, kw_only=True):
     """Encoding of a sum in a PDO: `sum_bits`, in two's complement or, with fewer stuff bits, `offset_binary`."""
 
@@ -118,6 +126,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     taxels: Taxels = msgspec.field(default_factory=Taxels)
     measurement: Measuring = msgspec.field(default_factory=Measuring)
     sync: Sync = msgspec.field(default_factory=Sync)
+    sampling: Sampling = msgspec.field(default_factory=Sampling)
     encoding: Encoding = msgspec.field(default_factory=Encoding)
     bus: Annotated[list[Bus], msgspec.Meta(min_length=1)]
 
@@ -125,6 +134,11 @@ class Layout(_Table, frozen=True, kw_only=True):
     def blocks(self) -> int:
         """Number of blocks (measurement groups)."""
         return self.taxels.count // self.measurement.block_size
+
+    @property
+    def samples_per_sync(self) -> int:
+        """Samples of each taxel in one cycle, the last one at the SYNC; more than one are averaged."""
+        return round((self.sampling.rate_hz or self.sync.rate_hz) / self.sync.rate_hz)
 
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
@@ -213,13 +227,22 @@ def layout_text(layout: Layout) -> str:
     """Return the layout as TOML; `parse_layout` reads the same layout from it."""
     tables = msgspec.to_builtins(layout)
     # TOML has no null, so such keys are left out. tomli-w would write short tables of buses inline.
-    buses = [{key: value for key, value in bus.items() if value is not None} for bus in tables.pop("bus")]
-    return "\n[[bus]]\n".join(map(tomli_w.dumps, [tables, *buses]))
+    buses = [_given(bus) for bus in tables.pop("bus")]
+    tables = {key: _given(value) if isinstance(value, dict) else value for key, value in tables.items()}
+    return "\n[[bus]]\n".join(map(tomli_w.dumps, [{key: each for key, each in tables.items() if each != {}}, *buses]))
+
+
+def _given(table: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if value is not None}
 
 
 def _check(layout: Layout) -> None:
     """Check keys that depend on each other."""
     _check_measurement(layout)
+    sampled_hz = layout.sampling.rate_hz
+    if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
+        limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
+        raise LayoutError(f"{limit}, got {sampled_hz:g} - at `$.sampling.rate_hz`")
     _check_buses(layout)
 
 

@@ -26,8 +26,6 @@ CLOCKED: Final[tuple[Scheme, ...]] = (
     Sums(16),
     Sums(12),
     Sums(8),
-    Sums(16, "noise known"),
-    Sums(8, "noise known"),
     Scan(64, 8),
     Scan(64, 10),
     Scan(64, 12),

@@ -28,6 +28,8 @@ NEWTON_PER_COUNT: Final = _ARRAY.newton_per_count
 #: The press and as much of the slide as shows it.
 SLIDE_TICKS: Final = 2400
 TICKS: Final = 1500
+#: The skin was idle for so long before anything touched it.
+IDLE_TICKS: Final = 1000
 #: A recorded frame is shown for so long: the mats were read once a second, this is ten times as fast.
 RECORDED_MS: Final = 100
 RECORDED_FRAMES: Final = 24
@@ -151,6 +153,13 @@ class Touch:
     def arrives(self, frames: int) -> npt.NDArray[np.bool_]:
         """Draw which of so many frames reach the receiver."""
         return np.random.default_rng(self.seed).random(frames) >= self.loss_ratio
+
+    def idle_counts(self) -> npt.NDArray[np.int16] | None:
+        """Return what the taxels read for `IDLE_TICKS` before; None for a recording, which has no before."""
+        if self.name not in SLIDES and self.name not in OWN:
+            return None
+        untouched = np.zeros((IDLE_TICKS, TAXELS), np.float32)
+        return _counts(sense(untouched, np.random.default_rng((self.seed, IDLE_TICKS)), self.noise_n))
 
     def load(self) -> Scene:
         """Return the scene itself; the last one is kept."""

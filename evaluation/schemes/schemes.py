@@ -70,13 +70,13 @@ class Sums:
     """
 
     bits: Literal[8, 12, 16]
-    receiver: Literal["solved", "noise known"] = "solved"
+    receiver: Literal["solved"] = "solved"
     family: ClassVar[Family] = "sums"
 
     @property
     def name(self) -> str:
         """What it is called in a table."""
-        return f"sums, {self.bits} bits" + (", noise known" if self.receiver == "noise known" else "")
+        return f"sums, {self.bits} bits"
 
     def show(self, touch: Touch, share: float) -> Shown:
         """Measure `touch` at the rate that takes `share` of the default skin's bits a second."""
@@ -85,9 +85,8 @@ class Sums:
             trial = run_sums(skin_of(self.bits, rate_hz), what.counts).sent.traffic()["kbit_per_s"]
             rate_hz *= share * default_kbit_per_s() / trial
         contract = skin_of(self.bits, rate_hz)
-        run = run_sums(contract, what.counts, touch.loss_ratio, touch.seed)
-        images = run.images(contract, touch.noise_n if self.receiver == "noise known" else None)
-        return Shown(run.sent, run.latency_ns, images, rate_hz)
+        run = run_sums(contract, what.counts, touch.loss_ratio, touch.seed, touch.idle_counts())
+        return Shown(run.sent, run.latency_ns, run.images(contract), rate_hz)
 
 
 @dataclass(frozen=True)

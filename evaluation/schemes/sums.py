@@ -12,6 +12,7 @@ from dbc.dictionary import WINDOW_RATIO
 from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Images
 from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
+from nodes.averaging import SampleFilter
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE
 
@@ -44,17 +45,24 @@ class SumsRun:
     closed_ns: Nanoseconds
     latency_ns: Nanoseconds
 
-    def images(self, contract: Contract, noise_n: float | None = None) -> Images:
-        """Return the live reconstruction of every cycle; `noise_n` of the sensor, where that is known."""
+    def images(self, contract: Contract) -> Images:
+        """Return the live reconstruction of every cycle."""
         taxels = contract.layout.taxels
-        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, noise_n=noise_n)
+        samples = contract.layout.samples_per_sync
+        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, samples=samples)
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
         for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
             images[cycle] = engine.solve(sums_n, valid).ravel()
         return Images(self.closed_ns + SOLVED_NS, images)
 
 
-def run_sums(contract: Contract, counts: npt.NDArray[np.int16], loss_ratio: float = 0.0, seed: int = 0) -> SumsRun:
+def run_sums(
+    contract: Contract,
+    counts: npt.NDArray[np.int16],
+    loss_ratio: float = 0.0,
+    seed: int = 0,
+    idle_counts: npt.NDArray[np.int16] | None = None,
+) -> SumsRun:
     """Measure a recording with the nodes of a contract.
 
     Parameters
@@ -64,12 +72,14 @@ def run_sums(contract: Contract, counts: npt.NDArray[np.int16], loss_ratio: floa
         What every taxel reads, each millisecond.
     loss_ratio, seed
         Part of all frames that do not reach the gateway, and the seed by which they are drawn.
+    idle_counts : array of int16, shape (ticks, n), optional
+        What the taxels read before: nodes that average learn their noise from it.
     """
     period_ns = 1e9 / contract.layout.sync.rate_hz
     cycles = int(len(counts) * TICK_NS / period_ns + 1e-9)
     sync_ns = np.rint(np.arange(cycles) * period_ns).astype(np.int64)
     sampled = np.minimum(np.rint(sync_ns / TICK_NS).astype(np.int64), len(counts) - 1)
-    sums = np.asarray(contract.phi.block_sums(counts[sampled].astype(np.int32)))
+    sums = _sums(contract, counts, sampled, idle_counts)
     table = contract.table
     rows = [np.flatnonzero(table.phase == phase) for phase in range(PHASES)]
     bursts = [_burst(contract, each, rows[cycle % PHASES]) for cycle, each in enumerate(sums)]
@@ -84,6 +94,27 @@ def run_sums(contract: Contract, counts: npt.NDArray[np.int16], loss_ratio: floa
     received = _decoded(contract, sent.asked.frames[: due.size].reshape(due.shape), due)
     sums_n = (received * contract.layout.taxels.newton_per_count).astype(np.float32)
     return SumsRun(sent, sums_n, valid, closed, (arrived - sync_ns[:, None]).ravel())
+
+
+def _sums(
+    contract: Contract,
+    counts: npt.NDArray[np.int16],
+    sampled: npt.NDArray[np.int64],
+    idle_counts: npt.NDArray[np.int16] | None,
+) -> npt.NDArray[np.int32]:
+    """Return the sums at the ticks `sampled`, shape (cycles, m): of what is read then, or averaged as nodes average."""
+    phi = contract.phi
+    if contract.layout.samples_per_sync == 1:
+        return np.asarray(phi.forward(counts[sampled]), np.int32)
+    average = SampleFilter(phi.taxels_of_blocks)
+    if idle_counts is not None:
+        average.take(idle_counts.astype(np.float32))
+    averages, begin = np.empty((len(sampled), counts.shape[1]), np.float32), 0
+    for cycle, tick in enumerate(sampled.tolist()):
+        average.take(counts[begin : tick + 1].astype(np.float32))
+        averages[cycle], begin = average.counts, tick + 1
+    sums: npt.NDArray[np.int32] = np.rint(np.asarray(phi.forward(averages), np.float32)).astype(np.int32)
+    return sums
 
 
 def _burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp]) -> Frames:

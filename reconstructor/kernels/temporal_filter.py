@@ -27,8 +27,9 @@ FLOOR_MAX_RATIO: Final = 1.5
 FLOOR_RISE: Final = 0.002
 #: A missing sum is dropped when its weight is below this.
 LEAST_WEIGHT: Final = 0.01
-#: Places of `FilterState.state`: the gain by the correlation alone, the noise floor (N², 0: unknown), the last gain.
-CORRELATION_GAIN, FLOOR, GAIN = 0, 1, 2
+#: Places of `FilterState.state`: the gain by the correlation alone, the noise floor (N², 0: unknown), the last gain,
+#: and the last innovation's energy over that of noise.
+CORRELATION_GAIN, FLOOR, GAIN, SURPRISE = 0, 1, 2, 3
 
 
 class FilterState(NamedTuple):
@@ -38,7 +39,7 @@ class FilterState(NamedTuple):
     ----------
     sums, weights, innovation : shape (m,)
         Averaged sums in newtons, their weights (0 to 1), and the last innovations in newtons.
-    state : float64, shape (3,)
+    state : float64, shape (4,)
     """
 
     sums: Flat
@@ -48,8 +49,11 @@ class FilterState(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True)
-def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_]) -> bool:
-    """Process one cycle; return False, without a change, if a valid sum is not finite or above `LARGEST_N`."""
+def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_], averages: bool) -> bool:
+    """Process one cycle; return False, without a change, if a valid sum is not finite or above `LARGEST_N`.
+
+    Without `averages` sums are taken as they come: only the noise floor and the weights of missing sums are followed.
+    """
     energy, before, product, count = 0.0, 0.0, 0.0, 0
     for k in range(sums.size):
         if valid[k]:
@@ -61,9 +65,13 @@ def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_]) -> b
                 product += innovation * filtered.innovation[k]
                 before += filtered.innovation[k] * filtered.innovation[k]
                 count += 1
-    gain = 1.0
+    fading = 1.0
     if count > 0:
-        gain = _adapt(filtered.state, energy / count, product / max(np.sqrt(energy * before), 1e-30))
+        if not averages:
+            filtered.state[CORRELATION_GAIN] = GAIN_MIN  # noise that was averaged before is correlated as motion is
+        correlation = product / max(np.sqrt(energy * before), 1e-30) if averages else -1.0
+        fading = _adapt(filtered.state, energy / count, correlation)
+    gain = fading if averages else 1.0
     filtered.state[GAIN] = gain
     for k in range(sums.size):
         if valid[k]:
@@ -72,7 +80,7 @@ def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_]) -> b
             filtered.innovation[k] = innovation if filtered.weights[k] > 0 else 0.0
             filtered.weights[k] = 1.0
         else:
-            left = filtered.weights[k] * (1.0 - gain)
+            left = filtered.weights[k] * (1.0 - fading)
             filtered.weights[k] = left if left > LEAST_WEIGHT else 0.0
             filtered.innovation[k] = 0.0
     return True
@@ -87,6 +95,7 @@ def _adapt(state: npt.NDArray[np.float64], energy: float, correlation: float) ->
     noise = energy * (2.0 - last) / 2.0  # of one cycle's sums; averaged sums have g / (2 - g) of their noise
     if state[FLOOR] == 0.0:
         state[FLOOR] = noise
+    state[SURPRISE] = noise / state[FLOOR] if state[FLOOR] > 0 else 1.0
     explained = BAND * state[FLOOR] * 2.0 / (2.0 - last)
     gain = float(state[CORRELATION_GAIN])
     if energy > explained:

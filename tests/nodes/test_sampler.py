@@ -8,7 +8,8 @@ from nodes.electronics import PATTERN_FULL, PATTERN_RAMP, Electronics
 from nodes.sampler import Sampler
 from skin.defects import Damper, Dead, Drift, Saturated
 from skin.layout import load_layout
-from skin.sources import Frame
+from skin.sources import Frame, TaxelSource
+from skin.taxel import NOISE_N, to_newtons
 
 LAYOUT = load_layout()
 PHI = LAYOUT.phi()
@@ -130,3 +131,69 @@ def test_drift_and_damper_follow_the_steps_of_the_touch() -> None:
     counts = [int(damped.read(force * part, step)[0]) for step, part in ((0, 1), (1, 2), (3, 1), (4, 1))]
     # 5 mN in 10 ms is 0.5 m/s on a spring of 1 N/m: 5 mN more; half the speed downwards takes 2.5 mN.
     assert [round(count * LAYOUT.taxels.newton_per_count, 4) for count in counts] == [0.005, 0.015, 0.0025, 0.005]
+
+
+def averaging(source: TaxelSource, noise_n: float = NOISE_N) -> tuple[Sampler, Electronics]:
+    electronics = Electronics(LAYOUT.taxels, noise_n=noise_n, seed=3, samples=10, blocks=PHI.taxels_of_blocks)
+    return Sampler(PHI, source, electronics), electronics
+
+
+class Touched:
+    """A source that rests for half a second, and then rises on a quarter of the skin."""
+
+    has_noise = False
+
+    def frame(self, step: int) -> Frame:
+        force = np.zeros((64, 64), np.float32)
+        force[:32, :32] = min(0.01, 0.0005 * max(0, step - 50))
+        return Frame(force, "touched")
+
+
+def test_averaged_sums_are_those_of_the_instant_of_the_sync_within_a_part_of_the_noise() -> None:
+    sampler, electronics = averaging(Touched())
+    for cycle in range(120):
+        sampler.sample(cycle + 1, cycle * PERIOD_NS)
+    truth = sampler.take_truth()
+    assert truth is not None
+    true = np.frombuffer(truth.true, "<f4")
+    assert true.max() == np.float32(0.01)
+    error = sampler.sums - PHI.forward(true / np.float32(LAYOUT.taxels.newton_per_count))
+    single = PHI.forward(electronics.sampled) - PHI.forward(true / np.float32(LAYOUT.taxels.newton_per_count))
+    assert np.std(error) < np.std(single) / 5
+    assert np.frombuffer(truth.sensor, "<f4") == pytest.approx(to_newtons(electronics.sampled, LAYOUT.taxels))
+
+
+def test_what_is_sampled_ahead_is_what_would_have_been_sampled() -> None:
+    (ahead, _), (plain, _) = averaging(Touched()), averaging(Touched())
+    for cycle in range(60):
+        first, second = ahead.sample(cycle + 1, cycle * PERIOD_NS), plain.sample(cycle + 1, cycle * PERIOD_NS)
+        np.testing.assert_array_equal(first, second)
+        ahead.prepare()
+        ahead.prepare()
+
+
+def test_patterns_gains_and_offsets_are_exact_at_once_and_a_reset_ends_them() -> None:
+    sampler, _ = averaging(Touched())
+    for cycle in range(5):
+        sampler.sample(cycle + 1, cycle * PERIOD_NS)
+        sampler.prepare()
+    sampler.adjust(0, OD_TEST_PATTERN, 0, PATTERN_RAMP)
+    sampler.adjust(1, OD_TEST_PATTERN, 0, PATTERN_FULL)
+    sampler.adjust(2, OD_OFFSET, 1, 1023)
+    sums = sampler.sample(6, 5 * PERIOD_NS)
+    ramp = np.zeros(4096, np.int32)
+    ramp[PHI.taxels_of_blocks[0]] = np.arange(32)
+    ramp[PHI.taxels_of_blocks[1]] = 1023
+    patterned = PHI.block_of_sum < 2
+    np.testing.assert_array_equal(sums[patterned], PHI.forward(ramp)[patterned])
+    assert sampler.saturated(2) == 1
+    sampler.reset(1)
+    assert abs(sampler.sample(7, 6 * PERIOD_NS)[PHI.block_of_sum == 1]).max() < 1500  # one row of the pattern: 32736
+
+
+def test_a_missed_sync_leaves_no_gap_in_what_is_averaged() -> None:
+    source = Steps()
+    sampler, _ = averaging(source, noise_n=0.0)
+    for cycle in (0, 1, 2, 5, 6):
+        sampler.sample(cycle + 1, cycle * PERIOD_NS)
+    assert source.asked == [0, 1, 2, 4, 5, 6]

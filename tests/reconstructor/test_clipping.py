@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from reconstructor.clipping import ClipCorrection
 from reconstructor.engine import Reconstructor
+from skin.clipping import ClipCorrection
 from skin.errors import InputError
 from skin.measurement import Sbhe
 from tests.reconstructor.conftest import NOISE_N, Scene, psnr_db, sense

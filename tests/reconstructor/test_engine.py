@@ -170,3 +170,14 @@ def test_wrong_input_is_refused_and_does_no_harm(phi: Sbhe, golf: Scene) -> None
     with pytest.raises(InputError, match="not finite"):
         engine.solve(np.full(1024, np.inf, np.float32), ALL_VALID)
     np.testing.assert_array_equal(engine.solve(golf.sums[30], ALL_VALID), fresh.solve(golf.sums[30], ALL_VALID))
+
+
+def test_averaged_sums_have_no_bias_to_correct(phi: Sbhe) -> None:
+    with pytest.raises(InputError, match=r"undo the bias of clipping themselves: .* got 0.001 N"):
+        Reconstructor(phi, 64, 64, noise_n=0.001, samples=10)
+
+
+def test_no_noise_is_no_correction(phi: Sbhe) -> None:
+    sums, valid = np.full(1024, 0.01, np.float32), np.ones(1024, np.bool_)
+    off, plain = Reconstructor(phi, 64, 64, noise_n=0.0), Reconstructor(phi, 64, 64)
+    np.testing.assert_array_equal(off.solve(sums, valid), plain.solve(sums, valid))

@@ -330,7 +330,7 @@ def test_reconstructor(sums: np.ndarray, valid: np.ndarray, says: str) -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"noise_n": 0.0}, "above 0"),
+        ({"noise_n": -1.0}, "above 0"),
         ({"noise_n": NAN}, "above 0"),
         ({"dtype": np.int8}, "float32 or float64, got int8"),
     ],

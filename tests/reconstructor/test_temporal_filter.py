@@ -143,9 +143,26 @@ def test_sum_that_comes_back_counts_by_how_long_it_was_missed(silent_cycles: int
 def test_only_a_sum_measured_twice_in_a_row_has_an_innovation() -> None:
     names = ["known", "new", "missing"]
     sums, innovation = np.array([1.0, 0.0, 1.0]), np.array([0.1, 0.0, 0.3])
-    state = FilterState(sums, np.array([1.0, 0.0, 1.0]), innovation, np.array([0.2, 1e-6, 0.2]))
-    assert update(state, np.array([1.5, 2.0, np.nan]), np.array([True, True, False]))
+    state = FilterState(sums, np.array([1.0, 0.0, 1.0]), innovation, np.array([0.2, 1e-6, 0.2, 1.0]))
+    assert update(state, np.array([1.5, 2.0, np.nan]), np.array([True, True, False]), True)
     assert dict(zip(names, innovation.tolist(), strict=True)) == {"known": 0.5, "new": 0.0, "missing": 0.0}
     assert state.weights.tolist()[:2] == [1, 1]
     assert sums[1] == 2.0  # nothing of the past stands for a sum that was not known
     assert state.state[FLOOR] > 0
+
+
+def test_averaged_sums_are_taken_as_they_come_and_missing_ones_kept_while_nothing_moves() -> None:
+    filtered = TemporalFilter(1024, np.float64, averages=False)
+    sums = 0.05 + noise(5, 60, 5e-5)
+    for each in sums:
+        filtered.take(each, ALL)
+        np.testing.assert_array_equal(filtered.sums, each)
+    assert filtered.gain == 1
+    assert filtered.noise_n == pytest.approx(5e-5, rel=0.15)
+    missing = ALL.copy()
+    missing[:8] = False
+    filtered.take(sums[-2], missing)
+    assert (filtered.weights[:8] > 0.5).all()
+    filtered.take(sums[-1] + noise(6, 1)[0], missing)  # a touch moves
+    assert not filtered.weights[:8].any()
+    assert filtered.surprise > 10

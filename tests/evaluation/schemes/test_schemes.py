@@ -122,14 +122,14 @@ def test_finer_and_smoother_images_keep_a_flat_touch() -> None:
 def test_schemes_are_named_by_what_they_are() -> None:
     named: tuple[Scheme, ...] = (
         Sums(16),
-        Sums(8, "noise known"),
+        Sums(8),
         Scan(64, 10),
         Scan(32, 10, "solved", cells="mean"),
         Events(0.0025, 10, "solved"),
     )
     assert [(each.name, each.family) for each in named] == [
         ("sums, 16 bits", "sums"),
-        ("sums, 8 bits, noise known", "sums"),
+        ("sums, 8 bits", "sums"),
         ("scan, 10 bits", "scan"),
         ("32 x 32 means of 4 taxels, solved", "coarse"),
         ("events, 2.5 mN, 10 ms, solved", "events"),

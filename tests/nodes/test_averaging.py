@@ -1,0 +1,129 @@
+"""What a node averages: constants exactly, noise away, motion hardly late; σ learned only where it shows."""
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from nodes.averaging import SampleFilter
+
+BLOCKS, SIZE = 16, 32
+TAXELS = BLOCKS * SIZE
+#: σ of the default skin's sensor, counts.
+NOISE = 51.15
+TOP = 1023
+
+Counts = npt.NDArray[np.float32]
+
+
+def new_filter() -> SampleFilter:
+    return SampleFilter(np.random.default_rng(3).permutation(TAXELS).reshape(BLOCKS, SIZE))
+
+
+def sense(force: npt.ArrayLike, ticks: int, noise: float = NOISE, seed: int = 0) -> Counts:
+    """Return what taxels under `force` (counts; (n,) or (ticks, n)) read."""
+    read = np.broadcast_to(force, (ticks, TAXELS)) + np.random.default_rng(seed).normal(0, noise, (ticks, TAXELS))
+    return np.rint(np.clip(read, 0, TOP)).astype(np.float32)
+
+
+def fed(made: SampleFilter, samples: Counts) -> Counts:
+    """Take samples in tens; return the averages after each ten."""
+    averages = []
+    for begin in range(0, len(samples), 10):
+        made.take(samples[begin : begin + 10])
+        averages.append(made.counts)
+    return np.array(averages)
+
+
+def idle(noise: float = NOISE) -> SampleFilter:
+    made = new_filter()
+    fed(made, sense(0, 2000, noise, seed=9))
+    return made
+
+
+def test_a_constant_goes_through_exactly_from_the_first_sample_on() -> None:
+    constant = np.linspace(0, TOP, TAXELS).round().astype(np.float32)
+    averages = fed(new_filter(), np.tile(constant, (600, 1)))
+    np.testing.assert_allclose(
+        averages, np.tile(constant, (60, 1)), atol=0.015
+    )  # a sum of 32 is rounded to whole counts
+
+
+def test_noise_of_a_resting_touch_falls_as_with_a_mean_of_hundreds_of_samples() -> None:
+    made = new_filter()
+    first = fed(made, sense(500, 10))[0]
+    later = fed(made, sense(500, 2000, seed=1))[100:]
+    assert np.std(first - 500) < NOISE  # no worse than one sample
+    assert np.std(later - 500) < NOISE / 12
+    assert abs(np.mean(later - 500)) < NOISE / 50
+
+
+@pytest.mark.parametrize(("speed", "most"), [(0.5, 0.6), (2.0, 1.1), (10.0, 1.8)])
+def test_a_ramp_lags_by_little_more_than_the_noise_of_a_sample(speed: float, most: float) -> None:
+    made = new_filter()
+    fed(made, sense(200, 1000))
+    ramp = 200 + speed * np.arange(60)[:, None] * np.ones(TAXELS)
+    error = fed(made, sense(ramp, 60, seed=2)) - ramp[9::10]
+    lag = np.abs(error.mean(axis=1)) / NOISE
+    assert lag.max() < most
+    assert lag[-1] < 0.55
+
+
+def test_a_jump_is_followed_within_one_cycle() -> None:
+    made = idle()
+    assert abs(fed(made, sense(600, 10, seed=5))[0].mean() - 600) < 0.3 * NOISE
+
+
+@pytest.mark.parametrize("noise", [10.0, NOISE, 200.0])
+def test_noise_is_learned_on_an_idle_skin(noise: float) -> None:
+    made = idle(noise)
+    np.testing.assert_allclose(made.noise, noise, rtol=0.08)
+    assert made.counts.mean() < 0.02 * noise  # 0.4 without the correction
+
+
+def test_noise_is_learned_with_a_third_of_the_skin_touched_from_the_start() -> None:
+    force = np.where(np.arange(TAXELS) < TAXELS // 3, 400.0, 0.0)
+    made = new_filter()
+    averages = fed(made, sense(force, 2000, seed=4))[-20:]
+    np.testing.assert_allclose(made.noise, NOISE, rtol=0.1)
+    np.testing.assert_allclose(averages.mean(axis=0), force, atol=0.15 * NOISE)
+
+
+def test_a_light_touch_survives_the_correction() -> None:
+    made = idle()
+    averages = fed(made, sense(np.full(TAXELS, NOISE / 2), 1000, seed=6))[-20:]
+    assert averages.mean() == pytest.approx(NOISE / 2, rel=0.1)
+
+
+def test_nothing_is_corrected_while_the_noise_is_unknown() -> None:
+    made = new_filter()
+    averages = fed(made, sense(3 * NOISE, 1000, seed=7))
+    assert not made.noise.any()
+    assert averages[-20:].mean() == pytest.approx(3 * NOISE, rel=0.02)
+    cloth = new_filter()  # all over the skin, from the start
+    averages = fed(cloth, sense(NOISE, 1000, seed=8))
+    assert averages[-20:].mean() == pytest.approx(1.083 * NOISE, rel=0.02)
+
+
+def test_what_has_no_noise_is_not_corrected() -> None:
+    """A recording's frames, one a cycle, straight lines between."""
+    frames = np.random.default_rng(1).integers(0, 40, (80, TAXELS))
+    parts = np.linspace(0.1, 1, 10)[:, None]
+    lines = np.concatenate([a + parts * (b - a) for a, b in pairwise(frames)])
+    made = new_filter()
+    fed(made, np.rint(lines).astype(np.float32))
+    assert not made.noise.any()
+
+
+def test_a_restart_forgets_one_block_and_no_other() -> None:
+    made, like = idle(), idle()
+    made.restart(2)
+    taxels = made._blocks[2]
+    assert made.noise[2] == 0
+    constant = np.full((10, TAXELS), 300, np.float32)
+    fed(made, constant)
+    fed(like, constant)
+    np.testing.assert_allclose(made.counts[taxels], 300, atol=1e-3)
+    others = np.setdiff1d(np.arange(TAXELS), taxels)
+    np.testing.assert_array_equal(made.counts[others], like.counts[others])
