@@ -41,7 +41,7 @@ def test_events_take_what_touch_and_noise_make_of_them(compared: Result) -> None
     quiet, noisy, slap = "golf-ball", "golf-ball, noise 2 mN", "three boxes slapped on"
     assert events[quiet]["kbit_per_s"] < 0.1 * sums[quiet]["kbit_per_s"]
     assert events[noisy]["kbit_per_s"] > sums[noisy]["kbit_per_s"]
-    assert events[quiet]["psnr_mean_db"] > sums[quiet]["psnr_mean_db"]
+    assert events[quiet]["psnr_mean_db"] < sums[quiet]["psnr_mean_db"]  # which nodes have averaged
     assert events[slap]["latency_worst_ms"] > 2 * sums[slap]["latency_worst_ms"]
     assert sums[slap]["latency_worst_ms"] < 9
 
