@@ -30,7 +30,7 @@ def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:
 
 def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str]) -> Path:
     """Return the path of the model of this skin and these objects."""
-    about = msgspec.json.encode([layout.taxels, sorted(objects)])
+    about = msgspec.json.encode([layout.taxels, layout.samples_per_sync > 1, sorted(objects)])
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 
 

@@ -19,6 +19,8 @@ FALSE_ALARM_RATIO: Final = 0.002
 _LOSS_EVERY: Final = 3
 _QUIET_EVERY: Final = 2
 MOST_LOST_RATIO: Final = 0.3
+#: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
+AVERAGED_NOISE_RATIO: Final = 0.2
 _CHUNK: Final = 128
 
 
@@ -39,7 +41,7 @@ def simulate_sums(
     force_n : array of float32, shape (count, n) or (count, rows, columns)
         True forces in newtons.
     noise_n : float or array, shape (count,)
-        Standard deviation of the noise of each observation.
+        Standard deviation of the noise of each observation. Nodes that average leave `AVERAGED_NOISE_RATIO` of it.
 
     Returns
     -------
@@ -47,7 +49,8 @@ def simulate_sums(
     """
     taxels = layout.taxels
     flat = force_n.reshape(len(force_n), -1)
-    sd = np.broadcast_to(np.asarray(noise_n, np.float32), (len(flat),))
+    left = 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
+    sd = np.broadcast_to(np.asarray(noise_n, np.float32) * np.float32(left), (len(flat),))
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
     for start in range(0, len(flat), _CHUNK):
         part = slice(start, start + _CHUNK)

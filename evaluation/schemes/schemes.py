@@ -82,7 +82,9 @@ class Sums:
         """Measure `touch` at the rate that takes `share` of the default skin's bits a second."""
         what, rate_hz = touch.load(), share * load_layout().sync.rate_hz
         if self.bits != load_layout().encoding.sum_bits:
-            trial = run_sums(skin_of(self.bits, rate_hz), what.counts, idle_counts=touch.idle_counts()).sent.traffic()["kbit_per_s"]
+            trial = run_sums(skin_of(self.bits, rate_hz), what.counts, idle_counts=touch.idle_counts()).sent.traffic()[
+                "kbit_per_s"
+            ]
             rate_hz *= share * default_kbit_per_s() / trial
         contract = skin_of(self.bits, rate_hz)
         run = run_sums(contract, what.counts, touch.loss_ratio, touch.seed, touch.idle_counts())
