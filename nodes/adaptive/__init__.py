@@ -1,0 +1,1 @@
+"""Adaptive sending: what a node does with its samples before anything is sent, and when it sends."""

@@ -1,0 +1,84 @@
+"""From samples to sums: the noise of a patch filtered away, clipping undone, and the sums of what is left."""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy.special import ndtr
+
+from nodes.adaptive.models import Floats, make_models, new_tracks, step
+from nodes.adaptive.noise import CLIPPED_MEAN, Noise, haar_matrix
+from skin.walsh import walsh_matrix
+
+#: Samples that a forecast looks ahead: the way to an image takes so long.
+HORIZON: Final = 4.0
+#: A taxel below this part of its noise is shown as 0.
+DEAD_RATIO: Final = 0.4
+#: Clipping is undone up to so many standard deviations; above, it has no effect.
+_REACH: Final = 6.0
+_POINTS: Final = 1024
+
+
+class PatchFilter:
+    """Filters the samples of the patches of some nodes.
+
+    Parameters
+    ----------
+    noise : Noise
+        What the nodes know of their noise.
+
+    Attributes
+    ----------
+    force_n : array of float32, shape (nodes, taxels)
+        Forecast forces, newtons.
+    sums_n, variance_n2 : arrays of float32, shape (nodes, taxels)
+        Their Walsh sums, in the order of `skin.walsh.grouped_rows`, and the variance of each.
+    """
+
+    def __init__(self, noise: Noise) -> None:
+        nodes, taxels = noise.taxel_n.shape
+        self._haar, self._walsh = haar_matrix(taxels), walsh_matrix(taxels)
+        #: Variances of Haar coefficients add up to those of sums.
+        self._spread = np.ascontiguousarray(np.square(self._haar @ self._walsh.T))
+        self._models = make_models(HORIZON)
+        self._tracks = new_tracks(self._models, nodes * taxels)
+        self._forecast, self._variance = (np.zeros(nodes * taxels, np.float32) for _ in range(2))
+        self._table = _unclip_table()
+        self.force_n, self.sums_n, self.variance_n2 = (np.zeros((nodes, taxels), np.float32) for _ in range(3))
+        self.noise = noise
+
+    def take(self, sample_n: Floats) -> None:
+        """Take one sample of every taxel, shape (nodes, taxels), newtons."""
+        noise = self.noise
+        coefficients = (sample_n - noise.offset_n) @ self._haar.T
+        coefficients /= noise.coefficient_n
+        step(coefficients.ravel(), self._models, self._tracks, np.float32(HORIZON), self._forecast, self._variance)
+        shape = noise.coefficient_n.shape
+        np.matmul(self._forecast.reshape(shape) * noise.coefficient_n, self._haar, out=self.force_n)
+        _unclip(self.force_n.ravel(), noise.taxel_n.ravel(), self._table)
+        np.matmul(self.force_n, self._walsh.T, out=self.sums_n)
+        spread = self._variance.reshape(shape) * np.square(noise.coefficient_n)
+        np.matmul(spread, self._spread, out=self.variance_n2)
+
+
+def _unclip_table() -> Floats:
+    """Return m⁻¹ at evenly spaced readings from m(0) to m(`_REACH`); m(x) is the mean of clipped x + N(0, 1)."""
+    force = np.linspace(0, _REACH, 8 * _POINTS)
+    mean = force * ndtr(force) + np.exp(-(force**2) / 2) / math.sqrt(2 * math.pi)
+    return np.interp(np.linspace(mean[0], mean[-1], _POINTS), mean, force).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
+    """Undo the bias of clipping at 0 in place, and set to 0 what noise alone would leave."""
+    scale = np.float32((table.size - 1) / (_REACH - CLIPPED_MEAN))
+    for k in range(force_n.size):
+        reading = force_n[k] / noise_n[k]
+        place = (reading - np.float32(CLIPPED_MEAN)) * scale
+        if place < table.size - 1:
+            low = int(max(place, np.float32(0)))
+            part = max(place, np.float32(0)) - np.float32(low)
+            reading = table[low] + part * (table[low + 1] - table[low])
+        force_n[k] = noise_n[k] * reading if reading >= np.float32(DEAD_RATIO) else np.float32(0)
