@@ -45,6 +45,48 @@ _CRC_8: Final = 0x2F
 Bytes = npt.NDArray[np.uint8]
 
 
+class SendingRule(NamedTuple):
+    """When sums are sent; times in samples of 1 ms.
+
+    A group is news when the squared difference between its sums and those that were sent exceeds the threshold
+    ``8 · 32 · (noise_ratio · σ)² + variance_ratio · Σ Var``, σ the node's noise. Differences below `rounding` coarse
+    steps do not count.
+
+    Attributes
+    ----------
+    noise_ratio, variance_ratio, rounding : float
+    level_ratio : float
+        A level of urgency stands for this many doublings of difference over threshold.
+    doubling : float
+        Waiting for so long counts as twice the difference.
+    inhibit : int
+        Least time between two frames of a group (the TPDOs' inhibit time).
+    fine_ratio : float
+        Part of the noise's threshold that a difference of details has to exceed.
+    fine_wait : int
+        Least time from any frame of a group to its next frame of details.
+    refresh, refresh_max : int
+        A group is sent again after this time, which doubles with each repetition.
+    overdue : int
+        A refresh that waits so long goes up one level.
+    zero_refreshes : int
+        A group at zero is sent again so often.
+    """
+
+    noise_ratio: float = 0.15
+    variance_ratio: float = 4.0
+    rounding: float = 0.75
+    level_ratio: float = 1.25
+    doubling: float = 8.0
+    inhibit: int = 1
+    fine_ratio: float = 0.3
+    fine_wait: int = 4
+    refresh: int = 64
+    refresh_max: int = 1024
+    overdue: int = 100
+    zero_refreshes: int = 6
+
+
 class Companding(NamedTuple):
     """The code of coarse frames: ``code = round(slope · asinh(value / knee))``.
 
@@ -123,8 +165,8 @@ def frame_of(identifier: int) -> tuple[int, int, int, bool]:
 def coarse_code(value_n: float, is_mean: bool, law: Companding) -> int:
     """Return the byte of one sum in a coarse frame."""
     if is_mean:
-        return min(MEAN_CODES, int(round(law.mean_slope * math.asinh(max(value_n, 0.0) / law.mean_knee_n))))
-    code = int(round(law.slope * math.asinh(value_n / law.knee_n)))
+        return min(MEAN_CODES, round(law.mean_slope * math.asinh(max(value_n, 0.0) / law.mean_knee_n)))
+    code = round(law.slope * math.asinh(value_n / law.knee_n))
     return OTHER_CODES + 1 + max(-OTHER_CODES, min(OTHER_CODES, code))
 
 
@@ -158,7 +200,7 @@ def check_of(payload: Bytes) -> int:
 @njit(cache=True, nogil=True)
 def fine_steps(value_n: float, law: Companding) -> int:
     """Return a value in fine steps."""
-    return int(round(value_n / law.fine_n))
+    return round(value_n / law.fine_n)
 
 
 @njit(cache=True, nogil=True)
@@ -173,7 +215,9 @@ def pack_fine(steps: npt.NDArray[np.int64], check: int, payload: Bytes) -> None:
 
 
 @njit(cache=True, nogil=True)
-def unpack_fine(payload: Bytes, coarse_n: npt.NDArray[np.float64], law: Companding, values_n: npt.NDArray[np.float64]) -> None:
+def unpack_fine(
+    payload: Bytes, coarse_n: npt.NDArray[np.float64], law: Companding, values_n: npt.NDArray[np.float64]
+) -> None:
     """Write the values of a fine frame, newtons: of all numbers with the sent bits those nearest to `coarse_n`."""
     packed = np.uint64(0)
     for byte in range(GROUP_SUMS - 1):

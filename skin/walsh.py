@@ -5,6 +5,7 @@ vertical and a horizontal Walsh function; the sequency of each is its number of 
 alone give a coarse image, so that sums can be sent in order of weight.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Final
 
@@ -34,8 +35,8 @@ def patch_shape(taxels: int) -> tuple[int, int]:
     return high, taxels // high
 
 
-def patches(rows: int, columns: int, taxels: int, buses: int) -> list[Indices]:
-    """Deal patches out to buses, so that a touch meets all buses alike: a patch beside or below is on another bus.
+def patches(rows: int, columns: int, taxels: int, blocks: Sequence[int]) -> list[Indices]:
+    """Deal patches out to buses, so that a touch meets all buses alike.
 
     Parameters
     ----------
@@ -43,26 +44,37 @@ def patches(rows: int, columns: int, taxels: int, buses: int) -> list[Indices]:
         The grid, multiples of the patch's height and width.
     taxels : int
         Of one patch.
-    buses : int
+    blocks : sequence of int
+        How many patches each bus takes, in all those of the grid. Of four equal buses, the patch beside one is two
+        buses further, the patch below one.
 
     Returns
     -------
-    list of arrays of int, shape (patches of the bus, taxels)
+    list of arrays of int, shape (blocks of the bus, taxels)
         Row-major indices, by bus: the taxels of each patch, row by row; the patches row by row.
 
     Raises
     ------
     InputError
-        If the grid does not divide into patches.
+        If the grid does not divide into so many patches.
     """
     high, wide = patch_shape(taxels)
-    if rows % high or columns % wide:
-        raise InputError(f"a grid of {rows} x {columns} taxels does not divide into patches of {high} x {wide}")
+    if rows % high or columns % wide or rows * columns != taxels * sum(blocks):
+        raise InputError(
+            f"a grid of {rows} x {columns} taxels does not divide into {sum(blocks)} patches of {high} x {wide}"
+        )
     cells = np.arange(rows * columns).reshape(rows // high, high, columns // wide, wide).swapaxes(1, 2)
     down, across = np.indices(cells.shape[:2])
-    # Of four buses, the patch beside is two further, the patch below one.
-    bus = (down + max(1, buses // 2) * across) % buses
-    return [cells[bus == number].reshape(-1, taxels) for number in range(buses)]
+    buses = len(blocks)
+    wanted = ((down + max(1, buses // 2) * across) % buses).ravel()
+    left, dealt = list(blocks), np.empty(wanted.size, np.intp)
+    for place, first in enumerate(wanted.tolist()):
+        # A bus that is full leaves its patch to the next.
+        bus = next(each % buses for each in range(first, first + buses) if left[each % buses])
+        left[bus] -= 1
+        dealt[place] = bus
+    flat = cells.reshape(-1, taxels)
+    return [flat[dealt == bus] for bus in range(buses)]
 
 
 @cache

@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from dbc.adaptive import Companding, cob_id
+from dbc.adaptive import Companding, SendingRule, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.contract import SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.stuff_bits import count_classic
 from evaluation.schemes.event_kernel import EMPTY_BITS
 from evaluation.schemes.wire import TICK_NS
-from nodes.adaptive.sending import SILENT, Groups, Rule, fill, frame_level, look
+from nodes.adaptive.sending import SILENT, Groups, fill, frame_level, look
 from skin.walsh import GROUPS
 
 #: Milliseconds between two SYNCs. No TPDO starts in the millisecond after a SYNC, so that heartbeats find room on a
@@ -46,8 +46,15 @@ class Record(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def run_bus(
-    sums_n: Any, variance_n2: Any, noise_n2: Any, rule: Rule, law: Companding, groups: Groups, beat_ns: Any,
-    bit_ns: int, record: Record,
+    sums_n: Any,
+    variance_n2: Any,
+    noise_n2: Any,
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
+    beat_ns: Any,
+    bit_ns: int,
+    record: Record,
 ) -> int:
     """Run one bus and return how many frames were sent.
 

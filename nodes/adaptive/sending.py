@@ -14,6 +14,7 @@ from dbc.adaptive import (
     LEVELS,
     Bytes,
     Companding,
+    SendingRule,
     check_of,
     coarse_code,
     coarse_step,
@@ -32,48 +33,6 @@ _NEVER: Final = 1 << 60
 
 Integers = npt.NDArray[np.int64]
 Numbers = npt.NDArray[np.float64]
-
-
-class Rule(NamedTuple):
-    """When sums are sent; times in samples of 1 ms.
-
-    A group is news when the squared difference between its sums and those that were sent exceeds the threshold
-    ``8 · 32 · (noise_ratio · σ)² + variance_ratio · Σ Var``, σ the node's noise. Differences below `rounding` coarse
-    steps do not count.
-
-    Attributes
-    ----------
-    noise_ratio, variance_ratio, rounding : float
-    level_ratio : float
-        A level of urgency stands for this many doublings of difference over threshold.
-    doubling : float
-        Waiting for so long counts as twice the difference.
-    inhibit : int
-        Least time between two frames of a group (the TPDOs' inhibit time).
-    fine_ratio : float
-        Part of the noise's threshold that a difference of details has to exceed.
-    fine_wait : int
-        Least time from any frame of a group to its next frame of details.
-    refresh, refresh_max : int
-        A group is sent again after this time, which doubles with each repetition.
-    overdue : int
-        A refresh that waits so long goes up one level.
-    zero_refreshes : int
-        A group at zero is sent again so often.
-    """
-
-    noise_ratio: float = 0.15
-    variance_ratio: float = 4.0
-    rounding: float = 0.75
-    level_ratio: float = 1.25
-    doubling: float = 8.0
-    inhibit: int = 1
-    fine_ratio: float = 0.3
-    fine_wait: int = 4
-    refresh: int = 64
-    refresh_max: int = 1024
-    overdue: int = 100
-    zero_refreshes: int = 6
 
 
 class Groups(NamedTuple):
@@ -130,15 +89,21 @@ def new_groups(nodes: int) -> Groups:
     )
 
 
-def noise_threshold_n2(noise_n: Numbers, rule: Rule) -> Numbers:
+def noise_threshold_n2(noise_n: Numbers, rule: SendingRule) -> Numbers:
     """Return the part of the threshold that is the noise's, newtons squared, for nodes of the noise `noise_n`."""
     return GROUP_SUMS * BLOCK_SUMS * np.square(rule.noise_ratio * noise_n)
 
 
 @njit(cache=True, nogil=True)
 def look(
-    node: int, now: int, sums_n: npt.NDArray[np.float32], variance_n2: npt.NDArray[np.float32], noise_n2: float,
-    rule: Rule, law: Companding, groups: Groups,
+    node: int,
+    now: int,
+    sums_n: npt.NDArray[np.float32],
+    variance_n2: npt.NDArray[np.float32],
+    noise_n2: float,
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
 ) -> None:
     """Decide what each group of a node is to send.
 
@@ -180,9 +145,12 @@ def look(
             if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
                 level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
                 reason, is_fine = REFRESH, int(in_reach and groups.fine_turn[node, group] == 1)
-            elif in_reach and wait >= rule.fine_wait:
-                if fine_n2 > rule.fine_ratio * noise_n2 + rule.variance_ratio * variance:
-                    level, reason, is_fine = 0, DETAIL, 1
+            elif (
+                in_reach
+                and wait >= rule.fine_wait
+                and fine_n2 > rule.fine_ratio * noise_n2 + rule.variance_ratio * variance
+            ):
+                level, reason, is_fine = 0, DETAIL, 1
         groups.level[node, group], groups.reason[node, group] = level, reason
         groups.is_fine[node, group] = is_fine
 
@@ -196,7 +164,13 @@ def frame_level(node: int, group: int, groups: Groups) -> int:
 
 @njit(cache=True, nogil=True)
 def fill(
-    node: int, group: int, now: int, sums_n: npt.NDArray[np.float32], rule: Rule, law: Companding, groups: Groups,
+    node: int,
+    group: int,
+    now: int,
+    sums_n: npt.NDArray[np.float32],
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
     payload: Bytes,
 ) -> None:
     """Write the payload of a group's frame, 8 bytes, and take note of it as sent."""
@@ -229,7 +203,7 @@ def fill(
 
 
 @njit(cache=True, nogil=True)
-def _plan_refresh(node: int, group: int, now: int, is_zero: bool, rule: Rule, groups: Groups) -> None:
+def _plan_refresh(node: int, group: int, now: int, is_zero: bool, rule: SendingRule, groups: Groups) -> None:
     reason = groups.reason[node, group]
     if reason == NEWS:
         groups.refresh_after[node, group] = rule.refresh
