@@ -29,6 +29,8 @@ PHASES: Final = 2
 SYNC_OVERFLOW: Final = 240
 #: Coarse step of adaptive sums near 0, in parts of a taxel's full scale: 0.5 mN of 20 mN.
 COARSE_STEP_RATIO: Final = 1 / 40
+#: The byte of 2005h that tells offset binary (1) tells companded sums by this.
+_COMPANDED: Final = 2
 #: Longest payload of a classic CAN and of a CAN FD frame.
 CLASSIC_BYTES: Final = 8
 FD_BYTES: Final = 64
@@ -89,10 +91,10 @@ class NodeContract:
     def encoding(self) -> int:
         """Encoding of its PDOs as one number (2005h): width, log2 of the scale, offset binary, blocks.
 
-        Companded sums of 8 bits (`dbc.adaptive`) have bit 17 and no scale.
+        Companded sums of 8 bits (`dbc.adaptive`) have a 2 where others have 1 for offset binary, and no scale.
         """
         if self.adaptive_tpdos:
-            return 8 | 1 << 17 | self.blocks << 24
+            return 8 | _COMPANDED << 16 | self.blocks << 24
         step = self.packing.scale.bit_length() - 1
         return self.packing.bits | step << 8 | (not self.packing.is_signed) << 16 | self.blocks << 24
 
@@ -122,11 +124,9 @@ class Contract:
             for node_id in range(1, bus.nodes + 1):
                 block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
                 first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
-                adaptive, tpdos = (), ()
-                if layout.sending == "adaptive":
-                    adaptive = _adaptive_tpdos(node_id)
-                else:
-                    tpdos = _tpdos(bus, number, node_id, range(first, last), pack.bits)
+                is_adaptive = layout.sending == "adaptive"
+                adaptive = _adaptive_tpdos(node_id) if is_adaptive else ()
+                tpdos = () if is_adaptive else _tpdos(bus, number, node_id, range(first, last), pack.bits)
                 nodes.append(
                     NodeContract(
                         number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive

@@ -54,7 +54,7 @@ class PatchFilter:
         noise = self.noise
         coefficients = (sample_n - noise.offset_n) @ self._haar.T
         coefficients /= noise.coefficient_n
-        step(coefficients.ravel(), self._models, self._tracks, np.float32(HORIZON), self._forecast, self._variance)
+        step(coefficients.ravel().astype(np.float32, copy=False), self._models, self._tracks, np.float32(HORIZON), self._forecast, self._variance)
         shape = noise.coefficient_n.shape
         np.matmul(self._forecast.reshape(shape) * noise.coefficient_n, self._haar, out=self.force_n)
         _unclip(self.force_n.ravel(), noise.taxel_n.ravel(), self._table)

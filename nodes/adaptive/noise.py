@@ -71,8 +71,8 @@ class Noise:
     @property
     def node_n(self) -> npt.NDArray[np.float64]:
         """Root mean square of each node's coefficients, newtons, shape (nodes,)."""
-        square: npt.NDArray[np.float64] = np.square(self.coefficient_n, dtype=np.float64)
-        return np.sqrt(square.mean(axis=1))
+        square = np.square(self.coefficient_n, dtype=np.float64)
+        return np.asarray(np.sqrt(square.mean(axis=1)), np.float64)
 
 
 class IdleStatistics:
