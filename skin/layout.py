@@ -157,8 +157,14 @@ class Layout(_Table, frozen=True, kw_only=True):
         return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
 
 
-def load_layout(path: Path | None = None) -> Layout:
+def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
     """Read a layout: a file or, by its bare name, one of `SHIPPED`; without a path, the default skin.
+
+    Parameters
+    ----------
+    path : Path, optional
+    adaptive : bool
+        The caller knows adaptive sending; all other callers refuse a layout that has it.
 
     Raises
     ------
@@ -172,7 +178,13 @@ def load_layout(path: Path | None = None) -> Layout:
         content = path.read_bytes()
     except OSError as error:
         raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
-    return parse_layout(content, str(path))
+    layout = parse_layout(content, str(path))
+    if layout.sending == "adaptive" and not adaptive:
+        raise LayoutError(
+            f"{path}: only 'skin dbc' and 'skin dbc-check' know adaptive sending so far: "
+            'expected sending = "synchronous" - at `$.sending`'
+        )
+    return layout
 
 
 def parse_layout(content: bytes, origin: str) -> Layout:
