@@ -39,7 +39,8 @@ FINE_REACH: Final = 1 << FINE_BITS - 1
 FINE_LIMIT: Final = FINE_REACH - 2
 #: Coarse steps near 0 that a fine step divides.
 FINE_PER_COARSE: Final = 8
-#: x^8 + x^5 + x^3 + x^2 + x + 1: detects any two differing bytes in 8 (the code of AUTOSAR's CRC8H2F).
+#: x^8 + x^5 + x^3 + x^2 + x + 1 (the code of AUTOSAR's CRC8H2F): detects every change of one byte and of up to three
+#: bits, and 254 of 255 changes of two bytes.
 _CRC_8: Final = 0x2F
 
 Bytes = npt.NDArray[np.uint8]

@@ -1,7 +1,9 @@
 """What the gateway knows of adaptive nodes: the newest value of every sum, and how old it is.
 
-A fine frame counts only for the coarse frame that it refines: its check must be that of the coarse frame that is held.
-After frames were lost, no fine frame counts until the next coarse one of its group.
+A fine frame counts only for the coarse frame that it refines: its check must be that of the coarse frame that is
+held. After frames were lost, no fine frame counts until the next coarse one of its group, so that none is misread. A
+loss that the receiver does not know of can have a fine frame misread where the lost coarse frame and the one that is
+held have the same check: two frames that differ in one byte never have, of others one pair in 255 or 256.
 """
 
 from typing import Any, Final, NamedTuple
@@ -70,7 +72,9 @@ def new_sums(nodes: int) -> BusSums:
 
 
 @njit(cache=True, nogil=True)
-def take(can_id: int, length: int, payload: Any, ended_ns: int, law: Companding, sums: BusSums) -> bool:
+def take(  # noqa: PLR0917  compiled functions take no keywords
+    can_id: int, length: int, payload: Any, ended_ns: int, law: Companding, sums: BusSums
+) -> bool:
     """Use one frame; False where its identifier is not that of adaptive sums."""
     index, node = (can_id - FIRST_COB_ID) // NODES, (can_id - FIRST_COB_ID) % NODES
     if can_id < FIRST_COB_ID or index >= TPDOS or node >= sums.check.shape[0]:

@@ -21,46 +21,67 @@ _REACH: Final = 6.0
 _POINTS: Final = 1024
 
 
-class PatchFilter:
-    """Filters the samples of the patches of some nodes.
+class ForceFilter:
+    """Filters the samples of the patches of some nodes: every Haar coefficient on its own.
 
     Parameters
     ----------
     noise : Noise
-        What the nodes know of their noise.
+        What the nodes know of their noise; patches of one taxel are filtered taxel by taxel.
 
     Attributes
     ----------
     force_n : array of float32, shape (nodes, taxels)
         Forecast forces, newtons.
-    sums_n, variance_n2 : arrays of float32, shape (nodes, taxels)
-        Their Walsh sums, in the order of `skin.walsh.grouped_rows`, and the variance of each.
     """
 
     def __init__(self, noise: Noise) -> None:
-        nodes, taxels = noise.taxel_n.shape
-        self._haar, self._walsh = haar_matrix(taxels), walsh_matrix(taxels)
-        #: Variances of Haar coefficients add up to those of sums.
-        self._spread = np.ascontiguousarray(np.square(self._haar @ self._walsh.T))
+        shape = noise.taxel_n.shape
+        self._haar = haar_matrix(shape[1])
         self._models = make_models(HORIZON)
-        self._tracks = new_tracks(self._models, nodes * taxels)
-        self._forecast, self._variance = (np.zeros(nodes * taxels, np.float32) for _ in range(2))
+        self._tracks = new_tracks(self._models, noise.taxel_n.size)
+        self._forecast, self._variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._table = _unclip_table()
-        self.force_n, self.sums_n, self.variance_n2 = (np.zeros((nodes, taxels), np.float32) for _ in range(3))
+        self.force_n = np.zeros(shape, np.float32)
         self.noise = noise
 
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
-        noise = self.noise
+        noise, forecast, variance = self.noise, self._forecast, self._variance
         coefficients = (sample_n - noise.offset_n) @ self._haar.T
         coefficients /= noise.coefficient_n
-        step(coefficients.ravel().astype(np.float32, copy=False), self._models, self._tracks, np.float32(HORIZON), self._forecast, self._variance)
-        shape = noise.coefficient_n.shape
-        np.matmul(self._forecast.reshape(shape) * noise.coefficient_n, self._haar, out=self.force_n)
+        flat = coefficients.ravel().astype(np.float32, copy=False)
+        step(flat, self._models, self._tracks, np.float32(HORIZON), forecast.ravel(), variance.ravel())
+        np.matmul(forecast * noise.coefficient_n, self._haar, out=self.force_n)
         _unclip(self.force_n.ravel(), noise.taxel_n.ravel(), self._table)
+
+
+class PatchFilter(ForceFilter):
+    """Filters the samples of the patches of some nodes, and sums what is left.
+
+    Parameters
+    ----------
+    noise : Noise
+        As for `ForceFilter`; patches of 4 taxels or more.
+
+    Attributes
+    ----------
+    sums_n, variance_n2 : arrays of float32, shape (nodes, taxels)
+        The Walsh sums of `force_n`, in the order of `skin.walsh.grouped_rows`, and the variance of each.
+    """
+
+    def __init__(self, noise: Noise) -> None:
+        super().__init__(noise)
+        self._walsh = walsh_matrix(noise.taxel_n.shape[1])
+        #: Variances of Haar coefficients add up to those of sums.
+        self._spread = np.ascontiguousarray(np.square(self._haar @ self._walsh.T))
+        self.sums_n, self.variance_n2 = np.zeros((2, *noise.taxel_n.shape), np.float32)
+
+    def take(self, sample_n: Floats) -> None:
+        """Take one sample of every taxel, shape (nodes, taxels), newtons."""
+        super().take(sample_n)
         np.matmul(self.force_n, self._walsh.T, out=self.sums_n)
-        spread = self._variance.reshape(shape) * np.square(noise.coefficient_n)
-        np.matmul(spread, self._spread, out=self.variance_n2)
+        np.matmul(self._variance * np.square(self.noise.coefficient_n), self._spread, out=self.variance_n2)
 
 
 def _unclip_table() -> Floats:

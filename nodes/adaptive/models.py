@@ -99,7 +99,9 @@ def new_tracks(models: Models, coefficients: int) -> Tracks:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def step(sample: Floats, models: Models, tracks: Tracks, horizon: Any, forecast: Floats, variance: Floats) -> None:
+def step(  # noqa: PLR0917  compiled functions take no keywords
+    sample: Floats, models: Models, tracks: Tracks, horizon: Any, forecast: Floats, variance: Floats
+) -> None:
     """Take one sample of every coefficient in; write the forecasts and their variances.
 
     Parameters
