@@ -99,20 +99,22 @@ def run_adaptive(counts: Counts, idle: Counts, noise: Noise | None = None) -> Ad
     node_filter = PatchFilter(known)
     _settle(node_filter, idle, cells)
     sums_n, variance_n2 = np.empty((2, len(counts), *cells.shape), np.float32)
+    node_n = np.empty((len(counts), len(cells)))
     for tick, sample in enumerate(counts):
         node_filter.take(_newtons(sample[cells]))
         sums_n[tick], variance_n2[tick] = node_filter.sums_n, node_filter.variance_n2
+        node_n[tick] = node_filter.noise.node_n
     parts = []
     for number in range(len(held)):
         mine = slice(number * held.shape[1], (number + 1) * held.shape[1])
-        threshold_n2 = noise_threshold_n2(known.node_n[mine], _RULE)
+        threshold_n2 = noise_threshold_n2(node_n[:, mine], _RULE)
         parts.append(_run_bus(sums_n[:, mine], variance_n2[:, mine], threshold_n2))
     bus = np.repeat(np.arange(len(held)), [len(part[0]) for part in parts])
     sent, log, unsent = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     wire = Sent(Asked(sent, bus, log[:, ASKED]), log[:, ENDED], lines_of(SIDE), len(counts))
     latency = (wire.arrived_ns - log[:, ASKED])[log[:, REASON] == NEWS]
     waiting = (len(counts) - unsent) * TICK_NS
-    return AdaptiveRun(wire, np.concatenate([latency, waiting]), float(np.median(known.node_n)))
+    return AdaptiveRun(wire, np.concatenate([latency, waiting]), float(np.median(node_n)))
 
 
 def filtered_counts(touch: Touch) -> tuple[Counts, float]:

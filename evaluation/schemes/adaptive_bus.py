@@ -62,7 +62,7 @@ def run_bus(
     ----------
     sums_n, variance_n2 : arrays of float32, shape (ticks, nodes, BLOCK_SUMS)
         What the nodes make of their samples, each millisecond.
-    noise_n2 : array of float64, shape (nodes,)
+    noise_n2 : array of float64, shape (ticks, nodes)
         See `nodes.adaptive.sending.noise_threshold_n2`.
     groups : Groups
         Changed to what is left at the end.
@@ -76,7 +76,7 @@ def run_bus(
     while now < ticks * TICK_NS:
         while tick < ticks and tick * TICK_NS <= now:
             for node in range(nodes):
-                look(node, tick, sums_n[tick, node], variance_n2[tick, node], noise_n2[node], rule, law, groups)
+                look(node, tick, sums_n[tick, node], variance_n2[tick, node], noise_n2[tick, node], rule, law, groups)
             tick += 1
         row, log = record.rows[sent], record.log[sent]
         row[:] = 0

@@ -161,7 +161,7 @@ class Touch:
         said = [name]
         said += [f"noise {1e3 * self.noise_n:g} mN"] if self.noise_n != NOISE_N else []
         said += [f"{self.noise} noise"] if self.noise != "normal" else []
-        said += [f"drift {1e3 * self.drift_n_per_s:g} mN/s"] if self.drift_n_per_s else []
+        said += [f"drift {1e3 * self.drift_n_per_s:g} mN/s rms"] if self.drift_n_per_s else []
         said += [f"{self.stuck} taxels stuck"] if self.stuck else []
         said += [f"{self.loss_ratio:.0%} of frames lost"] if self.loss_ratio else []
         return ", ".join(said)

@@ -52,10 +52,12 @@ def test_news_is_sent_at_once_then_details_then_refreshes_that_double() -> None:
         mine = [frame for frame in frames if frame[1] == group]
         assert mine[0] == (0, group, NEWS, False)
         details = [now for now, _, reason, _ in mine if reason == DETAIL]
-        assert details == [RULE.fine_wait]
+        assert details[0] == RULE.fine_wait
+        # A refreshed coarse value may contradict the finer one: then it is refined again.
+        coarse = {now for now, _, _, is_fine in mine if not is_fine}
+        assert {now - RULE.fine_wait for now in details} <= coarse
         refreshes = [(now, is_fine) for now, _, reason, is_fine in mine if reason == REFRESH]
         assert refreshes == [(64, False), (192, True), (448, False), (960, True), (1984, False), (3008, True)]
-    assert len(frames) == GROUPS * 8
 
 
 def test_what_a_node_has_said_is_off_by_no_more_than_a_fine_step() -> None:
@@ -80,7 +82,7 @@ def test_a_group_at_zero_stops_after_its_refreshes() -> None:
 def test_larger_and_older_news_is_more_urgent() -> None:
     small, large = new_groups(1), new_groups(1)
     nudge = NOTHING.copy()
-    nudge[::GROUP_SUMS] = 3e-3
+    nudge[::GROUP_SUMS] = 0.4e-3
     assert [1 <= one < other for one, other in zip(looked(small, 0, nudge), looked(large, 0, PRESSED), strict=True)]
     assert looked(large, 0, PRESSED)[0] == LEVELS - 1
     waiting = [looked(small, now, nudge)[1] for now in range(100)]
@@ -93,7 +95,7 @@ def test_noise_below_the_threshold_is_no_news() -> None:
     for now in range(10):
         sent(groups, now, PRESSED)
     for now in range(10, 60):
-        assert not sent(groups, now, PRESSED + rng.normal(0, 0.03e-3, 32).astype(np.float32))
+        assert not sent(groups, now, PRESSED + rng.normal(0, 0.01e-3, 32).astype(np.float32))
 
 
 def test_a_refresh_that_waits_goes_up_and_details_never_reach_the_level_of_news() -> None:

@@ -9,7 +9,7 @@ from skin.errors import InputError
 from skin.walsh import patches, walsh_matrix
 
 ROWS, COLUMNS = 8, 16
-PATCHES = patches(ROWS, COLUMNS, 16, 2)
+PATCHES = patches(ROWS, COLUMNS, 16, [4, 4])
 CELLS = np.concatenate(PATCHES)
 
 
