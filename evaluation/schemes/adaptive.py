@@ -8,6 +8,7 @@ import numpy.typing as npt
 from numba import njit
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, Companding, SendingRule, companding
+from dbc.contract import COARSE_STEP_RATIO
 from dbc.frame import FRAME, Frames, frames
 from evaluation.schemes.adaptive_bus import ASKED, ENDED, REASON, Record, run_bus
 from evaluation.schemes.events import BIT_NS, FRAMES_PER_TICK
@@ -24,8 +25,6 @@ from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 
-#: Coarse step near 0.
-STEP_N: Final = 0.5e-3
 #: Idle samples that a filter has seen when the touch begins.
 SETTLING_TICKS: Final = 300
 _RULE: Final = SendingRule()
@@ -56,7 +55,7 @@ class AdaptiveRun:
 
     def images(self, arrives: npt.NDArray[np.bool_]) -> Images:
         """Return an image a millisecond of the frames that arrive; a lost frame stays unknown to the receiver."""
-        ticks, law, shares = self.sent.ticks, companding(FORCE_MAX_N, STEP_N), []
+        ticks, law, shares = self.sent.ticks, companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N), []
         for number, line in enumerate(self.sent.lines):
             mine = np.flatnonzero((self.sent.asked.bus == number) & arrives)
             sums_n = np.empty((ticks, line.nodes, BLOCK_SUMS), np.float32)
@@ -168,7 +167,7 @@ def _run_bus(
 def _send(
     sums_n: Force, variance_n2: Force, threshold_n2: npt.NDArray[np.float64], groups: Groups, record: Record
 ) -> int:
-    law, beats = companding(FORCE_MAX_N, STEP_N), first_beats_ns(sums_n.shape[1]).copy()
+    law, beats = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N), first_beats_ns(sums_n.shape[1]).copy()
     contiguous = (np.ascontiguousarray(sums_n), np.ascontiguousarray(variance_n2))
     return int(run_bus(*contiguous, threshold_n2, _RULE, law, groups, beats, BIT_NS, record))
 

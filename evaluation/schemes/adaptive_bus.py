@@ -45,7 +45,7 @@ class Record(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def run_bus(
+def run_bus(  # noqa: PLR0917  compiled functions take no keywords
     sums_n: Any,
     variance_n2: Any,
     noise_n2: Any,

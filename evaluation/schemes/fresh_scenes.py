@@ -74,7 +74,8 @@ def _texture(ticks: int, side: int) -> Force:
     height = np.zeros((ticks, side, side), np.float32)
     for phase, (along, down) in zip(phases, waves, strict=True):
         height += np.cos(along * across + down * np.arange(side)[:, None] + phase).astype(np.float32)
-    return np.maximum(np.float32(0.003 / math.sqrt(_WAVES / 2)) * height + np.float32(0.004), 0)
+    force: Force = np.maximum(np.float32(0.003 / math.sqrt(_WAVES / 2)) * height + np.float32(0.004), 0)
+    return force
 
 
 def _random_values(ticks: int, side: int) -> Force:

@@ -95,7 +95,7 @@ def noise_threshold_n2(noise_n: Numbers, rule: SendingRule) -> Numbers:
 
 
 @njit(cache=True, nogil=True)
-def look(
+def look(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     now: int,
     sums_n: npt.NDArray[np.float32],
@@ -163,7 +163,7 @@ def frame_level(node: int, group: int, groups: Groups) -> int:
 
 
 @njit(cache=True, nogil=True)
-def fill(
+def fill(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     group: int,
     now: int,
@@ -203,7 +203,9 @@ def fill(
 
 
 @njit(cache=True, nogil=True)
-def _plan_refresh(node: int, group: int, now: int, is_zero: bool, rule: SendingRule, groups: Groups) -> None:
+def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
+    node: int, group: int, now: int, is_zero: bool, rule: SendingRule, groups: Groups
+) -> None:
     reason = groups.reason[node, group]
     if reason == NEWS:
         groups.refresh_after[node, group] = rule.refresh

@@ -5,7 +5,7 @@ The prior is the anisotropic total variation Σ |x[i+1, j] - x[i, j]| + |x[i, j+
 step well, because the dual is kept between iterations and cycles.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numba
 
@@ -45,7 +45,7 @@ def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem,
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def denoise(image: Flat, limit: float, steps: int, dual: Flat, smooth: Flat) -> None:
+def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> None:
     """Write the image with less total variation, not below 0, to `smooth`.
 
     Parameters
@@ -68,7 +68,7 @@ def denoise(image: Flat, limit: float, steps: int, dual: Flat, smooth: Flat) -> 
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _smooth(image: Flat, smooth: Flat, dual: tuple[Flat, Flat], columns: int, floor: float) -> None:
+def _smooth(image: Flat, smooth: Flat, dual: tuple[Flat, Flat], columns: int, floor: Any) -> None:
     """Set smooth = max(floor, image - Dᵀ dual); the dual is 0 after the last row and the last column.
 
     Slices, because the compiler does not vectorise indices that might be negative.
@@ -85,7 +85,7 @@ def _smooth(image: Flat, smooth: Flat, dual: tuple[Flat, Flat], columns: int, fl
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _ascend(smooth: Flat, dual: tuple[Flat, Flat], columns: int, threshold: float, eighth: float) -> None:
+def _ascend(smooth: Flat, dual: tuple[Flat, Flat], columns: int, threshold: Any, eighth: Any) -> None:
     """Add the differences of `smooth` / 8 to the dual, and clip it to ±threshold; 8 bounds ‖D Dᵀ‖."""
     down, right = dual
     below, beside = smooth[columns:], smooth[1:]

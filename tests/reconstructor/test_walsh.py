@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from reconstructor.proximal import Variation
+
 from reconstructor.walsh import STEPS, VariationFilter, WalshReconstructor
 from skin.errors import InputError
 from skin.walsh import patches, walsh_matrix
