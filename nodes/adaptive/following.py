@@ -27,7 +27,8 @@ NOTE_SAMPLES: Final = 128
 WINDOW: Final = 256
 BELIEF: Final = 0.25
 #: Noise that is clipped at 0 has a mean of 0.68 standard deviations, whatever its size; a taxel outside of these bounds
-#: is touched, or has an offset.
+#: is touched, or has an offset. The deviation is that of samples from the ones before, so that a touch that comes and
+#: goes is no noise; nor is coloured noise, of whose size nothing more is learned.
 IDLE_RATIOS: Final = (0.5, 0.9)
 #: Part of a node's taxels that have to be idle.
 IDLE_PART: Final = 0.5
@@ -110,6 +111,7 @@ class NoiseScale:
 
     def __init__(self, nodes: int, taxels: int) -> None:
         self._sum, self._square = np.zeros((2, nodes, taxels))
+        self._last_n = np.zeros((nodes, taxels), np.float32)
         self._samples = 0
 
     def take(self, sample_n: Floats, noise_n: Floats) -> Floats | None:
@@ -120,12 +122,13 @@ class NoiseScale:
         sample_n, noise_n : arrays of float32, shape (nodes, taxels)
         """
         self._sum += sample_n
-        self._square += np.square(sample_n)
+        self._square += np.square(sample_n - self._last_n)
+        self._last_n[:] = sample_n
         self._samples += 1
         if self._samples < WINDOW:
             return None
         mean = self._sum / WINDOW
-        deviation = np.sqrt(np.maximum(self._square / WINDOW - mean**2, 0))
+        deviation = np.sqrt(self._square / (2 * WINDOW))
         idle = (deviation > 0) & (mean > IDLE_RATIOS[0] * deviation) & (mean < IDLE_RATIOS[1] * deviation)
         ratio = np.where(idle, deviation / (CLIPPED_DEVIATION * noise_n), np.nan)
         enough = idle.mean(axis=1) >= IDLE_PART

@@ -52,7 +52,7 @@ def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> No
     ----------
     image, smooth : arrays of shape (rows, columns)
     limit : float
-        Of the dual, of the image's dtype: the threshold of `reconstructor.proximal.Variation`.
+        Of the dual, of the image's dtype: the threshold of the proximal step.
     steps : int
         Of the dual.
     dual : array of shape (2, rows, columns)

@@ -86,3 +86,10 @@ def test_taxels_without_noise_say_nothing_of_it() -> None:
     found = [scale.take(quiet, EVEN) for _ in range(WINDOW)][-1]
     assert found is not None
     assert (found == 1).all()
+
+
+def test_a_touch_that_comes_and_goes_is_no_noise() -> None:
+    rng, scale = np.random.default_rng(5), NoiseScale(*SHAPE)
+    found = [scale.take(noisy(0.006 if tick % 150 < 50 else 0.0, rng), EVEN) for tick in range(WINDOW)][-1]
+    assert found is not None
+    assert (found == 1).all()

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from reconstructor.proximal import Variation
 
 from reconstructor.walsh import STEPS, VariationFilter, WalshReconstructor
 from skin.errors import InputError
 from skin.walsh import patches, walsh_matrix
+from tests.reconstructor.reference import Variation
 
 ROWS, COLUMNS = 8, 16
 PATCHES = patches(ROWS, COLUMNS, 16, [4, 4])

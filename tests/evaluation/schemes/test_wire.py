@@ -82,7 +82,7 @@ def test_adaptive_sums_end_when_the_arbitrated_bus_ends_them() -> None:
     idle = np.random.default_rng(1).standard_normal((400, 4096), np.float32) * np.float32(1e-3)
     run = run_adaptive(counts_of(felt(150)), counts_of(np.maximum(idle, 0)))
     assert len(run.sent.asked) > 1500
-    assert run.sent.traffic()["load_peak"] > 0.5
+    assert run.sent.traffic()["load_peak"] > 0.3
     # The identifier carries urgency, so that it changes while a frame waits: each has the one of its last tick.
     sent, frames = run.sent.asked, run.sent.asked.frames
     begun = run.sent.free_ns - frame_time_ns(frames, 1_000_000, 0)
