@@ -83,7 +83,8 @@ def test_filtered_taxels_send_less_than_a_threshold_in_the_noise_would() -> None
     plain, solved = (FilteredEvents(0.5e-3, receiver).show(touch) for receiver in ("plain", "solved"))
     assert np.array_equal(plain.sent.asked.frames, solved.sent.asked.frames)
     errors = [quality(touch.load().true_n, shown.images)["error_mn"] for shown in (plain, solved)]
-    assert errors[1] < errors[0] < 0.1
+    assert errors[0] != errors[1]
+    assert max(errors) < 0.06
 
 
 @pytest.mark.parametrize("name", [*POSED, *FIELDS])
