@@ -30,7 +30,7 @@ def dbc(layout: Path | None = None, *, out: Path, json: Json = False) -> None:
     skin dbc --out contract
     skin dbc palm.toml --out palm-files
     """
-    contract = Contract.from_layout(load_layout(layout))
+    contract = Contract.from_layout(load_layout(layout, adaptive=True))
     _show([str(path) for path in write_files(contract, out)], as_json=json)
 
 
@@ -56,7 +56,7 @@ def dbc_check(layout: Path | None = None, *, files: Path | None = None, json: Js
     if files is None and layout is not None:
         raise InputError("expected --files FOLDER: the folder of the contract files")
     folder = files or DEFAULT_FOLDER
-    lines = drifted(Contract.from_layout(load_layout(layout)), folder)
+    lines = drifted(Contract.from_layout(load_layout(layout, adaptive=True)), folder)
     _show(lines, as_json=json)
     if lines:
         say("dbc-check", f"{len(lines)} files have drifted; write them anew with 'skin dbc' and --out {folder}")

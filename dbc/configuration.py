@@ -6,7 +6,7 @@ contract: identity, identifiers, mapping, SYNC, test pattern, Φ.
 
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -87,7 +87,9 @@ class Setting:
 
 def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
     """Return the objects that a master compares and that the signature covers, in ascending order."""
-    return tuple(_setting(each) for each in dictionary(contract, node) if _is_compared(each, node))
+    objects = dictionary(contract, node)
+    mapped = {each.index: int(each.value) for each in objects if each.subindex == 0 and _is_mapping(each.index)}
+    return tuple(_setting(each) for each in objects if _is_compared(each, mapped))
 
 
 def signature(values: Iterable[tuple[int, int, bytes]]) -> int:
@@ -116,13 +118,16 @@ def proof_period_s(contract: Contract, bus: int) -> float:
     return max(PROOF_PERIOD_S, wires.nodes * PROOF_BITS / (PROOF_LOAD_RATIO * wires.bitrate))
 
 
-def _is_compared(each: Object, node: NodeContract) -> bool:
+def _is_mapping(index: int) -> bool:
+    return OD_TPDO_MAPPING <= index < OD_MANUFACTURER
+
+
+def _is_compared(each: Object, mapped: Mapping[int, int]) -> bool:
     subindex = each.subindex or 0
     if OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING:
         return subindex in _COMPARED_OF_TPDO
-    if OD_TPDO_MAPPING <= each.index < OD_MANUFACTURER:
-        mapped = next(tpdo.sums for tpdo in node.tpdos if tpdo.number == each.index - OD_TPDO_MAPPING + 1)
-        return subindex <= mapped
+    if _is_mapping(each.index):
+        return subindex <= mapped[each.index]
     if each.index in _COMPARED:
         return subindex in _COMPARED[each.index]
     first = split_block(each.index)[1] if each.index >= OD_MANUFACTURER else each.index

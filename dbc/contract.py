@@ -13,6 +13,7 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from dbc.adaptive import FIRST_COB_ID, NODES, TPDOS, Companding, companding, frame_of
 from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
 from dbc.packing import Packing, packing
@@ -26,6 +27,10 @@ LONGEST_VALUE: Final = 256
 PHASES: Final = 2
 #: Synchronous counter overflow value (1019h): a multiple of `PHASES`, so phases alternate across the overflow, too.
 SYNC_OVERFLOW: Final = 240
+#: Coarse step of adaptive sums near 0, in parts of a taxel's full scale: 0.5 mN of 20 mN.
+COARSE_STEP_RATIO: Final = 1 / 40
+#: The byte of 2005h that tells offset binary (1) tells companded sums by this.
+_COMPANDED: Final = 2
 #: Longest payload of a classic CAN and of a CAN FD frame.
 CLASSIC_BYTES: Final = 8
 FD_BYTES: Final = 64
@@ -47,6 +52,20 @@ class Tpdo:
 
 
 @dataclass(frozen=True)
+class AdaptiveTpdo:
+    """One transmit PDO of an adaptive node: the sums of a group (`skin.walsh.grouped_rows`) at a level of urgency.
+
+    A coarse frame carries the eight sums, a fine frame (`is_fine`) what refines them (`dbc.adaptive`).
+    """
+
+    number: int
+    cob_id: int
+    level: int
+    group: int
+    is_fine: bool
+
+
+@dataclass(frozen=True)
 class NodeContract:
     """One CANopen node: `blocks` blocks of the skin from `block` on, and the frames it sends.
 
@@ -61,6 +80,7 @@ class NodeContract:
     packing: Packing
     flags: int
     tpdos: tuple[Tpdo, ...]
+    adaptive_tpdos: tuple[AdaptiveTpdo, ...] = ()
 
     @property
     def pdo_bytes(self) -> int:
@@ -69,7 +89,12 @@ class NodeContract:
 
     @property
     def encoding(self) -> int:
-        """Encoding of its PDOs as one number (2005h): width, log2 of the scale, offset binary, blocks."""
+        """Encoding of its PDOs as one number (2005h): width, log2 of the scale, offset binary, blocks.
+
+        Companded sums of 8 bits (`dbc.adaptive`) have a 2 where others have 1 for offset binary, and no scale.
+        """
+        if self.adaptive_tpdos:
+            return 8 | _COMPANDED << 16 | self.blocks << 24
         step = self.packing.scale.bit_length() - 1
         return self.packing.bits | step << 8 | (not self.packing.is_signed) << 16 | self.blocks << 24
 
@@ -99,11 +124,21 @@ class Contract:
             for node_id in range(1, bus.nodes + 1):
                 block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
                 first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
-                tpdos = _tpdos(bus, number, node_id, range(first, last), pack.bits)
+                is_adaptive = layout.sending == "adaptive"
+                adaptive = _adaptive_tpdos(node_id) if is_adaptive else ()
+                tpdos = () if is_adaptive else _tpdos(bus, number, node_id, range(first, last), pack.bits)
                 nodes.append(
-                    NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos)
+                    NodeContract(
+                        number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive
+                    )
                 )
         return cls(layout, phi, pack, tuple(nodes))
+
+    @cached_property
+    def law(self) -> Companding:
+        """How adaptive nodes code their sums."""
+        taxels = self.layout.taxels
+        return companding(taxels.force_max_n, COARSE_STEP_RATIO * taxels.force_max_n, self.phi.block_size)
 
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
@@ -159,6 +194,14 @@ def next_counter(sync_counter: int) -> int:
     return sync_counter % SYNC_OVERFLOW + 1
 
 
+def _adaptive_tpdos(node_id: int) -> tuple[AdaptiveTpdo, ...]:
+    """Return the TPDOs of an adaptive node, the most urgent first."""
+    identifiers = [FIRST_COB_ID + NODES * index + node_id - 1 for index in range(TPDOS)]
+    return tuple(
+        AdaptiveTpdo(number, identifier, *frame_of(identifier)[1:]) for number, identifier in enumerate(identifiers, 1)
+    )
+
+
 def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int) -> tuple[Tpdo, ...]:
     """Divide a node's sums into frames, once per phase."""
     parts = _spread(sums, bits, fd=bus.fd)
@@ -211,7 +254,7 @@ def _cob_id(bus: Bus, number: int, node_id: int, index: int) -> int:
 def _table(contract: Contract) -> FrameTable:
     rows = [(node, tpdo) for node in contract.nodes for tpdo in node.tpdos]
     node_of_row = [place for place, node in enumerate(contract.nodes) for _ in node.tpdos]
-    gather = np.full((len(rows), max(tpdo.sums for _, tpdo in rows)), -1, np.intp)
+    gather = np.full((len(rows), max((tpdo.sums for _, tpdo in rows), default=0)), -1, np.intp)
     row_of = np.full((len(contract.layout.bus), 0x800), -1, np.intp)
     for row, (node, tpdo) in enumerate(rows):
         gather[row, : tpdo.sums] = range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)

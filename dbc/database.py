@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
+from dbc.adaptive import FINE_BITS, GROUP_SUMS, OTHER_CODES
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -21,10 +22,11 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
+from dbc.contract import PHASES, SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD
 from dbc.packing import rounding_error_n
+from skin.walsh import grouped_rows
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -48,11 +50,9 @@ def database(contract: Contract, bus: int) -> str:
     layout, line = contract.layout, contract.layout.bus[bus]
     nodes = contract.on_bus(bus)
     messages = _network(contract) + [message for node in nodes for message in _node(contract, node)]
-    scale, error_n = contract.packing.scale, rounding_error_n(layout)
     comment = (
         f"Bus {line.name} of skin {layout.name}: blocks {nodes[0].block} to {nodes[-1].block + nodes[-1].blocks - 1}"
-        f" of Phi {contract.phi.fingerprint}. Sums are in ADC counts, {layout.taxels.newton_per_count:.6g} N each;"
-        + (f" rounded to {scale}, which adds at most {error_n:.3g} N to a sum." if scale > 1 else " they are exact.")
+        f" of Phi {contract.phi.fingerprint}. {_unit_text(contract)}"
     )
     attributes: dict[str, str | int | float] = {
         "DBName": line.name,
@@ -69,6 +69,15 @@ def database(contract: Contract, bus: int) -> str:
         dbc_specifics=_attributes(attributes, switches_rate=line.data_bitrate is not None),
     )
     return str(described.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
+
+
+def _unit_text(contract: Contract) -> str:
+    """Return a sentence on the values of sums."""
+    if contract.layout.sending == "adaptive":
+        return "Sums are companded; the comment of each message says how to expand them."
+    scale, error_n = contract.packing.scale, rounding_error_n(contract.layout)
+    exact = f"rounded to {scale}, which adds at most {error_n:.3g} N to a sum" if scale > 1 else "they are exact"
+    return f"Sums are in ADC counts, {contract.layout.taxels.newton_per_count:.6g} N each; {exact}."
 
 
 def signal_name(contract: Contract, number: int) -> str:
@@ -199,6 +208,7 @@ def _node(contract: Contract, node: NodeContract) -> list["Message"]:
     beats = _message(f"{name}_Heartbeat", HEARTBEAT_BASE + node_id, 1, name, state, cycle_ms=HEARTBEAT_MS)
     return [
         *(_sums(contract, node, tpdo) for tpdo in node.tpdos),
+        *(_adaptive_sums(contract, node, tpdo) for tpdo in node.adaptive_tpdos),
         _message(f"{name}_EMCY", EMCY_BASE + node_id, 8, name, emergency),
         beats,
         _message(f"{name}_SDO_Request", SDO_REQUEST_BASE + node_id, 8, GATEWAY, _transfer(name)),
@@ -239,6 +249,36 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
         comment=f"Sums {sums[0]} to {sums[-1]} in {when}",
         cycle_ms=_milliseconds(PHASES * contract.layout.sync.period_s),
         is_fd=bool(node.flags & FD),
+    )
+
+
+def _adaptive_sums(contract: Contract, node: NodeContract, tpdo: AdaptiveTpdo) -> "Message":
+    """Return a TPDO of an adaptive node: coarse codes, or fine codes and their check."""
+    name, law, width = _name(node), contract.law, FINE_BITS if tpdo.is_fine else 8
+    first = int(contract.phi.starts[node.block])
+    rows = grouped_rows(contract.phi.block_size)[tpdo.group].tolist()
+    signals = [
+        _signal(signal_name(contract, first + row), place * width, width, receiver=GATEWAY)
+        for place, row in enumerate(rows)
+    ]
+    if tpdo.is_fine:
+        kind = "Fine"
+        meaning = (
+            f"value = N * {law.fine_n:.6g} N; N: of all integers with these low bits the nearest to the coarse value"
+        )
+        signals.append(_signal("Check", len(rows) * width, 8, receiver=GATEWAY))
+    else:
+        kind = "Coarse"
+        mean = f"{law.mean_knee_n:.6g} N * sinh(code / {law.mean_slope:.6g})"
+        other = f"{law.knee_n:.6g} N * sinh((code - {OTHER_CODES + 1}) / {law.slope:.6g})"
+        meaning = f"value = {other}" + (f"; of the first row {mean}" if tpdo.group == 0 else "")
+    return _message(
+        f"{name}_{kind}{tpdo.group}_Level{tpdo.level}",
+        tpdo.cob_id,
+        GROUP_SUMS,
+        name,
+        signals,
+        comment=f"Group {tpdo.group} at urgency {tpdo.level}: {meaning}",
     )
 
 

@@ -4,15 +4,20 @@ The manufacturer area, from 2000h, holds the node's part of Φ and its counters.
 that it needs to refuse a node programmed for another Φ.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from dbc.canopen import COB_ID_NO_RTR, EMCY_BASE, SYNC_COB_ID
-from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, NodeContract, Tpdo
+from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
+from dbc.canopen import COB_ID_NO_RTR, EMCY_BASE, EVENT_MANUFACTURER, SYNC_COB_ID
+from dbc.contract import CLASSIC_BYTES, PHASES, SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.indices import (
     INTEGER8,
     INTEGER16,
     OD_BLOCK,
+    OD_COARSE,
+    OD_COEFFICIENT_NOISE,
+    OD_COMPANDING,
     OD_CONSUMER_HEARTBEAT,
     OD_CYCLE_PERIOD_US,
     OD_DEVICE_NAME,
@@ -23,6 +28,7 @@ from dbc.indices import (
     OD_ERROR_BEHAVIOUR,
     OD_ERROR_FIELD,
     OD_ERROR_REGISTER,
+    OD_FINE,
     OD_GAIN,
     OD_HARDWARE_VERSION,
     OD_HEALTH,
@@ -31,14 +37,17 @@ from dbc.indices import (
     OD_OFFSET,
     OD_PHI_FINGERPRINT,
     OD_PHI_SEED,
+    OD_REFRESH,
     OD_RESTORE,
     OD_ROWS,
+    OD_SENDING,
     OD_SIGNATURE,
     OD_SOFTWARE_VERSION,
     OD_STORE,
     OD_SUMS,
     OD_SYNC_COB_ID,
     OD_SYNC_OVERFLOW,
+    OD_TAXEL_NOISE,
     OD_TAXELS,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
@@ -48,9 +57,11 @@ from dbc.indices import (
     UNSIGNED8,
     UNSIGNED16,
     UNSIGNED32,
+    UNSIGNED64,
     VISIBLE_STRING,
     of_block,
 )
+from skin.walsh import GROUPS
 
 Access = Literal["ro", "rw", "const"]
 Value = int | float | str
@@ -71,6 +82,8 @@ SUM_TYPES: Final = {
     (8, True): INTEGER8,
     (8, False): UNSIGNED8,
 }
+#: Least time between two frames of an adaptive TPDO.
+INHIBIT_100US: Final = 10
 #: Entries of the pre-defined error field.
 ERRORS_KEPT: Final = 8
 #: Most heartbeats that a node can watch.
@@ -99,8 +112,10 @@ def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
     """Return all objects of `node` with their initial values, by index and sub-index."""
     return [
         *_communication(contract, node),
-        *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo)),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo.number, _synchronous(tpdo))),
+        *(entry for tpdo in node.adaptive_tpdos for entry in _tpdo_communication(tpdo.number, _adaptive(tpdo))),
         *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(contract, node, tpdo)),
+        *(entry for tpdo in node.adaptive_tpdos for entry in _adaptive_mapping(tpdo)),
         *_manufacturer(contract, node),
     ]
 
@@ -143,31 +158,63 @@ def _identity(node: NodeContract) -> list[Object]:
     return [Object(OD_IDENTITY, sub, name, kind, "ro", value, group="Identity") for sub, name, kind, value in entries]
 
 
-def _tpdo_communication(tpdo: Tpdo) -> list[Object]:
+@dataclass(frozen=True)
+class _Communication:
+    """Values of a TPDO communication record: COB-ID, transmission type, inhibit time, SYNC start value."""
+
+    cob_id: int
+    transmission_type: int
+    inhibit_100us: int = 0
+    start: int = 0
+
+
+def _synchronous(tpdo: Tpdo) -> _Communication:
+    return _Communication(tpdo.cob_id, PHASES, start=tpdo.phase + 1)
+
+
+def _adaptive(tpdo: AdaptiveTpdo) -> _Communication:
+    return _Communication(tpdo.cob_id, EVENT_MANUFACTURER, inhibit_100us=INHIBIT_100US)
+
+
+def _tpdo_communication(number: int, values: _Communication) -> list[Object]:
     """Return the communication record (from 1800h); the RTR bit is set: remote frames are not answered."""
-    index, group = OD_TPDO_COMMUNICATION + tpdo.number - 1, f"TPDO {tpdo.number} communication parameter"
+    index, group = OD_TPDO_COMMUNICATION + number - 1, f"TPDO {number} communication parameter"
     entries: tuple[tuple[int, str, int, Access, int], ...] = (
         (0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 6),
-        (1, "COB-ID used by TPDO", UNSIGNED32, "rw", COB_ID_NO_RTR | tpdo.cob_id),
-        (2, "Transmission type", UNSIGNED8, "rw", PHASES),
-        (3, "Inhibit time", UNSIGNED16, "rw", 0),
+        (1, "COB-ID used by TPDO", UNSIGNED32, "rw", COB_ID_NO_RTR | values.cob_id),
+        (2, "Transmission type", UNSIGNED8, "rw", values.transmission_type),
+        (3, "Inhibit time", UNSIGNED16, "rw", values.inhibit_100us),
         (5, "Event timer", UNSIGNED16, "rw", 0),
-        (6, "SYNC start value", UNSIGNED8, "rw", tpdo.phase + 1),
+        (6, "SYNC start value", UNSIGNED8, "rw", values.start),
     )
     return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
 
 
+def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
+    """Return the mapping record of an adaptive TPDO: eight coarse bytes of a group, or its 64 fine bits."""
+    if tpdo.is_fine:
+        mapped = [OD_FINE << 16 | (tpdo.group + 1) << 8 | 64]
+    else:
+        mapped = [OD_COARSE << 16 | place << 8 | 8 for place in _places(BLOCK_SUMS)[GROUP_SUMS * tpdo.group :]]
+        mapped = mapped[:GROUP_SUMS]
+    return _mapping(tpdo.number, len(mapped), mapped + [0] * (CLASSIC_BYTES - len(mapped)))
+
+
 def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
     """Return the mapping record (from 1A00h): index, sub-index and length in bits of each mapped object."""
-    index, group = OD_TPDO_MAPPING + tpdo.number - 1, f"TPDO {tpdo.number} mapping parameter"
     mapped = []
     for each in range(tpdo.first_sum, tpdo.first_sum + tpdo.sums):
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
         mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
-    mapped += [0] * (node.pdo_bytes - tpdo.sums)  # space for as many objects of one byte as fit a frame
+    return _mapping(tpdo.number, tpdo.sums, mapped + [0] * (node.pdo_bytes - tpdo.sums))
+
+
+def _mapping(number: int, count: int, mapped: list[int]) -> list[Object]:
+    """Return the mapping record of TPDO `number`: `count` objects, and room for as many as a frame has bytes."""
+    index, group = OD_TPDO_MAPPING + number - 1, f"TPDO {number} mapping parameter"
     return [
-        Object(index, 0, "Number of mapped objects", UNSIGNED8, "rw", tpdo.sums, group=group),
+        Object(index, 0, "Number of mapped objects", UNSIGNED8, "rw", count, group=group),
         *(
             Object(index, place, f"Mapped object {place}", UNSIGNED32, "rw", entry, group=group)
             for place, entry in enumerate(mapped, 1)
@@ -188,8 +235,46 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_SIGNATURE, None, "Configuration signature", UNSIGNED32, "ro", 0),
         *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
     ]
+    if node.adaptive_tpdos:
+        whole += _adaptive_objects(contract)
     blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]
     return sorted(whole + blocks, key=lambda each: each.index)
+
+
+def _adaptive_objects(contract: Contract) -> list[Object]:
+    """Return what an adaptive node has besides: code, settings, noise, and the bytes of its frames."""
+    law, rule = contract.law, SendingRule()
+    code = zip(("Slope of the mean row", "Knee of the mean row", "Slope", "Knee", "Fine step"), law, strict=True)
+    settings = zip((f"{name} of sending" for name in SendingRule._fields), rule, strict=True)
+    coefficients = [f"Noise of Haar coefficient {place}" for place in _places(BLOCK_SUMS)]
+    taxels = [f"Noise of the taxel at place {place}" for place in range(BLOCK_SUMS)]
+    coarse = [f"Coarse code of sum {place}" for place in _places(BLOCK_SUMS)]
+    fine = [f"Fine code of group {place}" for place in _places(GROUPS)]
+    return [
+        *_record(OD_COMPANDING, "Companding", [(name, REAL32, "const", value) for name, value in code]),
+        Object(OD_REFRESH, None, "Groups to send again, a bit each", UNSIGNED8, "rw", 0),
+        *_record(
+            OD_SENDING,
+            "Sending",
+            [(name, UNSIGNED32 if isinstance(value, int) else REAL32, "rw", value) for name, value in settings],
+        ),
+        # 0: learned by the node.
+        *_array(OD_COEFFICIENT_NOISE, "Noise of coefficients in newtons", coefficients, REAL32, "rw", value=0.0),
+        *_array(OD_TAXEL_NOISE, "Noise of taxels in newtons", taxels, REAL32, "rw", value=0.0),
+        *_array(OD_COARSE, "Coarse codes", coarse, UNSIGNED8, "ro", pdo=True),
+        *_array(OD_FINE, "Fine codes", fine, UNSIGNED64, "ro", pdo=True),
+    ]
+
+
+def _record(index: int, group: str, entries: Sequence[tuple[str, int, Access, Value]]) -> list[Object]:
+    """Return sub-index 0 and the entries of a record: name, type, access, value."""
+    return [
+        Object(index, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", len(entries), group=group),
+        *(
+            Object(index, sub, name, kind, access, value, group=group)
+            for sub, (name, kind, access, value) in enumerate(entries, 1)
+        ),
+    ]
 
 
 def _block(contract: Contract, block: int, place: int) -> list[Object]:

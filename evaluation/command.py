@@ -54,6 +54,8 @@ def evaluate(
     jobs: int | None = None,
     draws: int | None = None,
     seed: int = 0,
+    scenes: int = 10,
+    scene_seed: int = 0,
     json: Json = False,
 ) -> None:
     """Make tables and figures of the paper again and print ours beside the paper's numbers.
@@ -77,7 +79,11 @@ def evaluate(
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals`` and
         ``rates`` average over none; ``all`` hands them to the others.
     seed
-        Of all random numbers.
+        Of all random numbers but those that draw scenes.
+    scenes
+        Scenes drawn at random that ``rivals`` measures beside the named ones; none with `quick`.
+    scene_seed
+        Of the scenes drawn at random: a seed that nobody has tried shows scenes that nobody has tuned to.
     json
         Print JSON instead of tables.
 
@@ -97,7 +103,7 @@ def evaluate(
     if out is None and subject == "all":
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
-    options = Options(quick, meshes, recordings, out, processes, draws, seed)
+    options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed)
     results: dict[str, Result] = {}
     for name in SUBJECTS if subject == "all" else [subject]:
         asked = replace(options, draws=None) if name in _WITHOUT_DRAWS else options

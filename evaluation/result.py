@@ -34,6 +34,8 @@ class Options:
     jobs: int = 1
     draws: int | None = None
     seed: int = 0
+    scenes: int = 10
+    scene_seed: int = 0
 
     def __post_init__(self) -> None:
         for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):
@@ -41,7 +43,9 @@ class Options:
                 raise InputError(f"no folder '{folder}': expected a folder of {what}")
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError(f"'{self.out}' is a file: expected a folder for the results")
-        for name, number, least in (("jobs", self.jobs, 1), ("draws", self.draws, 1), ("seed", self.seed, 0)):
+        numbers = {"jobs": (self.jobs, 1), "draws": (self.draws, 1), "seed": (self.seed, 0)}
+        numbers |= {"scenes": (self.scenes, 0), "scene-seed": (self.scene_seed, 0)}
+        for name, (number, least) in numbers.items():
             if number is not None and number < least:
                 raise InputError(f"{name} needs a whole number of {least} or more: got {number}")
 

@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
+import numpy as np
 import tomli_w
 
 from skin.errors import LayoutError
 from skin.measurement import Sbhe, sbhe
 from skin.toml_errors import in_words
+from skin.walsh import Indices, patches
 
 #: Names of the layouts that come with the project.
 SHIPPED: Final = ("default", "fd", "one-bus-12bit")
@@ -20,10 +22,13 @@ BITRATE_MAX: Final = 1_000_000
 RATE_MAX_HZ: Final = 2000.0
 #: Highest sampling rate of a layout.
 SAMPLING_MAX_HZ: Final = 10_000.0
+#: Adaptive sending: taxels of a block, and nodes of a bus, each with 32 identifiers of its own.
+ADAPTIVE_BLOCK: Final = 32
+ADAPTIVE_NODES: Final = 32
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
-#: Default: one sum for this number of taxels.
+#: Default: one sum for this number of taxels; adaptive nodes send one sum for each taxel.
 SUMS_PART: Final = 4
 #: Default: the smallest number of buses with at most this number of nodes, each of one block.
 NODES_PER_BUS: Final = 32
@@ -70,6 +75,8 @@ class Measuring(_Table, frozen=True, kw_only=True):
     sums: Positive = 1024
     selection: Literal["balanced", "uniform"] = "balanced"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
+    # Blocks of taxels from all over the skin, or of neighbours: a patch of each board.
+    wiring: Literal["scattered", "board"] = "scattered"
 
 
 class Sync(_Table, frozen=True, kw_only=True):
@@ -123,6 +130,8 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     name: Name = "skin"
     configure: Literal["write", "refuse"] = "write"
+    # Sums at every SYNC, or whenever they carry news.
+    sending: Literal["synchronous", "adaptive"] = "synchronous"
     taxels: Taxels = msgspec.field(default_factory=Taxels)
     measurement: Measuring = msgspec.field(default_factory=Measuring)
     sync: Sync = msgspec.field(default_factory=Sync)
@@ -143,21 +152,33 @@ class Layout(_Table, frozen=True, kw_only=True):
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
         measurement = self.measurement
-        return sbhe(
+        phi = sbhe(
             self.taxels.count,
             measurement.sums,
             block_size=measurement.block_size,
             selection=measurement.selection,
             seed=measurement.seed,
         )
+        return phi if measurement.wiring == "scattered" else Sbhe(np.concatenate(self.patches()).ravel(), phi.kept)
+
+    def patches(self) -> list[Indices]:
+        """Return the taxels of each block of neighbours, by bus: arrays of shape (blocks of the bus, block size)."""
+        blocks = [bus.nodes * bus.blocks_per_node for bus in self.bus]
+        return patches(self.taxels.rows, self.taxels.columns, self.measurement.block_size, blocks)
 
     def first_block(self, bus: int) -> int:
         """Return the first block of node 1 on bus number `bus`; the blocks of the other nodes follow."""
         return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
 
 
-def load_layout(path: Path | None = None) -> Layout:
+def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
     """Read a layout: a file or, by its bare name, one of `SHIPPED`; without a path, the default skin.
+
+    Parameters
+    ----------
+    path : Path, optional
+    adaptive : bool
+        The caller knows adaptive sending; all other callers refuse a layout that has it.
 
     Raises
     ------
@@ -171,7 +192,13 @@ def load_layout(path: Path | None = None) -> Layout:
         content = path.read_bytes()
     except OSError as error:
         raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
-    return parse_layout(content, str(path))
+    layout = parse_layout(content, str(path))
+    if layout.sending == "adaptive" and not adaptive:
+        raise LayoutError(
+            f"{path}: only 'skin dbc' and 'skin dbc-check' know adaptive sending so far: "
+            'expected sending = "synchronous" - at `$.sending`'
+        )
+    return layout
 
 
 def parse_layout(content: bytes, origin: str) -> Layout:
@@ -199,7 +226,8 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
     blocks = max(1, taxels.count // measuring.block_size)
-    tables.setdefault("measurement", {}).setdefault("sums", blocks * max(1, measuring.block_size // SUMS_PART))
+    part = 1 if tables.get("sending") == "adaptive" else SUMS_PART
+    tables.setdefault("measurement", {}).setdefault("sums", blocks * max(1, measuring.block_size // part))
     buses = -(-blocks // NODES_PER_BUS)
     if "taxels" in tables:  # without taxels and buses the file is no layout
         tables.setdefault("bus", [{"name": f"bus{each}", "nodes": blocks // buses} for each in range(buses)])
@@ -244,6 +272,8 @@ def _check(layout: Layout) -> None:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
         raise LayoutError(f"{limit}, got {sampled_hz:g} - at `$.sampling.rate_hz`")
     _check_buses(layout)
+    if layout.sending == "adaptive":
+        _check_adaptive(layout)
 
 
 def _check_measurement(layout: Layout) -> None:
@@ -264,6 +294,25 @@ def _check_measurement(layout: Layout) -> None:
     if measurement.selection == "balanced" and measurement.sums % layout.blocks:
         wanted = f"balanced needs a multiple of {layout.blocks} blocks"
         raise LayoutError(f"{wanted}, got {measurement.sums} - at `$.measurement.sums`")
+
+
+def _check_adaptive(layout: Layout) -> None:
+    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, classic frames."""
+    measurement = layout.measurement
+    wanted = {
+        "measurement.wiring": (measurement.wiring, "board"),
+        "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
+        "measurement.sums": (measurement.sums, layout.taxels.count),
+    }
+    for path, (got, expected) in wanted.items():
+        if got != expected:
+            raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
+    for index, bus in enumerate(layout.bus):
+        if bus.fd:
+            raise LayoutError(f"adaptive sending expects classic frames - at `$.bus[{index}].fd`")
+        if bus.blocks_per_node != 1 or bus.nodes > ADAPTIVE_NODES:
+            limits = f"adaptive sending expects at most {ADAPTIVE_NODES} nodes of one block"
+            raise LayoutError(f"{limits}, got {bus.nodes} of {bus.blocks_per_node} - at `$.bus[{index}]`")
 
 
 def _check_buses(layout: Layout) -> None:

@@ -1,21 +1,26 @@
 """``skin evaluate rivals``: compressed sums against scans, coarse arrays and event-triggered taxels."""
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Final
 
 import numpy as np
 
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
-from evaluation.schemes.comparison_pictures import pictures
+from evaluation.schemes.comparison_pictures import EVENT_FAMILIES, pictures
 from evaluation.schemes.default_skin import default_kbit_per_s
-from evaluation.schemes.scenes import OWN, SHAKING, SLAP, SLIDES, Touch, recordings_in
-from evaluation.schemes.schemes import Events, Scan, Scheme, Sums, measure_scheme
+from evaluation.schemes.fresh_scenes import FIELDS, POSED
+from evaluation.schemes.scenes import OWN, SHAKING, SLAP, SLIDES, Touch, random_touch, recordings_in
+from evaluation.schemes.schemes import Adaptive, Events, FilteredEvents, Scan, Scheme, Sums, measure_scheme
 
 #: Thresholds in newtons and dead times in milliseconds that event-triggered taxels are tried with.
 _THRESHOLDS_N: Final = (2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 5e-3)
 RULES: Final = (*((threshold_n, 1) for threshold_n in _THRESHOLDS_N), (3e-3, 10), (4e-3, 10))
 _QUICK_RULES: Final = RULES[3:5]
+#: Thresholds in newtons that filtered taxels are tried with.
+FILTERED_N: Final = (0.2e-3, 0.3e-3, 0.5e-3, 0.8e-3, 1.2e-3)
+_QUICK_FILTERED_N: Final = FILTERED_N[2:3]
 #: Parts of the default skin's bits at which the curves are measured.
 SHARES: Final = (0.125, 0.25, 0.5)
 #: Touches that are measured at all shares, and who is.
@@ -67,14 +72,16 @@ def evaluate(options: Options) -> Result:
     InputError
         If the recordings cannot be read.
     """
-    touches = list(_touches(options))
-    measured = [*_clocked(touches, options), *_events(touches, options)]
-    clocked = [row | {"rule": None} for row in measured if row["share"] == 1.0 and row["family"] != "events"]
-    shown = sorted(clocked + chosen_rules(measured), key=lambda row: touches.index(row["touch"]))
+    known = list(_touches(options))
+    touches = known + list(_fresh_touches(options))
+    measured = [*_adaptive(touches, options), *_clocked(touches, options), *_events(touches, options)]
+    clocked = [row | {"rule": None} for row in measured if row["share"] == 1.0 and row["family"] not in EVENT_FAMILIES]
+    shown = sorted(clocked + chosen_rules(measured, known), key=lambda row: touches.index(row["touch"]))
     return Result(
         "Baselines on the same four classic buses, at the bits a second of the default skin",
         [_table_row(row) for row in shown],
         pictures(measured, options),
+        wins_and_losses(shown),
     )
 
 
@@ -94,6 +101,29 @@ def _touches(options: Options) -> Iterator[Touch]:
         yield Touch(path, seed=options.seed)
 
 
+def _fresh_touches(options: Options) -> Iterator[Touch]:
+    """Yield the touches that no rule is chosen on, random ones last."""
+    if options.quick:
+        return
+    meshes, seed = options.shared["meshes"], options.seed
+    for name in (*POSED, *FIELDS):
+        yield Touch(name, meshes=meshes, seed=seed)
+    yield Touch("golf-ball", noise_n=4e-3, seed=seed)
+    yield Touch("golf ball at rest", loss_ratio=0.05, seed=seed)
+    for name in ("golf-ball", "granola-box"):
+        yield Touch(name, noise="coloured", meshes=meshes, seed=seed)
+        yield Touch(name, noise="heavy-tailed", meshes=meshes, seed=seed)
+        yield Touch(name, noise="common-mode", meshes=meshes, seed=seed)
+        yield Touch(name, drift_n_per_s=1e-3, meshes=meshes, seed=seed)
+        yield Touch(name, stuck=20, meshes=meshes, seed=seed)
+    for number in range(options.scenes):
+        yield random_touch(number, options.scene_seed, meshes, seed)
+
+
+def _adaptive(touches: list[Touch], options: Options) -> list[Row]:
+    return _measured([(Adaptive(), touch, 1.0) for touch in touches], options, "rivals-adaptive")
+
+
 def _clocked(touches: list[Touch], options: Options) -> list[Row]:
     """Measure what is sent by the clock, at the default's bits and, for the curves, at less."""
     wanted = []
@@ -105,10 +135,15 @@ def _clocked(touches: list[Touch], options: Options) -> list[Row]:
 
 
 def _events(touches: list[Touch], options: Options) -> list[Row]:
-    """Measure event-triggered taxels under every rule."""
-    rules = [
+    """Measure event-triggered taxels, as they are and filtered, under every rule."""
+    rules: list[Scheme] = [
         Events(threshold_n, dead_ms, receiver)
         for threshold_n, dead_ms in (_QUICK_RULES if options.quick else RULES)
+        for receiver in ("plain", "solved")
+    ]
+    rules += [
+        FilteredEvents(threshold_n, receiver)
+        for threshold_n in (_QUICK_FILTERED_N if options.quick else FILTERED_N)
         for receiver in ("plain", "solved")
     ]
     return _measured([(rule, touch, 1.0) for touch in touches for rule in rules], options, "rivals-events")
@@ -125,15 +160,15 @@ def _measured(wanted: list[tuple[Scheme, Touch, float]], options: Options, what:
     ]
 
 
-def chosen_rules(measured: list[Row]) -> list[Row]:
+def chosen_rules(measured: list[Row], known: list[Touch]) -> list[Row]:
     """Return for every touch and receiver the row of the rule tuned to it, and that of the one rule for all touches.
 
-    ``rule`` is ``tuned to this touch`` or ``one for all``.
+    ``rule`` is ``tuned to this touch`` or ``one for all``; the latter is the best one on the touches `known`.
     """
     found = []
-    for receiver in ("plain", "solved"):
-        rules = [row for row in measured if row["family"] == "events" and row["receiver"] == receiver]
-        best = _one_rule(rules)
+    for family, receiver in product(EVENT_FAMILIES, ("plain", "solved")):
+        rules = [row for row in measured if row["family"] == family and row["receiver"] == receiver]
+        best = _one_rule([row for row in rules if row["touch"] in known])
         for touch in dict.fromkeys(row["touch"] for row in rules):
             mine = [row for row in rules if row["touch"] == touch]
             fits = [row for row in mine if row["kbit_per_s"] <= default_kbit_per_s()] or mine
@@ -146,6 +181,31 @@ def _one_rule(rules: list[Row]) -> str:
     """Return the scheme whose rule has the best mean PSNR over all touches, with whatever bits it then takes."""
     rows_of = {str(name): rows for (name,), rows in grouped(rules, "name").items()}
     return max(rows_of, key=lambda name: float(np.mean([row["psnr_mean_db"] for row in rows_of[name]])))
+
+
+def wins_and_losses(shown: list[Row]) -> str:
+    """Return a line for each touch: adaptive sums against the scheme with the best PSNR and that with the least error.
+
+    A rule of events counts as it was tuned to the touch. A line that begins with ``LOSS`` names where adaptive sums
+    are worse.
+    """
+    lines = []
+    for touch in dict.fromkeys(row["touch"] for row in shown):
+        mine = [row for row in shown if row["touch"] == touch]
+        ours = next(row for row in mine if row["family"] == "adaptive")
+        others = [row for row in mine if row["family"] != "adaptive"]
+        best = max(others, key=lambda row: float(row["psnr_mean_db"]))
+        gain_db = ours["psnr_mean_db"] - best["psnr_mean_db"]
+        worse = [] if gain_db > 0 else ["PSNR"]
+        said = f"{gain_db:+.1f} dB to {best['name']}"
+        if ours["touched_error_mn"] is not None:
+            nearest = min(others, key=lambda row: float(row["touched_error_mn"]))
+            worse += [] if ours["touched_error_mn"] < nearest["touched_error_mn"] else ["touched error"]
+            said += f"; touched {ours['touched_error_mn']:.2f} mN, {nearest['touched_error_mn']:.2f} {nearest['name']}"
+        worse += [] if ours["kbit_per_s"] < best["kbit_per_s"] else ["bits"]
+        said += f"; {ours['kbit_per_s']:.0f} kbit/s, {best['kbit_per_s']:.0f} {best['name']}"
+        lines.append(f"{'LOSS in ' + ', '.join(worse) if worse else 'win'}: {touch.words}: {said}")
+    return "Adaptive sums against the best other scheme of each touch:\n" + "\n".join(lines)
 
 
 def _table_row(found: Row) -> Row:

@@ -31,6 +31,14 @@ _NOISE_TOUCH: Final = "golf-ball"
 INSTANTS: Final = ((SLAP, SLAP_MS + 15), (SLAP, SLAP_MS + 25), ("faint box", 700))
 _SHOWN: Final[tuple[Scheme, ...]] = (OURS, Scan(64, 10), Scan(32, 10, "solved"), Events(4e-3, 1))
 SCALE_MN: Final = 10.0
+#: Families whose members differ by rules that are tried, and how the rules are marked, by receiver.
+EVENT_FAMILIES: Final = ("events", "filtered events")
+_MARKS: Final = (
+    ("events", "plain", "kx"),
+    ("events", "solved", "k+"),
+    ("filtered events", "plain", "rx"),
+    ("filtered events", "solved", "r+"),
+)
 
 
 def pictures(measured: list[Row], options: Options) -> list[Picture]:
@@ -72,11 +80,11 @@ def _curves(measured: list[Row]) -> "Figure":
         for scheme, style in styles.items():
             points = sorted(_means(mine, scheme))
             panel.plot(*zip(*points, strict=True), style, markersize=5, label=scheme)
-        for receiver, mark in (("plain", "kx"), ("solved", "k+")):
-            rules = dict.fromkeys(row["name"] for row in _events(mine, receiver))
+        for family, receiver, mark in _MARKS:
+            rules = dict.fromkeys(row["name"] for row in _events(mine, receiver, family))
             points = [point for rule in rules for point in _means(mine, rule)]
             if points:
-                panel.plot(*zip(*points, strict=True), mark, label=f"events, {receiver}")
+                panel.plot(*zip(*points, strict=True), mark, label=f"{family}, {receiver}")
         _label(panel, name)
     for panel in panels[len(shown) :]:
         panel.set_axis_off()
@@ -88,7 +96,7 @@ def _styles(measured: list[Row]) -> dict[str, str]:
     """Return for every scheme that sends by the clock a colour for its family and a mark of its own."""
     families: dict[str, dict[str, None]] = {}
     for row in measured:
-        if row["family"] != "events":
+        if row["family"] not in EVENT_FAMILIES:
             families.setdefault(row["family"], {})[row["name"]] = None
     return {
         member: f"C{colour}{mark}-"
@@ -107,8 +115,8 @@ def _label(panel: "Axes", name: str) -> None:
     panel.grid(alpha=0.3, which="both")
 
 
-def _events(rows: list[Row], receiver: str) -> list[Row]:
-    return [row for row in rows if row["family"] == "events" and row["receiver"] == receiver]
+def _events(rows: list[Row], receiver: str, family: str = "events") -> list[Row]:
+    return [row for row in rows if row["family"] == family and row["receiver"] == receiver]
 
 
 def _of(measured: list[Row], touches: tuple[str, ...]) -> list[Row]:

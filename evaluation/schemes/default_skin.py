@@ -17,7 +17,7 @@ def default_kbit_per_s() -> float:
     layout = load_layout()
     contract = skin_of(layout.encoding.sum_bits, layout.sync.rate_hz)
     golf = Touch("golf-ball")
-    return float(run_sums(contract, golf.load().counts, idle_counts=golf.idle_counts()).sent.traffic()["kbit_per_s"])
+    return float(run_sums(contract, golf.load().counts, idle_counts=golf.idle()).sent.traffic()["kbit_per_s"])
 
 
 @cache

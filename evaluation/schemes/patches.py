@@ -1,4 +1,4 @@
-"""Which cells a node of a baseline holds: patches of neighbours, dealt out so that a touch meets all buses alike."""
+"""Which cells a node holds: patches of neighbours, dealt out so that a touch meets all buses alike."""
 
 from functools import cache
 from typing import Final
@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from skin import walsh
 from skin.layout import Bus
 
 #: Cells of one node, as on the default skin.
@@ -20,14 +21,7 @@ def patches(side: int) -> npt.NDArray[np.int64]:
     A node holds `NODE_CELLS` cells, four high and eight wide, or fewer on an array that would not reach all buses.
     """
     per_node = min(NODE_CELLS, side * side // BUSES)
-    high = 1 << (per_node.bit_length() - 1) // 2
-    wide = per_node // high
-    cells = np.arange(side * side).reshape(side // high, high, side // wide, wide).swapaxes(1, 2)
-    down, across = np.indices(cells.shape[:2])
-    # Neighbours to the side are two buses apart, those below one.
-    bus = (down + 2 * across) % BUSES
-    dealt = [cells[bus == number].reshape(-1, per_node) for number in range(BUSES)]
-    return np.stack(dealt).astype(np.int64)
+    return np.stack(walsh.patches(side, side, per_node, [side * side // per_node // BUSES] * BUSES)).astype(np.int64)
 
 
 def lines_of(side: int) -> tuple[Bus, ...]:

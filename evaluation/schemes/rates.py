@@ -85,7 +85,7 @@ def _is_quick(layout: Layout) -> bool:
 def measure_point(layout: Layout, touch: Touch) -> Row:
     """Return the figures of a layout on one touch."""
     what, contract = touch.load(), Contract.from_layout(layout)
-    run = run_sums(contract, what.counts, idle_counts=touch.idle_counts())
+    run = run_sums(contract, what.counts, idle_counts=touch.idle())
     return Shown(run.sent, run.latency_ns, run.images(contract), contract.layout.sync.rate_hz).figures(what)
 
 

@@ -1,11 +1,13 @@
 """The schemes: what each sends of a touch, how late, and what its receiver shows."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Final, Literal
 
 import numpy as np
 
 from evaluation.result import Row
+from evaluation.schemes.adaptive import filtered_counts, idle_of, less_variation, run_adaptive
 from evaluation.schemes.default_skin import default_kbit_per_s, skin_of
 from evaluation.schemes.events import run_events
 from evaluation.schemes.judge import Images, Updates, quality
@@ -15,11 +17,10 @@ from evaluation.schemes.smoothing import CELLS_PENALTY_N, EVENTS_PENALTY_N, SCAN
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent
 from skin.layout import load_layout
-from skin.taxel import sense
 from touch.coarse_arrays import averaged
 from touch.contact import Force
 
-Family = Literal["sums", "scan", "coarse", "events"]
+Family = Literal["adaptive", "sums", "scan", "coarse", "events", "filtered events"]
 #: What a cell of a coarse array is: one with the noise of any taxel, or what the node makes of its taxels.
 Cells = Literal["sensor", "mean"]
 #: Nothing is sampled more often than the recorded touches are.
@@ -63,6 +64,21 @@ class Shown:
 
 
 @dataclass(frozen=True)
+class Adaptive:
+    """Adaptive sums: one setting for every touch; noise is learned from the idle skin."""
+
+    receiver: ClassVar[str] = "solved"
+    family: ClassVar[Family] = "adaptive"
+    name: ClassVar[str] = "adaptive sums"
+
+    def show(self, touch: Touch, share: float = 1.0) -> Shown:
+        """Send the news of `touch`, with whatever bits they take: `share` has no effect."""
+        del share
+        run = run_adaptive(touch.load().counts, idle_of(touch))
+        return Shown(run.sent, run.latency_ns, run.images(touch.arrives(len(run.sent.asked))), None)
+
+
+@dataclass(frozen=True)
 class Sums:
     """Compressed sums of the default skin's Φ, solved.
 
@@ -82,12 +98,12 @@ class Sums:
         """Measure `touch` at the rate that takes `share` of the default skin's bits a second."""
         what, rate_hz = touch.load(), share * load_layout().sync.rate_hz
         if self.bits != load_layout().encoding.sum_bits:
-            trial = run_sums(skin_of(self.bits, rate_hz), what.counts, idle_counts=touch.idle_counts()).sent.traffic()[
+            trial = run_sums(skin_of(self.bits, rate_hz), what.counts, idle_counts=touch.idle()).sent.traffic()[
                 "kbit_per_s"
             ]
             rate_hz *= share * default_kbit_per_s() / trial
         contract = skin_of(self.bits, rate_hz)
-        run = run_sums(contract, what.counts, touch.loss_ratio, touch.seed, touch.idle_counts())
+        run = run_sums(contract, what.counts, touch.loss_ratio, touch.seed, touch.idle())
         return Shown(run.sent, run.latency_ns, run.images(contract), rate_hz)
 
 
@@ -131,7 +147,7 @@ class Scan:
         averages = self.cells == "mean" or what.is_recorded
         fine = (what.felt_n if averages else what.true_n).reshape(-1, SIDE, SIDE)
         coarse = averaged(fine, self.side).reshape(len(fine), -1)
-        return coarse if averages else sense(coarse, np.random.default_rng(touch.seed + 1), touch.noise_n)
+        return coarse if averages else touch.sensed(coarse, np.random.default_rng(touch.seed + 1))
 
     def _received(self, run: ScanRun, touch: Touch) -> Images | Updates:
         updates = run.received(touch)
@@ -184,8 +200,46 @@ class Events:
         return smoothed(held, EVENTS_PENALTY_N, temporal_filter=False)
 
 
+@dataclass(frozen=True)
+class FilteredEvents:
+    """Event-triggered taxels, each behind the filter of adaptive sums: the strongest rival.
+
+    Attributes
+    ----------
+    threshold_n : float
+        By how much a filtered taxel must differ from what was sent last, newtons.
+    receiver : str
+        ``solved``: with the total variation of adaptive sums.
+    """
+
+    threshold_n: float
+    receiver: Literal["plain", "solved"] = "plain"
+    family: ClassVar[Family] = "filtered events"
+
+    @property
+    def name(self) -> str:
+        """What it is called in a table."""
+        rule = f"filtered events, {1e3 * self.threshold_n:g} mN"
+        return rule + ("" if self.receiver == "plain" else f", {self.receiver}")
+
+    def show(self, touch: Touch, share: float = 1.0) -> Shown:
+        """Send the changes of `touch`, with whatever bits they take: `share` has no effect."""
+        del share
+        counts, noise_n = _filtered(touch)
+        run = run_events(counts, NEWTON_PER_COUNT, self.threshold_n)
+        updates = run.received(touch)
+        latency_ns = np.concatenate([run.latency_ns, run.waiting_ns])
+        if self.receiver == "plain":
+            return Shown(run.sent, latency_ns, updates, None)
+        held = updates.held(np.arange(len(counts), dtype=np.int64) * TICK_NS, TAXELS)
+        return Shown(run.sent, latency_ns, less_variation(held, noise_n), None)
+
+
+#: The filter is the same for all thresholds.
+_filtered = lru_cache(maxsize=1)(filtered_counts)
+
 #: A way to acquire a touch: what it is called, its family, what its receiver does, and what it shows.
-Scheme = Sums | Scan | Events
+Scheme = Adaptive | Sums | Scan | Events | FilteredEvents
 
 
 def measure_scheme(scheme: Scheme, touch: Touch, share: float) -> Row:

@@ -5,7 +5,7 @@ The prior is the anisotropic total variation Σ |x[i+1, j] - x[i, j]| + |x[i, j+
 step well, because the dual is kept between iterations and cycles.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numba
 
@@ -23,37 +23,57 @@ INNER: Final = 3
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
     """Solve in place from `estimate` and return the number of sums used, as `reconstructor.kernels.haar.solve_haar`."""
-    floor = problem.numbers[2]
+    columns, threshold, floor = problem.columns, problem.numbers[1], problem.numbers[2]
+    half = problem.numbers[3] * problem.numbers[3]
+    eighth = half * half * half
+    dual = row(scratch, DUAL_ROWS[0], estimate.size), row(scratch, DUAL_ROWS[1], estimate.size)
     work, image, smooth = row(scratch, 3, estimate.size), row(scratch, 4, estimate.size), row(scratch, 5, estimate.size)
     count, kept = begin(estimate, sums, weights, problem, scratch)
     if kept < 1:  # the dual belongs to the start
-        for number in DUAL_ROWS:
-            row(scratch, number, estimate.size)[:] *= kept
+        for part in dual:
+            part[:] *= kept
     for turn in range(problem.momentum.size):
         descend(estimate.size, problem, scratch)
         gather(image, work, problem.tables[0, 0])
         for _ in range(INNER):
-            _smooth(estimate.size, problem, scratch)
-            _ascend(estimate.size, problem, scratch)
-        _smooth(estimate.size, problem, scratch)
+            _smooth(image, smooth, dual, columns, floor)
+            _ascend(smooth, dual, columns, threshold, eighth)
+        _smooth(image, smooth, dual, columns, floor)
         gather(work, smooth, problem.tables[1, 0])
         advance(estimate, floor, problem.momentum[turn], scratch)
     return count
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _smooth(size: int, problem: Problem, scratch: Flat) -> None:
+def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> None:
+    """Write the image with less total variation, not below 0, to `smooth`.
+
+    Parameters
+    ----------
+    image, smooth : arrays of shape (rows, columns)
+    limit : float
+        Of the dual, of the image's dtype: the threshold of the proximal step.
+    steps : int
+        Of the dual.
+    dual : array of shape (2, rows, columns)
+        Down and right; kept from call to call.
+    """
+    columns = image.shape[1]
+    seen, made, parts = image.ravel(), smooth.ravel(), (dual[0].ravel(), dual[1].ravel())
+    zero, eighth = image.dtype.type(0), image.dtype.type(0.125)
+    for _ in range(steps):
+        _smooth(seen, made, parts, columns, zero)
+        _ascend(made, parts, columns, limit, eighth)
+    _smooth(seen, made, parts, columns, zero)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _smooth(image: Flat, smooth: Flat, dual: tuple[Flat, Flat], columns: int, floor: Any) -> None:
     """Set smooth = max(floor, image - Dᵀ dual); the dual is 0 after the last row and the last column.
 
     Slices, because the compiler does not vectorise indices that might be negative.
     """
-    image, smooth, down, right = (
-        row(scratch, 4, size),
-        row(scratch, 5, size),
-        row(scratch, 6, size),
-        row(scratch, 7, size),
-    )
-    columns, floor = problem.columns, problem.numbers[2]
+    down, right = dual
     smooth[0] = max(floor, image[0] + down[0] + right[0])
     made, seen, below, beside = smooth[1:columns], image[1:], down[1:], right[1:]
     for k in range(made.size):
@@ -65,15 +85,13 @@ def _smooth(size: int, problem: Problem, scratch: Flat) -> None:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _ascend(size: int, problem: Problem, scratch: Flat) -> None:
-    """Add the differences of ``smooth`` / 8 to the dual, and clip it to ±threshold; 8 bounds ‖D Dᵀ‖."""
-    smooth, down, right = row(scratch, 5, size), row(scratch, 6, size), row(scratch, 7, size)
-    columns, threshold, half = problem.columns, problem.numbers[1], problem.numbers[3] * problem.numbers[3]
-    eighth = half * half * half
+def _ascend(smooth: Flat, dual: tuple[Flat, Flat], columns: int, threshold: Any, eighth: Any) -> None:
+    """Add the differences of `smooth` / 8 to the dual, and clip it to ±threshold; 8 bounds ‖D Dᵀ‖."""
+    down, right = dual
     below, beside = smooth[columns:], smooth[1:]
-    for k in range(size - columns):
+    for k in range(smooth.size - columns):
         down[k] = max(-threshold, min(threshold, down[k] + eighth * (below[k] - smooth[k])))
-    for k in range(size - 1):
+    for k in range(smooth.size - 1):
         right[k] = max(-threshold, min(threshold, right[k] + eighth * (beside[k] - smooth[k])))
-    for k in range(columns - 1, size, columns):
+    for k in range(columns - 1, smooth.size, columns):
         right[k] = 0

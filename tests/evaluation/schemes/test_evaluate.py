@@ -35,7 +35,9 @@ def test_whoever_goes_by_the_clock_has_the_same_bits(compared: Result) -> None:
 
 def test_events_take_what_touch_and_noise_make_of_them(compared: Result) -> None:
     events = {
-        row["touch"]: row for row in compared.rows if row["rule"] == "one for all" and "solved" not in row["scheme"]
+        row["touch"]: row
+        for row in compared.rows
+        if row["rule"] == "one for all" and row["scheme"].startswith("events") and "solved" not in row["scheme"]
     }
     sums = {row["touch"]: row for row in compared.rows if row["scheme"] == "sums, 16 bits"}
     quiet, noisy, slap = "golf-ball", "golf-ball, noise 2 mN", "three boxes slapped on"
@@ -44,6 +46,15 @@ def test_events_take_what_touch_and_noise_make_of_them(compared: Result) -> None
     assert events[quiet]["psnr_mean_db"] < sums[quiet]["psnr_mean_db"]  # which nodes have averaged
     assert events[slap]["latency_worst_ms"] > 2 * sums[slap]["latency_worst_ms"]
     assert sums[slap]["latency_worst_ms"] < 9
+
+
+def test_adaptive_sums_are_the_nearest_to_the_touch_and_every_touch_has_its_verdict(compared: Result) -> None:
+    quiet = {row["scheme"]: row for row in compared.rows if row["touch"] == "golf-ball"}
+    ours = quiet.pop("adaptive sums")
+    unfiltered = [row for name, row in quiet.items() if not name.startswith("filtered")]
+    assert ours["psnr_mean_db"] > max(row["psnr_mean_db"] for row in unfiltered)
+    assert any(name.startswith("filtered events") for name in quiet)
+    assert len(compared.note.splitlines()) == 1 + len({row["touch"] for row in compared.rows})
 
 
 def test_every_row_has_the_same_columns_and_every_picture_is_drawn(compared: Result) -> None:

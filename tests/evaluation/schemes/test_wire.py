@@ -1,16 +1,21 @@
 """The model of the buses against the arbitrated bus, frame by frame."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.simulated_bus import SimulatedBus
+from dbc.adaptive import FIRST_COB_ID, NODES, TPDOS
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
+from dbc.frame_bits import frame_time_ns
+from evaluation.schemes.adaptive import run_adaptive
 from evaluation.schemes.events import run_events
 from evaluation.schemes.scan import run_scan
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.wire import Asked, Sent, carry
+from evaluation.schemes.wire import TICK_NS, Asked, Sent, carry
 from skin.layout import Bus, load_layout
 
 NEWTON_PER_COUNT = 0.02 / 1023
@@ -71,6 +76,19 @@ def test_bursts_of_events_end_when_the_arbitrated_bus_ends_them() -> None:
 def test_scans_and_sums_end_when_the_arbitrated_bus_ends_them() -> None:
     same(run_scan(felt(60), 10, 45.0).sent)
     same(run_sums(Contract.from_layout(load_layout()), counts_of(felt(60))).sent)
+
+
+def test_adaptive_sums_end_when_the_arbitrated_bus_ends_them() -> None:
+    idle = np.random.default_rng(1).standard_normal((400, 4096), np.float32) * np.float32(1e-3)
+    run = run_adaptive(counts_of(felt(150)), counts_of(np.maximum(idle, 0)))
+    assert len(run.sent.asked) > 1500
+    assert run.sent.traffic()["load_peak"] > 0.3
+    # The identifier carries urgency, so that it changes while a frame waits: each has the one of its last tick.
+    sent, frames = run.sent.asked, run.sent.asked.frames
+    begun = run.sent.free_ns - frame_time_ns(frames, 1_000_000, 0)
+    is_tpdo = (frames["can_id"] >= FIRST_COB_ID) & (frames["can_id"] < FIRST_COB_ID + NODES * TPDOS)
+    times = np.where(is_tpdo, begun // TICK_NS * TICK_NS, sent.time_ns)
+    same(replace(run.sent, asked=Asked(frames, sent.bus, times)))
 
 
 @settings(max_examples=25, deadline=None)

@@ -1,0 +1,146 @@
+"""One bus of adaptive nodes, compiled: nodes that decide every millisecond, arbitration, frames bit for bit.
+
+As in `evaluation.schemes.event_kernel`, the bus is inside: a node makes the payload anew each millisecond until its
+frame wins the bus.
+"""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from dbc.adaptive import Companding, SendingRule, cob_id
+from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
+from dbc.contract import SYNC_OVERFLOW
+from dbc.dictionary import HEARTBEAT_MS
+from dbc.stuff_bits import count_classic
+from evaluation.schemes.event_kernel import EMPTY_BITS
+from evaluation.schemes.wire import TICK_NS
+from nodes.adaptive.sending import SILENT, Groups, fill, frame_level, look
+from skin.walsh import GROUPS
+
+#: Milliseconds between two SYNCs. No TPDO starts in the millisecond after a SYNC, so that heartbeats find room on a
+#: full bus.
+SYNC_MS: Final = 100
+#: Columns of `Record.log`: node (-1: SYNC), group (-1: heartbeat), asked, begun and ended (ns, with intermission), the
+#: sample's tick, reason.
+NODE, GROUP, ASKED, BEGUN, ENDED, SAMPLED, REASON = range(7)
+_CAN_ID, _LENGTH, _DATA = 0, 4, 8
+_NOBODY: Final = 1 << 30
+
+
+class Record(NamedTuple):
+    """What was sent, to be written.
+
+    Attributes
+    ----------
+    rows : array of uint8, shape (capacity, 72)
+        FRAME records from `can_id` on.
+    log : array of int64, shape (capacity, 7)
+    """
+
+    rows: npt.NDArray[np.uint8]
+    log: npt.NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True)
+def run_bus(  # noqa: PLR0917  compiled functions take no keywords
+    sums_n: Any,
+    variance_n2: Any,
+    noise_n2: Any,
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
+    beat_ns: Any,
+    bit_ns: int,
+    record: Record,
+) -> int:
+    """Run one bus and return how many frames were sent.
+
+    Parameters
+    ----------
+    sums_n, variance_n2 : arrays of float32, shape (ticks, nodes, BLOCK_SUMS)
+        What the nodes make of their samples, each millisecond.
+    noise_n2 : array of float64, shape (ticks, nodes)
+        See `nodes.adaptive.sending.noise_threshold_n2`.
+    groups : Groups
+        Changed to what is left at the end.
+    beat_ns : array of int64, shape (nodes,)
+        When each node's next heartbeat is due; changed.
+    record : Record
+        Written.
+    """
+    ticks, nodes = sums_n.shape[0], sums_n.shape[1]
+    now, tick, sent, syncs = 0, 0, 0, 0
+    while now < ticks * TICK_NS:
+        while tick < ticks and tick * TICK_NS <= now:
+            for node in range(nodes):
+                look(node, tick, sums_n[tick, node], variance_n2[tick, node], noise_n2[tick, node], rule, law, groups)
+            tick += 1
+        row, log = record.rows[sent], record.log[sent]
+        row[:] = 0
+        log[SAMPLED], log[REASON] = tick - 1, -1
+        if now >= syncs * SYNC_MS * TICK_NS:
+            log[NODE], log[GROUP], log[ASKED] = -1, -1, syncs * SYNC_MS * TICK_NS
+            row[_DATA] = syncs % SYNC_OVERFLOW + 1
+            _address(row, SYNC_COB_ID, 1)
+            syncs += 1
+        else:
+            is_paused = now < ((syncs - 1) * SYNC_MS + 1) * TICK_NS
+            node, group = _winner(groups, beat_ns, now, is_paused)
+            if node < 0:
+                now = _next(now, tick, syncs, beat_ns, is_paused)
+                continue
+            log[NODE], log[GROUP] = node, group
+            if group < 0:
+                log[ASKED] = beat_ns[node]
+                beat_ns[node] += HEARTBEAT_MS * TICK_NS
+                row[_DATA] = NmtState.OPERATIONAL
+                _address(row, HEARTBEAT_BASE + node + 1, 1)
+            else:
+                log[REASON] = groups.reason[node, group]
+                since = groups.since[node, group]
+                log[ASKED] = (since if since >= 0 else tick - 1) * TICK_NS
+                level, is_fine = frame_level(node, group, groups), groups.is_fine[node, group] == 1
+                fill(node, group, tick - 1, sums_n[tick - 1, node], rule, law, groups, row[_DATA : _DATA + 8])
+                _address(row, cob_id(node, level, group, is_fine), 8)
+        log[BEGUN] = now
+        now += (EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row)) * bit_ns
+        log[ENDED] = now
+        sent += 1
+    return sent
+
+
+@njit(cache=True, nogil=True)
+def _winner(groups: Groups, beat_ns: Any, now: int, is_paused: bool) -> tuple[int, int]:
+    """Return node and group of the frame with the lowest identifier; group -1 for a heartbeat, node -1 for nobody."""
+    least, node, group = _NOBODY, -1, -1
+    if not is_paused:
+        for each in range(groups.level.shape[0]):
+            for other in range(GROUPS):
+                if groups.level[each, other] != SILENT:
+                    level, is_fine = frame_level(each, other, groups), groups.is_fine[each, other] == 1
+                    identifier = cob_id(each, level, other, is_fine)
+                    if identifier < least:
+                        least, node, group = identifier, each, other
+    if node < 0:
+        for each in range(beat_ns.size):
+            if beat_ns[each] <= now:
+                return each, -1
+    return node, group
+
+
+@njit(cache=True, nogil=True)
+def _next(now: int, tick: int, syncs: int, beat_ns: Any, is_paused: bool) -> int:
+    """Return when something may be sent next."""
+    then = min(tick * TICK_NS, syncs * SYNC_MS * TICK_NS, beat_ns.min())
+    if is_paused:
+        then = min(then, ((syncs - 1) * SYNC_MS + 1) * TICK_NS)
+    return int(max(then, now + 1))
+
+
+@njit(cache=True, nogil=True)
+def _address(row: Any, can_id: int, length: int) -> None:
+    """Write identifier and length of a frame."""
+    row[_CAN_ID], row[_CAN_ID + 1], row[_LENGTH] = can_id & 0xFF, can_id >> 8, length

@@ -1,0 +1,133 @@
+"""From samples to sums: the noise of a patch filtered away, clipping undone, and the sums of what is left."""
+
+import math
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy.special import ndtr
+
+from nodes.adaptive.following import NoiseScale, Offsets
+from nodes.adaptive.models import Floats, make_models, new_tracks, step
+from nodes.adaptive.noise import Noise, haar_matrix
+from skin.walsh import patch_shape, walsh_matrix
+
+#: Samples that a forecast looks ahead: the way to an image takes so long.
+HORIZON: Final = 4.0
+#: A taxel below this part of its noise is shown as 0.
+DEAD_RATIO: Final = 0.4
+#: Clipping is undone up to so many standard deviations; above, it has no effect.
+_REACH: Final = 6.0
+#: No offset below so many standard deviations is told from one at it.
+_LOWEST: Final = -2.0
+_POINTS: Final = 1024
+
+
+class ForceFilter:
+    """Filters the samples of the patches of some nodes: every Haar coefficient on its own.
+
+    Parameters
+    ----------
+    noise : Noise
+        What the nodes know of their noise; patches of one taxel are filtered taxel by taxel.
+
+    Its size is learned on while nothing touches, and so are the offsets of taxels, see `nodes.adaptive.following`.
+
+    Attributes
+    ----------
+    force_n : array of float32, shape (nodes, taxels)
+        Forecast forces, newtons.
+    noise : Noise
+        What the nodes know by now.
+    """
+
+    def __init__(self, noise: Noise) -> None:
+        shape = noise.taxel_n.shape
+        self._haar = haar_matrix(shape[1])
+        self._models = make_models(HORIZON)
+        self._tracks = new_tracks(self._models, noise.taxel_n.size)
+        self._forecast, self._variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._table = _unclip_table()
+        self._offsets = Offsets(shape[0], *patch_shape(shape[1]))
+        self._scale = NoiseScale(*shape)
+        self.force_n = np.zeros(shape, np.float32)
+        self.noise = noise
+
+    def take(self, sample_n: Floats) -> None:
+        """Take one sample of every taxel, shape (nodes, taxels), newtons."""
+        forecast, variance = self._forecast, self._variance
+        sample_n = sample_n - self.noise.offset_n
+        self._learn(sample_n)
+        noise = self.noise
+        coefficients = sample_n @ self._haar.T
+        coefficients /= noise.coefficient_n
+        flat = coefficients.ravel().astype(np.float32, copy=False)
+        step(flat, self._models, self._tracks, np.float32(HORIZON), forecast.ravel(), variance.ravel())
+        np.matmul(forecast * noise.coefficient_n, self._haar, out=self.force_n)
+        _unclip(self.force_n.ravel(), noise.taxel_n.ravel(), self._table)
+        self._offsets.take(self.force_n, noise.taxel_n)
+        self.force_n[self.force_n < np.float32(DEAD_RATIO) * noise.taxel_n] = 0
+
+    def _learn(self, sample_n: Floats) -> None:
+        """Take the noise as large as it turns out to be, and what is known of the coefficients in its units."""
+        scale = self._scale.take(sample_n, self.noise.taxel_n)
+        if scale is not None:
+            noise = self.noise
+            self.noise = replace(noise, taxel_n=noise.taxel_n * scale, coefficient_n=noise.coefficient_n * scale)
+            each = np.repeat(scale, sample_n.shape[1])
+            self._tracks.level[:] /= each
+            self._tracks.slope[:] /= each
+
+
+class PatchFilter(ForceFilter):
+    """Filters the samples of the patches of some nodes, and sums what is left.
+
+    Parameters
+    ----------
+    noise : Noise
+        As for `ForceFilter`; patches of 4 taxels or more.
+
+    Attributes
+    ----------
+    sums_n, variance_n2 : arrays of float32, shape (nodes, taxels)
+        The Walsh sums of `force_n`, in the order of `skin.walsh.grouped_rows`, and the variance of each.
+    """
+
+    def __init__(self, noise: Noise) -> None:
+        super().__init__(noise)
+        self._walsh = walsh_matrix(noise.taxel_n.shape[1])
+        #: Variances of Haar coefficients add up to those of sums.
+        self._spread = np.ascontiguousarray(np.square(self._haar @ self._walsh.T))
+        self.sums_n, self.variance_n2 = np.zeros((2, *noise.taxel_n.shape), np.float32)
+
+    def take(self, sample_n: Floats) -> None:
+        """Take one sample of every taxel, shape (nodes, taxels), newtons."""
+        super().take(sample_n)
+        np.matmul(self.force_n, self._walsh.T, out=self.sums_n)
+        np.matmul(self._variance * np.square(self.noise.coefficient_n), self._spread, out=self.variance_n2)
+
+
+def _unclip_table() -> Floats:
+    """Return m⁻¹, from `_LOWEST` on, at evenly spaced readings from 0 to m(`_REACH`).
+
+    m(x) is the mean of x + N(0, 1), clipped at 0.
+    """
+    force = np.linspace(_LOWEST, _REACH, 8 * _POINTS)
+    mean = force * ndtr(force) + np.exp(-(force**2) / 2) / math.sqrt(2 * math.pi)
+    return np.interp(np.linspace(0, mean[-1], _POINTS), mean, force).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
+    """Undo the bias of clipping at 0 in place."""
+    scale = np.float32((table.size - 1) / _REACH)
+    for k in range(force_n.size):
+        reading = force_n[k] / noise_n[k]
+        place = reading * scale
+        if place < table.size - 1:
+            low = int(max(place, np.float32(0)))
+            part = max(place, np.float32(0)) - np.float32(low)
+            reading = table[low] + part * (table[low + 1] - table[low])
+        force_n[k] = noise_n[k] * reading

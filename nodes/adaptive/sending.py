@@ -1,0 +1,221 @@
+"""When a node sends which sums: news first, then details, then what has not been said for long."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from dbc.adaptive import (
+    BLOCK_SUMS,
+    FINE_LEVELS,
+    FINE_LIMIT,
+    GROUP_SUMS,
+    LEVELS,
+    Bytes,
+    Companding,
+    SendingRule,
+    check_of,
+    coarse_code,
+    coarse_step,
+    coarse_value,
+    fine_steps,
+    pack_fine,
+)
+from skin.walsh import GROUPS
+
+#: Why a frame is to be sent.
+NEWS, DETAIL, REFRESH = range(3)
+#: Nothing is to be sent.
+SILENT: Final = -1
+_LONG_AGO: Final = -(1 << 30)
+_NEVER: Final = 1 << 60
+
+Integers = npt.NDArray[np.int64]
+Numbers = npt.NDArray[np.float64]
+
+
+class Groups(NamedTuple):
+    """What the nodes of a bus know of what they sent; times in samples.
+
+    Attributes
+    ----------
+    known_n, coarse_n : arrays of float64, shape (nodes, BLOCK_SUMS)
+        What a receiver that got every frame shows, and the values of the newest coarse frames.
+    check : array of int64, shape (nodes, GROUPS)
+        Check of the newest coarse frame, -1 before the first.
+    since, sent_at, fine_at, refresh_at, refresh_after, refreshes, fine_turn : arrays of int64, shape (nodes, GROUPS)
+        Since when there is news (-1: none); when the last frame of any kind and of details was sent; when a refresh is
+        due, the time between refreshes, how many are left, and whether the next is fine.
+    level, reason, is_fine : arrays of int64, shape (nodes, GROUPS)
+        What is to be sent: urgency or `SILENT`, why, and in which kind of frame.
+    """
+
+    known_n: Numbers
+    coarse_n: Numbers
+    check: Integers
+    since: Integers
+    sent_at: Integers
+    fine_at: Integers
+    refresh_at: Integers
+    refresh_after: Integers
+    refreshes: Integers
+    fine_turn: Integers
+    level: Integers
+    reason: Integers
+    is_fine: Integers
+
+
+def new_groups(nodes: int) -> Groups:
+    """Return the state of nodes that have sent nothing."""
+
+    def full(value: int) -> Integers:
+        return np.full((nodes, GROUPS), value, np.int64)
+
+    return Groups(
+        known_n=np.zeros((nodes, BLOCK_SUMS)),
+        coarse_n=np.zeros((nodes, BLOCK_SUMS)),
+        check=full(-1),
+        since=full(-1),
+        sent_at=full(_LONG_AGO),
+        fine_at=full(_LONG_AGO),
+        refresh_at=full(_NEVER),
+        refresh_after=full(0),
+        refreshes=full(0),
+        fine_turn=full(0),
+        level=full(SILENT),
+        reason=full(NEWS),
+        is_fine=full(0),
+    )
+
+
+def noise_threshold_n2(noise_n: Numbers, rule: SendingRule) -> Numbers:
+    """Return the part of the threshold that is the noise's, newtons squared, for nodes of the noise `noise_n`."""
+    return GROUP_SUMS * BLOCK_SUMS * np.square(rule.noise_ratio * noise_n)
+
+
+@njit(cache=True, nogil=True)
+def look(  # noqa: PLR0917  compiled functions take no keywords
+    node: int,
+    now: int,
+    sums_n: npt.NDArray[np.float32],
+    variance_n2: npt.NDArray[np.float32],
+    noise_n2: float,
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
+) -> None:
+    """Decide what each group of a node is to send.
+
+    Parameters
+    ----------
+    node, now : int
+        Place of the node; the sample's number.
+    sums_n, variance_n2 : arrays of float32, shape (BLOCK_SUMS,)
+        The node's sums now, and their variances.
+    noise_n2 : float
+        See `noise_threshold_n2`.
+    """
+    for group in range(GROUPS):
+        first = GROUP_SUMS * group
+        coarse_n2, fine_n2, variance = 0.0, 0.0, 0.0
+        in_reach = groups.check[node, group] >= 0
+        for place in range(first, first + GROUP_SUMS):
+            known = groups.known_n[node, place]
+            error = float(sums_n[place]) - known
+            if abs(error) > rule.rounding * coarse_step(known, place == 0, law):
+                coarse_n2 += error * error
+            if abs(error) > rule.rounding * law.fine_n:
+                fine_n2 += error * error
+            away = fine_steps(float(sums_n[place]), law) - fine_steps(groups.coarse_n[node, place], law)
+            in_reach = in_reach and abs(away) <= FINE_LIMIT
+            variance += variance_n2[place]
+        threshold = noise_n2 + rule.variance_ratio * variance
+        level, reason, is_fine = SILENT, NEWS, 0
+        if coarse_n2 > threshold:
+            if groups.since[node, group] < 0:
+                groups.since[node, group] = now
+            if now - groups.sent_at[node, group] >= rule.inhibit:
+                waiting = (now - groups.since[node, group]) / rule.doubling
+                doublings = np.log2(coarse_n2 / threshold) + waiting
+                level = min(LEVELS - 1, 1 + int(doublings / rule.level_ratio))
+        else:
+            groups.since[node, group] = -1
+            wait = now - max(groups.sent_at[node, group], groups.fine_at[node, group])
+            if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
+                level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
+                reason, is_fine = REFRESH, int(in_reach and groups.fine_turn[node, group] == 1)
+            elif (
+                in_reach
+                and wait >= rule.fine_wait
+                and fine_n2 > rule.fine_ratio * noise_n2 + rule.variance_ratio * variance
+            ):
+                level, reason, is_fine = 0, DETAIL, 1
+        groups.level[node, group], groups.reason[node, group] = level, reason
+        groups.is_fine[node, group] = is_fine
+
+
+@njit(cache=True, nogil=True)
+def frame_level(node: int, group: int, groups: Groups) -> int:
+    """Return the urgency that the identifier of a group's frame carries: fine frames know fewer levels."""
+    level = groups.level[node, group]
+    return int(min(level, FINE_LEVELS - 1)) if groups.is_fine[node, group] else int(level)
+
+
+@njit(cache=True, nogil=True)
+def fill(  # noqa: PLR0917  compiled functions take no keywords
+    node: int,
+    group: int,
+    now: int,
+    sums_n: npt.NDArray[np.float32],
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
+    payload: Bytes,
+) -> None:
+    """Write the payload of a group's frame, 8 bytes, and take note of it as sent."""
+    first = GROUP_SUMS * group
+    is_zero = True
+    if groups.is_fine[node, group]:
+        steps = np.empty(GROUP_SUMS, np.int64)
+        for place in range(GROUP_SUMS):
+            steps[place] = fine_steps(float(sums_n[first + place]), law)
+            groups.known_n[node, first + place] = steps[place] * law.fine_n
+            is_zero = is_zero and sums_n[first + place] == 0
+        pack_fine(steps, groups.check[node, group], payload)
+        groups.fine_at[node, group] = now
+    else:
+        for place in range(GROUP_SUMS):
+            is_mean = first + place == 0
+            code = coarse_code(float(sums_n[first + place]), is_mean, law)
+            value = coarse_value(code, is_mean, law)
+            payload[place] = code
+            # A receiver keeps a finer value that the code does not contradict.
+            if coarse_code(groups.known_n[node, first + place], is_mean, law) != code or value == 0:
+                groups.known_n[node, first + place] = value
+            groups.coarse_n[node, first + place] = value
+            is_zero = is_zero and value == 0
+        groups.check[node, group] = check_of(payload)
+    _plan_refresh(node, group, now, is_zero, rule, groups)
+    if groups.reason[node, group] != DETAIL:
+        groups.sent_at[node, group] = now
+    groups.since[node, group], groups.level[node, group] = -1, SILENT
+
+
+@njit(cache=True, nogil=True)
+def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
+    node: int, group: int, now: int, is_zero: bool, rule: SendingRule, groups: Groups
+) -> None:
+    reason = groups.reason[node, group]
+    if reason == NEWS:
+        groups.refresh_after[node, group] = rule.refresh
+        groups.refreshes[node, group] = rule.zero_refreshes if is_zero else _NEVER
+        groups.fine_turn[node, group] = 0
+    elif reason == REFRESH:
+        groups.refresh_after[node, group] = min(2 * groups.refresh_after[node, group], rule.refresh_max)
+        groups.refreshes[node, group] -= 1
+        if is_zero:
+            groups.refreshes[node, group] = min(groups.refreshes[node, group], rule.zero_refreshes)
+        groups.fine_turn[node, group] = 1 - groups.fine_turn[node, group]
+    if reason != DETAIL:
+        groups.refresh_at[node, group] = now + groups.refresh_after[node, group]

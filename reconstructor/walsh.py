@@ -1,0 +1,95 @@
+"""From Walsh sums of patches to the tactile image: the inverse transform, then less total variation.
+
+Every sum that a patch has sent is known; a sum that has not come counts as 0. What the nodes' filter leaves of their
+noise, and what the codes of the sums round away, is taken out of the image by a few steps of the dual of the total
+variation (Chambolle 2004) for each image; the dual is kept, so that a skin at rest converges.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.checks import check_values
+from reconstructor.kernels.variation import denoise
+from skin.errors import InputError
+from skin.walsh import walsh_matrix
+
+#: Limit of the dual, in units of the nodes' noise.
+LIMIT_RATIO: Final = 0.1
+#: Steps of the dual for each image.
+STEPS: Final = 8
+
+Floats = npt.NDArray[np.float32]
+
+
+class VariationFilter:
+    """Takes total variation out of images, one after the other; forces do not fall below 0.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Of every image.
+    """
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self._dual = np.zeros((2, rows, columns), np.float32)
+
+    def __call__(self, image_n: Floats, limit_n: float) -> Floats:
+        """Return the image with less total variation, float32, shape (rows, columns), newtons.
+
+        Parameters
+        ----------
+        image_n : array of float32, shape (rows, columns)
+        limit_n : float
+            Neighbours that differ by less become equal, given time.
+        """
+        smooth = np.empty_like(image_n)
+        denoise(image_n, np.float32(limit_n), STEPS, self._dual, smooth)
+        return smooth
+
+
+class WalshReconstructor:
+    """Makes an image of the Walsh sums of all patches.
+
+    Parameters
+    ----------
+    patches : sequence of int arrays, shape (patches of a bus, taxels)
+        Row-major indices of the taxels of each patch, by bus, see `skin.walsh.patches`.
+    rows, columns : int
+    noise_n : float
+        Median over the nodes of their noise, newtons; may be set anew between images.
+
+    Raises
+    ------
+    InputError
+        If the patches do not hold every taxel once.
+    """
+
+    def __init__(self, patches: Sequence[npt.NDArray[Any]], rows: int, columns: int, noise_n: float) -> None:
+        self._cells = np.concatenate(patches)
+        if not np.array_equal(np.sort(self._cells, axis=None), np.arange(rows * columns)):
+            raise InputError(f"expected patches that hold each of {rows * columns} taxels once")
+        taxels = self._cells.shape[1]
+        self._inverse = walsh_matrix(taxels) / np.float32(taxels)
+        self._image = np.zeros((rows, columns), np.float32)
+        self._filter = VariationFilter(rows, columns)
+        self.noise_n = noise_n
+
+    def solve(self, sums_n: Floats) -> Floats:
+        """Return the image, float32, shape (rows, columns), newtons.
+
+        Parameters
+        ----------
+        sums_n : array of float32, shape (patches, taxels)
+            Of all patches, in the order of `patches`; the sums of each in that of `skin.walsh.grouped_rows`, newtons.
+
+        Raises
+        ------
+        InputError
+            If the sums are of another shape, or not finite.
+        """
+        check_values("sums", sums_n, self._cells.shape)
+        self._image.reshape(-1)[self._cells] = sums_n @ self._inverse
+        return self._filter(self._image, LIMIT_RATIO * self.noise_n)

@@ -1,0 +1,121 @@
+"""Codes of adaptive sums, and identifiers that carry urgency."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbc.adaptive import (
+    FINE_LIMIT,
+    FINE_REACH,
+    FIRST_COB_ID,
+    GROUP_SUMS,
+    LEVELS,
+    MEAN_CODES,
+    NODES,
+    OTHER_CODES,
+    TPDOS,
+    check_of,
+    coarse_code,
+    coarse_step,
+    coarse_value,
+    cob_id,
+    companding,
+    fine_steps,
+    frame_of,
+    pack_fine,
+    tpdo_index,
+    unpack_fine,
+)
+
+LAW = companding(0.02, 0.5e-3)
+TOP_N = 32 * 0.02
+
+
+@pytest.mark.parametrize("is_mean", [True, False])
+def test_every_coarse_code_comes_back(is_mean: bool) -> None:
+    codes = range(MEAN_CODES + 1) if is_mean else range(1, 2 * OTHER_CODES + 2)
+    values = [coarse_value(code, is_mean, LAW) for code in codes]
+    assert [coarse_code(value, is_mean, LAW) for value in values] == list(codes)
+    assert np.all(np.diff(values) > 0)
+    assert coarse_value(0 if is_mean else 128, is_mean, LAW) == 0
+
+
+@given(st.floats(0, 1), st.booleans())
+@settings(deadline=None)
+def test_a_sum_is_off_by_half_a_step_of_its_place(part: float, is_mean: bool) -> None:
+    value = part * TOP_N if is_mean else (part - 0.5) * TOP_N
+    shown = coarse_value(coarse_code(value, is_mean, LAW), is_mean, LAW)
+    assert abs(shown - value) <= 0.52 * coarse_step(max(abs(value), abs(shown)), is_mean, LAW)
+
+
+def test_steps_are_as_asked_near_0_and_no_sum_leaves_the_range() -> None:
+    assert coarse_value(1, True, LAW) == pytest.approx(0.5e-3, rel=1e-3)
+    assert coarse_value(129, False, LAW) == pytest.approx(0.5e-3, rel=1e-3)
+    assert coarse_value(MEAN_CODES, True, LAW) > TOP_N
+    assert coarse_value(2 * OTHER_CODES + 1, False, LAW) > TOP_N / 2
+    assert (coarse_code(9.0, True, LAW), coarse_code(-9.0, False, LAW), coarse_code(-1.0, True, LAW)) == (255, 1, 0)
+
+
+@given(
+    st.lists(st.integers(-5000, 5000), min_size=8, max_size=8),
+    st.lists(st.integers(-FINE_LIMIT, FINE_LIMIT), min_size=8, max_size=8),
+    st.integers(0, 255),
+)
+@settings(deadline=None)
+def test_every_fine_value_within_reach_comes_back(near: list[int], away: list[int], check: int) -> None:
+    sent, payload, shown = np.array(near) + np.array(away), np.zeros(8, np.uint8), np.zeros(8)
+    pack_fine(sent, check, payload)
+    unpack_fine(payload, np.array(near) * LAW.fine_n, LAW, shown)
+    assert [fine_steps(value, LAW) for value in shown] == sent.tolist()
+    assert payload[7] == check
+    np.testing.assert_allclose(shown, sent * LAW.fine_n)
+
+
+def test_every_fine_code_comes_back() -> None:
+    payload, shown = np.zeros(8, np.uint8), np.zeros(8)
+    for low in range(-FINE_REACH, FINE_REACH, 8):
+        sent = np.arange(low, low + 8)
+        pack_fine(sent, 0, payload)
+        unpack_fine(payload, np.zeros(8), LAW, shown)
+        np.testing.assert_allclose(shown, sent * LAW.fine_n)
+
+
+def test_a_check_tells_every_change_of_one_byte_and_all_but_one_in_255_of_two() -> None:
+    rng = np.random.default_rng(0)
+    payload = rng.integers(0, 256, GROUP_SUMS).astype(np.uint8)
+
+    def checks(place: int) -> np.ndarray:
+        """Return what each change of a byte changes in the check: the code is linear."""
+        found = []
+        for change in range(1, 256):
+            other = payload.copy()
+            other[place] ^= change
+            found.append(check_of(other) ^ check_of(payload))
+        return np.array(found)
+
+    changed = [checks(place) for place in range(GROUP_SUMS)]
+    for place in range(GROUP_SUMS):
+        assert sorted(changed[place].tolist()) == list(range(1, 256))
+    for one, two in combinations(range(GROUP_SUMS), 2):
+        assert (changed[one][:, None] == changed[two]).sum() == 255
+
+
+def test_identifiers_belong_to_one_frame_and_go_from_urgent_to_fine() -> None:
+    found = {}
+    for node in range(NODES):
+        for group in range(4):
+            for level in range(LEVELS):
+                found[cob_id(node, level, group, False)] = (node + 1, level, group, False)
+            for level in range(2):
+                found[cob_id(node, level, group, True)] = (node + 1, level, group, True)
+    assert sorted(found) == list(range(FIRST_COB_ID, FIRST_COB_ID + NODES * TPDOS))
+    assert max(found) == 0x580
+    assert all(frame_of(identifier) == frame for identifier, frame in found.items())
+    # Any news before any of a lower level, and before all details, whichever the node.
+    assert cob_id(31, 5, 3, False) < cob_id(0, 4, 0, False)
+    assert cob_id(31, 0, 3, False) < cob_id(0, 1, 0, True) < cob_id(0, 0, 0, True)
+    assert tpdo_index(5, 0, is_fine=False) == 0
+    assert tpdo_index(0, 3, is_fine=True) == TPDOS - 1

@@ -1,0 +1,121 @@
+"""When an adaptive node sends which sums."""
+
+import numpy as np
+
+from dbc.adaptive import GROUP_SUMS, LEVELS, SendingRule, companding
+from nodes.adaptive.sending import (
+    DETAIL,
+    NEWS,
+    REFRESH,
+    SILENT,
+    Groups,
+    fill,
+    frame_level,
+    look,
+    new_groups,
+    noise_threshold_n2,
+)
+from skin.walsh import GROUPS, walsh_matrix
+
+LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
+VARIANCE_N2 = np.full(32, 1e-12, np.float32)
+NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE)[0])
+NOTHING = np.zeros(32, np.float32)
+PRESSED = (walsh_matrix(32) @ np.random.default_rng(0).uniform(0.002, 0.012, 32)).astype(np.float32)
+
+
+def looked(groups: Groups, now: int, sums_n: np.ndarray) -> list[int]:
+    look(0, now, sums_n, VARIANCE_N2, NOISE_N2, RULE, LAW, groups)
+    return groups.level[0].tolist()
+
+
+def sent(groups: Groups, now: int, sums_n: np.ndarray) -> list[tuple[int, int, int, bool]]:
+    """Send all that is to be sent at once: time, group, reason, whether fine."""
+    looked(groups, now, sums_n)
+    frames = []
+    for group in range(GROUPS):
+        if groups.level[0, group] != SILENT:
+            frames.append((now, group, int(groups.reason[0, group]), bool(groups.is_fine[0, group])))
+            fill(0, group, now, sums_n, RULE, LAW, groups, np.zeros(8, np.uint8))
+    return frames
+
+
+def test_an_idle_node_is_silent() -> None:
+    groups = new_groups(1)
+    assert not [frame for now in range(5000) for frame in sent(groups, now, NOTHING)]
+
+
+def test_news_is_sent_at_once_then_details_then_refreshes_that_double() -> None:
+    groups = new_groups(1)
+    frames = [frame for now in range(4000) for frame in sent(groups, now, PRESSED)]
+    for group in range(GROUPS):
+        mine = [frame for frame in frames if frame[1] == group]
+        assert mine[0] == (0, group, NEWS, False)
+        details = [now for now, _, reason, _ in mine if reason == DETAIL]
+        assert details[0] == RULE.fine_wait
+        # A refreshed coarse value may contradict the finer one: then it is refined again.
+        coarse = {now for now, _, _, is_fine in mine if not is_fine}
+        assert {now - RULE.fine_wait for now in details} <= coarse
+        refreshes = [(now, is_fine) for now, _, reason, is_fine in mine if reason == REFRESH]
+        assert refreshes == [(64, False), (192, True), (448, False), (960, True), (1984, False), (3008, True)]
+
+
+def test_what_a_node_has_said_is_off_by_no_more_than_a_fine_step() -> None:
+    groups = new_groups(1)
+    for now in range(10):
+        sent(groups, now, PRESSED)
+    assert np.abs(groups.known_n[0] - PRESSED).max() <= 0.51 * LAW.fine_n
+
+
+def test_a_group_at_zero_stops_after_its_refreshes() -> None:
+    groups = new_groups(1)
+    for now in range(100):
+        sent(groups, now, PRESSED)
+    frames = [frame for now in range(100, 9000) for frame in sent(groups, now, NOTHING)]
+    for group in range(GROUPS):
+        reasons = [reason for _, each, reason, _ in frames if each == group]
+        assert reasons == [NEWS] + [REFRESH] * RULE.zero_refreshes
+    assert max(now for now, *_ in frames) < 4500
+    assert not groups.known_n.any()
+
+
+def test_larger_and_older_news_is_more_urgent() -> None:
+    small, large = new_groups(1), new_groups(1)
+    nudge = NOTHING.copy()
+    nudge[::GROUP_SUMS] = 0.4e-3
+    assert [1 <= one < other for one, other in zip(looked(small, 0, nudge), looked(large, 0, PRESSED), strict=True)]
+    assert looked(large, 0, PRESSED)[0] == LEVELS - 1
+    waiting = [looked(small, now, nudge)[1] for now in range(100)]
+    assert waiting == sorted(waiting)
+    assert waiting[0] < waiting[-1] == LEVELS - 1
+
+
+def test_noise_below_the_threshold_is_no_news() -> None:
+    groups, rng = new_groups(1), np.random.default_rng(1)
+    for now in range(10):
+        sent(groups, now, PRESSED)
+    for now in range(10, 60):
+        assert not sent(groups, now, PRESSED + rng.normal(0, 0.01e-3, 32).astype(np.float32))
+
+
+def test_a_refresh_that_waits_goes_up_and_details_never_reach_the_level_of_news() -> None:
+    groups = new_groups(1)
+    for now in range(10):
+        sent(groups, now, PRESSED)
+    levels = [looked(groups, now, PRESSED)[0] for now in range(64, 1000)]
+    assert levels == sorted(levels)
+    assert (levels[0], levels[-1]) == (0, LEVELS - 1)
+    groups.is_fine[0, 0] = 1
+    assert frame_level(0, 0, groups) == 1
+
+
+def test_a_node_leaves_time_between_two_frames_of_a_group() -> None:
+    groups, rng, last = new_groups(1), np.random.default_rng(2), {}
+    rule = SendingRule(inhibit=5)
+    for now in range(200):
+        look(0, now, rng.uniform(-0.1, 0.1, 32).astype(np.float32), VARIANCE_N2, NOISE_N2, rule, LAW, groups)
+        for group in range(GROUPS):
+            if groups.level[0, group] != SILENT:
+                assert now - last.get(group, -9) >= rule.inhibit
+                last[group] = now
+                fill(0, group, now, PRESSED, rule, LAW, groups, np.zeros(8, np.uint8))
