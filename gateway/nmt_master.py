@@ -220,9 +220,8 @@ class NmtMaster:
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
                 if node.trusted:
-                    self._lose(
-                        node, f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command", now_s
-                    )
+                    state = _state_text(node.nmt)
+                    self._lose(node, f"left OPERATIONAL: {state}, by another master's NMT command", now_s)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
 
@@ -254,9 +253,8 @@ class NmtMaster:
         """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
         node = self.nodes[node_id]
         if node.trusted:
-            self._lose(
-                node, "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset", now_s
-            )
+            why = "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
+            self._lose(node, why, now_s)
             self._command(NmtCommand.RESET_COMMUNICATION, node_id)
 
     # What time calls for

@@ -28,7 +28,7 @@ adc_bits = 10
 [measurement]
 sums = 64
 [sync]
-rate_hz = 20.0
+rate_hz = 10.0
 [[bus]]
 name = "bus0"
 nodes = 8
