@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bandwidth.departures import departures
-from bandwidth.measured import kind_of, measure, misfits, whole_cycles
+from bandwidth.measured import kind_of, measure, misfits, tpdo_rows, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
 from dbc.contract import Contract
@@ -209,6 +209,13 @@ def test_frames_of_another_layout_are_noticed(contract: Contract, planned: BusPl
     assert "TPDOs have another length or format" in said(narrow, healthy)
     slow = "".join(f'[[bus]]\nname = "b{n}"\nnodes = 32\nbitrate = 500000\n' for n in range(4))
     assert "more than a bus carries: its bit rate is not the layout's 500000" in said(slow, healthy)
+
+
+def test_frames_that_are_no_tpdo_have_no_row(contract: Contract, healthy: Frames) -> None:
+    other = healthy[:1].repeat(4)
+    other["can_id"], other["flags"] = (0x181, 0x181, 0x181, 0x7FF), (0, REMOTE, EXTENDED, 0)
+    first = int(contract.table.row_of[1, 0x181])
+    assert tpdo_rows(contract, 1, other).tolist() == [first, -1, -1, -1]
 
 
 def test_overload_is_named(contract: Contract, planned: BusPlan, healthy: Frames) -> None:

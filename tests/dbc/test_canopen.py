@@ -4,7 +4,15 @@ from canopen import SdoAbortedError
 from canopen.emcy import EmcyError
 from canopen.nmt import NMT_COMMANDS
 
-from dbc.canopen import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, Abort, Emergency, NmtCommand
+from dbc.canopen import (
+    COB_ID_EXTENDED,
+    COB_ID_INVALID,
+    COB_ID_NO_RTR,
+    RESTRICTED_COB_IDS,
+    Abort,
+    Emergency,
+    NmtCommand,
+)
 
 
 def test_abort_codes_are_those_of_the_standard() -> None:
@@ -46,3 +54,9 @@ def test_emergencies_belong_to_the_groups_of_the_standard() -> None:
     assert said[Emergency.WINDOW_MISSED] == "Device Specific"
     assert Emergency.HEARTBEAT_LOST == 0x8130  # CiA 301, table 26: life guard error or heartbeat error
     assert Emergency.SYNC_LENGTH == 0x8240  # unexpected SYNC data length
+
+
+def test_restricted_identifiers_are_those_of_the_standard() -> None:
+    """CiA 301, table 38: NMT to the flying master, SDO, dynamic SDO, error control; 80h, 180h, 580h, 600h are free."""
+    ends = [(each[0], each[-1]) for each in RESTRICTED_COB_IDS]
+    assert ends == [(0x001, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
