@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import hadamard
 
 from skin.errors import InputError
+from skin.measurement import fast_hadamard
 
 #: Groups of rows: low or high vertical sequency, each with low or high horizontal sequency.
 GROUPS: Final = 4
@@ -108,11 +108,15 @@ def grouped_rows(taxels: int) -> Indices:
 @cache
 def walsh_matrix(taxels: int) -> npt.NDArray[np.float32]:
     """Return the Walsh rows of a patch in the order of `grouped_rows`, ±1, shape (taxels, taxels)."""
-    matrix: npt.NDArray[np.float32] = hadamard(taxels)[grouped_rows(taxels).ravel()].astype(np.float32)
-    return matrix
+    return _hadamard(taxels)[grouped_rows(taxels).ravel()].astype(np.float32)
 
 
 def _by_sequency(size: int) -> Indices:
     """Return the rows of the Sylvester-ordered Hadamard matrix by their number of sign changes."""
-    changes = (np.diff(hadamard(size), axis=1) != 0).sum(axis=1)
+    changes = (np.diff(_hadamard(size), axis=1) != 0).sum(axis=1)
     return np.argsort(changes, kind="stable").astype(np.intp)
+
+
+def _hadamard(size: int) -> npt.NDArray[np.int64]:
+    """Return the Sylvester-ordered Hadamard matrix."""
+    return np.asarray(fast_hadamard(np.eye(size, dtype=np.int64)), np.int64)
