@@ -107,8 +107,9 @@ class SampleFilter:
         by_block = idle[self._blocks]
         count = by_block.sum(axis=1)
         learns = count >= IDLE_PART * self._blocks.shape[1]
-        mean = np.where(by_block, clean[self._blocks], 0).sum(axis=1)[learns] / count[learns]
-        found, known = np.sqrt(mean) / np.float32(IDLE_DEVIATION), self.noise[learns]
+        # The median: a few noisy taxels are idle, too.
+        middle = np.nanmedian(np.where(by_block, clean[self._blocks], np.nan)[learns], axis=1)
+        found, known = np.sqrt(middle) / np.float32(IDLE_DEVIATION), self.noise[learns]
         self.noise[learns] = np.where(known > 0, known + np.float32(LEARNING_GAIN) * (found - known), found)
 
     def _without_bias(self, noise: Floats) -> Floats:

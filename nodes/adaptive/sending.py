@@ -44,8 +44,8 @@ class Groups(NamedTuple):
         What a receiver that got every frame shows, and the values of the newest coarse frames.
     check : array of int64, shape (nodes, GROUPS)
         Check of the newest coarse frame, -1 before the first.
-    since, sent_at, fine_at, refresh_at, refresh_after, refreshes, fine_turn : arrays of int64, shape (nodes, GROUPS)
-        Since when there is news (-1: none); when the last frame of any kind and of details was sent; when a refresh is
+    since, sent_at, refresh_at, refresh_after, refreshes, fine_turn : arrays of int64, shape (nodes, GROUPS)
+        Since when there is news (-1: none); when the last frame of any kind was sent; when a refresh is
         due, the time between refreshes, how many are left, and whether the next is fine.
     level, reason, is_fine : arrays of int64, shape (nodes, GROUPS)
         What is to be sent: urgency or `SILENT`, why, and in which kind of frame.
@@ -56,7 +56,6 @@ class Groups(NamedTuple):
     check: Integers
     since: Integers
     sent_at: Integers
-    fine_at: Integers
     refresh_at: Integers
     refresh_after: Integers
     refreshes: Integers
@@ -78,7 +77,6 @@ def new_groups(nodes: int) -> Groups:
         check=full(-1),
         since=full(-1),
         sent_at=full(_LONG_AGO),
-        fine_at=full(_LONG_AGO),
         refresh_at=full(_NEVER),
         refresh_after=full(0),
         refreshes=full(0),
@@ -141,7 +139,7 @@ def look(  # noqa: PLR0917  compiled functions take no keywords
                 level = min(LEVELS - 1, 1 + int(doublings / rule.level_ratio))
         else:
             groups.since[node, group] = -1
-            wait = now - max(groups.sent_at[node, group], groups.fine_at[node, group])
+            wait = now - groups.sent_at[node, group]
             if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
                 level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
                 reason, is_fine = REFRESH, int(in_reach and groups.fine_turn[node, group] == 1)
@@ -183,7 +181,6 @@ def fill(  # noqa: PLR0917  compiled functions take no keywords
             groups.known_n[node, first + place] = steps[place] * law.fine_n
             is_zero = is_zero and sums_n[first + place] == 0
         pack_fine(steps, groups.check[node, group], payload)
-        groups.fine_at[node, group] = now
     else:
         for place in range(GROUP_SUMS):
             is_mean = first + place == 0
@@ -197,8 +194,7 @@ def fill(  # noqa: PLR0917  compiled functions take no keywords
             is_zero = is_zero and value == 0
         groups.check[node, group] = check_of(payload)
     _plan_refresh(node, group, now, is_zero, rule, groups)
-    if groups.reason[node, group] != DETAIL:
-        groups.sent_at[node, group] = now
+    groups.sent_at[node, group] = now
     groups.since[node, group], groups.level[node, group] = -1, SILENT
 
 

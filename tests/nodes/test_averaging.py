@@ -90,6 +90,15 @@ def test_noise_is_learned_with_a_third_of_the_skin_touched_from_the_start() -> N
     np.testing.assert_allclose(averages.mean(axis=0), force, atol=0.15 * NOISE)
 
 
+def test_a_few_noisy_taxels_do_not_spoil_their_block() -> None:
+    made = new_filter()
+    noise = np.full(TAXELS, NOISE)
+    noise[made._blocks[:, :3]] *= 10
+    read = np.random.default_rng(4).normal(0, noise, (2000, TAXELS))
+    fed(made, np.rint(np.clip(read, 0, TOP)).astype(np.float32))
+    assert made.noise == pytest.approx(np.full(BLOCKS, NOISE), rel=0.1)
+
+
 def test_a_light_touch_survives_the_correction() -> None:
     made = idle()
     averages = fed(made, sense(np.full(TAXELS, NOISE / 2), 1000, seed=6))[-20:]
