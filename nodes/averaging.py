@@ -108,7 +108,9 @@ class SampleFilter:
         count = by_block.sum(axis=1)
         learns = count >= IDLE_PART * self._blocks.shape[1]
         # The median: a few noisy taxels are idle, too.
-        middle = np.nanmedian(np.where(by_block, clean[self._blocks], np.nan)[learns], axis=1)
+        ordered = np.sort(np.where(by_block, clean[self._blocks], np.inf)[learns], axis=1)
+        halves = np.stack(((count[learns] - 1) // 2, count[learns] // 2), axis=1)
+        middle = np.take_along_axis(ordered, halves, axis=1).mean(axis=1)
         found, known = np.sqrt(middle) / np.float32(IDLE_DEVIATION), self.noise[learns]
         self.noise[learns] = np.where(known > 0, known + np.float32(LEARNING_GAIN) * (found - known), found)
 

@@ -22,6 +22,12 @@ _REACH: Final = 6.0
 _POINTS: Final = 1025
 
 
+def clipped_mean(force: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return m(x), the mean of x + N(0, 1) clipped at 0, for forces x in units of σ."""
+    mean: npt.NDArray[np.float64] = force * ndtr(force) + np.exp(-(force**2) / 2) * IDLE_MEAN
+    return mean
+
+
 class ClipCorrection:
     """x = m⁻¹(image), 0 below m(0).
 
@@ -40,9 +46,8 @@ class ClipCorrection:
         if not (noise_n > 0 and math.isfinite(noise_n)):
             raise InputError(f"the sensor's noise needs a number of newtons above 0: got {noise_n}")
         force = np.linspace(0, _REACH, _POINTS)
-        mean = force * ndtr(force) + np.exp(-(force**2) / 2) / math.sqrt(2 * math.pi)
         self._force = force * noise_n
-        self._mean = mean * noise_n
+        self._mean = clipped_mean(force) * noise_n
 
     def mean_of(self, force_n: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Return m(x), the mean reading of taxels under `force_n` newtons."""

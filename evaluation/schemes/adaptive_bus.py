@@ -14,8 +14,7 @@ from dbc.adaptive import Companding, SendingRule, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.contract import SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.stuff_bits import count_classic
-from evaluation.schemes.event_kernel import EMPTY_BITS
+from evaluation.schemes.event_kernel import DATA, address, bits_of
 from evaluation.schemes.wire import TICK_NS
 from nodes.adaptive.sending import SILENT, Groups, fill, frame_level, look
 from skin.walsh import GROUPS
@@ -26,7 +25,6 @@ SYNC_MS: Final = 100
 #: Columns of `Record.log`: node (-1: SYNC), group (-1: heartbeat), asked, begun and ended (ns, with intermission), the
 #: sample's tick, reason.
 NODE, GROUP, ASKED, BEGUN, ENDED, SAMPLED, REASON = range(7)
-_CAN_ID, _LENGTH, _DATA = 0, 4, 8
 _NOBODY: Final = 1 << 30
 
 
@@ -83,8 +81,8 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
         log[SAMPLED], log[REASON] = tick - 1, -1
         if now >= syncs * SYNC_MS * TICK_NS:
             log[NODE], log[GROUP], log[ASKED] = -1, -1, syncs * SYNC_MS * TICK_NS
-            row[_DATA] = syncs % SYNC_OVERFLOW + 1
-            _address(row, SYNC_COB_ID, 1)
+            row[DATA] = syncs % SYNC_OVERFLOW + 1
+            address(row, SYNC_COB_ID, 1)
             syncs += 1
         else:
             is_paused = now < ((syncs - 1) * SYNC_MS + 1) * TICK_NS
@@ -96,17 +94,17 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
             if group < 0:
                 log[ASKED] = beat_ns[node]
                 beat_ns[node] += HEARTBEAT_MS * TICK_NS
-                row[_DATA] = NmtState.OPERATIONAL
-                _address(row, HEARTBEAT_BASE + node + 1, 1)
+                row[DATA] = NmtState.OPERATIONAL
+                address(row, HEARTBEAT_BASE + node + 1, 1)
             else:
                 log[REASON] = groups.reason[node, group]
                 since = groups.since[node, group]
                 log[ASKED] = (since if since >= 0 else tick - 1) * TICK_NS
                 level, is_fine = frame_level(node, group, groups), groups.is_fine[node, group] == 1
-                fill(node, group, tick - 1, sums_n[tick - 1, node], rule, law, groups, row[_DATA : _DATA + 8])
-                _address(row, cob_id(node, level, group, is_fine), 8)
+                fill(node, group, tick - 1, sums_n[tick - 1, node], rule, law, groups, row[DATA : DATA + 8])
+                address(row, cob_id(node, level, group, is_fine), 8)
         log[BEGUN] = now
-        now += (EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row)) * bit_ns
+        now += bits_of(row) * bit_ns
         log[ENDED] = now
         sent += 1
     return sent
@@ -138,9 +136,3 @@ def _next(now: int, tick: int, syncs: int, beat_ns: Any, is_paused: bool) -> int
     if is_paused:
         then = min(then, ((syncs - 1) * SYNC_MS + 1) * TICK_NS)
     return int(max(then, now + 1))
-
-
-@njit(cache=True, nogil=True)
-def _address(row: Any, can_id: int, length: int) -> None:
-    """Write identifier and length of a frame."""
-    row[_CAN_ID], row[_CAN_ID + 1], row[_LENGTH] = can_id & 0xFF, can_id >> 8, length

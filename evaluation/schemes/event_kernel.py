@@ -27,7 +27,8 @@ NODE, ASKED, BEGUN, ENDED, COUNT = range(5)
 #: Rows of `Nodes.taxels`: value last sent, tick since when it waits to be sent (-1: it does not), tick of last sending.
 SENT, SINCE, LAST = range(3)
 _NEVER: Final = -(1 << 30)
-_CAN_ID, _LENGTH, _DATA = 0, 4, 8
+#: Places of identifier, length and data in a row of `Record.rows`.
+_CAN_ID, _LENGTH, DATA = 0, 4, 8
 _TPDO_BASE: Final = TPDO_BASES[0]
 
 Integers = npt.NDArray[np.int64]
@@ -123,14 +124,14 @@ def send_on_delta(counts: Any, rule: Rule, nodes: Nodes, record: Record) -> int:
         if is_beat:
             log[ASKED], log[COUNT] = nodes.beat_ns[node], 0
             nodes.beat_ns[node] += HEARTBEAT_MS * TICK_NS
-            row[_DATA] = NmtState.OPERATIONAL
-            _address(row, HEARTBEAT_BASE + node + 1, 1)
+            row[DATA] = NmtState.OPERATIONAL
+            address(row, HEARTBEAT_BASE + node + 1, 1)
         else:
             log[ASKED] = nodes.asked_ns[node]
             log[COUNT] = _fill(counts[tick - 1, node], tick - 1, rule, nodes.taxels[:, node], (row, record.since[sent]))
             nodes.pending[node] -= log[COUNT]
-            _address(row, _TPDO_BASE + node + 1, 2 * log[COUNT])
-        now += (EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row)) * rule.bit_ns
+            address(row, _TPDO_BASE + node + 1, 2 * log[COUNT])
+        now += bits_of(row) * rule.bit_ns
         log[ENDED] = now
         if not is_beat:
             nodes.asked_ns[node] = now
@@ -181,8 +182,8 @@ def _fill(now: Any, tick: int, rule: Rule, taxels: Any, frame: Any) -> int:
         if best < 0:
             break
         value = int(now[best])
-        row[_DATA + 2 * events] = value & 0xFF
-        row[_DATA + 2 * events + 1] = (best << VALUE_BITS - 8) | (value >> 8)
+        row[DATA + 2 * events] = value & 0xFF
+        row[DATA + 2 * events + 1] = (best << VALUE_BITS - 8) | (value >> 8)
         since[events] = taxels[SINCE, best]
         taxels[SENT, best], taxels[SINCE, best], taxels[LAST, best] = value, -1, tick
         events += 1
@@ -190,6 +191,12 @@ def _fill(now: Any, tick: int, rule: Rule, taxels: Any, frame: Any) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _address(row: Any, can_id: int, length: int) -> None:
+def bits_of(row: Any) -> int:
+    """Return the bits of a frame on the wire, stuff bits and intermission included."""
+    return int(EMPTY_BITS + 8 * int(row[_LENGTH]) + count_classic(row))
+
+
+@njit(cache=True, nogil=True)
+def address(row: Any, can_id: int, length: int) -> None:
     """Write identifier and length of a frame."""
     row[_CAN_ID], row[_CAN_ID + 1], row[_LENGTH] = can_id & 0xFF, can_id >> 8, length

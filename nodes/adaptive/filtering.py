@@ -1,17 +1,16 @@
 """From samples to sums: the noise of a patch filtered away, clipping undone, and the sums of what is left."""
 
-import math
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from scipy.special import ndtr
 
 from nodes.adaptive.following import NoiseScale, Offsets
 from nodes.adaptive.models import Floats, make_models, new_tracks, step
 from nodes.adaptive.noise import Noise, haar_matrix
+from skin.clipping import clipped_mean
 from skin.walsh import patch_shape, walsh_matrix
 
 #: Samples that a forecast looks ahead: the way to an image takes so long.
@@ -112,10 +111,10 @@ class PatchFilter(ForceFilter):
 def _unclip_table() -> Floats:
     """Return m⁻¹, from `_LOWEST` on, at evenly spaced readings from 0 to m(`_REACH`).
 
-    m(x) is the mean of x + N(0, 1), clipped at 0.
+    m is `skin.clipping.clipped_mean`.
     """
     force = np.linspace(_LOWEST, _REACH, 8 * _POINTS)
-    mean = force * ndtr(force) + np.exp(-(force**2) / 2) / math.sqrt(2 * math.pi)
+    mean = clipped_mean(force)
     return np.interp(np.linspace(0, mean[-1], _POINTS), mean, force).astype(np.float32)
 
 

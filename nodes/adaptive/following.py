@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from nodes.adaptive.noise import CLIPPED_DEVIATION, Floats
+from nodes.adaptive.noise import Floats
+from skin.clipping import IDLE_DEVIATION
 
 #: An offset follows this part of what is left in each sample, at most by so much, newtons: 3 mN a second.
 FOLLOWING: Final = 1 / 128
@@ -130,7 +131,7 @@ class NoiseScale:
         mean = self._sum / WINDOW
         deviation = np.sqrt(self._square / (2 * WINDOW))
         idle = (deviation > 0) & (mean > IDLE_RATIOS[0] * deviation) & (mean < IDLE_RATIOS[1] * deviation)
-        ratio = np.where(idle, deviation / (CLIPPED_DEVIATION * noise_n), np.nan)
+        ratio = np.where(idle, deviation / (IDLE_DEVIATION * noise_n), np.nan)
         enough = idle.mean(axis=1) >= IDLE_PART
         scale = np.ones((len(mean), 1), np.float32)
         if enough.any():

@@ -7,11 +7,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from skin.clipping import IDLE_DEVIATION, IDLE_MEAN
 from skin.walsh import patch_shape
 
-#: Of noise N(0, 1) that is clipped at 0: mean and standard deviation.
-CLIPPED_MEAN: Final = 0.3989423
-CLIPPED_DEVIATION: Final = 0.5838054
 #: Noise is looked at in means of so many samples, so that coloured and common noise show.
 SPANS: Final = (1, 4, 16)
 #: No noise is taken to be smaller, newtons: one count of the default skin.
@@ -115,13 +113,13 @@ class IdleStatistics:
         """Return what was learned, of at least twice the longest of `SPANS`."""
         mean = self._sum / self._count
         deviation = np.sqrt(np.maximum(self._square / self._count - mean**2, 0))
-        taxel_n = np.maximum(deviation / CLIPPED_DEVIATION, LEAST_NOISE_N)
-        explained_n = OFFSET_RATIO * CLIPPED_MEAN * taxel_n + OFFSET_COUNTS * newton_per_count
+        taxel_n = np.maximum(deviation / IDLE_DEVIATION, LEAST_NOISE_N)
+        explained_n = OFFSET_RATIO * IDLE_MEAN * taxel_n + OFFSET_COUNTS * newton_per_count
         offset_n = np.where(mean > explained_n, mean, 0.0)
         variance = np.zeros_like(mean)
         for place, span in enumerate(SPANS):
             count = self._count // span
             of_means = self._mean_squares[place] / count - (self._means[place] / count) ** 2
             variance = np.maximum(variance, span * of_means)
-        coefficient_n = np.maximum(np.sqrt(variance) / CLIPPED_DEVIATION, LEAST_NOISE_N)
+        coefficient_n = np.maximum(np.sqrt(variance) / IDLE_DEVIATION, LEAST_NOISE_N)
         return Noise(*(each.astype(np.float32) for each in (offset_n, taxel_n, coefficient_n)))
