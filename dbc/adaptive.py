@@ -136,11 +136,6 @@ def _slope(steps: float, codes: int) -> float:
     return low
 
 
-def tpdo_index(level: int, group: int, *, is_fine: bool) -> int:
-    """Return the place of a TPDO among those of its node: from the most urgent coarse to the least urgent fine."""
-    return int(_index(level, group, is_fine))
-
-
 @njit(cache=True, nogil=True)
 def _index(level: int, group: int, is_fine: bool) -> int:
     first = GROUPS * (LEVELS + FINE_LEVELS - 1 - level) if is_fine else GROUPS * (LEVELS - 1 - level)
@@ -185,6 +180,35 @@ def coarse_step(value_n: float, is_mean: bool, law: Companding) -> float:
     if is_mean:
         return math.sqrt(value_n * value_n + law.mean_knee_n * law.mean_knee_n) / law.mean_slope
     return math.sqrt(value_n * value_n + law.knee_n * law.knee_n) / law.slope
+
+
+@njit(cache=True, nogil=True)
+def hold_coarse(  # noqa: PLR0917  compiled functions take no keywords
+    payload: Bytes,
+    first: int,
+    is_held: bool,
+    law: Companding,
+    value_n: npt.NDArray[np.float64],
+    coarse_n: npt.NDArray[np.float64],
+) -> None:
+    """Take the sums of a coarse frame, as every receiver does and the node that sent the frame.
+
+    Parameters
+    ----------
+    payload : array of uint8, shape (GROUP_SUMS,)
+    first : int
+        Place of the frame's first sum in its block.
+    is_held : bool
+        Whether the group's values are known: a finer value that the code does not contradict then stays.
+    value_n, coarse_n : arrays of float64, shape (BLOCK_SUMS,)
+        Newest values of the block's sums and those of its newest coarse frames, newtons; written.
+    """
+    for place in range(GROUP_SUMS):
+        is_mean, code = first + place == 0, int(payload[place])
+        value = coarse_value(code, is_mean, law)
+        if not is_held or value == 0 or coarse_code(value_n[first + place], is_mean, law) != code:
+            value_n[first + place] = value
+        coarse_n[first + place] = value
 
 
 @njit(cache=True, nogil=True)

@@ -21,8 +21,7 @@ from dbc.adaptive import (
     TPDOS,
     Companding,
     check_of,
-    coarse_code,
-    coarse_value,
+    hold_coarse,
     unpack_fine,
 )
 from skin.walsh import GROUPS
@@ -91,14 +90,8 @@ def take(  # noqa: PLR0917  compiled functions take no keywords
         mine = slice(first, first + GROUP_SUMS)
         unpack_fine(payload, sums.coarse_n[node, mine], law, sums.value_n[node, mine])
     else:
-        for place in range(GROUP_SUMS):
-            is_mean, code = first + place == 0, int(payload[place])
-            value = coarse_value(code, is_mean, law)
-            # A finer value that the code does not contradict stays.
-            held = sums.check[node, group] != NO_CHECK
-            if not held or value == 0 or coarse_code(sums.value_n[node, first + place], is_mean, law) != code:
-                sums.value_n[node, first + place] = value
-            sums.coarse_n[node, first + place] = value
+        is_held = sums.check[node, group] != NO_CHECK
+        hold_coarse(payload, first, is_held, law, sums.value_n[node], sums.coarse_n[node])
         sums.check[node, group] = check_of(payload)
         sums.coarse_ns[node, group] = ended_ns
     sums.seen_ns[node, group] = ended_ns

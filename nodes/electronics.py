@@ -39,6 +39,8 @@ class Electronics:
     ----------
     sampled : array of int32, shape (n,)
         What every taxel read at the newest step, corrected; not averaged.
+    sampled_ahead : int
+        The step that `prepare` has sampled and `read` has not taken yet; -1 for none.
     gain, offset : array of float32, shape (n,)
         Correction per taxel: ``gain * counts + offset``, in counts.
     taxels : Taxels
@@ -68,7 +70,7 @@ class Electronics:
         self._samples = samples
         self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
         self._felt = np.zeros(taxels.count, np.int32)
-        self._felt_step = -1
+        self.sampled_ahead = -1
 
     @property
     def averages(self) -> bool:
@@ -77,14 +79,14 @@ class Electronics:
 
     def prepare(self, force_n: npt.NDArray[np.float32], step: int) -> None:
         """Sample the forces at `step` before they are asked for: noise and average take most of the time."""
-        if step == self._felt_step:
+        if step == self.sampled_ahead:
             return
         moments_n = self._moments_n(force_n, step)
         count = len(moments_n)
         time_s = self._period_s * (step - 1 + np.arange(1, count + 1) / count)
         signal = self._model.signal_of_moments(moments_n, self._random, time_s)
         counts = to_counts(signal.reshape(count, -1), self.taxels)
-        self._felt, self._felt_step = counts[-1], step
+        self._felt, self.sampled_ahead = counts[-1], step
         if self._filter is not None:
             self._filter.take(counts.astype(np.float32))
 
@@ -94,7 +96,7 @@ class Electronics:
         ADC counts, int32; where samples are averaged, averages of counts, float32.
         """
         self.prepare(force_n, step)
-        self._felt_step = -1
+        self.sampled_ahead = -1
         self.sampled = np.rint(self._corrected(self._felt)).astype(np.int32)
         np.copyto(self.sampled, self._pattern, where=self._pattern >= 0)
         if self._filter is None:

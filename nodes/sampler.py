@@ -41,7 +41,6 @@ class Sampler:
         self._electronics = electronics
         self._patterns = np.full(phi.blocks, PATTERN_OFF, np.uint8)
         self._step = -1
-        self._prepared = -1  # the step that was sampled ahead last
         self._counter = 0
         self._kept: deque[tuple[int, int, npt.NDArray[np.int32]]] = deque(maxlen=KEPT_CYCLES)
         self._truth: Truth | None = None
@@ -114,8 +113,7 @@ class Sampler:
     def prepare(self) -> None:
         """Sample ahead what the next SYNC will most likely ask for."""
         step = self._step + 1
-        if step > 0 and step != self._prepared:
-            self._prepared = step
+        if step > 0 and step != self._electronics.sampled_ahead:
             self._electronics.prepare(self._source.frame(step).force_n, step)
 
     def take_truth(self) -> Truth | None:

@@ -18,8 +18,8 @@ from dbc.adaptive import (
     check_of,
     coarse_code,
     coarse_step,
-    coarse_value,
     fine_steps,
+    hold_coarse,
     pack_fine,
 )
 from skin.walsh import GROUPS
@@ -183,15 +183,10 @@ def fill(  # noqa: PLR0917  compiled functions take no keywords
         pack_fine(steps, groups.check[node, group], payload)
     else:
         for place in range(GROUP_SUMS):
-            is_mean = first + place == 0
-            code = coarse_code(float(sums_n[first + place]), is_mean, law)
-            value = coarse_value(code, is_mean, law)
-            payload[place] = code
-            # A receiver keeps a finer value that the code does not contradict.
-            if coarse_code(groups.known_n[node, first + place], is_mean, law) != code or value == 0:
-                groups.known_n[node, first + place] = value
-            groups.coarse_n[node, first + place] = value
-            is_zero = is_zero and value == 0
+            payload[place] = coarse_code(float(sums_n[first + place]), first + place == 0, law)
+        hold_coarse(payload, first, True, law, groups.known_n[node], groups.coarse_n[node])
+        for place in range(first, first + GROUP_SUMS):
+            is_zero = is_zero and groups.coarse_n[node, place] == 0
         groups.check[node, group] = check_of(payload)
     _plan_refresh(node, group, now, is_zero, rule, groups)
     groups.sent_at[node, group] = now

@@ -26,7 +26,6 @@ from dbc.adaptive import (
     fine_steps,
     frame_of,
     pack_fine,
-    tpdo_index,
     unpack_fine,
 )
 
@@ -117,5 +116,5 @@ def test_identifiers_belong_to_one_frame_and_go_from_urgent_to_fine() -> None:
     # Any news before any of a lower level, and before all details, whichever the node.
     assert cob_id(31, 5, 3, False) < cob_id(0, 4, 0, False)
     assert cob_id(31, 0, 3, False) < cob_id(0, 1, 0, True) < cob_id(0, 0, 0, True)
-    assert tpdo_index(5, 0, is_fine=False) == 0
-    assert tpdo_index(0, 3, is_fine=True) == TPDOS - 1
+    assert cob_id(0, 5, 0, False) == FIRST_COB_ID
+    assert cob_id(0, 0, 3, True) == FIRST_COB_ID + NODES * (TPDOS - 1)
