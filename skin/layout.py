@@ -14,7 +14,7 @@ from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 
 #: Names of the layouts that come with the project.
-SHIPPED: Final = ("default", "fd", "one-bus-12bit")
+SHIPPED: Final = ("adaptive", "default", "fd", "one-bus-12bit")
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
@@ -22,8 +22,11 @@ BITRATE_MAX: Final = 1_000_000
 RATE_MAX_HZ: Final = 2000.0
 #: Highest sampling rate of a layout.
 SAMPLING_MAX_HZ: Final = 10_000.0
-#: Adaptive sending: taxels of a block, and nodes of a bus, each with 32 identifiers of its own.
+#: Adaptive sending: taxels of a block, nodes of a bus, each with 32 identifiers of its own, SYNC and sampling rate.
+#: The times of `dbc.adaptive.SendingRule` and of the nodes' filter are those of 1000 samples a second.
 ADAPTIVE_BLOCK: Final = 32
+ADAPTIVE_SYNC_HZ: Final = 10.0
+ADAPTIVE_SAMPLING_HZ: Final = 1000.0
 ADAPTIVE_NODES: Final = 32
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
@@ -186,19 +189,23 @@ def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
         If the file cannot be read, or a key is wrong, missing or unknown; the message names the path of the key.
     """
     name = "default" if path is None else str(path)
-    if path is None or (name in SHIPPED and not path.is_file()):
-        return parse_layout(files("skin.layouts").joinpath(f"{name}.toml").read_bytes(), f"{name}.toml")
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
-    layout = parse_layout(content, str(path))
+    layout = parse_layout(*_read(path, name))
     if layout.sending == "adaptive" and not adaptive:
         raise LayoutError(
-            f"{path}: only 'skin dbc' and 'skin dbc-check' know adaptive sending so far: "
+            f"{name}: only 'skin dbc' and 'skin dbc-check' know adaptive sending so far: "
             'expected sending = "synchronous" - at `$.sending`'
         )
     return layout
+
+
+def _read(path: Path | None, name: str) -> tuple[bytes, str]:
+    """Return content and origin of a layout."""
+    if path is None or (name in SHIPPED and not path.is_file()):
+        return files("skin.layouts").joinpath(f"{name}.toml").read_bytes(), f"{name}.toml"
+    try:
+        return path.read_bytes(), name
+    except OSError as error:
+        raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
 
 
 def parse_layout(content: bytes, origin: str) -> Layout:
@@ -219,7 +226,12 @@ def parse_layout(content: bytes, origin: str) -> Layout:
 
 
 def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
-    """Fill in the defaults that depend on the size of the skin: sums and buses."""
+    """Fill in the defaults that depend on other keys: rates of adaptive sending, sums, buses."""
+    if tables.get("sending") == "adaptive":
+        for name, rate_hz in (("sync", ADAPTIVE_SYNC_HZ), ("sampling", ADAPTIVE_SAMPLING_HZ)):
+            table = tables.setdefault(name, {})
+            if isinstance(table, dict):  # else the check of the whole layout names the path
+                table.setdefault("rate_hz", rate_hz)
     try:
         taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
         measuring = msgspec.convert(tables.get("measurement", {}), Measuring)
@@ -297,12 +309,14 @@ def _check_measurement(layout: Layout) -> None:
 
 
 def _check_adaptive(layout: Layout) -> None:
-    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, classic frames."""
+    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, classic frames."""
     measurement = layout.measurement
     wanted = {
         "measurement.wiring": (measurement.wiring, "board"),
         "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
         "measurement.sums": (measurement.sums, layout.taxels.count),
+        "sync.rate_hz": (layout.sync.rate_hz, ADAPTIVE_SYNC_HZ),
+        "sampling.rate_hz": (layout.sampling.rate_hz, ADAPTIVE_SAMPLING_HZ),
     }
     for path, (got, expected) in wanted.items():
         if got != expected:

@@ -11,25 +11,51 @@ from typing import Final
 import msgspec
 
 
-class Measurement(msgspec.Struct, frozen=True, kw_only=True):
-    """The sums of one SYNC cycle; the gateway publishes one measurement per cycle, complete or not.
+class BlockState(IntEnum):
+    """How an adaptive block's sums stand."""
 
-    `skin.measured_sums` checks and decodes a measurement.
+    #: The node is not operational, not proven, or silent for too long. Nothing is known.
+    DEAD = 0
+    #: A value is held, and may be old: a frame was lost, or a refresh is overdue.
+    STALE = 1
+    #: No frame came lately, because nothing changed: the node is alive.
+    QUIET = 2
+    #: A frame came lately.
+    FRESH = 3
+
+
+class Measurement(msgspec.Struct, frozen=True, kw_only=True):
+    """The newest sums of a skin.
+
+    With synchronous sending: the sums of one SYNC cycle; the gateway publishes one measurement per cycle, complete or
+    not. With adaptive sending: the newest value of every sum; the gateway publishes when frames have come, and at a
+    least rate. `skin.measured_sums` checks and decodes a measurement.
 
     Attributes
     ----------
     cycle : int
-        Number of the cycle since the gateway started, from 1.
+        Number of the measurement since the gateway started, from 1.
     sync_counter : int
-        Counter byte of the SYNC, 1 to 240 (CiA 301, 7.2.5.1).
+        Counter byte of the SYNC, 1 to 240 (CiA 301, 7.2.5.1); adaptive: of the newest SYNC.
     sync_mono_ns, time_ns : int
-        When the SYNC was sent.
+        When the SYNC was sent; adaptive: when the newest frame ended that is in the sums.
     sums : bytes
-        int32, shape (m,), in ADC counts, block by block. Sums of invalid blocks are 0.
+        int32, shape (m,), in ADC counts, block by block, in the order of Φ. Sums of invalid blocks are 0; adaptive:
+        unknown sums are 0.
     valid : bytes
-        uint8, shape (blocks,): 1 if every sum of the block came in this cycle and its node is proven.
+        uint8, shape (blocks,): 1 if every sum of the block came in this cycle and its node is proven; adaptive: if the
+        block is fresh or quiet, and all its sums are known.
     fingerprint : str
         Fingerprint of the Φ of the sums (`skin.measurement.Sbhe.fingerprint`).
+    known : bytes
+        Adaptive: uint8, shape (m,), 1 if a value of the sum is held. Empty with synchronous sending, as are the next
+        two.
+    states : bytes
+        uint8, shape (blocks,): `BlockState`.
+    since_ns : bytes
+        int64, shape (blocks,): monotonic time since when the block is in its state.
+    noise_n : float
+        Adaptive: median of the nodes' noise, newtons; 0 if it is not known.
     """
 
     cycle: int
@@ -39,6 +65,10 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     sums: bytes
     valid: bytes
     fingerprint: str
+    known: bytes = b""
+    states: bytes = b""
+    since_ns: bytes = b""
+    noise_n: float = 0.0
 
 
 class Image(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,6 +133,9 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     step : int
         Position in the taxel source.
+    sync_counter, sync_mono_ns : int
+        Of the SYNC. With adaptive sending the counter is 0, and the time is that of the step: between two steps forces
+        are interpolated.
     true, sensor : bytes
         float32, shape (rows, columns), newtons: before and after noise, clipping and ADC.
     label : str

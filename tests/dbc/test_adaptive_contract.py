@@ -124,6 +124,8 @@ def test_one_eds_describes_all_boards(contract: Contract) -> None:
         (('wiring = "board"', 'wiring = "scattered"'), "$.measurement.wiring"),
         (('wiring = "board"', 'wiring = "board"\nblock_size = 64'), "$.measurement.block_size"),
         (('wiring = "board"', 'wiring = "board"\nsums = 1024'), "$.measurement.sums"),
+        (("rate_hz = 10.0", "rate_hz = 100.0"), "$.sync.rate_hz"),
+        (("[sync]", "[sampling]\nrate_hz = 500\n[sync]"), "$.sampling.rate_hz"),
         (("[sync]", '[[bus]]\nname = "a"\nnodes = 64\n[[bus]]\nname = "b"\nnodes = 64\n[sync]'), "$.bus[0]"),
         (("[sync]", "".join(f'[[bus]]\nname = "b{n}"\nnodes = 32\nfd = true\n' for n in range(4)) + "[sync]"), "fd"),
     ],
