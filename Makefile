@@ -52,8 +52,9 @@ demo: .venv/.demo
 figures: setup
 	@$(BIN)/python -m docs.figures $(ARGS)
 
-test: check
-	$(BIN)/pytest
+# Whole chains need the machine for themselves, so only the quick tests share its cores.
+test: check loop
+	$(BIN)/pytest -m slow
 
 test-vcan: setup
 	tests/vcan/run
@@ -63,7 +64,7 @@ mutants: .venv/.mutants
 
 # The quick loop while working: no slow tests.
 loop: setup
-	$(BIN)/pytest -q -m "not slow"
+	$(BIN)/pytest -q -m "not slow" --numprocesses auto --dist loadfile
 
 check: setup
 	$(BIN)/ruff check .

@@ -87,7 +87,9 @@ def test_sizes_of_measurement_operators(make: Callable[[], Any], says: str) -> N
     one_line(make, says)
 
 
-@pytest.mark.parametrize("psi", [*(make(16, 16) for make in BASES.values()), CompiledContourlet(16, 16)], ids=repr)
+@pytest.mark.parametrize(
+    "psi", [*(make(16, 16) for make in BASES.values()), CompiledContourlet(16, 16)], ids=[*BASES, "compiled contourlet"]
+)
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [

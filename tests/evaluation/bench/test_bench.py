@@ -39,6 +39,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         bench("images", meshes=tmp_path / "none")
 
 
+@pytest.mark.slow
 def test_comparison_measures_gap_and_quality() -> None:
     problem = make_problem(haar_pyramid(64, 64), 0.0125, lipschitz=32.0)
     rows = compare(

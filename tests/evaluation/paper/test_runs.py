@@ -23,6 +23,7 @@ def test_sums_are_phi_times_the_taxels_whatever_the_chunks() -> None:
     np.testing.assert_allclose(sums_of(phi, felt), expected, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("matrix", ["sbhe", "noiselet"])
 def test_a_run_is_the_plain_fista_kept_from_step_to_step(matrix: Matrix) -> None:
     method = Method(matrix, 1024, "haar", 4)

@@ -32,6 +32,7 @@ def test_inner_products_give_what_the_signal_itself_gives(monkeypatch: pytest.Mo
     assert measure_accuracy(**wanted)["accuracy"][0] == pytest.approx(direct["accuracy"][0], abs=5e-3)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_chosen_rows_and_estimated_sums_beat_the_plain_ways() -> None:
     common = {"draw": 0, "splits": [0], "meshes": None, "seed": 0}
     chosen = measure_method(method="rows chosen", size=16, **common)  # type: ignore[arg-type]
@@ -44,6 +45,7 @@ def test_chosen_rows_and_estimated_sums_beat_the_plain_ways() -> None:
         measure_method(method="guessing", size=16, **common)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     # The live service is tested with the classifier; here a cell stands in for its twenty seconds.
     monkeypatch.setattr(beyond, "measure_live", _live)

@@ -25,6 +25,7 @@ def compared() -> Result:
     return evaluate_schemes(Options(quick=True))
 
 
+@pytest.mark.slow
 def test_whoever_goes_by_the_clock_has_the_same_bits(compared: Result) -> None:
     clocked = [row for row in compared.rows if row["rate_hz"] is not None]
     assert {row["scheme"] for row in clocked} >= {"sums, 16 bits", "scan, 10 bits", "32 x 32, solved"}
@@ -33,6 +34,7 @@ def test_whoever_goes_by_the_clock_has_the_same_bits(compared: Result) -> None:
         assert row["kbit_per_s"] == pytest.approx(default_kbit_per_s(), rel=0.05)
 
 
+@pytest.mark.slow
 def test_events_take_what_touch_and_noise_make_of_them(compared: Result) -> None:
     events = {
         row["touch"]: row
@@ -48,6 +50,7 @@ def test_events_take_what_touch_and_noise_make_of_them(compared: Result) -> None
     assert sums[slap]["latency_worst_ms"] < 9
 
 
+@pytest.mark.slow
 def test_adaptive_sums_are_the_nearest_to_the_touch_and_every_touch_has_its_verdict(compared: Result) -> None:
     quiet = {row["scheme"]: row for row in compared.rows if row["touch"] == "golf-ball"}
     ours = quiet.pop("adaptive sums")
@@ -57,6 +60,7 @@ def test_adaptive_sums_are_the_nearest_to_the_touch_and_every_touch_has_its_verd
     assert len(compared.note.splitlines()) == 1 + len({row["touch"] for row in compared.rows})
 
 
+@pytest.mark.slow
 def test_every_row_has_the_same_columns_and_every_picture_is_drawn(compared: Result) -> None:
     assert len({tuple(row) for row in compared.rows}) == 1
     for picture in compared.pictures:
@@ -64,6 +68,7 @@ def test_every_row_has_the_same_columns_and_every_picture_is_drawn(compared: Res
     assert len(compared.pictures) == 3
 
 
+@pytest.mark.slow
 def test_recommended_layouts_are_planned_without_a_problem(tmp_path: Path) -> None:
     found = evaluate_rates(Options(quick=True, out=tmp_path))
     assert {row["wires"] for row in found.rows if row["best_for"]} == {row["wires"] for row in found.rows}
