@@ -52,7 +52,14 @@ class ForceFilter:
         self._offsets = Offsets(shape[0], *patch_shape(shape[1]))
         self._scale = NoiseScale(*shape)
         self.force_n = np.zeros(shape, np.float32)
-        self.noise = noise
+        self.noise = self._learned = noise
+        #: Noise of taxels and coefficients that somebody has set; 0 where none.
+        self._given: tuple[Floats, Floats] | None = None
+
+    def give(self, taxel_n: Floats, coefficient_n: Floats) -> None:
+        """Use this noise in place of what is learned, newtons, shape (nodes, taxels) each; what is 0 is learned."""
+        self._given = (taxel_n, coefficient_n) if taxel_n.any() or coefficient_n.any() else None
+        self._use(self._learned)
 
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
@@ -71,13 +78,26 @@ class ForceFilter:
 
     def _learn(self, sample_n: Floats) -> None:
         """Take the noise as large as it turns out to be, and what is known of the coefficients in its units."""
-        scale = self._scale.take(sample_n, self.noise.taxel_n)
+        learned = self._learned
+        scale = self._scale.take(sample_n, learned.taxel_n)
         if scale is not None:
-            noise = self.noise
-            self.noise = replace(noise, taxel_n=noise.taxel_n * scale, coefficient_n=noise.coefficient_n * scale)
-            each = np.repeat(scale, sample_n.shape[1])
-            self._tracks.level[:] /= each
-            self._tracks.slope[:] /= each
+            learned = replace(learned, taxel_n=learned.taxel_n * scale, coefficient_n=learned.coefficient_n * scale)
+            self._use(learned)
+
+    def _use(self, learned: Noise) -> None:
+        """Go on with another noise; levels and slopes are in units of the coefficients' noise."""
+        before_n, self._learned = self.noise.coefficient_n, learned
+        if self._given is not None:
+            taxel_n, coefficient_n = self._given
+            learned = replace(
+                learned,
+                taxel_n=np.where(taxel_n > 0, taxel_n, learned.taxel_n),
+                coefficient_n=np.where(coefficient_n > 0, coefficient_n, learned.coefficient_n),
+            )
+        self.noise = learned
+        ratio = (learned.coefficient_n / before_n).ravel()
+        self._tracks.level[:] /= ratio
+        self._tracks.slope[:] /= ratio
 
 
 class PatchFilter(ForceFilter):
