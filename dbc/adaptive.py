@@ -226,7 +226,7 @@ def check_of(payload: Bytes) -> int:
 @njit(cache=True, nogil=True)
 def fine_steps(value_n: float, law: Companding) -> int:
     """Return a value in fine steps."""
-    return round(value_n / law.fine_n)
+    return int(np.rint(value_n / law.fine_n))
 
 
 @njit(cache=True, nogil=True)

@@ -195,10 +195,12 @@ class SkinNode:
         elif command in COMMANDED:
             self.state = COMMANDED[NmtCommand(command)]
 
-    def wants(self, now_s: float) -> bool:
-        """Tell whether `tick` has work to do; this quick test saves most calls."""
-        waits = self._has_events or self.emcy.is_waiting
-        return waits or now_s >= self.heartbeat.due_s or now_s >= self.watched.due_s
+    @property
+    def due_s(self) -> float:
+        """When `tick` has work to do next, as things stand."""
+        if self._has_events or self.emcy.is_waiting:
+            return float("-inf")
+        return min(self.heartbeat.due_s, self.watched.due_s)
 
     def refresh(self, now_s: float) -> bool:
         """Read the objects again if a write has changed any since the last call; tell whether one had."""

@@ -79,6 +79,8 @@ class Segment(ABC):
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
         self.sync_at_s = self._tick_at_s = float("-inf")
+        #: When a node has something to do; a received frame may change that.
+        self._due_s = float("-inf")
         self._send = send
         self._network = SegmentNetwork(send)
         self.nodes = [
@@ -120,21 +122,24 @@ class Segment(ABC):
 
     def boot(self, now_s: float) -> None:
         """Boot all nodes."""
+        self._due_s = float("-inf")
         for node in self.nodes:
             node.boot(now_s)
         self._compile(self.nodes)
 
     def tick(self, now_s: float) -> None:
         """Do what is due by time."""
-        if now_s < self._tick_at_s:
+        if now_s < self._tick_at_s or now_s < self._due_s:
             return
         self._tick_at_s = now_s + TICK_S
         for node in self.nodes:
-            if node.wants(now_s):
+            if now_s >= node.due_s:
                 node.tick(now_s)
+        self._due_s = min(node.due_s for node in self.nodes)
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Handle received frames in their order, with echoes of sent frames and discarded frames."""
+        self._due_s = float("-inf")
         can_id = arrived["can_id"]
         there = arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0
         plain = there & (arrived["flags"] & ECHO == 0)

@@ -16,6 +16,7 @@ from dbc.canopen import BASE_ID_MASK
 from dbc.frame import ECHO, ERROR, FRAME, Frames
 from nodes.adaptive.sending import (
     DETAIL,
+    NEWS,
     REFRESH,
     SILENT,
     Groups,
@@ -42,6 +43,7 @@ NO_COB_ID: Final = 0
 #: Columns of `Mailboxes.counts`.
 SENT, REFUSED = range(2)
 _LONG_AGO: Final = -(1 << 40)
+_ROUNDING: Final = SendingRule._fields.index("rounding")
 _FIELDS: Final = FRAME.fields or {}
 _CAN_ID, _LENGTH, _FLAGS, _DATA = (_FIELDS[name][1] for name in ("can_id", "length", "flags", "data"))
 _PLAIN: Final = ECHO | ERROR
@@ -144,22 +146,64 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     has_due : array of bool, shape (nodes,)
         Written: whether a node has anything to send.
     """
+    budget, saved, under_way, level = boxes.budget, boxes.saved, groups.under_way, groups.level
     for node in range(is_operational.size):
         has_due[node] = False
-        budget = boxes.budget[node]
-        if budget > 0:
-            most = max(SAVED_FRAMES * FRAME_BITS, budget * SAVING_S)
-            boxes.saved[node] = min(most, boxes.saved[node] + budget * passed_s)
+        if budget[node] > 0:
+            most = max(SAVED_FRAMES * FRAME_BITS, budget[node] * SAVING_S)
+            saved[node] = min(most, saved[node] + budget[node] * passed_s)
         if not is_operational[node]:
             continue
         for group in range(GROUPS):
-            if 0 < groups.under_way[node, group] < now_ns:
-                groups.under_way[node, group] = 0
-        rule = rule_of(rules, node)
-        look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule, law, groups)
+            if 0 < under_way[node, group] < now_ns:
+                under_way[node, group] = 0
+    _find_quiet(now, is_operational, sums_n, rules, law, groups, has_due)
+    for node in range(is_operational.size):
+        if has_due[node]:
+            has_due[node] = False
+            look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule_of(rules, node), law, groups)
+            for group in range(GROUPS):
+                is_free = under_way[node, group] == 0
+                has_due[node] = has_due[node] or (is_free and level[node, group] != SILENT)
+
+
+@njit(cache=True, nogil=True)
+def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
+    now: int,
+    is_operational: npt.NDArray[np.bool_],
+    sums_n: npt.NDArray[np.float32],
+    rules: Numbers,
+    law: Companding,
+    groups: Groups,
+    needs_look: npt.NDArray[np.bool_],
+) -> None:
+    """Decide for groups that show what is known and need no refresh: nothing. Tell which nodes have others.
+
+    Most nodes have none, and `look` takes longer.
+    """
+    known_n, refreshes, refresh_at = groups.known_n, groups.refreshes, groups.refresh_at
+    since, level, reason, is_fine, under_way = (
+        groups.since,
+        groups.level,
+        groups.reason,
+        groups.is_fine,
+        groups.under_way,
+    )
+    for node in range(is_operational.size):
+        if not is_operational[node]:
+            continue
+        bound = rules[node, _ROUNDING] * law.fine_n
         for group in range(GROUPS):
-            is_free = groups.under_way[node, group] == 0
-            has_due[node] = has_due[node] or (is_free and groups.level[node, group] != SILENT)
+            largest = 0.0
+            for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
+                largest = max(largest, abs(sums_n[node, place] - known_n[node, place]))
+            if under_way[node, group] > 0:
+                continue
+            if largest > bound or (refreshes[node, group] > 0 and now >= refresh_at[node, group]):
+                needs_look[node] = True
+            else:
+                since[node, group], level[node, group] = -1, SILENT
+                reason[node, group], is_fine[node, group] = NEWS, 0
 
 
 @njit(cache=True, nogil=True)

@@ -90,9 +90,9 @@ class AdaptiveSegment(Segment):
     def tick(self, now_s: float) -> None:
         """Sample what is due, on all buses of the process; send what is most urgent; do what is due by time."""
         self._adaptive.advance(now_s)
-        if now_s >= self._tick_at_s:
+        if now_s >= max(self._tick_at_s, self._due_s):
             super().tick(now_s)
-            self._note_states()
+            self._note_states()  # a node may have lost another one's heartbeat
         if self._adaptive.decision != self._decision:
             self._decision = self._adaptive.decision
             self._send_sums(round(now_s * 1e9))

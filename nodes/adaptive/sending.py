@@ -152,9 +152,43 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
     law: Companding,
     groups: Groups,
 ) -> None:
+    coarse_n2, fine_n2 = _differences_n2(node, group, sums_n, rule, law, groups)
+    variance = 0.0
+    for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
+        variance += variance_n2[place]
+    threshold = noise_n2 + rule.variance_ratio * variance
+    level, reason, is_fine = SILENT, NEWS, 0
+    wait = now - groups.sent_at[node, group]
+    if coarse_n2 > threshold:
+        if groups.since[node, group] < 0:
+            groups.since[node, group] = now
+        if wait >= rule.inhibit:
+            waiting = (now - groups.since[node, group]) / rule.doubling
+            doublings = np.log2(coarse_n2 / threshold) + waiting
+            level = min(LEVELS - 1, 1 + int(doublings / rule.level_ratio))
+    else:
+        groups.since[node, group] = -1
+        if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
+            level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
+            may_be_fine = groups.fine_turn[node, group] == 1 and groups.is_wanted[node, group] == 0
+            reason, is_fine = REFRESH, int(may_be_fine and _is_in_reach(node, group, sums_n, law, groups))
+        elif (
+            wait >= rule.fine_wait
+            and fine_n2 > rule.fine_ratio * noise_n2 + rule.variance_ratio * variance
+            and _is_in_reach(node, group, sums_n, law, groups)
+        ):
+            level, reason, is_fine = 0, DETAIL, 1
+    groups.level[node, group], groups.reason[node, group] = level, reason
+    groups.is_fine[node, group] = is_fine
+
+
+@njit(cache=True, nogil=True)
+def _differences_n2(  # noqa: PLR0917  compiled functions take no keywords
+    node: int, group: int, sums_n: npt.NDArray[np.float32], rule: SendingRule, law: Companding, groups: Groups
+) -> tuple[float, float]:
+    """Return the squared difference of a group from what is known, as coarse frames and as fine frames tell it."""
     first = GROUP_SUMS * group
-    coarse_n2, fine_n2, variance = 0.0, 0.0, 0.0
-    in_reach = groups.check[node, group] >= 0
+    coarse_n2, fine_n2 = 0.0, 0.0
     for place in range(first, first + GROUP_SUMS):
         known = groups.known_n[node, place]
         error = float(sums_n[place]) - known
@@ -162,33 +196,19 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
             coarse_n2 += error * error
         if abs(error) > rule.rounding * law.fine_n:
             fine_n2 += error * error
+    return coarse_n2, fine_n2
+
+
+@njit(cache=True, nogil=True)
+def _is_in_reach(node: int, group: int, sums_n: npt.NDArray[np.float32], law: Companding, groups: Groups) -> bool:
+    """Tell whether a fine frame can tell all sums of a group."""
+    if groups.check[node, group] < 0:
+        return False
+    for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
         away = fine_steps(float(sums_n[place]), law) - fine_steps(groups.coarse_n[node, place], law)
-        in_reach = in_reach and abs(away) <= FINE_LIMIT
-        variance += variance_n2[place]
-    threshold = noise_n2 + rule.variance_ratio * variance
-    level, reason, is_fine = SILENT, NEWS, 0
-    if coarse_n2 > threshold:
-        if groups.since[node, group] < 0:
-            groups.since[node, group] = now
-        if now - groups.sent_at[node, group] >= rule.inhibit:
-            waiting = (now - groups.since[node, group]) / rule.doubling
-            doublings = np.log2(coarse_n2 / threshold) + waiting
-            level = min(LEVELS - 1, 1 + int(doublings / rule.level_ratio))
-    else:
-        groups.since[node, group] = -1
-        wait = now - groups.sent_at[node, group]
-        if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
-            level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
-            is_fine = int(in_reach and groups.fine_turn[node, group] == 1 and groups.is_wanted[node, group] == 0)
-            reason = REFRESH
-        elif (
-            in_reach
-            and wait >= rule.fine_wait
-            and fine_n2 > rule.fine_ratio * noise_n2 + rule.variance_ratio * variance
-        ):
-            level, reason, is_fine = 0, DETAIL, 1
-    groups.level[node, group], groups.reason[node, group] = level, reason
-    groups.is_fine[node, group] = is_fine
+        if abs(away) > FINE_LIMIT:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)

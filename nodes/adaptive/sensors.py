@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+from scipy.special import ndtri
 
 from nodes.adaptive.noise import Floats
 from nodes.electronics import Calibration
@@ -25,6 +26,9 @@ TOUCH_HZ: Final = 100.0
 #: Largest error of a board's clock, and standard deviation of its jitter, samples.
 DRIFT_PPM: Final = 100.0
 JITTER: Final = 0.02
+
+#: Noise is drawn from so many equally likely values, which end at 4.2 standard deviations: 16 random bits for each.
+_VALUES: Final = 1 << 16
 
 Doubles = npt.NDArray[np.float64]
 
@@ -66,7 +70,7 @@ class PatchSensors:
         self._calibration, self._cells, self._model, self._source = calibration, cells, model, source
         self._shape = taxels.rows, taxels.columns
         self._random = np.random.Generator(np.random.SFC64(seed))
-        self._normal = np.zeros(cells.size + len(cells), np.float32)
+        self._normal = ndtri((np.arange(_VALUES) + 0.5) / _VALUES).astype(np.float32)
         self._noise_n = self._of_taxels(model.noise_of(self._shape))
         fixed_n = model.fixed_n(self._shape)
         self._fixed_n = self._of_taxels(np.nan if fixed_n is None else fixed_n)
@@ -102,10 +106,11 @@ class PatchSensors:
                 self._load(first)
             since = steps - first
         sample_n = np.empty_like(self.counts)
-        self._random.standard_normal(out=self._normal, dtype=np.float32)
+        words = -(-(self.counts.size + len(self.counts)) // 4)
+        drawn = self._random.bit_generator.random_raw(words).view(np.uint16)
         clocks, ends_n, taxels = (self._age, self._drift), self._ends_n, (self._noise_n, self._fixed_n, self._range)
         corrections = self._gain, self._offset, self._pattern
-        _sample(since, self._normal, clocks, ends_n, taxels, corrections, self.counts, sample_n)
+        _sample(since, drawn, self._normal, clocks, ends_n, taxels, corrections, self.counts, sample_n)
         return sample_n
 
     def frame(self, step: int) -> Frame:
@@ -143,6 +148,7 @@ class PatchSensors:
 @njit(cache=True, nogil=True)
 def _sample(  # noqa: PLR0917  compiled functions take no keywords
     since: float,
+    drawn: npt.NDArray[np.uint16],
     normal: Floats,
     clocks: tuple[Doubles, Doubles],
     ends_n: Floats,
@@ -164,13 +170,13 @@ def _sample(  # noqa: PLR0917  compiled functions take no keywords
             age[board] -= 1
         elif age[board] < 0:
             age[board] += 1
-        late = age[board] + JITTER * normal[boards * size + board]
+        late = age[board] + JITTER * normal[drawn[boards * size + board]]
         place = max(0.0, since - late * (SAMPLE_NS / STEP_NS))
         interval = min(1, int(place))
         part = np.float32(place - interval)
         begin_n, end_n = ends_n[interval, 0, board], ends_n[interval, 1, board]
         for c in range(size):
-            force = begin_n[c] + part * (end_n[c] - begin_n[c]) + noise_n[board, c] * normal[board * size + c]
+            force = begin_n[c] + part * (end_n[c] - begin_n[c]) + noise_n[board, c] * normal[drawn[board * size + c]]
             force = min(force_max_n, max(np.float32(0), force))
             if fixed_n[board, c] >= 0:
                 force = fixed_n[board, c]
