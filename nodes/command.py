@@ -101,7 +101,7 @@ def nodes(
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed)
-    boards = _boards(contract, chosen, source, noise_n, defects, seed)
+    boards = _boards(contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects})
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
@@ -118,23 +118,18 @@ def nodes(
 
 
 def _boards(
-    contract: Contract,
-    chosen: dict[int, Collection[int]],
-    source: TaxelSource,
-    noise_n: float,
-    defects: dict[str, Any],
-    seed: int,
+    contract: Contract, chosen: dict[int, Collection[int]], source: TaxelSource, analogue: dict[str, Any]
 ) -> Sampler | AdaptiveBoards:
-    """Return what samples the chosen nodes' taxels."""
+    """Return what samples the chosen nodes' taxels; `analogue` holds ``noise_n``, ``seed`` and ``defects``."""
     skin = contract.layout
     if skin.sending == "adaptive":
         blocks = [node.block for node in contract.nodes if node.node_id in chosen.get(node.bus, ())]
-        return AdaptiveBoards(contract, blocks, source, noise_n=noise_n, seed=seed, defects=defects)
+        return AdaptiveBoards(contract, blocks, source, **analogue)
+    if source.has_noise:
+        analogue = {**analogue, "noise_n": 0.0}
     electronics = Electronics(
         skin.taxels,
-        noise_n=0.0 if source.has_noise else noise_n,
-        seed=seed,
-        defects=defects,
+        **analogue,
         period_s=skin.sync.period_s,
         samples=skin.samples_per_sync,
         blocks=contract.phi.taxels_of_blocks,
