@@ -111,7 +111,7 @@ class SkinNode:
         self._has_events = False
         self._emcy_cob_id = 0
         self._emcy_inhibit_s = 0.0
-        self._live: dict[int, Callable[[int], int | None]] = {
+        self._live: dict[int, Callable[[int], float | None]] = {
             OD_ERROR_REGISTER: lambda _: self.emcy.register,
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,

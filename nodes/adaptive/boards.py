@@ -27,6 +27,7 @@ from nodes.adaptive.mailboxes import (
     SENT,
     Chosen,
     choose,
+    compile_all,
     give_back,
     look_at_all,
     new_mailboxes,
@@ -96,6 +97,7 @@ class AdaptiveBoards(Boards):
         self._filter = PatchFilter(self._learn())
         for _ in range(SETTLING_SAMPLES):
             self._filter.take(self._sensors.sample(0))
+        compile_all(self._law)
         nodes = len(blocks)
         self._groups, self._boxes = new_groups(nodes), new_mailboxes(nodes)
         self._rules = np.tile(np.array(_DEFAULTS), (nodes, 1))
@@ -186,8 +188,8 @@ class AdaptiveBoards(Boards):
 
     def _take_noise(self) -> None:
         self._noise = self._filter.noise
-        rule = SendingRule(*self._rules.T)  # type: ignore[arg-type]  # one value for each node
-        self._threshold_n2 = noise_threshold_n2(self._noise.node_n, rule)
+        ratio = self._rules[:, SendingRule._fields.index("noise_ratio")]
+        self._threshold_n2 = noise_threshold_n2(self._noise.node_n, ratio)
 
     def _note_truth(self, tick_ns: int) -> None:
         """Keep the truth of a step that this tick is the first after."""
@@ -297,7 +299,7 @@ class AdaptiveBoards(Boards):
             self._given[:, row] = 0
             self._filter.give(*self._given)
 
-    def read(self, block: int, index: int, subindex: int) -> float | int | None:
+    def read(self, block: int, index: int, subindex: int) -> float | None:
         """Return the present value of an object that the board computes (2030h, 2032h to 2035h, 2110h, 2111h)."""
         row, noise = self._row[block], self._filter.noise
         if index == OD_REFRESH:
@@ -316,7 +318,8 @@ class AdaptiveBoards(Boards):
 
     def counts(self, block: int) -> npt.NDArray[np.int32]:
         """Return what the taxels of a block read last, in counts."""
-        return self._sensors.counts[self._row[block]].astype(np.int32)
+        counts: npt.NDArray[np.int32] = self._sensors.counts[self._row[block]].astype(np.int32)
+        return counts
 
     @property
     def sums(self) -> npt.NDArray[np.int32]:

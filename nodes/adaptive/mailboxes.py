@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, LEVELS, TPDOS, Bytes, Companding, SendingRule, tpdo_index
+from dbc.adaptive import BLOCK_SUMS, FIRST_COB_ID, GROUP_SUMS, LEVELS, TPDOS, Bytes, Companding, SendingRule, tpdo_index
 from dbc.canopen import BASE_ID_MASK
-from dbc.frame import ECHO, ERROR, FRAME, Frames
+from dbc.frame import ECHO, ERROR, FRAME, Frames, frames
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
@@ -25,6 +25,7 @@ from nodes.adaptive.sending import (
     frame_level,
     look,
     make_payload,
+    new_groups,
     note_sent,
 )
 from skin.walsh import GROUPS
@@ -44,8 +45,11 @@ NO_COB_ID: Final = 0
 SENT, REFUSED = range(2)
 _LONG_AGO: Final = -(1 << 40)
 _ROUNDING: Final = SendingRule._fields.index("rounding")
-_FIELDS: Final = FRAME.fields or {}
-_CAN_ID, _LENGTH, _FLAGS, _DATA = (_FIELDS[name][1] for name in ("can_id", "length", "flags", "data"))
+#: Places of fields in the bytes of a frame.
+_CAN_ID, _LENGTH, _FLAGS, _DATA = (
+    int(FRAME.fields[name][1])  # type: ignore[index]  # FRAME has fields
+    for name in ("can_id", "length", "flags", "data")
+)
 _PLAIN: Final = ECHO | ERROR
 
 
@@ -97,9 +101,10 @@ class Chosen(NamedTuple):
     payload: Bytes
 
 
-def room_for(frames: int) -> Chosen:
+def room_for(count: int) -> Chosen:
     """Return room for so many frames."""
-    return Chosen(*np.zeros((3, frames), np.int64), np.zeros((frames, GROUP_SUMS), np.uint8))
+    can_id, node, group = np.zeros((3, count), np.int64)
+    return Chosen(can_id, node, group, np.zeros((count, GROUP_SUMS), np.uint8))
 
 
 @njit(cache=True, nogil=True)
@@ -315,6 +320,19 @@ def _has_budget(node: int, group: int, groups: Groups, boxes: Mailboxes) -> bool
     return bool(boxes.saved[node] >= FRAME_BITS + kept)
 
 
+def compile_all(law: Companding) -> None:
+    """Compile what runs every millisecond, so that no bus waits for it: one frame of one node, there and back."""
+    groups, boxes, room, sent = new_groups(1), new_mailboxes(1), room_for(1), frames(1)
+    boxes.cob_id[:] = sent["can_id"] = FIRST_COB_ID
+    groups.refreshes[:], groups.refresh_at[:] = 1, 0
+    sums_n, rules = np.zeros((1, BLOCK_SUMS), np.float32), np.array([SendingRule()], np.float64)
+    yes = np.ones(1, np.bool_)
+    look_at_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, boxes, yes)
+    choose(0, 1, 1, 1, 1, sums_n, law, groups, boxes, yes, room)
+    give_back(0, 0, groups, boxes)
+    take_echoes(rows_of(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, boxes)
+
+
 def rows_of(arrived: Frames) -> npt.NDArray[np.uint8]:
     """Return frames as rows of bytes."""
     return np.ascontiguousarray(arrived).view(np.uint8).reshape(len(arrived), FRAME.itemsize)
@@ -328,7 +346,7 @@ def present_codes(sums_n: Any, law: Companding, groups: Groups, node: int) -> tu
     coarse : array of uint8, shape (BLOCK_SUMS,)
     fine : array of uint8, shape (GROUPS, GROUP_SUMS)
     """
-    shown = Groups(*(each[node : node + 1].copy() for each in groups))
+    shown = Groups._make(each[node : node + 1].copy() for each in groups)
     coarse, fine = np.zeros((GROUPS, GROUP_SUMS), np.uint8), np.zeros((GROUPS, GROUP_SUMS), np.uint8)
     for is_fine, payloads in enumerate((coarse, fine)):
         shown.is_fine[:] = is_fine

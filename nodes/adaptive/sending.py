@@ -108,9 +108,9 @@ def ask(node: int, group: int, now: int, groups: Groups) -> None:
     groups.refreshes[node, group] = max(1, groups.refreshes[node, group])
 
 
-def noise_threshold_n2(noise_n: Numbers, rule: SendingRule) -> Numbers:
+def noise_threshold_n2(noise_n: Numbers, noise_ratio: float | Numbers) -> Numbers:
     """Return the part of the threshold that is the noise's, newtons squared, for nodes of the noise `noise_n`."""
-    return GROUP_SUMS * BLOCK_SUMS * np.square(rule.noise_ratio * noise_n)
+    return GROUP_SUMS * BLOCK_SUMS * np.square(noise_ratio * noise_n)
 
 
 @njit(cache=True, nogil=True)

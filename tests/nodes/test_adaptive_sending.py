@@ -20,7 +20,7 @@ from skin.walsh import GROUPS, walsh_matrix
 
 LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
 VARIANCE_N2 = np.full(32, 1e-12, np.float32)
-NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE)[0])
+NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE.noise_ratio)[0])
 NOTHING = np.zeros(32, np.float32)
 PRESSED = (walsh_matrix(32) @ np.random.default_rng(0).uniform(0.002, 0.012, 32)).astype(np.float32)
 
