@@ -74,7 +74,7 @@ class ForceFilter:
         np.matmul(forecast * noise.coefficient_n, self._haar, out=self.force_n)
         _unclip(self.force_n.ravel(), noise.taxel_n.ravel(), self._table)
         self._offsets.take(self.force_n, noise.taxel_n)
-        self.force_n[self.force_n < np.float32(DEAD_RATIO) * noise.taxel_n] = 0
+        _silence(self.force_n.ravel(), noise.taxel_n.ravel())
 
     def _learn(self, sample_n: Floats) -> None:
         """Take the noise as large as it turns out to be, and what is known of the coefficients in its units."""
@@ -150,3 +150,11 @@ def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
             part = max(place, np.float32(0)) - np.float32(low)
             reading = table[low] + part * (table[low + 1] - table[low])
         force_n[k] = noise_n[k] * reading
+
+
+@njit(cache=True, nogil=True)
+def _silence(force_n: Floats, noise_n: Floats) -> None:
+    """Show taxels as 0 that show no more than their noise, in place."""
+    ratio, zero = np.float32(DEAD_RATIO), np.float32(0)
+    for k in range(force_n.size):
+        force_n[k] = zero if force_n[k] < ratio * noise_n[k] else force_n[k]

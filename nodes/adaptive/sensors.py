@@ -84,11 +84,6 @@ class PatchSensors:
         self._ends_n[:] = self._of_taxels(model.felt_n(np.zeros((1, *self._shape), np.float32), np.zeros(1))[0])
         self.recalibrate()
 
-    @property
-    def has_noise(self) -> bool:
-        """Whether the touch is a recording, which contains its sensor's noise."""
-        return self._source.has_noise
-
     def recalibrate(self) -> None:
         """Read gains, offsets and test patterns of all boards."""
         cells, calibration = self._cells, self._calibration
@@ -161,9 +156,10 @@ def _sample(  # noqa: PLR0917  compiled functions take no keywords
     age, drift = clocks
     noise_n, fixed_n, limits = taxels
     gain, offset, pattern = corrections
+    zero, one = np.float32(0), np.float32(1)
     force_max_n, newton_per_count, count_max = limits[0], limits[1], limits[2]
-    per_count = np.float32(1) / newton_per_count
     boards, size = counts.shape
+    noise = np.empty(size, np.float32)
     for board in range(boards):
         age[board] += drift[board]
         if age[board] >= 1:
@@ -176,13 +172,13 @@ def _sample(  # noqa: PLR0917  compiled functions take no keywords
         part = np.float32(place - interval)
         begin_n, end_n = ends_n[interval, 0, board], ends_n[interval, 1, board]
         for c in range(size):
-            force = begin_n[c] + part * (end_n[c] - begin_n[c]) + noise_n[board, c] * normal[drawn[board * size + c]]
-            force = min(force_max_n, max(np.float32(0), force))
-            if fixed_n[board, c] >= 0:
-                force = fixed_n[board, c]
-            read = min(count_max, np.rint(force * per_count))
-            read = np.rint(min(count_max, max(np.float32(0), gain[board, c] * read + offset[board, c])))
-            if pattern[board, c] >= 0:
-                read = pattern[board, c]
+            noise[c] = normal[drawn[board * size + c]]
+        for c in range(size):
+            force = begin_n[c] + part * (end_n[c] - begin_n[c]) + noise_n[board, c] * noise[c]
+            force = min(force_max_n, max(zero, force))
+            force = fixed_n[board, c] if fixed_n[board, c] >= zero else force
+            read = min(count_max, np.rint(force * (one / newton_per_count)))
+            read = np.rint(min(count_max, max(zero, gain[board, c] * read + offset[board, c])))
+            read = pattern[board, c] if pattern[board, c] >= zero else read
             counts[board, c] = read
             sample_n[board, c] = read * newton_per_count
