@@ -1,9 +1,11 @@
 """Frames that wait for the bus, in the order of arbitration."""
 
 import heapq
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.controller import Controller
+
+_NEVER_NS: Final = 1 << 62
 
 
 class Waiting(NamedTuple):
@@ -26,10 +28,14 @@ class Pending:
         self._parked: list[Waiting] = []
         #: Expired frames; the owner removes them.
         self.expired: list[Waiting] = []
+        # No waiting frame expires before.
+        self._expires_ns = _NEVER_NS
 
     def add(self, item: Waiting, release_ns: int) -> None:
         """Add `item`; it takes part in arbitration from `release_ns`."""
         heapq.heappush(self._future, (release_ns, item))
+        if 0 < item.expires_ns < self._expires_ns:
+            self._expires_ns = item.expires_ns
 
     def park(self, item: Waiting) -> None:
         """Keep `item` out of arbitration until `unpark`."""
@@ -57,12 +63,17 @@ class Pending:
         ready, future = self._ready, self._future
         while future and future[0][0] <= start_ns:
             heapq.heappush(ready, heapq.heappop(future)[1])
-        while ready:
-            item = heapq.heappop(ready)
-            if not 0 < item.expires_ns < start_ns:
-                return item
-            self.expired.append(item)
-        return None
+        if start_ns > self._expires_ns:
+            self._expire(start_ns)
+        return heapq.heappop(self._ready) if self._ready else None
+
+    def _expire(self, start_ns: int) -> None:
+        """Move the ready frames that have expired before `start_ns` to `expired`, however urgent the others are."""
+        self.expired += sorted(item for item in self._ready if 0 < item.expires_ns < start_ns)
+        self._ready = [item for item in self._ready if not 0 < item.expires_ns < start_ns]
+        heapq.heapify(self._ready)
+        waiting = [*self._ready, *(item for _, item in self._future)]
+        self._expires_ns = min((item.expires_ns for item in waiting if item.expires_ns), default=_NEVER_NS)
 
     def contests(self, item: Waiting) -> bool:
         """Tell whether another frame with the same identifier is ready."""

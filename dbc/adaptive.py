@@ -137,7 +137,8 @@ def _slope(steps: float, codes: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _index(level: int, group: int, is_fine: bool) -> int:
+def tpdo_index(level: int, group: int, is_fine: bool) -> int:
+    """Return the place of a frame among the TPDOs of its node, 0 the most urgent."""
     first = GROUPS * (LEVELS + FINE_LEVELS - 1 - level) if is_fine else GROUPS * (LEVELS - 1 - level)
     return int(first + group)
 
@@ -145,7 +146,7 @@ def _index(level: int, group: int, is_fine: bool) -> int:
 @njit(cache=True, nogil=True)
 def cob_id(node: int, level: int, group: int, is_fine: bool) -> int:
     """Return the identifier of a frame of the node with node-ID `node` + 1."""
-    return FIRST_COB_ID + NODES * _index(level, group, is_fine) + node
+    return FIRST_COB_ID + NODES * tpdo_index(level, group, is_fine) + node
 
 
 def frame_of(identifier: int) -> tuple[int, int, int, bool]:
@@ -225,7 +226,7 @@ def check_of(payload: Bytes) -> int:
 @njit(cache=True, nogil=True)
 def fine_steps(value_n: float, law: Companding) -> int:
     """Return a value in fine steps."""
-    return round(value_n / law.fine_n)
+    return int(np.rint(value_n / law.fine_n))
 
 
 @njit(cache=True, nogil=True)

@@ -22,6 +22,7 @@ from dbc.canopen import (
 )
 from dbc.dictionary import HEARTBEATS_WATCHED
 from dbc.indices import (
+    OD_COEFFICIENT_NOISE,
     OD_CONSUMER_HEARTBEAT,
     OD_CYCLE_PERIOD_US,
     OD_EMCY_COB_ID,
@@ -29,10 +30,13 @@ from dbc.indices import (
     OD_ERROR_FIELD,
     OD_GAIN,
     OD_MANUFACTURER,
+    OD_REFRESH,
     OD_RESTORE,
+    OD_SENDING,
     OD_STORE,
     OD_SYNC_COB_ID,
     OD_SYNC_OVERFLOW,
+    OD_TAXEL_NOISE,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
     OD_TPDO_MAPPING,
@@ -43,6 +47,7 @@ from dbc.indices import (
 from nodes.electronics import PATTERN_FULL
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
+from skin.walsh import GROUPS
 
 
 def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
@@ -81,6 +86,10 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_ERROR_BEHAVIOUR: lambda value: value <= 2,
     OD_GAIN: math.isfinite,
     OD_TEST_PATTERN: lambda value: value <= PATTERN_FULL,
+    OD_REFRESH: lambda value: value < 1 << GROUPS,
+    OD_SENDING: lambda value: 0 < value < math.inf,
+    OD_COEFFICIENT_NOISE: lambda value: 0 <= value < math.inf,
+    OD_TAXEL_NOISE: lambda value: 0 <= value < math.inf,
 }
 
 

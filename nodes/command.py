@@ -4,12 +4,14 @@ import math
 import re
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
 from dbc.contract import Contract
+from nodes.adaptive.boards import AdaptiveBoards
+from nodes.adaptive.sensors import TOUCH_HZ
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.service import NodesService
@@ -65,7 +67,8 @@ def nodes(
     array
         Name of an array in the .npz; two arrays are placed side by side.
     rate
-        Frames per second of the recording; without this option each cycle plays the next frame.
+        Frames per second of the recording; without this option each cycle plays the next frame
+        (adaptive layouts: each 10 ms).
     noise_n
         Standard deviation of the sensor noise in newtons. Recordings get none: they contain their own noise.
     defect
@@ -94,25 +97,15 @@ def nodes(
         except OSError as error:
             raise InputError(f"--store {store}: expected a folder that can be written: {error.strerror}") from error
     stop = StopSignal().install()
-    skin = load_layout(layout)
+    skin = load_layout(layout, adaptive=True)
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed)
-    noise = 0.0 if source.has_noise else noise_n
-    electronics = Electronics(
-        skin.taxels,
-        noise_n=noise,
-        seed=seed,
-        defects=defects,
-        period_s=skin.sync.period_s,
-        samples=skin.samples_per_sync,
-        blocks=contract.phi.taxels_of_blocks,
-    )
-    sampler = Sampler(contract.phi, source, electronics)
+    boards = _boards(contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects})
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
-    service = NodesService(contract, links, chosen, sampler, joined, store=store)
+    service = NodesService(contract, links, chosen, boards, joined, store=store)
     count = sum(map(len, chosen.values()))
     say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}")
     try:
@@ -122,6 +115,26 @@ def nodes(
             link.close()
         if joined is not None:
             joined.close()
+
+
+def _boards(
+    contract: Contract, chosen: dict[int, Collection[int]], source: TaxelSource, analogue: dict[str, Any]
+) -> Sampler | AdaptiveBoards:
+    """Return what samples the chosen nodes' taxels; `analogue` holds ``noise_n``, ``seed`` and ``defects``."""
+    skin = contract.layout
+    if skin.sending == "adaptive":
+        blocks = [node.block for node in contract.nodes if node.node_id in chosen.get(node.bus, ())]
+        return AdaptiveBoards(contract, blocks, source, **analogue)
+    if source.has_noise:
+        analogue = {**analogue, "noise_n": 0.0}
+    electronics = Electronics(
+        skin.taxels,
+        **analogue,
+        period_s=skin.sync.period_s,
+        samples=skin.samples_per_sync,
+        blocks=contract.phi.taxels_of_blocks,
+    )
+    return Sampler(contract.phi, source, electronics)
 
 
 def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
@@ -154,6 +167,11 @@ def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
     return chosen
 
 
+def _touch_hz(skin: Layout) -> float:
+    """Return how many steps of the touch there are in a second."""
+    return TOUCH_HZ if skin.sending == "adaptive" else skin.sync.rate_hz
+
+
 def _recording(
     skin: Layout, path: Path, full_scale: float | None, arrays: list[str] | None, frame_rate_hz: float | None
 ) -> TaxelSource:
@@ -166,7 +184,7 @@ def _recording(
         full_scale=full_scale,
         force_max_n=taxels.force_max_n,
         arrays=tuple(arrays) if arrays else None,
-        rate_hz=skin.sync.rate_hz,
+        rate_hz=_touch_hz(skin),
         frame_rate_hz=frame_rate_hz,
     )
 
@@ -178,7 +196,7 @@ def _objects(skin: Layout, names: str, seed: int) -> TaxelSource:
         rows=taxels.rows,
         columns=taxels.columns,
         pitch_m=taxels.pitch_m,
-        rate_hz=skin.sync.rate_hz,
+        rate_hz=_touch_hz(skin),
         names=[name.strip() for name in names.split(",") if name.strip()] or None,
         seed=seed,
     )

@@ -14,7 +14,38 @@ from skin.taxel import NOISE_N, TaxelModel, to_counts
 PATTERN_OFF, PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL = range(4)
 
 
-class Electronics:
+class Calibration:
+    """Corrections and test patterns of all taxels of a skin, row-major.
+
+    Parameters
+    ----------
+    taxels : Taxels
+        Range and resolution.
+
+    Attributes
+    ----------
+    gain, offset : array of float32, shape (n,)
+        Correction per taxel: ``gain * counts + offset``, in counts.
+    taxels : Taxels
+        As given.
+    """
+
+    def __init__(self, taxels: Taxels) -> None:
+        self.taxels = taxels
+        self.gain = np.ones(taxels.count, np.float32)
+        self.offset = np.zeros(taxels.count, np.float32)
+        #: What a test pattern shows, in counts; -1 without one.
+        self.pattern = np.full(taxels.count, -1, np.int32)
+
+    def set_pattern(self, chain: npt.NDArray[np.intp], pattern: int) -> None:
+        """Set the test pattern of one block; `chain` holds its taxels in chain order."""
+        if pattern == PATTERN_RAMP:
+            self.pattern[chain] = np.arange(chain.size)
+        else:
+            self.pattern[chain] = {PATTERN_ZERO: 0, PATTERN_FULL: self.taxels.count_max}.get(pattern, -1)
+
+
+class Electronics(Calibration):
     """The analogue side of a skin.
 
     Parameters
@@ -41,10 +72,6 @@ class Electronics:
         What every taxel read at the newest step, corrected; not averaged.
     sampled_ahead : int
         The step that `prepare` has sampled and `read` has not taken yet; -1 for none.
-    gain, offset : array of float32, shape (n,)
-        Correction per taxel: ``gain * counts + offset``, in counts.
-    taxels : Taxels
-        As given.
     """
 
     def __init__(
@@ -58,15 +85,12 @@ class Electronics:
         samples: int = 1,
         blocks: npt.NDArray[np.intp] | None = None,
     ) -> None:
+        super().__init__(taxels)
         self.sampled = np.zeros(taxels.count, np.int32)
-        self.taxels = taxels
-        self.gain = np.ones(taxels.count, np.float32)
-        self.offset = np.zeros(taxels.count, np.float32)
         self._model = TaxelModel(noise_n, taxels.force_max_n, **(defects or {}))
         self._random = np.random.Generator(np.random.SFC64(seed))
         self._period_s = period_s
         self._last: tuple[int, npt.NDArray[np.float32]] | None = None
-        self._pattern = np.full(taxels.count, -1, np.int32)
         self._samples = samples
         self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
         self._felt = np.zeros(taxels.count, np.int32)
@@ -98,11 +122,11 @@ class Electronics:
         self.prepare(force_n, step)
         self.sampled_ahead = -1
         self.sampled = np.rint(self._corrected(self._felt)).astype(np.int32)
-        np.copyto(self.sampled, self._pattern, where=self._pattern >= 0)
+        np.copyto(self.sampled, self.pattern, where=self.pattern >= 0)
         if self._filter is None:
             return self.sampled
         averages = self._corrected(self._filter.counts)
-        np.copyto(averages, self._pattern, where=self._pattern >= 0, casting="unsafe")
+        np.copyto(averages, self.pattern, where=self.pattern >= 0, casting="unsafe")
         return averages
 
     def restart(self, block: int) -> None:
@@ -130,10 +154,3 @@ class Electronics:
             moments_n = self._model.damper(moments_n, (step - last_step) * self._period_s / self._samples)
         felt_n: npt.NDArray[np.float32] = moments_n[1:]
         return felt_n
-
-    def set_pattern(self, chain: npt.NDArray[np.intp], pattern: int) -> None:
-        """Set the test pattern of one block; `chain` holds its taxels in chain order."""
-        if pattern == PATTERN_RAMP:
-            self._pattern[chain] = np.arange(chain.size)
-        else:
-            self._pattern[chain] = {PATTERN_ZERO: 0, PATTERN_FULL: self.taxels.count_max}.get(pattern, -1)

@@ -50,6 +50,8 @@ class HeartbeatConsumer:
     @property
     def due_s(self) -> float:
         """When the next heartbeat of a watched node becomes overdue."""
+        if not self._due_s:
+            return float("inf")
         return min((due_s for node_id, due_s in self._due_s.items() if node_id not in self.lost), default=float("inf"))
 
     def heard(self, node_id: int, now_s: float) -> None:

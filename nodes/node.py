@@ -31,11 +31,11 @@ from dbc.indices import (
     OD_ERROR_BEHAVIOUR,
     OD_ERROR_FIELD,
     OD_ERROR_REGISTER,
-    OD_GAIN,
     OD_HEALTH,
     OD_HEARTBEAT_MS,
     OD_MANUFACTURER,
     OD_OFFSET,
+    OD_REFRESH,
     OD_RESTORE,
     OD_SIGNATURE,
     OD_STORE,
@@ -46,16 +46,19 @@ from dbc.indices import (
     split_block,
 )
 from nodes.access import check_write, is_allowed
+from nodes.boards import Boards
 from nodes.emcy import EmcyProducer
 from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from nodes.network import SegmentNetwork
 from nodes.objects import LocalNode, object_dictionary
-from nodes.sampler import Sampler
 from nodes.storage import Parameters, Storage
 from nodes.tpdo import Tpdo, read_tpdos
 
 #: Objects whose write is a command; a read tells that the node offers the command.
 _COMMANDS: Final = (OD_STORE, OD_RESTORE)
+
+#: Objects of the manufacturer whose value is an order to the running node: they are not restored.
+_ORDERS: Final = (OD_TEST_PATTERN, OD_REFRESH)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -72,7 +75,7 @@ class SkinNode:
     settings : sequence of Setting
         The objects that the configuration signature (2006h) covers.
     network : SegmentNetwork
-    sampler : Sampler
+    boards : Boards
     storage : Storage
         Parameters that 1010h stored.
 
@@ -92,7 +95,7 @@ class SkinNode:
         settings: Sequence[Setting],
         *,
         network: SegmentNetwork,
-        sampler: Sampler,
+        boards: Boards,
         storage: Storage,
     ) -> None:
         self.contract = contract
@@ -103,12 +106,12 @@ class SkinNode:
         self._signature: int | None = None
         self._storage = storage
         self._network = network
-        self._sampler = sampler
+        self._boards = boards
         self._changed = True
         self._has_events = False
         self._emcy_cob_id = 0
         self._emcy_inhibit_s = 0.0
-        self._live: dict[int, Callable[[int], int | None]] = {
+        self._live: dict[int, Callable[[int], float | None]] = {
             OD_ERROR_REGISTER: lambda _: self.emcy.register,
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,
@@ -157,18 +160,19 @@ class SkinNode:
         self.heartbeat.set_period(self.local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s, part)
 
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
-        """Tell whether a stored value fits an object that can be stored; test patterns cannot."""
+        """Tell whether a stored value fits an object that can be stored; test patterns and refreshes cannot."""
         found = self.local.variable(index, subindex)
         if found is None or not found.writable or index in _COMMANDS or index == OD_ERROR_FIELD:
             return False
-        if index >= OD_MANUFACTURER and split_block(index)[1] == OD_TEST_PATTERN:
+        if index >= OD_MANUFACTURER and split_block(index)[1] in _ORDERS:
             return False
-        return len(data) * 8 == BITS.get(found.data_type or 0) and is_allowed(index, _number(found.data_type, data))
+        is_whole = len(data) * 8 == BITS.get(found.data_type or 0)
+        return is_whole and is_allowed(index, _number(found.data_type, data))
 
     def _reset_electronics(self) -> None:
         """Set the electronics to the dictionary's calibration and to no test pattern."""
         for place in range(self.contract.blocks):
-            self._sampler.reset(self.contract.block + place)
+            self._boards.reset(self.contract.block + place)
         for index, entries in self.local.data_store.items():
             if index >= OD_MANUFACTURER:
                 for subindex, data in entries.items():
@@ -177,11 +181,12 @@ class SkinNode:
     def _adjust(self, index: int, subindex: int, data: bytes) -> None:
         """Pass a value of the manufacturer's area to the electronics."""
         place, first = split_block(index)
-        if first == OD_GAIN:
-            value = struct.unpack("<f", data)[0]
+        if first == OD_OFFSET:
+            value: float = int.from_bytes(data, "little", signed=True)
         else:
-            value = int.from_bytes(data, "little", signed=first == OD_OFFSET)
-        self._sampler.adjust(self.contract.block + place, first, subindex, value)
+            found = self.local.variable(index, subindex)
+            value = _number(found.data_type if found else None, data)
+        self._boards.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int, now_s: float) -> None:
         """Execute an NMT command; unknown commands are ignored."""
@@ -190,10 +195,12 @@ class SkinNode:
         elif command in COMMANDED:
             self.state = COMMANDED[NmtCommand(command)]
 
-    def wants(self, now_s: float) -> bool:
-        """Tell whether `tick` has work to do; this quick test saves most calls."""
-        waits = self._has_events or self.emcy.is_waiting
-        return waits or now_s >= self.heartbeat.due_s or now_s >= self.watched.due_s
+    @property
+    def due_s(self) -> float:
+        """When `tick` has work to do next, as things stand."""
+        if self._has_events or self.emcy.is_waiting:
+            return float("-inf")
+        return min(self.heartbeat.due_s, self.watched.due_s)
 
     def refresh(self, now_s: float) -> bool:
         """Read the objects again if a write has changed any since the last call; tell whether one had."""
@@ -275,17 +282,17 @@ class SkinNode:
         if setting.index >= OD_MANUFACTURER:
             place, first = split_block(setting.index)
             if first == OD_TEST_PATTERN:
-                return bytes((self._sampler.pattern(self.contract.block + place),))
+                return bytes((self._boards.pattern(self.contract.block + place),))
         return self.local.get_data(setting.index, setting.subindex)
 
     def _read_health(self, subindex: int) -> int | None:
         contract = self.contract
-        self.health[3] = sum(self._sampler.saturated(contract.block + place) for place in range(contract.blocks))
+        self.health[3] = sum(self._boards.saturated(contract.block + place) for place in range(contract.blocks))
         return int(self.health[subindex - 1]) if subindex else None
 
     def _read_sum(self, block: int, subindex: int) -> int | None:
-        first = self._sampler.first_sum(block) + subindex - 1
-        return int(self.contract.packing.raw(self._sampler.sums[first : first + 1])[0]) if subindex else None
+        first = self._boards.first_sum(block) + subindex - 1
+        return int(self.contract.packing.raw(self._boards.sums[first : first + 1])[0]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
         check_write(self.local, index, subindex, _number(od.data_type, data))

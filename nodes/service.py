@@ -9,8 +9,12 @@ from typing import Final
 
 from bus.link import Link
 from dbc.contract import Contract
+from nodes.adaptive.boards import AdaptiveBoards
+from nodes.adaptive.segment import AdaptiveSegment
+from nodes.boards import NEVER_S
 from nodes.sampler import Sampler
 from nodes.segment import Segment
+from nodes.synchronous_segment import SynchronousSegment
 from skin.fabric import Fabric
 from skin.messages import NODES, TRUTH, NodesStatus
 from skin.service import Complaints, StopSignal, be_punctual
@@ -32,7 +36,8 @@ class NodesService:
         By number of the bus.
     node_ids : mapping of int to collection of int
         The nodes of each bus that this process runs.
-    sampler : Sampler
+    boards : Sampler or AdaptiveBoards
+        Adaptive boards hold the blocks of all these nodes.
     fabric : Fabric or None
         Where counters and true forces are published.
     store : Path, optional
@@ -46,26 +51,21 @@ class NodesService:
         contract: Contract,
         links: Mapping[int, Link],
         node_ids: Mapping[int, Collection[int]],
-        sampler: Sampler,
+        boards: Sampler | AdaptiveBoards,
         fabric: Fabric | None = None,
         *,
         store: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.segments = {
-            bus: Segment(
-                contract,
-                bus,
-                node_ids[bus],
-                link.send,
-                sampler,
-                complain=Complaints("nodes").complain,
-                store=store,
-            )
-            for bus, link in links.items()
-        }
+        def new_segment(bus: int, link: Link) -> Segment:
+            complain = Complaints("nodes").complain
+            if isinstance(boards, AdaptiveBoards):
+                return AdaptiveSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
+            return SynchronousSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
+
+        self.segments = {bus: new_segment(bus, link) for bus, link in links.items()}
         self._links = dict(links)
-        self._sampler = sampler
+        self._boards = boards
         self._fabric = fabric
         self._clock = clock
         self._status_at_s = 0.0
@@ -81,8 +81,14 @@ class NodesService:
         self.publish_status()
 
     def turn(self) -> None:
-        """Wait for frames up to `TURN_S`, handle them, and do what is due by time."""
-        ready, _, _ = select.select(list(self._links.values()), [], [], TURN_S)
+        """Wait for frames up to `TURN_S`, or for the next sample; handle frames, and do what is due by time."""
+        links = list(self._links.values())
+        if self._boards.due_s == NEVER_S:
+            ready, _, _ = select.select(links, [], [], TURN_S)
+        else:
+            # One turn for each sample: frames wait for it, a millisecond at most.
+            time.sleep(max(0.0, min(self._boards.due_s - self._clock(), TURN_S)))
+            ready, _, _ = select.select(links, [], [], 0)
         now_s = self._clock()
         for bus, link in self._links.items():
             if link in ready:
@@ -91,7 +97,7 @@ class NodesService:
             segment.tick(now_s)
         self._publish(now_s)
         if now_s - max(segment.sync_at_s for segment in self.segments.values()) >= self._prepare_after_s:
-            self._sampler.prepare()
+            self._boards.prepare()
 
     def publish_status(self) -> None:
         """Publish the counters of all segments."""
@@ -109,8 +115,7 @@ class NodesService:
     def _publish(self, now_s: float) -> None:
         if self._fabric is None:
             return
-        truth = self._sampler.take_truth()
-        if truth is not None:
+        while (truth := self._boards.take_truth()) is not None:
             self._fabric.publish(TRUTH, truth)
         if now_s >= self._status_at_s:
             self._status_at_s = now_s + STATUS_PERIOD_S

@@ -167,25 +167,46 @@ class TaxelModel:
             float32, the same shape.
         """
         taxels = force_n.shape[1:]
+        signal: Force = sense(self.felt_n(force_n, time_s), rng, self.noise_of(taxels), self.force_max_n)
+        fixed_n = self.fixed_n(taxels)
+        if fixed_n is not None:
+            np.copyto(signal, fixed_n, where=~np.isnan(fixed_n))
+        return signal
+
+    def felt_n(self, force_n: Force, time_s: npt.NDArray[np.float64]) -> Force:
+        """Return the forces of single moments after cross-talk, gain and drift; as for `signal_of_moments`."""
+        taxels = force_n.shape[1:]
         if self.cross_talk is not None:
             force_n = self.cross_talk(force_n)
         if self.gain_spread is not None:
             force_n = force_n * self.gain_spread.gains(taxels)
         if self.drift is not None:
             force_n = np.add(force_n, self.drift.offsets_n(taxels, time_s))
-        noise_n: float | Force = self.noise_n
-        if self.noisy is not None:
-            noise_n = self.noisy.noise_n(taxels, self.noise_n, self.force_max_n)
-        signal: Force = sense(force_n, rng, noise_n, self.force_max_n)
-        flat = signal.reshape(len(signal), -1)
+        return force_n
+
+    def noise_of(self, taxels: tuple[int, ...]) -> float | Force:
+        """Return the standard deviation of the noise of an array of shape `taxels`, newtons, for all or for each."""
+        if self.noisy is None:
+            return self.noise_n
+        return self.noisy.noise_n(taxels, self.noise_n, self.force_max_n)
+
+    def fixed_n(self, taxels: tuple[int, ...]) -> Force | None:
+        """Return what taxels always read that are stuck, saturated or dead, newtons; NaN for others, None if all are.
+
+        The array has the shape `taxels`.
+        """
+        if self.stuck is None and self.saturated is None and self.dead is None:
+            return None
+        fixed_n = np.full(taxels, np.nan, np.float32)
+        flat = fixed_n.reshape(-1)
         if self.stuck is not None:
             indices, values = self.stuck.values(taxels, self.force_max_n)
-            flat[:, indices] = values
+            flat[indices] = values
         if self.saturated is not None:
-            flat[:, self.saturated.taxels(taxels)] = self.force_max_n
+            flat[self.saturated.taxels(taxels)] = self.force_max_n
         if self.dead is not None:
-            flat[:, self.dead.taxels(taxels)] = 0.0
-        return signal
+            flat[self.dead.taxels(taxels)] = 0.0
+        return fixed_n
 
 
 def _check(noise_n: float | Force, force_max_n: float) -> None:

@@ -106,7 +106,7 @@ def run_adaptive(counts: Counts, idle: Counts, noise: Noise | None = None) -> Ad
     parts = []
     for number in range(len(held)):
         mine = slice(number * held.shape[1], (number + 1) * held.shape[1])
-        threshold_n2 = noise_threshold_n2(node_n[:, mine], _RULE)
+        threshold_n2 = noise_threshold_n2(node_n[:, mine], _RULE.noise_ratio)
         parts.append(_run_bus(sums_n[:, mine], variance_n2[:, mine], threshold_n2))
     bus = np.repeat(np.arange(len(held)), [len(part[0]) for part in parts])
     sent, log, unsent = (np.concatenate(columns) for columns in zip(*parts, strict=True))

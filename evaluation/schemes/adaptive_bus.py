@@ -16,7 +16,7 @@ from dbc.contract import SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
 from evaluation.schemes.event_kernel import DATA, address, bits_of
 from evaluation.schemes.wire import TICK_NS
-from nodes.adaptive.sending import SILENT, Groups, fill, frame_level, look
+from nodes.adaptive.sending import SILENT, Groups, frame_level, look, make_payload, note_sent
 from skin.walsh import GROUPS
 
 #: Milliseconds between two SYNCs. No TPDO starts in the millisecond after a SYNC, so that heartbeats find room on a
@@ -101,7 +101,9 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
                 since = groups.since[node, group]
                 log[ASKED] = (since if since >= 0 else tick - 1) * TICK_NS
                 level, is_fine = frame_level(node, group, groups), groups.is_fine[node, group] == 1
-                fill(node, group, tick - 1, sums_n[tick - 1, node], rule, law, groups, row[DATA : DATA + 8])
+                payload = row[DATA : DATA + 8]
+                make_payload(node, group, sums_n[tick - 1, node], law, groups, payload)
+                note_sent(node, group, tick - 1, is_fine, rule, law, groups, payload)
                 address(row, cob_id(node, level, group, is_fine), 8)
         log[BEGUN] = now
         now += bits_of(row) * bit_ns

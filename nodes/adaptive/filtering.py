@@ -52,7 +52,14 @@ class ForceFilter:
         self._offsets = Offsets(shape[0], *patch_shape(shape[1]))
         self._scale = NoiseScale(*shape)
         self.force_n = np.zeros(shape, np.float32)
-        self.noise = noise
+        self.noise = self._learned = noise
+        #: Noise of taxels and coefficients that somebody has set; 0 where none.
+        self._given: tuple[Floats, Floats] | None = None
+
+    def give(self, taxel_n: Floats, coefficient_n: Floats) -> None:
+        """Use this noise in place of what is learned, newtons, shape (nodes, taxels) each; what is 0 is learned."""
+        self._given = (taxel_n, coefficient_n) if taxel_n.any() or coefficient_n.any() else None
+        self._use(self._learned)
 
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
@@ -67,17 +74,30 @@ class ForceFilter:
         np.matmul(forecast * noise.coefficient_n, self._haar, out=self.force_n)
         _unclip(self.force_n.ravel(), noise.taxel_n.ravel(), self._table)
         self._offsets.take(self.force_n, noise.taxel_n)
-        self.force_n[self.force_n < np.float32(DEAD_RATIO) * noise.taxel_n] = 0
+        _silence(self.force_n.ravel(), noise.taxel_n.ravel())
 
     def _learn(self, sample_n: Floats) -> None:
         """Take the noise as large as it turns out to be, and what is known of the coefficients in its units."""
-        scale = self._scale.take(sample_n, self.noise.taxel_n)
+        learned = self._learned
+        scale = self._scale.take(sample_n, learned.taxel_n)
         if scale is not None:
-            noise = self.noise
-            self.noise = replace(noise, taxel_n=noise.taxel_n * scale, coefficient_n=noise.coefficient_n * scale)
-            each = np.repeat(scale, sample_n.shape[1])
-            self._tracks.level[:] /= each
-            self._tracks.slope[:] /= each
+            learned = replace(learned, taxel_n=learned.taxel_n * scale, coefficient_n=learned.coefficient_n * scale)
+            self._use(learned)
+
+    def _use(self, learned: Noise) -> None:
+        """Go on with another noise; levels and slopes are in units of the coefficients' noise."""
+        before_n, self._learned = self.noise.coefficient_n, learned
+        if self._given is not None:
+            taxel_n, coefficient_n = self._given
+            learned = replace(
+                learned,
+                taxel_n=np.where(taxel_n > 0, taxel_n, learned.taxel_n),
+                coefficient_n=np.where(coefficient_n > 0, coefficient_n, learned.coefficient_n),
+            )
+        self.noise = learned
+        ratio = (learned.coefficient_n / before_n).ravel()
+        self._tracks.level[:] /= ratio
+        self._tracks.slope[:] /= ratio
 
 
 class PatchFilter(ForceFilter):
@@ -130,3 +150,11 @@ def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
             part = max(place, np.float32(0)) - np.float32(low)
             reading = table[low] + part * (table[low + 1] - table[low])
         force_n[k] = noise_n[k] * reading
+
+
+@njit(cache=True, nogil=True)
+def _silence(force_n: Floats, noise_n: Floats) -> None:
+    """Show taxels as 0 that show no more than their noise, in place."""
+    ratio, zero = np.float32(DEAD_RATIO), np.float32(0)
+    for k in range(force_n.size):
+        force_n[k] = zero if force_n[k] < ratio * noise_n[k] else force_n[k]

@@ -81,17 +81,20 @@ def _follow(
     offset, noted, older = state
     nodes, high, wide = force_n.shape
     rate, part = np.float32(RATE_N), np.float32(FOLLOWING)
+    rows_quiet = np.empty(wide, np.bool_)
     for node in range(nodes):
         for row in range(high):
             for column in range(wide):
                 bound = np.float32(QUIET_RATIO) * noise_n[node, row, column]
                 is_quiet[node, row, column] = force_n[node, row, column] < bound
         for row in range(high):
+            above, below = max(row - 1, 0), min(row + 1, high - 1)
             for column in range(wide):
-                follows = True
-                for down in range(max(row - 1, 0), min(row + 2, high)):
-                    for across in range(max(column - 1, 0), min(column + 2, wide)):
-                        follows = follows and is_quiet[node, down, across]
+                rows_quiet[column] = (
+                    is_quiet[node, above, column] & is_quiet[node, row, column] & is_quiet[node, below, column]
+                )
+            for column in range(wide):
+                follows = rows_quiet[max(column - 1, 0)] & rows_quiet[column] & rows_quiet[min(column + 1, wide - 1)]
                 if follows:
                     change = min(rate, max(-rate, part * force_n[node, row, column]))
                     lowest = np.float32(LOWEST_RATIO) * noise_n[node, row, column]
@@ -122,9 +125,7 @@ class NoiseScale:
         ----------
         sample_n, noise_n : arrays of float32, shape (nodes, taxels)
         """
-        self._sum += sample_n
-        self._square += np.square(sample_n - self._last_n)
-        self._last_n[:] = sample_n
+        _gather(sample_n.ravel(), self._last_n.ravel(), self._sum.ravel(), self._square.ravel())
         self._samples += 1
         if self._samples < WINDOW:
             return None
@@ -138,3 +139,13 @@ class NoiseScale:
             scale[enough, 0] = np.nanmedian(ratio[enough], axis=1) ** BELIEF
         self._sum[:] = self._square[:] = self._samples = 0
         return scale
+
+
+@njit(cache=True, nogil=True)
+def _gather(sample_n: Floats, last_n: Floats, total: npt.NDArray[np.float64], square: npt.NDArray[np.float64]) -> None:
+    """Add samples, and the squares of their differences from the last samples."""
+    for c in range(sample_n.size):
+        change = sample_n[c] - last_n[c]
+        square[c] += change * change
+        total[c] += sample_n[c]
+        last_n[c] = sample_n[c]

@@ -21,6 +21,7 @@ from dbc.adaptive import (
     fine_steps,
     hold_coarse,
     pack_fine,
+    unpack_fine,
 )
 from skin.walsh import GROUPS
 
@@ -49,6 +50,13 @@ class Groups(NamedTuple):
         due, the time between refreshes, how many are left, and whether the next is fine.
     level, reason, is_fine : arrays of int64, shape (nodes, GROUPS)
         What is to be sent: urgency or `SILENT`, why, and in which kind of frame.
+    is_zero : array of int64, shape (nodes, GROUPS)
+        Whether the newest fine payload was made of sums that are all 0.
+    is_wanted : array of int64, shape (nodes, GROUPS)
+        Whether somebody asked for a coarse frame that was not sent yet (`ask`).
+    under_way : array of int64, shape (nodes, GROUPS)
+        Until when a controller may hold a frame of the group, in nanoseconds; 0: it holds none. Nothing is decided
+        while it may.
     """
 
     known_n: Numbers
@@ -63,6 +71,9 @@ class Groups(NamedTuple):
     level: Integers
     reason: Integers
     is_fine: Integers
+    is_zero: Integers
+    is_wanted: Integers
+    under_way: Integers
 
 
 def new_groups(nodes: int) -> Groups:
@@ -84,12 +95,22 @@ def new_groups(nodes: int) -> Groups:
         level=full(SILENT),
         reason=full(NEWS),
         is_fine=full(0),
+        is_zero=full(0),
+        is_wanted=full(0),
+        under_way=full(0),
     )
 
 
-def noise_threshold_n2(noise_n: Numbers, rule: SendingRule) -> Numbers:
+def ask(node: int, group: int, now: int, groups: Groups) -> None:
+    """Have a group sent in a coarse frame as a refresh, whatever was sent before."""
+    groups.is_wanted[node, group] = 1
+    groups.refresh_at[node, group] = now
+    groups.refreshes[node, group] = max(1, groups.refreshes[node, group])
+
+
+def noise_threshold_n2(noise_n: Numbers, noise_ratio: float | Numbers) -> Numbers:
     """Return the part of the threshold that is the noise's, newtons squared, for nodes of the noise `noise_n`."""
-    return GROUP_SUMS * BLOCK_SUMS * np.square(rule.noise_ratio * noise_n)
+    return GROUP_SUMS * BLOCK_SUMS * np.square(noise_ratio * noise_n)
 
 
 @njit(cache=True, nogil=True)
@@ -115,42 +136,79 @@ def look(  # noqa: PLR0917  compiled functions take no keywords
         See `noise_threshold_n2`.
     """
     for group in range(GROUPS):
-        first = GROUP_SUMS * group
-        coarse_n2, fine_n2, variance = 0.0, 0.0, 0.0
-        in_reach = groups.check[node, group] >= 0
-        for place in range(first, first + GROUP_SUMS):
-            known = groups.known_n[node, place]
-            error = float(sums_n[place]) - known
-            if abs(error) > rule.rounding * coarse_step(known, place == 0, law):
-                coarse_n2 += error * error
-            if abs(error) > rule.rounding * law.fine_n:
-                fine_n2 += error * error
-            away = fine_steps(float(sums_n[place]), law) - fine_steps(groups.coarse_n[node, place], law)
-            in_reach = in_reach and abs(away) <= FINE_LIMIT
-            variance += variance_n2[place]
-        threshold = noise_n2 + rule.variance_ratio * variance
-        level, reason, is_fine = SILENT, NEWS, 0
-        if coarse_n2 > threshold:
-            if groups.since[node, group] < 0:
-                groups.since[node, group] = now
-            if now - groups.sent_at[node, group] >= rule.inhibit:
-                waiting = (now - groups.since[node, group]) / rule.doubling
-                doublings = np.log2(coarse_n2 / threshold) + waiting
-                level = min(LEVELS - 1, 1 + int(doublings / rule.level_ratio))
-        else:
-            groups.since[node, group] = -1
-            wait = now - groups.sent_at[node, group]
-            if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
-                level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
-                reason, is_fine = REFRESH, int(in_reach and groups.fine_turn[node, group] == 1)
-            elif (
-                in_reach
-                and wait >= rule.fine_wait
-                and fine_n2 > rule.fine_ratio * noise_n2 + rule.variance_ratio * variance
-            ):
-                level, reason, is_fine = 0, DETAIL, 1
-        groups.level[node, group], groups.reason[node, group] = level, reason
-        groups.is_fine[node, group] = is_fine
+        if groups.under_way[node, group] == 0:
+            _look_at_group(node, group, now, sums_n, variance_n2, noise_n2, rule, law, groups)
+
+
+@njit(cache=True, nogil=True)
+def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
+    node: int,
+    group: int,
+    now: int,
+    sums_n: npt.NDArray[np.float32],
+    variance_n2: npt.NDArray[np.float32],
+    noise_n2: float,
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
+) -> None:
+    coarse_n2, fine_n2 = _differences_n2(node, group, sums_n, rule, law, groups)
+    variance = 0.0
+    for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
+        variance += variance_n2[place]
+    threshold = noise_n2 + rule.variance_ratio * variance
+    level, reason, is_fine = SILENT, NEWS, 0
+    wait = now - groups.sent_at[node, group]
+    if coarse_n2 > threshold:
+        if groups.since[node, group] < 0:
+            groups.since[node, group] = now
+        if wait >= rule.inhibit:
+            waiting = (now - groups.since[node, group]) / rule.doubling
+            doublings = np.log2(coarse_n2 / threshold) + waiting
+            level = min(LEVELS - 1, 1 + int(doublings / rule.level_ratio))
+    else:
+        groups.since[node, group] = -1
+        if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
+            level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
+            may_be_fine = groups.fine_turn[node, group] == 1 and groups.is_wanted[node, group] == 0
+            reason, is_fine = REFRESH, int(may_be_fine and _is_in_reach(node, group, sums_n, law, groups))
+        elif (
+            wait >= rule.fine_wait
+            and fine_n2 > rule.fine_ratio * noise_n2 + rule.variance_ratio * variance
+            and _is_in_reach(node, group, sums_n, law, groups)
+        ):
+            level, reason, is_fine = 0, DETAIL, 1
+    groups.level[node, group], groups.reason[node, group] = level, reason
+    groups.is_fine[node, group] = is_fine
+
+
+@njit(cache=True, nogil=True)
+def _differences_n2(  # noqa: PLR0917  compiled functions take no keywords
+    node: int, group: int, sums_n: npt.NDArray[np.float32], rule: SendingRule, law: Companding, groups: Groups
+) -> tuple[float, float]:
+    """Return the squared difference of a group from what is known, as coarse frames and as fine frames tell it."""
+    first = GROUP_SUMS * group
+    coarse_n2, fine_n2 = 0.0, 0.0
+    for place in range(first, first + GROUP_SUMS):
+        known = groups.known_n[node, place]
+        error = float(sums_n[place]) - known
+        if abs(error) > rule.rounding * coarse_step(known, place == 0, law):
+            coarse_n2 += error * error
+        if abs(error) > rule.rounding * law.fine_n:
+            fine_n2 += error * error
+    return coarse_n2, fine_n2
+
+
+@njit(cache=True, nogil=True)
+def _is_in_reach(node: int, group: int, sums_n: npt.NDArray[np.float32], law: Companding, groups: Groups) -> bool:
+    """Tell whether a fine frame can tell all sums of a group."""
+    if groups.check[node, group] < 0:
+        return False
+    for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
+        away = fine_steps(float(sums_n[place]), law) - fine_steps(groups.coarse_n[node, place], law)
+        if abs(away) > FINE_LIMIT:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)
@@ -161,44 +219,55 @@ def frame_level(node: int, group: int, groups: Groups) -> int:
 
 
 @njit(cache=True, nogil=True)
-def fill(  # noqa: PLR0917  compiled functions take no keywords
-    node: int,
-    group: int,
-    now: int,
-    sums_n: npt.NDArray[np.float32],
-    rule: SendingRule,
-    law: Companding,
-    groups: Groups,
-    payload: Bytes,
+def make_payload(  # noqa: PLR0917  compiled functions take no keywords
+    node: int, group: int, sums_n: npt.NDArray[np.float32], law: Companding, groups: Groups, payload: Bytes
 ) -> None:
-    """Write the payload of a group's frame, 8 bytes, and take note of it as sent."""
+    """Write the payload of a group's frame, 8 bytes, of the present sums."""
     first = GROUP_SUMS * group
-    is_zero = True
     if groups.is_fine[node, group]:
-        steps = np.empty(GROUP_SUMS, np.int64)
+        steps, is_zero = np.empty(GROUP_SUMS, np.int64), True
         for place in range(GROUP_SUMS):
             steps[place] = fine_steps(float(sums_n[first + place]), law)
-            groups.known_n[node, first + place] = steps[place] * law.fine_n
             is_zero = is_zero and sums_n[first + place] == 0
+        groups.is_zero[node, group] = int(is_zero)
         pack_fine(steps, groups.check[node, group], payload)
     else:
         for place in range(GROUP_SUMS):
             payload[place] = coarse_code(float(sums_n[first + place]), first + place == 0, law)
+
+
+@njit(cache=True, nogil=True)
+def note_sent(  # noqa: PLR0917  compiled functions take no keywords
+    node: int, group: int, now: int, is_fine: bool, rule: SendingRule, law: Companding, groups: Groups, payload: Bytes
+) -> None:
+    """Take note of a frame that was sent: hold what a receiver holds of its payload, and plan the next refresh."""
+    first = GROUP_SUMS * group
+    mine = slice(first, first + GROUP_SUMS)
+    if not is_fine:
         hold_coarse(payload, first, True, law, groups.known_n[node], groups.coarse_n[node])
+        is_zero = True
         for place in range(first, first + GROUP_SUMS):
             is_zero = is_zero and groups.coarse_n[node, place] == 0
         groups.check[node, group] = check_of(payload)
-    _plan_refresh(node, group, now, is_zero, rule, groups)
+    elif groups.check[node, group] == int(payload[GROUP_SUMS - 1]):
+        unpack_fine(payload, groups.coarse_n[node, mine], law, groups.known_n[node, mine])
+        is_zero = groups.is_zero[node, group] == 1
+    else:
+        return
+    _plan_refresh(node, group, now, is_fine, is_zero, rule, groups)
     groups.sent_at[node, group] = now
     groups.since[node, group], groups.level[node, group] = -1, SILENT
 
 
 @njit(cache=True, nogil=True)
 def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
-    node: int, group: int, now: int, is_zero: bool, rule: SendingRule, groups: Groups
+    node: int, group: int, now: int, is_fine: bool, is_zero: bool, rule: SendingRule, groups: Groups
 ) -> None:
     reason = groups.reason[node, group]
-    if reason == NEWS:
+    if is_fine and groups.is_wanted[node, group]:
+        return  # the coarse frame was asked for while this one was under way
+    if reason == NEWS or groups.is_wanted[node, group]:
+        groups.is_wanted[node, group] = 0
         groups.refresh_after[node, group] = rule.refresh
         groups.refreshes[node, group] = rule.zero_refreshes if is_zero else _NEVER
         groups.fine_turn[node, group] = 0
@@ -208,5 +277,5 @@ def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
         if is_zero:
             groups.refreshes[node, group] = min(groups.refreshes[node, group], rule.zero_refreshes)
         groups.fine_turn[node, group] = 1 - groups.fine_turn[node, group]
-    if reason != DETAIL:
+    if reason != DETAIL or not is_fine:
         groups.refresh_at[node, group] = now + groups.refresh_after[node, group]

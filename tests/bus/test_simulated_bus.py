@@ -103,6 +103,19 @@ def test_a_frame_that_cannot_start_in_time_is_given_back() -> None:
     assert (bus.counts.transmitted, bus.counts.discarded, one.controllers[0].waiting) == (2, 1, 0)
 
 
+def test_an_expired_frame_is_given_back_while_more_urgent_frames_keep_the_bus() -> None:
+    bus, (one, _) = pair()
+    waits = burst([0x300])
+    waits["expires_ns"] = 500_000
+    bus.submit(one, waits, 0)
+    bus.submit(one, burst([0x100] * 40), 0)
+    events = bus.run_until(1_000_000)
+    assert events.frames["can_id"][events.frames["flags"] == DISCARDED].tolist() == [0x300]
+    assert bus.crowded
+    assert (bus.run_until().frames["can_id"] == 0x100).all()
+    assert (bus.counts.transmitted, bus.counts.discarded, one.controllers[0].waiting) == (40, 1, 0)
+
+
 def test_nothing_is_told_before_its_end_of_frame() -> None:
     bus, (one, _) = pair()
     bus.submit(one, burst([0x181]), 1)

@@ -14,7 +14,7 @@ from dbc.frame import ECHO, Frames, frames
 from gateway.loop import GatewayLoop
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from nodes.segment import Segment
+from nodes.synchronous_segment import SynchronousSegment
 from skin.layout import parse_layout
 from skin.measurement import Sbhe
 from skin.messages import GatewayStatus, Measurement
@@ -182,8 +182,8 @@ class World:
         self.power_up()
         self.gateway = self.new_gateway()
 
-    def new_segment(self, bus: int, contract: Contract) -> Segment:
-        return Segment(
+    def new_segment(self, bus: int, contract: Contract) -> SynchronousSegment:
+        return SynchronousSegment(
             contract,
             bus,
             {node.node_id for node in contract.on_bus(bus)},

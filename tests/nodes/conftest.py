@@ -11,6 +11,7 @@ from dbc.frame import ECHO, Frames, frames
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment
+from nodes.synchronous_segment import SynchronousSegment
 from skin.layout import load_layout
 from skin.sources import Frame
 
@@ -88,6 +89,6 @@ def new_segment(
     """Return nodes of bus0, booted."""
     if sampler is None:
         sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
-    built = Segment(contract, 0, node_ids, link.send, sampler, complain=complain, store=store)
+    built = SynchronousSegment(contract, 0, node_ids, link.send, sampler, complain=complain, store=store)
     built.boot(0.0)
     return built

@@ -9,17 +9,18 @@ from nodes.adaptive.sending import (
     REFRESH,
     SILENT,
     Groups,
-    fill,
     frame_level,
     look,
+    make_payload,
     new_groups,
     noise_threshold_n2,
+    note_sent,
 )
 from skin.walsh import GROUPS, walsh_matrix
 
 LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
 VARIANCE_N2 = np.full(32, 1e-12, np.float32)
-NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE)[0])
+NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE.noise_ratio)[0])
 NOTHING = np.zeros(32, np.float32)
 PRESSED = (walsh_matrix(32) @ np.random.default_rng(0).uniform(0.002, 0.012, 32)).astype(np.float32)
 
@@ -36,8 +37,14 @@ def sent(groups: Groups, now: int, sums_n: np.ndarray) -> list[tuple[int, int, i
     for group in range(GROUPS):
         if groups.level[0, group] != SILENT:
             frames.append((now, group, int(groups.reason[0, group]), bool(groups.is_fine[0, group])))
-            fill(0, group, now, sums_n, RULE, LAW, groups, np.zeros(8, np.uint8))
+            send(groups, group, now, sums_n)
     return frames
+
+
+def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, rule: SendingRule = RULE) -> None:
+    payload = np.zeros(8, np.uint8)
+    make_payload(0, group, sums_n, LAW, groups, payload)
+    note_sent(0, group, now, bool(groups.is_fine[0, group]), rule, LAW, groups, payload)
 
 
 def test_an_idle_node_is_silent() -> None:
@@ -118,4 +125,4 @@ def test_a_node_leaves_time_between_two_frames_of_a_group() -> None:
             if groups.level[0, group] != SILENT:
                 assert now - last.get(group, -9) >= rule.inhibit
                 last[group] = now
-                fill(0, group, now, PRESSED, rule, LAW, groups, np.zeros(8, np.uint8))
+                send(groups, group, now, PRESSED, rule)

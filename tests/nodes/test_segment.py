@@ -7,7 +7,8 @@ import pytest
 
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames
-from nodes.segment import REACTION_NS, Segment
+from nodes.segment import Segment
+from nodes.synchronous_segment import REACTION_NS
 from tests.bus.harness import frame
 from tests.nodes.conftest import ArrayLink, new_segment
 

@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 from bus.link import State
 from dbc.contract import Contract
 from dbc.frame import Frames
+from nodes.adaptive.boards import AdaptiveBoards
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
+from skin.layout import load_layout
 from skin.messages import NodesStatus, Topic, Truth
 from tests.bus.harness import frame
 from tests.nodes.conftest import ArrayLink, Still
@@ -92,3 +95,32 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
     newest = published.statuses[-1]
     assert (newest.frames_sent, newest.frames_dropped, newest.syncs_seen) == (2, 0, 1)
     assert np.frombuffer(published.truths[0].true, "<f4").size == contract.layout.taxels.count
+
+
+def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -> None:
+    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    now_s = 100.0
+    published = Published()
+    blocks = [contract.on_bus(bus)[0].block for bus in links]
+    boards = AdaptiveBoards(contract, blocks, Still(contract))
+    service = NodesService(contract, links, {0: {1}, 1: {1}}, boards, published, clock=lambda: now_s)
+    for segment in service.segments.values():
+        segment.boot(now_s)
+        segment.take(frame(0, bytes((START, 0))), now_s)
+    for link in links.values():
+        link.take_sent()
+    service.turn()
+    samples = boards.decision
+    assert [len(link.take_sent()) for link in links.values()] == [4, 4]
+    for link in links.values():
+        link.put(sync(1, cycle=10_000))
+    for _ in range(30):
+        now_s += 1e-3
+        service.turn()
+    assert boards.decision - samples in {29, 30}
+    assert [truth.step for truth in published.truths] == list(range(published.truths[0].step, 3))
+    assert sum(len(link.take_sent()) for link in links.values()) > 8
+    service.publish_status()
+    newest = published.statuses[-1]
+    assert newest.frames_sent == sum(segment.frames_sent for segment in service.segments.values()) > 0
+    assert (newest.frames_dropped, newest.syncs_seen) == (0, 1)

@@ -29,7 +29,7 @@ def set_up(
 
 
 def change_sums(segment: Segment, by: int) -> None:
-    segment.nodes[0]._sampler.sums[:] += by
+    segment.nodes[0]._boards.sums[:] += by
 
 
 def sent_at(segment: Segment, link: ArrayLink, *counters: int) -> list[int]:
@@ -109,7 +109,7 @@ def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink) ->
         assert write(segment, link, 0x1A00, place, entry, 4) == 0
     assert write(segment, link, 0x1A00, 0, 3, 1) == 0
     set_up(segment, link, every=1)
-    segment.nodes[0]._sampler.sums[:2] = -1, -2
+    segment.nodes[0]._boards.sums[:2] = -1, -2
     payload = segment.nodes[0].tpdos[0].payload(segment.nodes[0].local)
     assert payload.hex() == "ffff00feff"
     assert read(segment, link, 1, 0x2100, 2) == 0xFFFE

@@ -1,0 +1,355 @@
+"""What the controllers of adaptive nodes hold: which frames go to the bus next, and what came of them.
+
+A frame expires about a sample after it was made, so that its payload never gets old: a frame that has not won the bus
+by then comes back, and is made anew of the next sample's sums. A node takes a frame as sent when its echo comes, and
+holds then what a receiver holds.
+"""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from dbc.adaptive import BLOCK_SUMS, FIRST_COB_ID, GROUP_SUMS, LEVELS, TPDOS, Bytes, Companding, SendingRule, tpdo_index
+from dbc.canopen import BASE_ID_MASK
+from dbc.frame import ECHO, ERROR, FRAME, Frames, frames
+from nodes.adaptive.sending import (
+    DETAIL,
+    NEWS,
+    REFRESH,
+    SILENT,
+    Groups,
+    Integers,
+    Numbers,
+    frame_level,
+    look,
+    make_payload,
+    new_groups,
+    note_sent,
+)
+from skin.walsh import GROUPS
+
+#: Bits of a classic frame of 8 bytes at most, with stuff bits and intermission: what a frame takes of a budget.
+FRAME_BITS: Final = 135
+#: A budget can be saved up for so long, and for so many frames at least.
+SAVING_S: Final = 0.25
+SAVED_FRAMES: Final = 2 * GROUPS
+#: Details leave so much of a saved budget that every group can send a coarse frame.
+KEPT_BITS: Final = GROUPS * FRAME_BITS
+#: A frame is given up for lost, with its echo, so long after it has expired.
+LOST_NS: Final = 500_000_000
+#: `Mailboxes.cob_id` of a TPDO that does not exist.
+NO_COB_ID: Final = 0
+#: Columns of `Mailboxes.counts`.
+SENT, REFUSED = range(2)
+_LONG_AGO: Final = -(1 << 40)
+_ROUNDING: Final = SendingRule._fields.index("rounding")
+#: Places of fields in the bytes of a frame.
+_CAN_ID, _LENGTH, _FLAGS, _DATA = (
+    int(FRAME.fields[name][1])  # type: ignore[index]  # FRAME has fields
+    for name in ("can_id", "length", "flags", "data")
+)
+_PLAIN: Final = ECHO | ERROR
+
+
+class Mailboxes(NamedTuple):
+    """The controllers of some nodes.
+
+    Attributes
+    ----------
+    cob_id, inhibit, made_at : arrays of int64, shape (nodes, TPDOS)
+        Identifier of each TPDO, or `NO_COB_ID`; its inhibit time and the sample of its newest frame, in samples.
+    budget, saved : arrays of float64, shape (nodes,)
+        Bits a second that a node may send, 0 for no limit, and bits that it has saved up.
+    counts : array of int64, shape (nodes, 2)
+        Frames sent, and frames that found no room in the transmit queue.
+    """
+
+    cob_id: Integers
+    inhibit: Integers
+    made_at: Integers
+    budget: Numbers
+    saved: Numbers
+    counts: Integers
+
+
+def new_mailboxes(nodes: int) -> Mailboxes:
+    """Return the controllers of nodes that have sent nothing and have no limit."""
+    return Mailboxes(
+        cob_id=np.full((nodes, TPDOS), NO_COB_ID, np.int64),
+        inhibit=np.zeros((nodes, TPDOS), np.int64),
+        made_at=np.full((nodes, TPDOS), _LONG_AGO, np.int64),
+        budget=np.zeros(nodes),
+        saved=np.zeros(nodes),
+        counts=np.zeros((nodes, 2), np.int64),
+    )
+
+
+class Chosen(NamedTuple):
+    """Room for the frames that a bus gets next.
+
+    Attributes
+    ----------
+    can_id, node, group : arrays of int64, shape (frames,)
+    payload : array of uint8, shape (frames, GROUP_SUMS)
+    """
+
+    can_id: Integers
+    node: Integers
+    group: Integers
+    payload: Bytes
+
+
+def room_for(count: int) -> Chosen:
+    """Return room for so many frames."""
+    can_id, node, group = np.zeros((3, count), np.int64)
+    return Chosen(can_id, node, group, np.zeros((count, GROUP_SUMS), np.uint8))
+
+
+@njit(cache=True, nogil=True)
+def rule_of(rules: Numbers, node: int) -> SendingRule:
+    """Return a node's row of an array of rules, shape (nodes, 12)."""
+    row = rules[node]
+    return SendingRule(
+        row[0],
+        row[1],
+        row[2],
+        row[3],
+        row[4],
+        int(row[5]),
+        row[6],
+        int(row[7]),
+        int(row[8]),
+        int(row[9]),
+        int(row[10]),
+        int(row[11]),
+    )
+
+
+@njit(cache=True, nogil=True)
+def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
+    now: int,
+    now_ns: int,
+    passed_s: float,
+    is_operational: npt.NDArray[np.bool_],
+    sums_n: npt.NDArray[np.float32],
+    variance_n2: npt.NDArray[np.float32],
+    noise_n2: Numbers,
+    rules: Numbers,
+    law: Companding,
+    groups: Groups,
+    boxes: Mailboxes,
+    has_due: npt.NDArray[np.bool_],
+) -> None:
+    """Decide what each node is to send, as `nodes.adaptive.sending.look`; save up budgets.
+
+    Parameters
+    ----------
+    passed_s : float
+        Time since the last decision.
+    has_due : array of bool, shape (nodes,)
+        Written: whether a node has anything to send.
+    """
+    budget, saved, under_way, level = boxes.budget, boxes.saved, groups.under_way, groups.level
+    for node in range(is_operational.size):
+        has_due[node] = False
+        if budget[node] > 0:
+            most = max(SAVED_FRAMES * FRAME_BITS, budget[node] * SAVING_S)
+            saved[node] = min(most, saved[node] + budget[node] * passed_s)
+        if not is_operational[node]:
+            continue
+        for group in range(GROUPS):
+            if 0 < under_way[node, group] < now_ns:
+                under_way[node, group] = 0
+    _find_quiet(now, is_operational, sums_n, rules, law, groups, has_due)
+    for node in range(is_operational.size):
+        if has_due[node]:
+            has_due[node] = False
+            look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule_of(rules, node), law, groups)
+            for group in range(GROUPS):
+                is_free = under_way[node, group] == 0
+                has_due[node] = has_due[node] or (is_free and level[node, group] != SILENT)
+
+
+@njit(cache=True, nogil=True)
+def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
+    now: int,
+    is_operational: npt.NDArray[np.bool_],
+    sums_n: npt.NDArray[np.float32],
+    rules: Numbers,
+    law: Companding,
+    groups: Groups,
+    needs_look: npt.NDArray[np.bool_],
+) -> None:
+    """Decide for groups that show what is known and need no refresh: nothing. Tell which nodes have others.
+
+    Most nodes have none, and `look` takes longer.
+    """
+    known_n, refreshes, refresh_at = groups.known_n, groups.refreshes, groups.refresh_at
+    since, level, reason, is_fine, under_way = (
+        groups.since,
+        groups.level,
+        groups.reason,
+        groups.is_fine,
+        groups.under_way,
+    )
+    for node in range(is_operational.size):
+        if not is_operational[node]:
+            continue
+        bound = rules[node, _ROUNDING] * law.fine_n
+        for group in range(GROUPS):
+            largest = 0.0
+            for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
+                largest = max(largest, abs(sums_n[node, place] - known_n[node, place]))
+            if under_way[node, group] > 0:
+                continue
+            if largest > bound or (refreshes[node, group] > 0 and now >= refresh_at[node, group]):
+                needs_look[node] = True
+            else:
+                since[node, group], level[node, group] = -1, SILENT
+                reason[node, group], is_fine[node, group] = NEWS, 0
+
+
+@njit(cache=True, nogil=True)
+def choose(  # noqa: PLR0917  compiled functions take no keywords
+    first: int,
+    last: int,
+    now: int,
+    until_ns: int,
+    most: int,
+    sums_n: npt.NDArray[np.float32],
+    law: Companding,
+    groups: Groups,
+    boxes: Mailboxes,
+    has_due: npt.NDArray[np.bool_],
+    chosen: Chosen,
+) -> int:
+    """Make the most urgent frames of nodes `first` to `last` - 1, at most `most`, and return how many.
+
+    The frames, which expire at `until_ns`, are under way from now on.
+    """
+    keys, count = np.empty((last - first) * GROUPS, np.int64), 0
+    for node in range(first, last):
+        if has_due[node]:
+            for group in range(GROUPS):
+                if groups.level[node, group] == SILENT or groups.under_way[node, group] > 0:
+                    continue
+                tpdo = _tpdo(node, group, groups)
+                cob_id = boxes.cob_id[node, tpdo]
+                if cob_id != NO_COB_ID and now - boxes.made_at[node, tpdo] >= boxes.inhibit[node, tpdo]:
+                    keys[count] = (cob_id << 32) + node * GROUPS + group
+                    count += 1
+    keys[:count].sort()
+    done = 0
+    for key in keys[:count]:
+        place = key & 0xFFFFFFFF
+        node, group = place // GROUPS, place % GROUPS
+        if done == most:
+            break
+        if _has_budget(node, group, groups, boxes):
+            boxes.made_at[node, _tpdo(node, group, groups)] = now
+            boxes.saved[node] -= FRAME_BITS
+            make_payload(node, group, sums_n[node], law, groups, chosen.payload[done])
+            groups.under_way[node, group] = until_ns + LOST_NS
+            chosen.can_id[done], chosen.node[done], chosen.group[done] = key >> 32, node, group
+            done += 1
+    return done
+
+
+@njit(cache=True, nogil=True)
+def give_back(node: int, group: int, groups: Groups, boxes: Mailboxes) -> None:
+    """Take note of a frame that was not sent."""
+    if groups.under_way[node, group] > 0:
+        groups.under_way[node, group] = 0
+        boxes.made_at[node, _tpdo(node, group, groups)] = _LONG_AGO
+        boxes.saved[node] += FRAME_BITS
+
+
+@njit(cache=True, nogil=True)
+def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
+    rows: npt.NDArray[np.uint8],
+    place_of: npt.NDArray[np.int64],
+    now: int,
+    rules: Numbers,
+    law: Companding,
+    groups: Groups,
+    boxes: Mailboxes,
+) -> tuple[int, int]:
+    """Take note of the nodes' own frames among received ones; return how many were sent, and the number of others.
+
+    Parameters
+    ----------
+    rows : array of uint8, shape (n, bytes of FRAME)
+    place_of : array of int64, shape (BASE_ID_MASK + 1,)
+        TPDOS · node + TPDO of an identifier, -1 for all others.
+    """
+    sent, others = 0, 0
+    for row in rows:
+        can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
+        flags = int(row[_FLAGS])
+        place = place_of[can_id] if can_id <= BASE_ID_MASK else -1
+        if place < 0 or flags & ECHO == 0 or flags & ~_PLAIN != 0 or row[_LENGTH] != GROUP_SUMS:
+            others += 1
+            continue
+        node, tpdo = place // TPDOS, place % TPDOS
+        group = tpdo % GROUPS
+        if flags & ERROR:
+            give_back(node, group, groups, boxes)
+            continue
+        sent += 1
+        boxes.counts[node, SENT] += 1
+        payload = row[_DATA : _DATA + GROUP_SUMS]
+        note_sent(node, group, now, tpdo >= GROUPS * LEVELS, rule_of(rules, node), law, groups, payload)
+        groups.under_way[node, group] = 0
+    return sent, others
+
+
+@njit(cache=True, nogil=True)
+def _tpdo(node: int, group: int, groups: Groups) -> int:
+    return int(tpdo_index(frame_level(node, group, groups), group, groups.is_fine[node, group] == 1))
+
+
+@njit(cache=True, nogil=True)
+def _has_budget(node: int, group: int, groups: Groups, boxes: Mailboxes) -> bool:
+    """Tell whether a node may send: refreshes always, news while bits are left, details while news would find some."""
+    reason = groups.reason[node, group]
+    if boxes.budget[node] == 0 or reason == REFRESH:
+        return True
+    kept = KEPT_BITS if reason == DETAIL else 0
+    return bool(boxes.saved[node] >= FRAME_BITS + kept)
+
+
+def compile_all(law: Companding) -> None:
+    """Compile what runs every millisecond, so that no bus waits for it: one frame of one node, there and back."""
+    groups, boxes, room, sent = new_groups(1), new_mailboxes(1), room_for(1), frames(1)
+    boxes.cob_id[:] = sent["can_id"] = FIRST_COB_ID
+    groups.refreshes[:], groups.refresh_at[:] = 1, 0
+    sums_n, rules = np.zeros((1, BLOCK_SUMS), np.float32), np.array([SendingRule()], np.float64)
+    yes = np.ones(1, np.bool_)
+    look_at_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, boxes, yes)
+    choose(0, 1, 1, 1, 1, sums_n, law, groups, boxes, yes, room)
+    give_back(0, 0, groups, boxes)
+    take_echoes(rows_of(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, boxes)
+
+
+def rows_of(arrived: Frames) -> npt.NDArray[np.uint8]:
+    """Return frames as rows of bytes."""
+    return np.ascontiguousarray(arrived).view(np.uint8).reshape(len(arrived), FRAME.itemsize)
+
+
+def present_codes(sums_n: Any, law: Companding, groups: Groups, node: int) -> tuple[Bytes, Bytes]:
+    """Return a node's coarse and fine payloads of the present sums: the contents of 2110h and 2111h.
+
+    Returns
+    -------
+    coarse : array of uint8, shape (BLOCK_SUMS,)
+    fine : array of uint8, shape (GROUPS, GROUP_SUMS)
+    """
+    shown = Groups._make(each[node : node + 1].copy() for each in groups)
+    coarse, fine = np.zeros((GROUPS, GROUP_SUMS), np.uint8), np.zeros((GROUPS, GROUP_SUMS), np.uint8)
+    for is_fine, payloads in enumerate((coarse, fine)):
+        shown.is_fine[:] = is_fine
+        for group in range(GROUPS):
+            make_payload(0, group, sums_n, law, shown, payloads[group])
+    return coarse.reshape(BLOCK_SUMS), fine

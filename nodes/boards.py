@@ -1,0 +1,87 @@
+"""What the nodes of a process share: the calibration and the test patterns of their blocks."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
+from nodes.electronics import PATTERN_OFF, Calibration
+from skin.measurement import Sbhe
+from skin.messages import Truth
+
+#: When a synchronous node has to do something by itself: never.
+NEVER_S = float("inf")
+
+
+class Boards(ABC):
+    """The boards of a skin, as their nodes see them.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    calibration : Calibration
+    """
+
+    def __init__(self, phi: Sbhe, calibration: Calibration) -> None:
+        self._phi = phi
+        self._calibration = calibration
+        self._patterns = np.full(phi.blocks, PATTERN_OFF, np.uint8)
+
+    @property
+    @abstractmethod
+    def sums(self) -> npt.NDArray[np.int32]:
+        """The newest sums, shape (m,)."""
+
+    @abstractmethod
+    def counts(self, block: int) -> npt.NDArray[np.int32]:
+        """Return what the taxels of a block read last, in counts."""
+
+    @abstractmethod
+    def take_truth(self) -> Truth | None:
+        """Return the oldest truth that was not returned yet."""
+
+    @property
+    def due_s(self) -> float:
+        """When something has to be done that no frame asks for, in monotonic seconds."""
+        return NEVER_S
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Do beforehand what a SYNC will ask for."""
+
+    def first_sum(self, block: int) -> int:
+        """Return the index of the first sum of `block`."""
+        return int(self._phi.starts[block])
+
+    def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
+        """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
+        size, chain = self._phi.block_size, self._chain(block)
+        if index == OD_GAIN and 1 <= subindex <= size:
+            self._calibration.gain[chain[subindex - 1]] = value
+        elif index == OD_OFFSET and 1 <= subindex <= size:
+            self._calibration.offset[chain[subindex - 1]] = value
+        elif index == OD_TEST_PATTERN:
+            self._calibration.set_pattern(chain, int(value))
+            self._patterns[block] = int(value)
+
+    def reset(self, block: int) -> None:
+        """Set a block to the defaults: gain 1, offset 0, no test pattern."""
+        chain = self._chain(block)
+        self._calibration.gain[chain] = 1
+        self._calibration.offset[chain] = 0
+        self._calibration.set_pattern(chain, PATTERN_OFF)
+        self._patterns[block] = PATTERN_OFF
+
+    def pattern(self, block: int) -> int:
+        """Return the test pattern of a block."""
+        return int(self._patterns[block])
+
+    def saturated(self, block: int) -> int:
+        """Count the taxels of `block` at the top of their range."""
+        return int((self.counts(block) >= self._calibration.taxels.count_max).sum())
+
+    def _chain(self, block: int) -> npt.NDArray[np.intp]:
+        """Return the taxels of a block in chain order."""
+        size = self._phi.block_size
+        return self._phi.order[block * size : (block + 1) * size]

@@ -1,0 +1,117 @@
+"""Nodes that send sums at every SYNC, as one burst."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from bus.link import DISCARDED, Send
+from dbc.canopen import HIGHEST_NODE_ID, Emergency, NmtState
+from dbc.contract import Contract, NodeContract
+from dbc.frame import Frames
+from dbc.frame_bits import frame_time_ns
+from dbc.indices import OD_WINDOW_US
+from nodes.burst import Burst
+from nodes.node import SkinNode
+from nodes.sampler import Sampler
+from nodes.segment import Segment
+from nodes.tpdo import Tpdo
+
+#: Time from the end of the SYNC frame to a node's answer, on the clock of the bus; typical of a microcontroller.
+REACTION_NS: Final = 100_000
+#: The next SYNC is expected within these times after the last SYNC, in periods.
+QUIET_FROM, QUIET_TO = 0.7, 2.0
+#: Window when 1007h is 0: no limit.
+NO_WINDOW_NS: Final = 1 << 62
+
+
+class SynchronousSegment(Segment):
+    """The synchronous nodes of one bus; parameters as for `Segment`."""
+
+    def __init__(
+        self,
+        contract: Contract,
+        bus: int,
+        node_ids: Collection[int],
+        send: Send,
+        sampler: Sampler,
+        *,
+        complain: Callable[[str], None],
+        store: Path | None = None,
+    ) -> None:
+        wires = contract.layout.bus[bus]
+        self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
+        self._sampler = sampler
+        self._sent = self._dropped = 0
+        # Latest start of a frame after the SYNC, so that the frame ends inside the window.
+        self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
+        super().__init__(contract, bus, node_ids, send, sampler, complain=complain, store=store)
+
+    @property
+    def frames_sent(self) -> int:
+        """Number of TPDOs that the controllers accepted and did not discard."""
+        return self._sent + self._network.pdos_sent
+
+    @property
+    def frames_dropped(self) -> int:
+        """Number of TPDOs that the controllers refused, or could not send within the window."""
+        return self._dropped + self._network.pdos_dropped
+
+    def tick(self, now_s: float) -> None:
+        """Do what is due by time, but not while the next SYNC is expected.
+
+        A heartbeat sent while a SYNC waits to be read would delay the burst that answers this SYNC.
+        """
+        since_s = now_s - self.sync_at_s
+        if not QUIET_FROM * self._period_s < since_s < QUIET_TO * self._period_s:
+            super().tick(now_s)
+
+    def take(self, arrived: Frames, now_s: float) -> None:
+        """Handle received frames in their order, with echoes of sent frames and discarded frames."""
+        self._count_expired(arrived[arrived["flags"] & DISCARDED == DISCARDED])
+        super().take(arrived, now_s)
+
+    def _answer(self, counter: int, time_ns: int) -> None:
+        sums = self._sampler.sample(counter, time_ns)
+        operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
+        burst = self._burst.frames(counter, sums, operational)
+        burst["time_ns"] = time_ns + REACTION_NS
+        burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
+        accepted = self._send(burst)
+        self._sent += accepted
+        self._dropped += len(burst) - accepted
+        for node_id, sent in zip(*np.unique(burst["port"][:accepted], return_counts=True), strict=True):
+            self._by_id[int(node_id)].health[1] += sent
+        for node, tpdo in self._mixed:
+            if node.state is NmtState.OPERATIONAL:
+                payload = tpdo.at_sync(counter, node.local)
+                if payload is not None:
+                    node.send(tpdo, payload)
+
+    def _count_expired(self, unsent: Frames) -> None:
+        """Count and report the TPDOs that could not be sent within the window (1007h)."""
+        if not len(unsent):
+            return
+        unsent = unsent[np.isin(unsent["can_id"], self._pdo_ids)]  # a controller in bus-off discards other frames, too
+        self._sent -= len(unsent)
+        self._dropped += len(unsent)
+        for node_id, count in zip(*np.unique(unsent["port"], return_counts=True), strict=True):
+            node = self._by_id.get(int(node_id))
+            if node is not None:
+                node.health[2] += count
+                node.emcy.raised(Emergency.WINDOW_MISSED, int(node.health[2]))
+
+    def _compile(self, changed: Collection[SkinNode]) -> None:
+        """Split the TPDOs into plain TPDOs, which `Burst` sends as arrays, and the others."""
+        super()._compile(changed)
+        plain: list[tuple[int, NodeContract, Tpdo]] = []
+        self._mixed: list[tuple[SkinNode, Tpdo]] = []
+        self._pdo_ids = [tpdo.cob_id for node in self.nodes for tpdo in node.tpdos]
+        for place, node in enumerate(self.nodes):
+            window_us = node.local.unsigned(OD_WINDOW_US)
+            latest_ns = max(1, window_us * 1000 - self._frame_ns) if window_us else NO_WINDOW_NS
+            self._window_ns[node.contract.node_id] = latest_ns
+            plain += [(place, node.contract, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
+            self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
+        self._burst = Burst(self._contract, plain)
