@@ -1,7 +1,8 @@
 """The objects of a node that the gateway compares before it uses the node's sums, and their signature.
 
 A TPDO does not tell its mapping. A block is valid only while these objects are known to have the values of the
-contract: identity, identifiers, mapping, SYNC, test pattern, Φ.
+contract: identity, identifiers, mapping, SYNC, test pattern, Φ, and the code of adaptive sums (2007h). What a node
+learns, and when it sends (2030h to 2035h), does not alter what a frame means.
 """
 
 import struct
@@ -15,6 +16,7 @@ from dbc.dictionary import Object, dictionary
 from dbc.indices import (
     BITS,
     OD_BLOCK,
+    OD_COMPANDING,
     OD_CYCLE_PERIOD_US,
     OD_EMCY_COB_ID,
     OD_ENCODING,
@@ -28,6 +30,7 @@ from dbc.indices import (
     OD_TPDO_COMMUNICATION,
     OD_TPDO_MAPPING,
     OD_WINDOW_US,
+    REAL32,
     SIGNED,
     VISIBLE_STRING,
     split_block,
@@ -47,6 +50,7 @@ _WHOLE: Final = (
     OD_BLOCK,
     OD_PHI_FINGERPRINT,
     OD_ENCODING,
+    OD_COMPANDING,
 )
 
 #: Shortest time of a round, see `proof_period_s`.
@@ -138,6 +142,8 @@ def _setting(each: Object) -> Setting:
     is_text = each.data_type == VISIBLE_STRING
     if is_text:
         data = str(each.value).encode("ascii")
+    elif each.data_type == REAL32:
+        data = struct.pack("<f", each.value)
     else:
         data = int(each.value).to_bytes(BITS[each.data_type] // 8, "little", signed=each.data_type in SIGNED)
     name = f"{each.group}, {each.name}" if each.group else each.name

@@ -10,11 +10,12 @@ from typing import Final, Literal
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
 from dbc.canopen import COB_ID_NO_RTR, EMCY_BASE, EVENT_MANUFACTURER, SYNC_COB_ID
-from dbc.contract import CLASSIC_BYTES, PHASES, SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
+from dbc.contract import PHASES, SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.indices import (
     INTEGER8,
     INTEGER16,
     OD_BLOCK,
+    OD_BUDGET,
     OD_COARSE,
     OD_COEFFICIENT_NOISE,
     OD_COMPANDING,
@@ -34,6 +35,7 @@ from dbc.indices import (
     OD_HEALTH,
     OD_HEARTBEAT_MS,
     OD_IDENTITY,
+    OD_NODE_NOISE,
     OD_OFFSET,
     OD_PHI_FINGERPRINT,
     OD_PHI_SEED,
@@ -160,12 +162,16 @@ def _identity(node: NodeContract) -> list[Object]:
 
 @dataclass(frozen=True)
 class _Communication:
-    """Values of a TPDO communication record: COB-ID, transmission type, inhibit time, SYNC start value."""
+    """Values of a TPDO communication record: COB-ID, transmission type, inhibit time, SYNC start value.
+
+    A fixed TPDO has one transmission type, and neither event timer nor SYNC start value.
+    """
 
     cob_id: int
     transmission_type: int
     inhibit_100us: int = 0
     start: int = 0
+    is_fixed: bool = False
 
 
 def _synchronous(tpdo: Tpdo) -> _Communication:
@@ -173,31 +179,32 @@ def _synchronous(tpdo: Tpdo) -> _Communication:
 
 
 def _adaptive(tpdo: AdaptiveTpdo) -> _Communication:
-    return _Communication(tpdo.cob_id, EVENT_MANUFACTURER, inhibit_100us=INHIBIT_100US)
+    return _Communication(tpdo.cob_id, EVENT_MANUFACTURER, inhibit_100us=INHIBIT_100US, is_fixed=True)
 
 
 def _tpdo_communication(number: int, values: _Communication) -> list[Object]:
     """Return the communication record (from 1800h); the RTR bit is set: remote frames are not answered."""
     index, group = OD_TPDO_COMMUNICATION + number - 1, f"TPDO {number} communication parameter"
+    timing: Access = "const" if values.is_fixed else "rw"
     entries: tuple[tuple[int, str, int, Access, int], ...] = (
         (0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 6),
         (1, "COB-ID used by TPDO", UNSIGNED32, "rw", COB_ID_NO_RTR | values.cob_id),
-        (2, "Transmission type", UNSIGNED8, "rw", values.transmission_type),
+        (2, "Transmission type", UNSIGNED8, timing, values.transmission_type),
         (3, "Inhibit time", UNSIGNED16, "rw", values.inhibit_100us),
-        (5, "Event timer", UNSIGNED16, "rw", 0),
-        (6, "SYNC start value", UNSIGNED8, "rw", values.start),
+        (5, "Event timer", UNSIGNED16, timing, 0),
+        (6, "SYNC start value", UNSIGNED8, timing, values.start),
     )
     return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
 
 
 def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
-    """Return the mapping record of an adaptive TPDO: eight coarse bytes of a group, or its 64 fine bits."""
+    """Return the fixed mapping of an adaptive TPDO: eight coarse bytes of a group, or its 64 fine bits."""
     if tpdo.is_fine:
         mapped = [OD_FINE << 16 | (tpdo.group + 1) << 8 | 64]
     else:
         mapped = [OD_COARSE << 16 | place << 8 | 8 for place in _places(BLOCK_SUMS)[GROUP_SUMS * tpdo.group :]]
         mapped = mapped[:GROUP_SUMS]
-    return _mapping(tpdo.number, len(mapped), mapped + [0] * (CLASSIC_BYTES - len(mapped)))
+    return _mapping(tpdo.number, len(mapped), mapped, "const")
 
 
 def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
@@ -210,13 +217,13 @@ def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Ob
     return _mapping(tpdo.number, tpdo.sums, mapped + [0] * (node.pdo_bytes - tpdo.sums))
 
 
-def _mapping(number: int, count: int, mapped: list[int]) -> list[Object]:
-    """Return the mapping record of TPDO `number`: `count` objects, and room for as many as a frame has bytes."""
+def _mapping(number: int, count: int, mapped: list[int], access: Access = "rw") -> list[Object]:
+    """Return the mapping record of TPDO `number`: `count` objects, and room for as many as `mapped` has."""
     index, group = OD_TPDO_MAPPING + number - 1, f"TPDO {number} mapping parameter"
     return [
-        Object(index, 0, "Number of mapped objects", UNSIGNED8, "rw", count, group=group),
+        Object(index, 0, "Number of mapped objects", UNSIGNED8, access, count, group=group),
         *(
-            Object(index, place, f"Mapped object {place}", UNSIGNED32, "rw", entry, group=group)
+            Object(index, place, f"Mapped object {place}", UNSIGNED32, access, entry, group=group)
             for place, entry in enumerate(mapped, 1)
         ),
     ]
@@ -261,6 +268,9 @@ def _adaptive_objects(contract: Contract) -> list[Object]:
         # 0: learned by the node.
         *_array(OD_COEFFICIENT_NOISE, "Noise of coefficients in newtons", coefficients, REAL32, "rw", value=0.0),
         *_array(OD_TAXEL_NOISE, "Noise of taxels in newtons", taxels, REAL32, "rw", value=0.0),
+        # 0: none.
+        Object(OD_BUDGET, None, "Budget in bits per second", UNSIGNED32, "rw", 0),
+        Object(OD_NODE_NOISE, None, "Noise of the node in newtons", REAL32, "ro", 0.0),
         *_array(OD_COARSE, "Coarse codes", coarse, UNSIGNED8, "ro", pdo=True),
         *_array(OD_FINE, "Fine codes", fine, UNSIGNED64, "ro", pdo=True),
     ]

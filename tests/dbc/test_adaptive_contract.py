@@ -1,5 +1,6 @@
 """The contract of adaptive nodes: identifiers by urgency, mapping, and a .dbc that other programs read."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,14 @@ def test_proof_covers_identifiers_and_mapping_of_all_frames(contract: Contract) 
     covered = {(each.index, each.subindex) for each in configuration(contract, contract.nodes[0])}
     for number in range(TPDOS):
         assert {(0x1800 + number, 1), (0x1800 + number, 2), (0x1A00 + number, 0), (0x1A00 + number, 1)} <= covered
+
+
+def test_proof_covers_what_frames_mean_and_not_what_a_node_learns(contract: Contract) -> None:
+    settings = {(each.index, each.subindex): each for each in configuration(contract, contract.nodes[0])}
+    assert {index for index, _ in settings if 0x2007 <= index < 0x2020} == {0x2007}
+    assert not [index for index, _ in settings if 0x2030 <= index <= 0x2035]
+    slopes = [struct.unpack("<f", settings[0x2007, place].data)[0] for place in (1, 3)]
+    assert slopes == pytest.approx([contract.law.mean_slope, contract.law.slope])
 
 
 def read(contract: Contract) -> Any:
