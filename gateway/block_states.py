@@ -83,7 +83,7 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
             is_held = sums.check[block, group] != NO_CHECK
             if has_changed[block, group]:
                 has_changed[block, group] = False
-                _show(block, group, is_held, newton_per_count, sums, shown)
+                _show(block, group, newton_per_count, sums, shown)
             if not is_held:
                 unknown |= 1 << group
             newest_ns = max(newest_ns, sums.seen_ns[block, group])
@@ -103,7 +103,8 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
 
 
 @njit(cache=True, nogil=True)
-def _show(block: int, group: int, is_held: bool, newton_per_count: float, sums: BusSums, shown: BlockStates) -> None:
+def _show(block: int, group: int, newton_per_count: float, sums: BusSums, shown: BlockStates) -> None:
+    is_held = sums.check[block, group] != NO_CHECK
     for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
         row = _PLACES[place]
         shown.sums[block, row] = round(sums.value_n[block, place] / newton_per_count) if is_held else 0

@@ -154,9 +154,7 @@ class GatewayLoop:
         if due_s is None:
             return []
         sync_ns = round(due_s * 1e9)
-        closed = self.gathering.begin(
-            Sync(self.sync.sent, self.sync.counter, due_s, sync_ns, sync_ns + wall_offset_ns)
-        )
+        closed = self.gathering.begin(Sync(self.sync.sent, self.sync.counter, due_s, sync_ns, sync_ns + wall_offset_ns))
         sync = one_frame(SYNC_COB_ID, bytes((self.sync.counter,)))
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
