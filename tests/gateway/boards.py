@@ -67,22 +67,23 @@ class Board:
         self.objects[OD_SIGNATURE, 0] = expected_signature(settings).to_bytes(4, "little")
         self.objects[OD_NODE_NOISE, 0] = struct.pack("<f", 1e-4 * (node.block + 1))
         self.sums_n = np.zeros(32, np.float32)
+        #: Times and groups of requests to send again.
         self.asked: list[tuple[float, int]] = []
-        self.answers = True
+        #: What is left of an answer in segments.
+        self.rest = b""
+        #: Frames with sums so far.
+        self.sent = 0
+        self.answers, self.speaks, self.beats = True, True, True
         self.boot()
 
     def boot(self) -> None:
         self.groups: Groups = new_groups(1)
+        self.forced = 0
         self.state, self.beat_s, self.is_up = NmtState.PRE_OPERATIONAL, 0.0, False
 
     def again(self, groups: int) -> None:
-        for group in range(GROUPS):
-            if groups >> group & 1:
-                self.groups.refresh_at[0, group] = -1
-                self.groups.level[0, group] = 0
-                self.forced |= 1 << group
-
-    forced = 0
+        """Send groups in coarse frames."""
+        self.forced |= groups
 
     def tick(self, now_s: float) -> Frames:
         """Return what the board sends now."""
@@ -90,10 +91,10 @@ class Board:
         if not self.is_up:
             self.is_up, self.beat_s = True, now_s + HEARTBEAT_S
             return frame(HEARTBEAT_BASE + node_id, b"\0")
-        if now_s >= self.beat_s:
+        if now_s >= self.beat_s and self.beats:
             self.beat_s += HEARTBEAT_S
             out.append(frame(HEARTBEAT_BASE + node_id, bytes((self.state,))))
-        if self.state is NmtState.OPERATIONAL:
+        if self.state is NmtState.OPERATIONAL and self.speaks:
             out += self.send(round(now_s * 1e3))
         return np.concatenate(out) if out else frames(0)
 
@@ -109,6 +110,7 @@ class Board:
                 fill(0, group, now, self.sums_n, RULE, self.law, groups, payload)
                 out.append(frame(can_id, payload.tobytes()))
         self.forced = 0
+        self.sent += len(out)
         return out
 
     def take(self, arrived: Frames, now_s: float) -> Frames:
@@ -140,9 +142,15 @@ class Board:
             else:
                 self.objects[key] = value
             return b"\x60" + place + bytes(4)
+        if data[0] & 0xE0 == 0x60:
+            part, self.rest = self.rest[:7], self.rest[7:]
+            return bytes((data[0] & 0x10 | 7 - len(part) << 1 | (not self.rest),)) + part.ljust(7, b"\0")
         value = self.objects.get(key)
-        if value is None or len(value) > 4:
+        if value is None:
             return b"\x80" + place + NO_OBJECT.to_bytes(4, "little")
+        if len(value) > 4:
+            self.rest = value
+            return b"\x41" + place + len(value).to_bytes(4, "little")
         return bytes((0x43 | 4 - len(value) << 2,)) + place + value.ljust(4, b"\0")
 
 
@@ -190,7 +198,7 @@ class BoardWorld:
     def carry(self) -> None:
         for wire in self.wires:
             wire.now_ns = round(self.now_s * 1e9)
-        while any([wire.deliver() for wire in self.wires]):
+        while sum(wire.deliver() for wire in self.wires) or any(wire.gateway.has_news for wire in self.wires):
             for bus, wire in enumerate(self.wires):
                 arrived = wire.nodes.receive()
                 for board in self.boards:
