@@ -87,7 +87,7 @@ class AdaptiveGathering:
     @property
     def counts(self) -> FrameCounts:
         """What became of the frames."""
-        total = sum(bus.sums.counts for bus in self._buses.values()).tolist()
+        total = np.sum([bus.sums.counts for bus in self._buses.values()], axis=0).tolist()
         return FrameCounts(
             accepted=total[USED],
             malformed=total[MALFORMED],

@@ -70,7 +70,15 @@ class BusSums(NamedTuple):
 
     def of(self, nodes: slice) -> "BusSums":
         """Return a view of some nodes, with counts of its own."""
-        return BusSums(*(each[nodes] for each in self[:-1]), counts=np.zeros_like(self.counts))
+        return BusSums(
+            value_n=self.value_n[nodes],
+            coarse_n=self.coarse_n[nodes],
+            check=self.check[nodes],
+            is_lost=self.is_lost[nodes],
+            coarse_ns=self.coarse_ns[nodes],
+            seen_ns=self.seen_ns[nodes],
+            counts=np.zeros_like(self.counts),
+        )
 
 
 #: Places of `BusSums.counts`.
@@ -139,7 +147,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     has_changed : array of bool, shape (nodes, GROUPS)
         Set for groups of which a frame was used.
     """
-    newest_ns = NEVER_NS
+    newest_ns: int = NEVER_NS
     if has_gap:
         sums.is_lost[:] = True
     for place in range(rows.shape[0]):
@@ -160,10 +168,10 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         for byte in range(8):
             ended_ns |= np.int64(row[_ENDED + byte]) << np.int64(8 * byte)
         used, unrefined, group = sums.counts[USED], sums.counts[UNREFINED], index % GROUPS
-        take(can_id, int(row[_LENGTH]), row[_DATA : _DATA + GROUP_SUMS], ended_ns, law, sums)
+        take(can_id, int(row[_LENGTH]), row[_DATA : _DATA + GROUP_SUMS], int(ended_ns), law, sums)
         if sums.counts[USED] > used:
             has_changed[node, group] = True
-            newest_ns = max(newest_ns, ended_ns)
+            newest_ns = max(newest_ns, int(ended_ns))
         if has_gap or sums.counts[UNREFINED] > unrefined:
             sums.is_lost[node, group] = True
     return newest_ns

@@ -4,7 +4,7 @@ Few nodes of a bus are asked at the same time, and each at growing pauses, so th
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Final
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH
 from gateway.nmt_master import TICK_S, NmtMaster
-from gateway.sdo import Dialogue, Read, SdoDialogue, Write
+from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
 #: Pause after each request for groups to the same node; the last pause follows every further request.
 REQUEST_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)
@@ -26,6 +26,7 @@ MOST_ASKED: Final = 4
 NOISE_PERIOD_S: Final = 10.0
 
 Groups = npt.NDArray[np.uint8]
+_Steps = Generator[Transfer, bytes, None]
 
 
 class Errands:
@@ -89,7 +90,7 @@ class Errands:
         if now_s >= self._noise_s[oldest] and self._ask(oldest, self._noise(oldest), now_s):
             self._noise_s[oldest] = now_s + NOISE_PERIOD_S
 
-    def _ask(self, node: int, steps: Dialogue, now_s: float) -> bool:
+    def _ask(self, node: int, steps: _Steps, now_s: float) -> bool:
         if len(self._open) >= MOST_ASKED:
             return False
         dialogue = self._master.ask(self._ids[node], steps, now_s)
@@ -97,7 +98,7 @@ class Errands:
             self._open.append((self._ids[node], dialogue))
         return dialogue is not None
 
-    def _noise(self, node: int) -> Dialogue:
+    def _noise(self, node: int) -> _Steps:
         """Read a node's noise; a node without one (0) is not counted."""
         data = yield Read(OD_NODE_NOISE)
         if len(data) == struct.calcsize("<f"):
@@ -106,6 +107,6 @@ class Errands:
                 self._take_noise(node, noise_n)
 
 
-def _refresh(groups: int) -> Dialogue:
+def _refresh(groups: int) -> _Steps:
     """Ask a node to send groups again."""
     yield Write(OD_REFRESH, 0, bytes((groups,)))

@@ -254,3 +254,13 @@ def sums_of(measurement: Measurement, block: int) -> npt.NDArray[np.int32]:
 
 def known_of(measurement: Measurement, block: int) -> npt.NDArray[np.uint8]:
     return np.frombuffer(measurement.known, np.uint8).reshape(-1, 32)[block]
+
+
+def at_rest(world: BoardWorld) -> None:
+    """Go on until every board that feels nothing has sent its last refresh."""
+    world.run(3.5)
+
+
+def lose(world: BoardWorld, bus: int, frames_lost: int = 1) -> None:
+    world.dropped[bus] += frames_lost
+    world.receive(bus)

@@ -1,48 +1,25 @@
 """The gateway's state of adaptive blocks in the company of boards: what it calls valid, and what it asks for."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from bus.error_frames import ErrorClass
 from bus.link import State
 from dbc.adaptive import GROUP_SUMS, cob_id
-from dbc.canopen import HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand, NmtState
+from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ERROR
-from dbc.indices import OD_COMPANDING, OD_NODE_NOISE, OD_REFRESH, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
+from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
 from gateway.block_states import FRESH_NS, OVERDUE_NS
 from gateway.nmt_master import SILENT_AFTER_S
-from skin.layout import parse_layout
 from skin.messages import BlockState
 from tests.bus.harness import frame
-from tests.gateway.boards import STEP_S, BoardWorld, known_of, small_adaptive, states, sums_of
+from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
 
 DEAD, STALE, QUIET, FRESH = BlockState
 #: The times that docs/adaptive.md promises.
 FRESH_S, OVERDUE_S, START_S = 0.1, 2.548, 0.3
-PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0)
-
-
-@pytest.fixture(scope="module")
-def skin() -> Contract:
-    return small_adaptive()
-
-
-@pytest.fixture
-def world(skin: Contract) -> BoardWorld:
-    """Return a skin all of whose blocks are valid, the second touched."""
-    built = BoardWorld(skin)
-    built.touch(1)
-    built.until_whole(1.0)
-    return built
-
-
-def at_rest(world: BoardWorld) -> None:
-    """Go on until every board that feels nothing has sent its last refresh."""
-    world.run(3.5)
 
 
 def holds_what_boards_hold(world: BoardWorld) -> bool:
@@ -51,27 +28,22 @@ def holds_what_boards_hold(world: BoardWorld) -> bool:
     return all(np.array_equal(sums_of(world.measured[-1], block), world.known_counts(block)) for block in range(4))
 
 
-def lose(world: BoardWorld, bus: int, frames_lost: int = 1) -> None:
-    world.dropped[bus] += frames_lost
-    world.receive(bus)
-
-
-def test_measurement_holds_the_sums_of_the_boards_in_the_order_of_phi(world: BoardWorld, skin: Contract) -> None:
-    assert holds_what_boards_hold(world)
-    newest = world.measured[-1]
-    taxels_n = skin.phi.adjoint(np.frombuffer(newest.sums, "<i4").astype(np.float64))
-    assert taxels_n[skin.phi.taxels_of_blocks[1]].any()
-    assert not taxels_n[skin.phi.taxels_of_blocks[[0, 2, 3]]].any()
+def test_measurement_holds_the_sums_of_the_boards_in_the_order_of_phi(boards: BoardWorld, adaptive: Contract) -> None:
+    assert holds_what_boards_hold(boards)
+    newest = boards.measured[-1]
+    taxels_n = adaptive.phi.adjoint(np.frombuffer(newest.sums, "<i4").astype(np.float64))
+    assert taxels_n[adaptive.phi.taxels_of_blocks[1]].any()
+    assert not taxels_n[adaptive.phi.taxels_of_blocks[[0, 2, 3]]].any()
     assert len(newest.known) == 128
     assert np.frombuffer(newest.known, np.uint8).all()
-    assert newest.fingerprint == skin.phi.fingerprint
+    assert newest.fingerprint == adaptive.phi.fingerprint
     assert newest.noise_n == pytest.approx(2.5e-4)
-    assert world.gateway.sync.counter - 1 <= newest.sync_counter <= world.gateway.sync.counter
-    assert newest.sync_mono_ns <= round(world.now_s * 1e9)
+    assert boards.gateway.sync.counter - 1 <= newest.sync_counter <= boards.gateway.sync.counter
+    assert newest.sync_mono_ns <= round(boards.now_s * 1e9)
 
 
-def test_something_is_published_ten_times_a_second_before_any_node_is_there(skin: Contract) -> None:
-    world = BoardWorld(skin)
+def test_something_is_published_ten_times_a_second_before_any_node_is_there(adaptive: Contract) -> None:
+    world = BoardWorld(adaptive)
     for board in world.boards:
         board.answers = board.beats = False
     came = world.run(1.0)
@@ -81,8 +53,8 @@ def test_something_is_published_ten_times_a_second_before_any_node_is_there(skin
     assert came[-1].noise_n == 0
 
 
-def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(world: BoardWorld) -> None:
-    gateway, first_s = world.gateway, world.now_s
+def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
+    gateway, first_s = boards.gateway, boards.now_s
     payload, times = b"\x90" * 8, []
     for step in range(300):
         now_s = first_s + 1e-4 * step
@@ -96,157 +68,157 @@ def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(wo
     assert gateway.due_s <= now_s + 0.1
 
 
-def test_block_is_fresh_for_a_tenth_of_a_second_and_quiet_from_then_on(world: BoardWorld) -> None:
-    at_rest(world)
-    assert world.run(0.3)[-1].states[0] == QUIET
-    world.touch(0, seed=5)
-    world.boards[0].speaks = True
-    world.step()
-    seen_ns = round(world.now_s * 1e9)
-    assert world.measured[-1].states[0] == FRESH
-    world.boards[0].speaks = False
-    came = world.run(0.25)
+def test_block_is_fresh_for_a_tenth_of_a_second_and_quiet_from_then_on(boards: BoardWorld) -> None:
+    at_rest(boards)
+    assert boards.run(0.3)[-1].states[0] == QUIET
+    boards.touch(0, seed=5)
+    boards.boards[0].speaks = True
+    boards.step()
+    seen_ns = round(boards.now_s * 1e9)
+    assert boards.measured[-1].states[0] == FRESH
+    boards.boards[0].speaks = False
+    came = boards.run(0.25)
     assert came[-1].states[0] == QUIET
     assert np.frombuffer(came[-1].since_ns, "<i8")[0] == seen_ns + FRESH_NS
     assert came[-1].valid[0] == 1
 
 
-def test_node_that_sends_heartbeats_only_stays_quiet_and_valid(world: BoardWorld) -> None:
-    at_rest(world)
-    sent = world.boards[0].sent
-    came = world.run(10.0)
-    assert world.boards[0].sent == sent
+def test_node_that_sends_heartbeats_only_stays_quiet_and_valid(boards: BoardWorld) -> None:
+    at_rest(boards)
+    sent = boards.boards[0].sent
+    came = boards.run(10.0)
+    assert boards.boards[0].sent == sent
     assert {each.states[0] for each in came[5:]} == {QUIET}
     assert all(all(each.valid) for each in came)
-    assert not any(board.asked for board in world.boards)
-    assert not world.lines
+    assert not any(board.asked for board in boards.boards)
+    assert not boards.lines
 
 
-def test_frames_and_counts_balance(world: BoardWorld) -> None:
+def test_frames_and_counts_balance(boards: BoardWorld) -> None:
     for seed in range(20):
-        world.touch(seed % 4, seed, 0.001 * seed)
-        world.run(0.05)
-    counts = world.status().frames
-    assert counts.received == counts.accepted == sum(board.sent for board in world.boards)
-    status = world.status()
-    assert status.cycles == len(world.measured)
-    assert status.cycles_complete == sum(all(each.valid) for each in world.measured)
+        boards.touch(seed % 4, seed, 0.001 * seed)
+        boards.run(0.05)
+    counts = boards.status().frames
+    assert counts.received == counts.accepted == sum(board.sent for board in boards.boards)
+    status = boards.status()
+    assert status.cycles == len(boards.measured)
+    assert status.cycles_complete == sum(all(each.valid) for each in boards.measured)
     assert (status.buses[0].missing, status.buses[0].late) == ([0, 0], [0, 0])
     assert counts.missing == counts.late == counts.malformed == 0
 
 
-def test_dropped_frames_make_the_bus_stale_until_each_group_has_come_again(world: BoardWorld) -> None:
-    at_rest(world)
-    lose(world, 0)
-    (came,) = world.gateway.measurements(world.gateway.due_s)
+def test_dropped_frames_make_the_bus_stale_until_each_group_has_come_again(boards: BoardWorld) -> None:
+    at_rest(boards)
+    lose(boards, 0)
+    (came,) = boards.gateway.measurements(boards.gateway.due_s)
     assert states(came)[:2] == [STALE, STALE]
     assert states(came)[2:] == [QUIET, QUIET]
     assert list(came.valid) == [0, 0, 1, 1]
     assert known_of(came, 0).all()
-    took_s = world.until_whole(1.0)
+    took_s = boards.until_whole(1.0)
     assert took_s <= 0.05
-    assert [[groups for _, groups in board.asked] for board in world.boards] == [[15], [15], [], []]
-    assert holds_what_boards_hold(world)
+    assert [[groups for _, groups in board.asked] for board in boards.boards] == [[15], [15], [], []]
+    assert holds_what_boards_hold(boards)
 
 
-def test_frames_that_were_read_together_with_a_loss_do_not_end_it(world: BoardWorld) -> None:
+def test_frames_that_were_read_together_with_a_loss_do_not_end_it(boards: BoardWorld) -> None:
     """Where among them the frames were lost is not known."""
-    at_rest(world)
-    world.boards[1].again(15)
-    world.boards[1].answers = world.boards[0].answers = False
-    world.dropped[0] += 1
-    (came,) = world.step()
+    at_rest(boards)
+    boards.boards[1].again(15)
+    boards.boards[1].answers = boards.boards[0].answers = False
+    boards.dropped[0] += 1
+    (came,) = boards.step()
     assert states(came)[1] == STALE
-    world.boards[1].again(15)
-    (came,) = world.step()
+    boards.boards[1].again(15)
+    (came,) = boards.step()
     assert states(came)[1] == FRESH
     assert states(came)[0] == STALE
 
 
 @pytest.mark.parametrize("why", [State.BUS_OFF, State.LOST])
-def test_controller_that_was_off_the_bus_makes_it_stale(world: BoardWorld, why: State) -> None:
-    at_rest(world)
-    world.link[1], world.wires[1].gateway.is_held = why, True
-    world.touch(3, seed=7)
-    came = world.run(0.3)
+def test_controller_that_was_off_the_bus_makes_it_stale(boards: BoardWorld, why: State) -> None:
+    at_rest(boards)
+    boards.link[1], boards.wires[1].gateway.is_held = why, True
+    boards.touch(3, seed=7)
+    came = boards.run(0.3)
     assert states(came[-1]) == [QUIET, QUIET, STALE, STALE]
-    assert not any(world.boards[3].asked)
-    world.wires[1].gateway.waiting.clear()
-    world.link[1], world.wires[1].gateway.is_held = State.ACTIVE, False
-    assert world.until_whole(1.0) <= 0.05
-    assert [len(board.asked) for board in world.boards] == [0, 0, 1, 1]
-    assert holds_what_boards_hold(world)
+    assert not any(boards.boards[3].asked)
+    boards.wires[1].gateway.waiting.clear()
+    boards.link[1], boards.wires[1].gateway.is_held = State.ACTIVE, False
+    assert boards.until_whole(1.0) <= 0.05
+    assert [len(board.asked) for board in boards.boards] == [0, 0, 1, 1]
+    assert holds_what_boards_hold(boards)
 
 
 @pytest.mark.parametrize(
     ("why", "control"), [(ErrorClass.BUS_OFF, 0), (ErrorClass.RESTARTED, 0), (ErrorClass.CONTROLLER, 0x01)]
 )
-def test_controller_reports_a_gap_that_is_over(world: BoardWorld, why: ErrorClass, control: int) -> None:
+def test_controller_reports_a_gap_that_is_over(boards: BoardWorld, why: ErrorClass, control: int) -> None:
     """Bus-off and return within one turn, or an overflow of the controller's own buffer."""
-    at_rest(world)
+    at_rest(boards)
     report = frame(int(why), bytes((0, control, 0, 0, 0, 0, 0, 0)), ERROR)
-    world.gateway.take(0, report, world.now_s)
-    (came,) = world.gateway.measurements(world.gateway.due_s)
+    boards.gateway.take(0, report, boards.now_s)
+    (came,) = boards.gateway.measurements(boards.gateway.due_s)
     assert states(came) == [STALE, STALE, QUIET, QUIET]
-    world.until_whole(0.1)
+    boards.until_whole(0.1)
 
 
-def test_other_reports_of_the_controller_change_nothing(world: BoardWorld) -> None:
-    at_rest(world)
-    world.gateway.take(0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), world.now_s)
-    world.run(0.2)
-    assert states(world.measured[-1]) == [QUIET] * 4
+def test_other_reports_of_the_controller_change_nothing(boards: BoardWorld) -> None:
+    at_rest(boards)
+    boards.gateway.take(0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s)
+    boards.run(0.2)
+    assert states(boards.measured[-1]) == [QUIET] * 4
 
 
-def test_fine_frame_that_does_not_fit_has_its_group_asked_for(world: BoardWorld) -> None:
+def test_fine_frame_that_does_not_fit_has_its_group_asked_for(boards: BoardWorld) -> None:
     """A coarse frame was lost that nobody knows of."""
-    at_rest(world)
-    wire = world.wires[0]
-    payload = bytes(7) + bytes(((int(world.boards[1].groups.check[0, 2]) + 1) & 0xFF,))
-    before = sums_of(world.measured[-1], 1).copy()
+    at_rest(boards)
+    wire = boards.wires[0]
+    payload = bytes(7) + bytes(((int(boards.boards[1].groups.check[0, 2]) + 1) & 0xFF,))
+    before = sums_of(boards.measured[-1], 1).copy()
     wire.put(cob_id(1, 0, 2, True), payload)
-    came = world.run(0.2)
+    came = boards.run(0.2)
     assert STALE in {states(each)[1] for each in came}
-    assert [groups for _, groups in world.boards[1].asked] == [0b100]
-    assert world.status().frames.unrefined == 1
-    assert holds_what_boards_hold(world)
+    assert [groups for _, groups in boards.boards[1].asked] == [0b100]
+    assert boards.status().frames.unrefined == 1
+    assert holds_what_boards_hold(boards)
     np.testing.assert_array_equal(sums_of(came[-1], 1), before)
     assert all(came[-1].valid)
 
 
-def test_refresh_that_is_overdue_makes_stale_what_is_not_zero(world: BoardWorld) -> None:
-    at_rest(world)
-    for board in world.boards:
+def test_refresh_that_is_overdue_makes_stale_what_is_not_zero(boards: BoardWorld) -> None:
+    at_rest(boards)
+    for board in boards.boards:
         board.speaks = False
-    silent_s = world.now_s
-    came = world.run(OVERDUE_S + 0.2)
+    silent_s = boards.now_s
+    came = boards.run(OVERDUE_S + 0.2)
     stale = next(each for each in came if states(each)[1] == STALE)
     stale_s = np.frombuffer(stale.since_ns, "<i8")[1] / 1e9
     assert round(OVERDUE_S * 1e9) == OVERDUE_NS
     assert stale_s - silent_s <= OVERDUE_S + 0.1
     assert {states(each)[0] for each in came} == {QUIET}
-    assert world.boards[1].asked
-    assert not world.boards[0].asked
-    world.boards[1].speaks = True
-    world.until_whole(3.0)
+    assert boards.boards[1].asked
+    assert not boards.boards[0].asked
+    boards.boards[1].speaks = True
+    boards.until_whole(3.0)
 
 
-def test_reset_node_is_forgotten_at_once_and_comes_back_by_itself(world: BoardWorld) -> None:
-    at_rest(world)
-    world.nmt(0, NmtCommand.RESET_NODE, 2)
-    came = world.run(2 * STEP_S)
+def test_reset_node_is_forgotten_at_once_and_comes_back_by_itself(boards: BoardWorld) -> None:
+    at_rest(boards)
+    boards.nmt(0, NmtCommand.RESET_NODE, 2)
+    came = boards.run(2 * STEP_S)
     assert states(came[-1]) == [QUIET, DEAD, QUIET, QUIET]
     assert not known_of(came[-1], 1).any()
     assert not sums_of(came[-1], 1).any()
-    assert world.until_whole(1.0) < 0.3
-    assert not world.boards[1].asked
-    assert holds_what_boards_hold(world)
+    assert boards.until_whole(1.0) < 0.3
+    assert not boards.boards[1].asked
+    assert holds_what_boards_hold(boards)
 
 
-def test_silent_node_is_dead(world: BoardWorld) -> None:
-    at_rest(world)
-    world.boards[1].speaks = world.boards[1].beats = False
-    came = world.run(HEARTBEAT_MS / 1000 + SILENT_AFTER_S + 0.2)
+def test_silent_node_is_dead(boards: BoardWorld) -> None:
+    at_rest(boards)
+    boards.boards[1].speaks = boards.boards[1].beats = False
+    came = boards.run(HEARTBEAT_MS / 1000 + SILENT_AFTER_S + 0.2)
     assert states(came[-1])[1] == DEAD
     assert not known_of(came[-1], 1).any()
     assert list(came[-1].valid) == [1, 0, 1, 1]
@@ -271,9 +243,9 @@ def test_frames_of_a_node_that_is_not_proven_are_not_used() -> None:
     assert world.status().buses[1].refused == [1]
 
 
-def test_frames_that_came_with_the_end_of_the_proof_are_not_used(skin: Contract) -> None:
+def test_frames_that_came_with_the_end_of_the_proof_are_not_used(adaptive: Contract) -> None:
     """They may have been sent before the node was set right."""
-    world = BoardWorld(skin)
+    world = BoardWorld(adaptive)
     board = world.boards[0]
     board.answers = False
     world.run(0.1)
@@ -293,19 +265,19 @@ def test_frames_that_came_with_the_end_of_the_proof_are_not_used(skin: Contract)
     world.until_whole(START_S + 0.1)
 
 
-def test_node_whose_test_pattern_somebody_sets_is_forgotten(world: BoardWorld) -> None:
-    at_rest(world)
+def test_node_whose_test_pattern_somebody_sets_is_forgotten(boards: BoardWorld) -> None:
+    at_rest(boards)
     request = b"\x2f" + OD_TEST_PATTERN.to_bytes(2, "little") + b"\0\1\0\0\0"
-    world.wires[0].put(0x600 + 2, request)
-    world.touch(1, seed=9)
-    came = world.run(2 * STEP_S)
+    boards.wires[0].put(0x600 + 2, request)
+    boards.touch(1, seed=9)
+    came = boards.run(2 * STEP_S)
     assert states(came[-1])[1] == DEAD
-    world.boards[1].objects[OD_TEST_PATTERN, 0] = b"\0"
-    world.until_whole(1.0)
+    boards.boards[1].objects[OD_TEST_PATTERN, 0] = b"\0"
+    boards.until_whole(1.0)
 
 
-def test_identifier_of_a_node_is_set_right_though_its_mapping_is_fixed(skin: Contract) -> None:
-    world = BoardWorld(skin)
+def test_identifier_of_a_node_is_set_right_though_its_mapping_is_fixed(adaptive: Contract) -> None:
+    world = BoardWorld(adaptive)
     board = world.boards[0]
     board.objects[OD_TPDO_COMMUNICATION + 3, 1] = b"\x23\x01\0\x40"
     board.objects[OD_SIGNATURE, 0] = bytes(4)
@@ -316,113 +288,30 @@ def test_identifier_of_a_node_is_set_right_though_its_mapping_is_fixed(skin: Con
     assert "1803h:1" in written[0]
 
 
-def test_gateway_that_joins_a_running_skin_asks_for_everything(world: BoardWorld) -> None:
-    world.touch(2, seed=4)
-    at_rest(world)
-    for board in world.boards:
+def test_gateway_that_joins_a_running_skin_asks_for_everything(boards: BoardWorld) -> None:
+    boards.touch(2, seed=4)
+    at_rest(boards)
+    for board in boards.boards:
         board.asked.clear()
-    world.gateway = world.new_gateway()
-    assert world.until_whole(1.1) <= START_S + 0.1
-    assert all(board.state is NmtState.OPERATIONAL for board in world.boards)
-    assert holds_what_boards_hold(world)
-    assert all(len(board.asked) <= 1 for board in world.boards)
+    boards.gateway = boards.new_gateway()
+    assert boards.until_whole(1.1) <= START_S + 0.1
+    assert all(board.state is NmtState.OPERATIONAL for board in boards.boards)
+    assert holds_what_boards_hold(boards)
+    assert all(len(board.asked) <= 1 for board in boards.boards)
 
 
-def test_request_that_is_not_answered_is_repeated_at_growing_pauses(world: BoardWorld) -> None:
-    at_rest(world)
-    world.boards[1].speaks = False
-    lose(world, 0)
-    world.run(sum(PAUSES_S) + 0.2)
-    asked = world.boards[1].asked
-    assert {groups for _, groups in asked} == {15}
-    pauses = [later - sooner for (sooner, _), (later, _) in pairwise(asked)]
-    assert pauses == pytest.approx(PAUSES_S, abs=0.05)
-    world.boards[1].speaks = True
-    world.until_whole(2.1)
-
-
-def test_lost_answers_do_not_block_the_proof(world: BoardWorld) -> None:
-    at_rest(world)
-    wire, refresh = world.wires[0], OD_REFRESH.to_bytes(2, "little")
-    wire.loses = lambda end, each: bool(
-        end is wire.gateway and each["can_id"] == SDO_RESPONSE_BASE + 2 and each["data"][1:3].tobytes() == refresh
-    )
-    world.boards[1].speaks = False
-    lose(world, 0)
-    world.run(8.0)
-    assert world.gateway.masters[0].nodes[2].trusted
-    assert states(world.measured[-1])[1] == STALE
-    assert not world.lines
-
-
-def test_four_nodes_of_a_bus_are_asked_at_a_time() -> None:
-    contract = _one_bus(16)
-    world = BoardWorld(contract)
-    world.until_whole(2.0)
-    world.run(0.5)
-    for board in world.boards:
-        board.answers = False
-    lose(world, 0)
-    world.wires[0].log.clear()
-    world.run(0.25)
-    write = b"\x2f" + OD_REFRESH.to_bytes(2, "little")
-    asked = {can_id for can_id, data in world.wires[0].log if data[:3] == write}
-    assert len(asked) == 4
-    for board in world.boards:
-        board.answers = True
-    world.until_whole(1.0)
-
-
-def _one_bus(nodes: int) -> Contract:
-    text = f"""
-name = "many"
-sending = "adaptive"
-[taxels]
-rows = 16
-columns = {32 * nodes // 16}
-[measurement]
-wiring = "board"
-[sync]
-rate_hz = 10.0
-[sampling]
-rate_hz = 1000.0
-[[bus]]
-name = "bus0"
-nodes = {nodes}
-"""
-    return Contract.from_layout(parse_layout(text.encode(), "many"))
-
-
-def test_noise_is_read_again_every_ten_seconds(world: BoardWorld) -> None:
-    world.run(0.5)
-    for board in world.boards:
-        board.objects[OD_NODE_NOISE, 0] = np.float32(5e-4).tobytes()
-    assert world.run(8.0)[-1].noise_n == pytest.approx(2.5e-4)
-    assert world.run(3.0)[-1].noise_n == pytest.approx(5e-4)
-
-
-def test_node_without_noise_is_not_counted(skin: Contract) -> None:
-    world = BoardWorld(skin)
-    for board, noise in zip(
-        world.boards, (b"\0\0\0\0", b"\0\0\xc0\x7f", None, np.float32(3e-4).tobytes()), strict=True
-    ):
-        board.objects.pop((OD_NODE_NOISE, 0)) if noise is None else board.objects.update({(OD_NODE_NOISE, 0): noise})
-    world.until_whole(1.0)
-    assert world.run(0.5)[-1].noise_n == pytest.approx(3e-4)
-
-
-def test_strange_frames_are_counted_and_complained_about(world: BoardWorld) -> None:
-    at_rest(world)
-    before = world.status().frames
-    wire = world.wires[0]
+def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> None:
+    at_rest(boards)
+    before = boards.status().frames
+    wire = boards.wires[0]
     wire.put(SYNC_COB_ID, b"\1")
     wire.put(cob_id(2, 5, 0, False), bytes(8))
     wire.put(HEARTBEAT_BASE + 99, b"\5")
     wire.put(cob_id(0, 5, 0, False), b"\1" * (GROUP_SUMS - 1))
-    world.step()
-    world.run(0.3)
-    after = world.status().frames
+    boards.step()
+    boards.run(0.3)
+    after = boards.status().frames
     assert after.malformed == before.malformed + 1
     assert after.foreign >= before.foreign + 3
-    assert world.complaints == ["another SYNC producer on bus0: no sums start in the millisecond after each SYNC"]
-    assert states(world.measured[-1]) == [QUIET] * 4
+    assert boards.complaints == ["another SYNC producer on bus0: no sums start in the millisecond after each SYNC"]
+    assert states(boards.measured[-1]) == [QUIET] * 4
