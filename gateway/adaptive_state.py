@@ -24,11 +24,22 @@ from dbc.adaptive import (
     hold_coarse,
     unpack_fine,
 )
+from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
+from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE
 from skin.walsh import GROUPS
 
 #: No coarse frame of the group is held.
 NO_CHECK: Final = -1
-_NEVER_NS: Final = -(1 << 62)
+#: A time before all frames.
+NEVER_NS: Final = -(1 << 62)
+_ENDED, _CAN_ID, _LENGTH, _FLAGS, _DATA = (
+    FRAME.fields[name][1]  # type: ignore[index]  # FRAME has fields
+    for name in ("time_ns", "can_id", "length", "flags", "data")
+)
+
+Integers = npt.NDArray[np.int64]
+Numbers = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 
 class BusSums(NamedTuple):
@@ -40,22 +51,38 @@ class BusSums(NamedTuple):
         Newest value of every sum, and that of the newest coarse frame, newtons.
     check : array of int64, shape (nodes, GROUPS)
         Check of the coarse frame that is held, or `NO_CHECK`.
+    is_lost : array of bool, shape (nodes, GROUPS)
+        A frame may have been lost since the newest coarse frame: no fine frame counts.
     coarse_ns, seen_ns : arrays of int64, shape (nodes, GROUPS)
         When the newest coarse frame and the newest frame of any kind that counted ended.
-    counts : array of int64, shape (3,)
-        Frames used, fine frames without their coarse frame, frames of a wrong length.
+    counts : array of int64, shape (6,)
+        Frames used, fine frames without their coarse frame, frames of a wrong length, frames of nodes that are not
+        proven, all other frames, and those of these that are SYNCs.
     """
 
-    value_n: npt.NDArray[np.float64]
-    coarse_n: npt.NDArray[np.float64]
-    check: npt.NDArray[np.int64]
-    coarse_ns: npt.NDArray[np.int64]
-    seen_ns: npt.NDArray[np.int64]
-    counts: npt.NDArray[np.int64]
+    value_n: Numbers
+    coarse_n: Numbers
+    check: Integers
+    is_lost: Flags
+    coarse_ns: Integers
+    seen_ns: Integers
+    counts: Integers
+
+    def of(self, nodes: slice) -> "BusSums":
+        """Return a view of some nodes, with counts of its own."""
+        return BusSums(
+            value_n=self.value_n[nodes],
+            coarse_n=self.coarse_n[nodes],
+            check=self.check[nodes],
+            is_lost=self.is_lost[nodes],
+            coarse_ns=self.coarse_ns[nodes],
+            seen_ns=self.seen_ns[nodes],
+            counts=np.zeros_like(self.counts),
+        )
 
 
 #: Places of `BusSums.counts`.
-USED, UNREFINED, MALFORMED = range(3)
+USED, UNREFINED, MALFORMED, UNPROVEN, FOREIGN, FOREIGN_SYNCS = range(6)
 
 
 def new_sums(nodes: int) -> BusSums:
@@ -64,9 +91,10 @@ def new_sums(nodes: int) -> BusSums:
         value_n=np.zeros((nodes, BLOCK_SUMS)),
         coarse_n=np.zeros((nodes, BLOCK_SUMS)),
         check=np.full((nodes, GROUPS), NO_CHECK, np.int64),
-        coarse_ns=np.full((nodes, GROUPS), _NEVER_NS, np.int64),
-        seen_ns=np.full((nodes, GROUPS), _NEVER_NS, np.int64),
-        counts=np.zeros(3, np.int64),
+        is_lost=np.zeros((nodes, GROUPS), np.bool_),
+        coarse_ns=np.full((nodes, GROUPS), NEVER_NS, np.int64),
+        seen_ns=np.full((nodes, GROUPS), NEVER_NS, np.int64),
+        counts=np.zeros(6, np.int64),
     )
 
 
@@ -84,7 +112,7 @@ def take(  # noqa: PLR0917  compiled functions take no keywords
     group = index % GROUPS
     first = GROUP_SUMS * group
     if index >= GROUPS * LEVELS:
-        if sums.check[node, group] != int(payload[GROUP_SUMS - 1]):
+        if sums.is_lost[node, group] or sums.check[node, group] != int(payload[GROUP_SUMS - 1]):
             sums.counts[UNREFINED] += 1
             return True
         mine = slice(first, first + GROUP_SUMS)
@@ -93,12 +121,72 @@ def take(  # noqa: PLR0917  compiled functions take no keywords
         is_held = sums.check[node, group] != NO_CHECK
         hold_coarse(payload, first, is_held, law, sums.value_n[node], sums.coarse_n[node])
         sums.check[node, group] = check_of(payload)
+        sums.is_lost[node, group] = False
         sums.coarse_ns[node, group] = ended_ns
     sums.seen_ns[node, group] = ended_ns
     sums.counts[USED] += 1
     return True
 
 
+@njit(cache=True, nogil=True)
+def take_all(  # noqa: PLR0917  compiled functions take no keywords
+    rows: npt.NDArray[np.uint8], has_gap: bool, law: Companding, is_proven: Flags, sums: BusSums, has_changed: Flags
+) -> int:
+    """Use the frames of a bus, in bus order; return when the newest that was used ended, or `NEVER_NS`.
+
+    A fine frame that does not fit tells of a lost coarse frame: its group is lost until the next.
+
+    Parameters
+    ----------
+    rows : array of uint8, shape (frames, bytes of a FRAME)
+    has_gap : bool
+        Frames were lost just before or among these: no fine frame among them counts, and every group is lost until a
+        later coarse frame.
+    is_proven : array of bool, shape (nodes,)
+        Nodes whose frames may be used.
+    has_changed : array of bool, shape (nodes, GROUPS)
+        Set for groups of which a frame was used.
+    """
+    newest_ns: int = NEVER_NS
+    if has_gap:
+        sums.is_lost[:] = True
+    for place in range(rows.shape[0]):
+        row = rows[place]
+        if row[_FLAGS] & (ERROR | ECHO):
+            continue
+        can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
+        index, node = (can_id - FIRST_COB_ID) // NODES, (can_id - FIRST_COB_ID) % NODES
+        is_strange = row[_FLAGS] & (EXTENDED | REMOTE | FD) or can_id > BASE_ID_MASK
+        if is_strange or can_id < FIRST_COB_ID or index >= TPDOS or node >= sums.check.shape[0]:
+            sums.counts[FOREIGN] += 1
+            sums.counts[FOREIGN_SYNCS] += can_id == SYNC_COB_ID and not row[_FLAGS] & (EXTENDED | REMOTE)
+            continue
+        if not is_proven[node]:
+            sums.counts[UNPROVEN] += 1
+            continue
+        ended_ns = np.int64(0)
+        for byte in range(8):
+            ended_ns |= np.int64(row[_ENDED + byte]) << np.int64(8 * byte)
+        used, unrefined, group = sums.counts[USED], sums.counts[UNREFINED], index % GROUPS
+        take(can_id, int(row[_LENGTH]), row[_DATA : _DATA + GROUP_SUMS], int(ended_ns), law, sums)
+        if sums.counts[USED] > used:
+            has_changed[node, group] = True
+            newest_ns = max(newest_ns, int(ended_ns))
+        if has_gap or sums.counts[UNREFINED] > unrefined:
+            sums.is_lost[node, group] = True
+    return newest_ns
+
+
 def forget(sums: BusSums) -> None:
-    """Take note that frames of this bus were lost: no fine frame counts until the next coarse one of its group."""
-    sums.check[:] = NO_CHECK
+    """Take note that frames of this bus were lost: no fine frame counts until the next coarse one of its group.
+
+    What is held stays: a coarse frame with its code leaves it as it is.
+    """
+    sums.is_lost[:] = True
+
+
+def forget_node(node: int, sums: BusSums) -> None:
+    """Hold nothing of a node any more."""
+    sums.value_n[node] = sums.coarse_n[node] = 0
+    sums.check[node], sums.is_lost[node] = NO_CHECK, False
+    sums.coarse_ns[node] = sums.seen_ns[node] = NEVER_NS

@@ -17,7 +17,7 @@ def gateway(
     listen: str = DEFAULT_ENDPOINT,
     connect: str | None = None,
 ) -> None:
-    """Boot the nodes, produce SYNC, and publish one measurement per cycle.
+    """Boot the nodes, produce SYNC, and publish the sums: those of each cycle, or the newest of adaptive nodes.
 
     Parameters
     ----------
@@ -33,10 +33,11 @@ def gateway(
     Examples
     --------
     skin gateway
+    skin gateway --layout adaptive
     skin gateway -i socketcan -c can0 --layout palm.toml
     """
     stop = StopSignal().install()
-    skin = load_layout(layout)
+    skin = load_layout(layout, adaptive=True)
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     contract = Contract.from_layout(skin)
     hub, mark = connect or listen, contract.phi.fingerprint

@@ -1,20 +1,18 @@
 """The gateway without its input and output: frames and times in, frames and measurements out."""
 
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
-import msgspec
-import numpy as np
-
 from bus.link import Send, State
-from dbc.canopen import SYNC_COB_ID, NmtState
+from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, one_frame
-from gateway.collector import Collector, Gathered
+from gateway.adaptive_gathering import AdaptiveGathering
+from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
+from gateway.gathering import Gathering, Health, Sync
 from gateway.load import BusLoad
 from gateway.nmt_master import NmtMaster
 from skin.messages import BusState, GatewayStatus, Measurement
@@ -26,17 +24,8 @@ LOOK_PERIOD_S: Final = 0.2
 BOOT_PATIENCE_S: Final = 3.0
 #: Time from the start of the last node to the first SYNC.
 SETTLE_S: Final = 0.1
-#: A cycle ends at the latest this part of a period after the next SYNC was due.
-GRACE: Final = 0.9
-
-
-@dataclass(frozen=True)
-class _Cycle:
-    number: int
-    counter: int
-    sync_mono_ns: int
-    time_ns: int
-    closes_s: float
+#: The load of one bus is added up after a measurement, at most this often.
+ACCOUNT_PERIOD_S: Final = 0.005
 
 
 @dataclass
@@ -47,7 +36,8 @@ class _Bus:
     send: Send
     master: NmtMaster
     load: BusLoad
-    places: list[tuple[int, NodeContract]]
+    places: list[int]
+    health: Health = field(default_factory=Health)
     #: SYNCs in a row that the transmit queue did not accept.
     refused_syncs: int = 0
     #: The log names the cause already.
@@ -55,7 +45,7 @@ class _Bus:
 
 
 class GatewayLoop:
-    """Master and collector of a skin's buses.
+    """Master and collector of a skin's buses: what does not depend on how nodes send.
 
     Parameters
     ----------
@@ -69,7 +59,8 @@ class GatewayLoop:
 
     Attributes
     ----------
-    collector : Collector
+    gathering : Gathering
+        Makes measurements of frames, as the layout's nodes send them.
     sync : SyncClock
     masters : dict of int to NmtMaster
         By number of the bus.
@@ -84,45 +75,63 @@ class GatewayLoop:
         say: Callable[[str], None],
         complain: Callable[[str], None],
     ) -> None:
-        self.collector = Collector(contract)
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
         self._say, self._complain = say, complain
-        self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
         self._buses = {number: self._bus(number, send, now_s) for number, send in sends.items()}
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
-        self._flying: deque[_Cycle] = deque()
+        self.gathering: Gathering = (
+            AdaptiveGathering(contract, self.masters, now_s)
+            if contract.layout.sending == "adaptive"
+            else CycleGathering(contract)
+        )
         self._patience_s = now_s + BOOT_PATIENCE_S
-        self._look_s = now_s
-        self._closed = self._complete = 0
+        self._look_s = self._account_s = now_s
+        self._accounted = 0
 
     @property
     def in_flight(self) -> int:
         """Number of open cycles."""
-        return len(self._flying)
+        return self.gathering.in_flight
 
     @property
     def due_s(self) -> float:
-        """When the next SYNC is due or the oldest cycle must be closed, whichever comes first."""
-        closes_s = self._flying[0].closes_s if self._flying else float("inf")
-        return min(self.sync.due_s, closes_s)
+        """When the next SYNC or measurement is due, whichever comes first."""
+        return min(self.sync.due_s, self.gathering.due_s)
 
-    def take(self, number: int, arrived: Frames, now_s: float) -> None:
-        """Use the frames that arrived on a bus, in bus order."""
-        if not len(arrived):
-            return
+    @property
+    def rests_until_s(self) -> float:
+        """Until when frames may wait unread."""
+        return min(self.sync.due_s, self.gathering.rests_until_s)
+
+    def take(
+        self, number: int, arrived: Frames, now_s: float, *, state: State = State.ACTIVE, dropped: int = 0
+    ) -> None:
+        """Use the frames that arrived on a bus, in bus order; none is a look at the link.
+
+        Parameters
+        ----------
+        state : State
+            Of the gateway's controller, after these frames.
+        dropped : int
+            Frames that its receive side has lost so far.
+        """
         bus = self._buses[number]
+        bus.health.look(arrived, state, dropped)
+        if not len(arrived) and not bus.health.has_gap:
+            return
         # The master first: a frame may make it doubt the node whose sums come next.
         bus.master.take(arrived, now_s)
-        self.collector.take(number, arrived)
+        self.gathering.take(number, arrived, bus.health, now_s)
         bus.load.take(arrived)
 
     def tick(self, now_s: float) -> None:
-        """Do all that is due at `now_s`, except SYNC and the end of cycles."""
+        """Do all that is due at `now_s`, except SYNC and measurements."""
         for bus in self._buses.values():
             bus.master.tick(now_s)
+        self.gathering.tick(now_s)
         if not self.sync.runs and self.sync.counter == 0:
             passed = all(bus.master.passed for bus in self._buses.values())
             if passed or now_s >= self._patience_s:
@@ -144,12 +153,11 @@ class GatewayLoop:
         due_s = self.sync.take(now_s)
         if due_s is None:
             return []
-        closed = [self._close(self._flying.popleft()) for _ in range(len(self._flying) - 1)]
-        counter = self.sync.counter
-        self.collector.open(counter)
-        sync = one_frame(SYNC_COB_ID, bytes((counter,)))
+        sync_ns = round(due_s * 1e9)
+        closed = self.gathering.begin(Sync(self.sync.sent, self.sync.counter, due_s, sync_ns, sync_ns + wall_offset_ns))
+        sync = one_frame(SYNC_COB_ID, bytes((self.sync.counter,)))
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
-        sync["time_ns"] = sync_ns = round(due_s * 1e9)
+        sync["time_ns"] = sync_ns
         sync["expires_ns"] = sync_ns + round(LATEST * self._period_s * 1e9)
         for bus in self._buses.values():
             if bus.send(sync):
@@ -158,19 +166,17 @@ class GatewayLoop:
                 bus.refused_syncs = 0
             else:
                 bus.refused_syncs += 1
-        closes_s = due_s + (1 + GRACE) * self._period_s
-        self._flying.append(_Cycle(self.sync.sent, counter, sync_ns, sync_ns + wall_offset_ns, closes_s))
         return closed
 
-    def close_settled(self, now_s: float) -> list[Measurement]:
-        """End the cycles that are settled or out of time; return their measurements."""
-        closed = []
-        while self._flying:
-            oldest = self._flying[0]
-            if not self.collector.is_settled(oldest.counter) and now_s < oldest.closes_s:
-                break
-            closed.append(self._close(self._flying.popleft()))
-        return closed
+    def measurements(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
+        """Return the measurements that are due."""
+        made = self.gathering.measurements(now_s, wall_offset_ns)
+        if made and now_s >= self._account_s:
+            # One bus at a time, after a measurement: the loop has time then.
+            self._account_s = now_s + ACCOUNT_PERIOD_S
+            self._accounted += 1
+            self._buses[self._numbers[self._accounted % len(self._numbers)]].load.account()
+        return made
 
     def stop(self) -> None:
         """Command all nodes to PRE-OPERATIONAL."""
@@ -187,9 +193,9 @@ class GatewayLoop:
         """
         return GatewayStatus(
             time_ns=time.time_ns(),
-            cycles=self._closed,
-            cycles_complete=self._complete,
-            frames=msgspec.structs.replace(self.collector.counts),
+            cycles=self.gathering.published,
+            cycles_complete=self.gathering.complete,
+            frames=self.gathering.counts,
             sync_rate_hz=self.sync.rate_hz(now_s),
             buses=[self._bus_state(number, *links[number], now_s) for number in self._numbers],
             syncs_skipped=self.sync.skipped,
@@ -208,14 +214,11 @@ class GatewayLoop:
 
         wires = self._contract.layout.bus[number]
         master = NmtMaster(self._contract, number, send_one, self._trust, self._say)
-        places = [(place, node) for place, node in enumerate(self._contract.nodes) if node.bus == number]
+        places = [place for place, node in enumerate(self._contract.nodes) if node.bus == number]
         return _Bus(wires.name, send, master, BusLoad(wires, now_s), places)
 
     def _trust(self, node: NodeContract, proven: bool) -> None:
-        """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
-        self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
-        if proven:
-            self.collector.expected[self._place[node.bus, node.node_id]] = True
+        self.gathering.trust(node, proven=proven)
 
     def _start_sync(self, now_s: float) -> None:
         self.sync.start(now_s + SETTLE_S)
@@ -226,54 +229,30 @@ class GatewayLoop:
                 self._say(f"{bus.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
 
     def _look_after_nodes(self, now_s: float) -> None:
-        """Let cycles wait for operational nodes only; report swapped phases, emergencies and foreign SYNCs."""
-        for place in self.collector.take_swapped():
-            node = self._contract.nodes[place]
-            if node.bus in self._buses:
-                self._buses[node.bus].master.swapped(node.node_id, now_s)
+        """Report emergencies and foreign SYNCs, and let the gathering look at the nodes."""
+        self.gathering.look(self.masters, now_s)
         for number, bus in self._buses.items():
-            nmt = bus.master.nmt
-            for (place, _), state in zip(bus.places, nmt, strict=True):
-                # A node that sends sums is operational, whatever state its last heartbeat had.
-                self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
             bus.master.emergencies.clear()
-            if self.collector.take_foreign_syncs(number):
-                self._complain(f"another SYNC producer on {bus.name}: its cycles are not valid")
-        self.collector.heard[:] = False
+            if self.gathering.take_foreign_syncs(number):
+                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}")
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
-        bus, collector = self._buses[number], self.collector
-        places = [place for place, _ in bus.places]
+        bus = self._buses[number]
+        missing, late = zip(*(self.gathering.missing_and_late(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
             load_ratio=bus.load.look(now_s),
             mean_load_ratio=bus.load.mean_ratio(now_s),
             nodes=bus.master.node_ids,
             nmt=bus.master.nmt.tobytes(),
-            missing=collector.missing_of_node[places].tolist(),
-            late=collector.late_of_node[places].tolist(),
+            missing=list(missing),
+            late=list(late),
             emcy=bus.master.emcy,
             refused=bus.master.refused,
             link=state.name.lower(),
             overrun=dropped,
-        )
-
-    def _close(self, cycle: _Cycle) -> Measurement:
-        gathered: Gathered = self.collector.close(cycle.counter)
-        self._closed += 1
-        self._complete += gathered.complete
-        # One bus per cycle: the burst is over, so the loop has time.
-        self._buses[self._numbers[self._closed % len(self._numbers)]].load.account()
-        return Measurement(
-            cycle=cycle.number,
-            sync_counter=cycle.counter,
-            sync_mono_ns=cycle.sync_mono_ns,
-            time_ns=cycle.time_ns,
-            sums=gathered.sums.astype("<i4").tobytes(),
-            valid=gathered.valid.astype(np.uint8).tobytes(),
-            fingerprint=self._contract.phi.fingerprint,
         )
 
 

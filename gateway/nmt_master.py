@@ -29,10 +29,11 @@ from dbc.configuration import PROOF_ROUNDS, configuration, expected_signature, p
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from gateway.foreign_sdo import Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
-from gateway.node_record import NodeRecord
+from gateway.node_record import NodeRecord, state_text
 from gateway.proof import Proof, prove
-from gateway.sdo import ATTEMPTS, TIMEOUT_S, SdoDialogue
+from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
 from skin.messages import SILENT
 
 #: A node is silent after this many heartbeat periods without a heartbeat.
@@ -45,10 +46,6 @@ LATER_S: Final = 60.0
 STABLE_S: Final = 10.0
 #: On the bus, a heartbeat with the old state may come this much later than the NMT start.
 UNDER_WAY_NS: Final = 300_000_000
-#: After another client's request the gateway leaves the node's SDO channel alone for this long.
-SDO_QUIET_S: Final = 0.05
-#: A block download of another master has ended when no frame of it comes for this long.
-BLOCK_DOWNLOAD_S: Final = 1.0
 #: Most SDO dialogues at the same time. SDO frames have a lower priority than TPDOs.
 DIALOGUES: Final = 16
 #: An emergency at most this long before a node left is logged as the reason.
@@ -96,7 +93,7 @@ class NmtMaster:
         self._trust = trust
         self.nodes = {
             node.node_id: NodeRecord(
-                node, settings, expected_signature(settings), frozenset(each.index for each in settings)
+                node, settings, expected_signature(settings), ForeignClient({each.index for each in settings})
             )
             for node in contract.on_bus(bus)
             for settings in [configuration(contract, node)]
@@ -171,6 +168,9 @@ class NmtMaster:
             if node.dialogue is not None:
                 node.dialogue.take(data, now_s)
                 self._finish(node, now_s)
+            elif node.errand is not None:
+                node.errand.take(data, now_s)
+                node.end_errand()
         elif base == SDO_REQUEST_BASE and len(data) == SDO_BYTES:
             self._foreign_sdo(node, data, now_s)
         elif base == EMCY_BASE and len(data) == EMCY_BYTES:
@@ -193,7 +193,7 @@ class NmtMaster:
             if is_under_way and now_s - node.trusted_s < SILENT_AFTER_S:
                 return
             node.nmt = state
-            self._lose(node, f"left OPERATIONAL: {_state_text(state)}{self._explanation(node, now_s)}", now_s)
+            self._lose(node, f"left OPERATIONAL: {state_text(state)}{self._explanation(node, now_s)}", now_s)
             return
         node.nmt = state
         if was_silent and not node.trusted:
@@ -202,7 +202,7 @@ class NmtMaster:
 
     def _booted(self, node: NodeRecord, now_s: float) -> None:
         """Use no sums of a node that has booted until the node is proven again."""
-        node.dialogue = None
+        node.dialogue = node.errand = None
         if node.refusal or node.hint:  # somebody has worked on the node
             node.tries = 0
         node.refusal = ""
@@ -220,26 +220,21 @@ class NmtMaster:
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
                 if node.trusted:
-                    state = _state_text(node.nmt)
+                    state = state_text(node.nmt)
                     self._lose(node, f"left OPERATIONAL: {state}, by another master's NMT command", now_s)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
 
     def _foreign_sdo(self, node: NodeRecord, data: bytes, now_s: float) -> None:
         """Use no sums of a node whose configuration somebody else writes until the node is proven again."""
-        kind = data[0] >> 5
-        if node.in_block_download and now_s - node.foreign_sdo_s < BLOCK_DOWNLOAD_S:
-            kind = 0  # the data of a block download: its first byte is a number
-        else:
-            node.in_block_download = kind == 6
-        node.foreign_sdo_s = now_s
-        if kind in (1, 6):  # a download begins, in segments or blocks
-            node.is_sdo_suspect = int.from_bytes(data[1:3], "little") in node.compared
-        if kind in (0, 1, 6) and node.is_sdo_suspect:
+        effect = node.foreign.take(data, now_s)
+        if effect is Effect.DOUBT:
             self._doubt_written(node, now_s)
-        elif kind and node.dialogue is not None:  # the node answers one client at a time
-            node.dialogue, node.began_s = None, node.proven_s
-            node.prove_at_s = max(node.prove_at_s, now_s + SDO_QUIET_S)
+        elif effect is Effect.BUSY:
+            node.errand = None
+            if node.dialogue is not None:
+                node.dialogue, node.began_s = None, node.proven_s
+                node.prove_at_s = max(node.prove_at_s, node.foreign.free_s)
 
     def _doubt_written(self, node: NodeRecord, now_s: float) -> None:
         node.dialogue = None
@@ -247,7 +242,7 @@ class NmtMaster:
             self._lose(node, "doubted: another master writes its configuration", now_s)
         elif node.refusal:
             node.prove_at_s = now_s
-        node.prove_at_s = max(node.prove_at_s, now_s + SDO_QUIET_S)
+        node.prove_at_s = max(node.prove_at_s, node.foreign.free_s)
 
     def swapped(self, node_id: int, now_s: float) -> None:
         """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
@@ -270,6 +265,9 @@ class NmtMaster:
                 node.dialogue.tick(now_s)
                 self._finish(node, now_s)
             self._check_times(node, limit_s, now_s)
+            if node.errand is not None:
+                node.errand.tick(now_s)
+                node.end_errand()
         free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
         out = [node for node in self.nodes.values() if not node.trusted and node.dialogue is None]
         due = sorted((node for node in out if now_s >= node.prove_at_s), key=lambda node: node.prove_at_s)
@@ -277,6 +275,14 @@ class NmtMaster:
             self._bring_back(node, now_s)
         self._prove_in_turn(now_s)
         self._lines.tick(now_s)
+
+    def ask(self, node_id: int, steps: Dialogue, now_s: float) -> SdoDialogue | None:
+        """Begin a dialogue with a node in use, one attempt for each transfer; None while its SDO channel is busy."""
+        node = self.nodes[node_id]
+        if not node.trusted or not node.is_free or now_s < node.foreign.free_s:
+            return None
+        node.errand = SdoDialogue(node_id, steps, self._send, now_s, attempts=1)
+        return node.errand
 
     def stop(self) -> None:
         """Command all nodes to PRE-OPERATIONAL."""
@@ -308,12 +314,11 @@ class NmtMaster:
             return
         share_s = self._round_s / len(self.nodes)
         self._slot_s = max(self._slot_s, now_s - share_s) + share_s
-        waiting = [node for node in self.nodes.values() if node.trusted and node.dialogue is None]
+        waiting = [node for node in self.nodes.values() if node.trusted and node.is_free]
         oldest = min(waiting, key=lambda node: node.began_s, default=None)
         if oldest is None:
             return
-        is_busy = now_s - oldest.foreign_sdo_s < SDO_QUIET_S
-        if is_busy and now_s - oldest.began_s < self._round_s * oldest.cost:
+        if now_s < oldest.foreign.free_s and now_s - oldest.began_s < self._round_s * oldest.cost:
             return
         self._slot_s += (oldest.cost - 1) * share_s
         self._begin(oldest, now_s)
@@ -369,7 +374,7 @@ class NmtMaster:
 
     def _lose(self, node: NodeRecord, why: str, now_s: float) -> None:
         """Use no more sums of a node; try to restart it after a pause."""
-        node.trusted = False
+        node.trusted, node.errand = False, None
         self._trust(node.contract, False)
         if node.lost_s is None:
             node.lost_s = now_s
@@ -391,10 +396,3 @@ class NmtMaster:
     @staticmethod
     def _explanation(node: NodeRecord, now_s: float) -> str:
         return f" after EMCY {node.emcy:04X}h" if now_s - node.emcy_s < EXPLAINS_S else ""
-
-
-def _state_text(state: int) -> str:
-    try:
-        return NmtState(state).name.lower().replace("_", "-")
-    except ValueError:
-        return f"state {state}"

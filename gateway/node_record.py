@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dbc.canopen import NmtState
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
+from gateway.foreign_sdo import ForeignClient
 from gateway.sdo import SdoDialogue
 from skin.messages import SILENT
 
@@ -19,8 +21,8 @@ class NodeRecord:
     ----------
     signature : int
         The configuration signature (2006h) that the contract asks for.
-    compared : frozenset of int
-        Indices of the objects that the proof compares.
+    foreign : ForeignClient
+        The SDO requests of other masters to the node.
     nmt : int
         NMT state in the newest heartbeat, `SILENT` when the heartbeat is overdue.
     trusted : bool
@@ -35,17 +37,17 @@ class NodeRecord:
         Dialogues since the node was last stable in OPERATIONAL.
     asked : bool
         The first dialogue has ended.
-    heard_s, emcy_s, trusted_s, began_s, foreign_sdo_s : float
-        Times of the newest heartbeat, the newest active emergency, the newest start of use, the beginning of the
-        newest dialogue, and the newest SDO request of another master.
+    heard_s, emcy_s, trusted_s, began_s : float
+        Times of the newest heartbeat, the newest active emergency, the newest start of use, and the beginning of the
+        newest proof.
     refusal : str
         Why the node's sums must not be used; empty if they may.
     dialogue : SdoDialogue or None
-        The open dialogue.
+        The open proof.
+    errand : SdoDialogue or None
+        The open dialogue of a node in use about something else: `NmtMaster.ask`.
     hint : str
         The reason that the log gives for the next boot.
-    in_block_download : bool
-        Another master sends the node a value by block download.
     lost_s : float or None
         When the node's sums were given up; None while they are used, or before their first use.
     """
@@ -53,7 +55,7 @@ class NodeRecord:
     contract: NodeContract
     settings: Sequence[Setting]
     signature: int
-    compared: frozenset[int]
+    foreign: ForeignClient
     nmt: int = SILENT
     heard_s: float = -np.inf
     emcy: int = 0
@@ -64,6 +66,7 @@ class NodeRecord:
     proven_s: float = -np.inf
     refusal: str = ""
     dialogue: SdoDialogue | None = None
+    errand: SdoDialogue | None = None
     began_s: float = -np.inf
     prove_at_s: float = 0.0
     #: Transfers of the last proof.
@@ -72,7 +75,21 @@ class NodeRecord:
     asked: bool = False
     lost_s: float | None = None
     hint: str = ""
-    #: The object that another master writes is compared by the proof.
-    is_sdo_suspect: bool = True
-    foreign_sdo_s: float = -np.inf
-    in_block_download: bool = False
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no dialogue with the node is open: it answers one request at a time."""
+        return self.dialogue is None and self.errand is None
+
+    def end_errand(self) -> None:
+        """Drop the errand if it is done."""
+        if self.errand is not None and self.errand.done:
+            self.errand = None
+
+
+def state_text(state: int) -> str:
+    """Return an NMT state in words."""
+    try:
+        return NmtState(state).name.lower().replace("_", "-")
+    except ValueError:
+        return f"state {state}"

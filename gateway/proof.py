@@ -141,17 +141,21 @@ def _write_overflow(setting: Setting, settings: Sequence[Setting]) -> _Part:
 
 
 def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
-    """Write both records of a TPDO (CiA 301, 7.5.2.38): off, no mapping, entries, their number, the rest, on."""
-    communication = {each.subindex: each for each in settings if each.index == OD_TPDO_COMMUNICATION + tpdo - 1}
-    mapping = [each for each in settings if each.index == OD_TPDO_MAPPING + tpdo - 1]
+    """Write both records of a TPDO (CiA 301, 7.5.2.38): off, no mapping, entries, their number, the rest, on.
+
+    What cannot be written, as the mapping of adaptive TPDOs, is right already.
+    """
+    writable = [each for each in settings if each.is_writable]
+    communication = {each.subindex: each for each in writable if each.index == OD_TPDO_COMMUNICATION + tpdo - 1}
+    mapping = [each for each in writable if each.index == OD_TPDO_MAPPING + tpdo - 1]
     cob_id = communication.pop(1)
     yield Write(cob_id.index, 1, _invalid(cob_id.data))
-    count = next(each for each in mapping if each.subindex == 0)
-    yield Write(count.index, 0, b"\0")
-    for entry in mapping:
-        if entry.subindex:
-            yield Write(entry.index, entry.subindex, entry.data)
-    yield Write(count.index, 0, count.data)
+    for count in (each for each in mapping if each.subindex == 0):
+        yield Write(count.index, 0, b"\0")
+        for entry in mapping:
+            if entry.subindex:
+                yield Write(entry.index, entry.subindex, entry.data)
+        yield Write(count.index, 0, count.data)
     for each in communication.values():
         yield Write(each.index, each.subindex, each.data)
     yield Write(cob_id.index, 1, cob_id.data)

@@ -1,4 +1,4 @@
-"""The gateway's process: receives frames, sends SYNC at absolute times, publishes one measurement per cycle."""
+"""The gateway's process: receives frames, sends SYNC at absolute times, publishes measurements."""
 
 import select
 import time
@@ -9,6 +9,7 @@ import msgspec
 
 from bus.link import Link
 from dbc.contract import Contract
+from dbc.frame import frames
 from gateway.loop import GatewayLoop
 from skin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
 from skin.service import Complaints, StopSignal, be_punctual, say
@@ -16,6 +17,7 @@ from skin.service import Complaints, StopSignal, be_punctual, say
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.
 TURN_S: Final = 0.01
+_NOTHING: Final = frames(0)
 
 
 class Publisher(Protocol):
@@ -77,20 +79,23 @@ class GatewayService:
         self._fabric.publish(GATEWAY, self.loop.status(states, self._clock()))
 
     def turn(self) -> None:
-        """Wait for frames until the next SYNC or end of a cycle, use them, and do what is due.
+        """Wait for frames until the next SYNC or measurement, use them, and do what is due.
 
         The clock is read before each step: any step may be delayed, and the lateness of SYNC must be known.
         """
+        rest_s = min(self.loop.rests_until_s - self._clock(), TURN_S)
+        if rest_s > 0:
+            time.sleep(rest_s)
         timeout_s = max(0.0, min(self.loop.due_s - self._clock(), TURN_S))
         # select() and not epoll: the timeout of select() has a resolution of microseconds.
         ready, _, _ = select.select(list(self._links.values()), [], [], timeout_s)
         for number, link in self._links.items():
-            if link in ready:
-                self.loop.take(number, link.receive(), self._clock())
+            arrived = link.receive() if link in ready else _NOTHING
+            self.loop.take(number, arrived, self._clock(), state=link.state, dropped=link.dropped)
         self.loop.tick(self._clock())
         wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._publish(self.loop.send_sync(self._clock(), wall_offset_ns))
-        self._publish(self.loop.close_settled(self._clock()))
+        self._publish(self.loop.measurements(self._clock(), wall_offset_ns))
         if self._clock() >= self._status_at_s:
             self._status_at_s = self._clock() + STATUS_PERIOD_S
             self.publish_status()

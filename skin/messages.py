@@ -159,6 +159,9 @@ class FrameCounts(msgspec.Struct, kw_only=True):
         Frames with sums that were used.
     late, duplicate, malformed : int
         Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used.
+    unrefined, unproven : int
+        Adaptive: fine frames whose coarse frame is not held, and frames of nodes that are not proven; they are not
+        used.
     missing : int
         Frames with sums that did not come in their cycle.
     foreign : int
@@ -171,11 +174,13 @@ class FrameCounts(msgspec.Struct, kw_only=True):
     malformed: int = 0
     missing: int = 0
     foreign: int = 0
+    unrefined: int = 0
+    unproven: int = 0
 
     @property
     def received(self) -> int:
         """Number of frames with the identifier of a TPDO with sums."""
-        return self.accepted + self.late + self.duplicate + self.malformed
+        return self.accepted + self.late + self.duplicate + self.malformed + self.unrefined + self.unproven
 
 
 class NmtState(IntEnum):

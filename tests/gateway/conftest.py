@@ -3,6 +3,7 @@
 import pytest
 
 from dbc.contract import Contract
+from tests.gateway.boards import BoardWorld, small_adaptive
 from tests.gateway.world import World, small_contract
 
 
@@ -16,4 +17,18 @@ def world(small: Contract) -> World:
     """Return a skin all of whose blocks are valid."""
     built = World(small)
     built.until_whole(2.0)
+    return built
+
+
+@pytest.fixture(scope="session")
+def adaptive() -> Contract:
+    return small_adaptive()
+
+
+@pytest.fixture
+def boards(adaptive: Contract) -> BoardWorld:
+    """Return a skin of adaptive boards all of whose blocks are valid, the second touched."""
+    built = BoardWorld(adaptive)
+    built.touch(1)
+    built.until_whole(1.0)
     return built

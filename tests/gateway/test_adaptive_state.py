@@ -129,5 +129,5 @@ def test_frames_that_are_no_adaptive_sums_change_nothing() -> None:
     assert not take(0x701, 1, payload, 0, LAW, sums)
     assert not take(cob_id(2, 5, 0, False), 8, payload, 0, LAW, sums)
     assert take(cob_id(1, 5, 0, False), 7, payload, 0, LAW, sums)
-    assert sums.counts.tolist() == [0, 0, 1]
+    assert sums.counts.tolist() == [0, 0, 1, 0, 0, 0]
     assert sums.counts[MALFORMED] == 1

@@ -17,7 +17,8 @@ from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO
 from dbc.indices import OD_GAIN, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_MAPPING
-from gateway.nmt_master import BLOCK_DOWNLOAD_S, TICK_S, NmtMaster
+from gateway.foreign_sdo import BLOCK_DOWNLOAD_S
+from gateway.nmt_master import TICK_S, NmtMaster
 from skin.layout import load_layout
 from tests.bus.harness import frame
 

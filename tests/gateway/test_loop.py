@@ -81,8 +81,8 @@ def test_open_cycle_ends_though_no_bus_shows_the_next_sync(world: World) -> None
     until_sync(world)
     sync_s = world.gateway.sync.due_s - PERIOD_S
     world.gateway.sync.stop()
-    assert world.gateway.close_settled(sync_s + 1.89 * PERIOD_S) == []
-    (closed,) = world.gateway.close_settled(sync_s + 1.91 * PERIOD_S)
+    assert world.gateway.measurements(sync_s + 1.89 * PERIOD_S) == []
+    (closed,) = world.gateway.measurements(sync_s + 1.91 * PERIOD_S)
     assert not valid(closed).any()
     assert world.gateway.in_flight == 0
 
@@ -146,12 +146,12 @@ def test_node_is_awaited_from_its_start_on(small: Contract) -> None:
     world = World(small)
     cut(world, 1, 2)
     world.run(3.5 + SILENT_AFTER_S)
-    assert world.gateway.collector.expected.tolist() == [True, True, True, False]
+    assert world.gateway.gathering.collector.expected.tolist() == [True, True, True, False]
     world.wires[1].loses = None
     world.segments[1].nodes[1].boot(world.now_s)
     while not world.gateway.masters[1].nodes[2].trusted:
         world.step()
-        awaited, trusted = world.gateway.collector.expected[3], world.gateway.masters[1].nodes[2].trusted
+        awaited, trusted = world.gateway.gathering.collector.expected[3], world.gateway.masters[1].nodes[2].trusted
         assert awaited or not trusted
 
 
@@ -181,7 +181,7 @@ def test_no_cycle_waits_for_a_node_that_is_gone(world: World) -> None:
     until_sync(world)
     assert world.gateway.in_flight == 1
     world.run(SILENT_AFTER_S + 2 * LOOK_PERIOD_S)
-    assert world.gateway.collector.expected.tolist() == [False, True, True, True]
+    assert world.gateway.gathering.collector.expected.tolist() == [False, True, True, True]
     for _ in range(4):
         until_sync(world)
         assert world.gateway.in_flight == 0
@@ -192,7 +192,7 @@ def test_node_that_sends_sums_is_awaited_though_its_heartbeat_is_lost(world: Wor
     wire.loses = lambda end, each: bool(end is wire.gateway and each["can_id"] == HEARTBEAT_BASE + 1)
     for _ in range(round((SILENT_AFTER_S + 2.0) / STEP_S)):
         world.step()
-        assert world.gateway.collector.expected.all()
+        assert world.gateway.gathering.collector.expected.all()
     assert any("silent" in line for line in world.lines)
 
 

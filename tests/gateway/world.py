@@ -216,7 +216,7 @@ class World:
         for segment in self.segments:
             segment.tick(self.now_s)
         self.carry()
-        came += self.gateway.close_settled(self.now_s)
+        came += self.gateway.measurements(self.now_s)
         self.measured += came
         return came
 

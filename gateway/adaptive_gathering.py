@@ -1,0 +1,224 @@
+"""Adaptive sums: the newest value of every sum, measured whenever frames have come, and at a least rate."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from dbc.contract import Contract, NodeContract
+from dbc.frame import FRAME, Frames, frames
+from gateway.adaptive_state import (
+    FOREIGN,
+    FOREIGN_SYNCS,
+    MALFORMED,
+    UNPROVEN,
+    UNREFINED,
+    USED,
+    BusSums,
+    Flags,
+    forget_node,
+    new_sums,
+    take_all,
+)
+from gateway.block_states import judge, new_states
+from gateway.errands import Errands
+from gateway.gathering import Health, Sync
+from gateway.nmt_master import NmtMaster
+from skin.messages import FrameCounts, Measurement
+from skin.walsh import GROUPS
+
+#: Shortest and longest time between two measurements.
+SHORTEST_S: Final = 0.001
+LONGEST_S: Final = 0.1
+
+
+@dataclass
+class _Bus:
+    """One bus: its nodes' blocks, and views of what is held of them."""
+
+    blocks: slice
+    sums: BusSums
+    is_proven: Flags
+    has_changed: Flags
+    errands: Errands
+    #: Nodes whose proof has just ended, by place: used from the next frames on.
+    newly_proven: set[int]
+    foreign_syncs: int = 0
+    is_down: bool = False
+
+
+class AdaptiveGathering:
+    """Holds the newest value of every sum, and says how each block stands.
+
+    A node's frames are used from its proof on. When the node is doubted, its sums are forgotten at once.
+
+    Parameters
+    ----------
+    contract : Contract
+    masters : mapping of int to NmtMaster
+        By number of the bus: they ask nodes for groups that are missing.
+    now_s : float
+    """
+
+    #: See `gateway.gathering.Gathering`.
+    in_flight = 0
+    disturbance = "no sums start in the millisecond after each SYNC"
+
+    def __init__(self, contract: Contract, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        self.published = self.complete = 0
+        self._law = contract.law
+        self._newton_per_count = contract.layout.taxels.newton_per_count
+        self._fingerprint = contract.phi.fingerprint
+        blocks = contract.phi.blocks
+        self._sums = new_sums(blocks)
+        self._is_proven = np.zeros(blocks, np.bool_)
+        self._has_changed = np.zeros((blocks, GROUPS), np.bool_)
+        self._shown = new_states(blocks, round(now_s * 1e9))
+        self._noise_n = np.full(blocks, np.nan)
+        self._median_n = 0.0
+        self._buses = {number: self._bus(contract, number, master) for number, master in masters.items()}
+        self._counter = 0
+        #: When the newest frame ended that is in the sums; before the first, the start.
+        self._newest_ns = round(now_s * 1e9)
+        self._published_s, self._has_news = now_s, False
+        self._compile()
+
+    @property
+    def counts(self) -> FrameCounts:
+        """What became of the frames."""
+        total = np.sum([bus.sums.counts for bus in self._buses.values()], axis=0).tolist()
+        return FrameCounts(
+            accepted=total[USED],
+            malformed=total[MALFORMED],
+            unrefined=total[UNREFINED],
+            unproven=total[UNPROVEN],
+            foreign=total[FOREIGN],
+        )
+
+    @property
+    def due_s(self) -> float:
+        """When the next measurement is due: soon after news, else at the least rate."""
+        return self._published_s + (SHORTEST_S if self._has_news else LONGEST_S)
+
+    @property
+    def rests_until_s(self) -> float:
+        """Until when frames may wait unread: no measurement is made before."""
+        return self._published_s + SHORTEST_S
+
+    def trust(self, node: NodeContract, *, proven: bool) -> None:
+        """Use a node's frames that come from now on if `proven`; else forget its sums at once."""
+        bus, place = self._buses[node.bus], node.node_id - 1
+        if proven:
+            bus.newly_proven.add(place)
+            return
+        bus.newly_proven.discard(place)
+        bus.errands.lost(place)
+        bus.is_proven[place] = False
+        self._forget(bus, place)
+
+    def take(self, bus: int, arrived: Frames, health: Health, now_s: float) -> None:
+        """Use the frames that arrived on a bus, in bus order.
+
+        Frames before the end of a node's proof are not used, nor those that came together with it.
+        """
+        mine = self._buses[bus]
+        rows = np.ascontiguousarray(arrived).view(np.uint8).reshape(len(arrived), FRAME.itemsize)
+        newest_ns = take_all(rows, health.has_gap, self._law, mine.is_proven, mine.sums, mine.has_changed)
+        self._newest_ns = max(self._newest_ns, newest_ns)
+        is_still_down = health.is_down and mine.is_down
+        self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
+        mine.is_down = health.is_down
+        if health.has_returned:
+            mine.errands.again()
+        self._use_proven(mine, now_s)
+
+    def begin(self, sync: Sync) -> list[Measurement]:
+        """Take note of a SYNC."""
+        self._counter = sync.counter
+        return []
+
+    def tick(self, now_s: float) -> None:
+        """Ask nodes for groups that are missing, and for their noise."""
+        for bus in self._buses.values():
+            self._use_proven(bus, now_s)
+            if not bus.is_down:
+                bus.errands.tick(now_s, self._shown.unknown[bus.blocks], self._shown.doubtful[bus.blocks])
+
+    def measurements(self, now_s: float, wall_offset_ns: int) -> list[Measurement]:
+        """Return the measurement that is due, if one is."""
+        if now_s < self.due_s:
+            return []
+        self._published_s, self._has_news = now_s, False
+        self._judge(now_s)
+        shown = self._shown
+        self.published += 1
+        self.complete += bool(shown.valid.all())
+        return [
+            Measurement(
+                cycle=self.published,
+                sync_counter=self._counter,
+                sync_mono_ns=self._newest_ns,
+                time_ns=self._newest_ns + wall_offset_ns,
+                sums=shown.sums.astype("<i4", copy=False).tobytes(),
+                valid=shown.valid.tobytes(),
+                fingerprint=self._fingerprint,
+                known=shown.known.tobytes(),
+                states=shown.states.tobytes(),
+                since_ns=shown.since_ns.astype("<i8", copy=False).tobytes(),
+                noise_n=self._median_n,
+            )
+        ]
+
+    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Do nothing: a node that is alive may be silent."""
+
+    def take_foreign_syncs(self, bus: int) -> int:
+        """Return the number of foreign SYNCs on a bus since the last call."""
+        mine = self._buses[bus]
+        before, mine.foreign_syncs = mine.foreign_syncs, int(mine.sums.counts[FOREIGN_SYNCS])
+        return mine.foreign_syncs - before
+
+    def missing_and_late(self, _place: int) -> tuple[int, int]:
+        """Return 0 and 0: no frame is due at a time."""
+        return 0, 0
+
+    def _bus(self, contract: Contract, number: int, master: NmtMaster) -> _Bus:
+        first = contract.layout.first_block(number)
+        blocks = slice(first, first + len(master.node_ids))
+
+        def take_noise(node: int, noise_n: float) -> None:
+            self._noise_n[first + node] = noise_n
+            self._median_n = float(np.nanmedian(self._noise_n))
+
+        return _Bus(
+            blocks=blocks,
+            sums=self._sums.of(blocks),
+            is_proven=self._is_proven[blocks],
+            has_changed=self._has_changed[blocks],
+            errands=Errands(master, take_noise),
+            newly_proven=set(),
+        )
+
+    def _use_proven(self, bus: _Bus, now_s: float) -> None:
+        for place in bus.newly_proven:
+            self._forget(bus, place)
+            bus.is_proven[place] = True
+            bus.errands.proven(place, now_s)
+        bus.newly_proven.clear()
+
+    def _forget(self, bus: _Bus, place: int) -> None:
+        forget_node(place, bus.sums)
+        bus.has_changed[place] = True
+        self._has_news = True
+
+    def _judge(self, now_s: float) -> None:
+        now_ns = round(now_s * 1e9)
+        judge(now_ns, self._newton_per_count, self._is_proven, self._sums, self._has_changed, self._shown)
+
+    def _compile(self) -> None:
+        """Compile what runs for each frame before the first comes."""
+        rows = frames(0).view(np.uint8).reshape(0, FRAME.itemsize)
+        for bus in self._buses.values():
+            take_all(rows, False, self._law, bus.is_proven, bus.sums, bus.has_changed)
+        self._judge(self._published_s)

@@ -1,0 +1,120 @@
+"""How the blocks of an adaptive skin stand, and their sums in the order of Φ."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
+from gateway.adaptive_state import NEVER_NS, NO_CHECK, BusSums, Flags, Integers
+from skin.messages import BlockState
+from skin.walsh import GROUPS, grouped_rows
+
+#: A block is fresh for so long after a frame that counted.
+FRESH_NS: Final = 100_000_000
+#: A refresh waits at most so long for a full bus: after 500 ms it has the highest urgency.
+OVERLOAD_NS: Final = 500_000_000
+#: Coarse and fine refreshes take turns, so that coarse ones are two refresh times apart. A group that is not zero is
+#: overdue so long after its newest coarse frame.
+OVERDUE_NS: Final = 2 * SendingRule().refresh_max * 1_000_000 + OVERLOAD_NS
+
+#: Plain numbers for compiled code.
+_DEAD, _STALE, _QUIET, _FRESH = (
+    int(each) for each in (BlockState.DEAD, BlockState.STALE, BlockState.QUIET, BlockState.FRESH)
+)
+_EVERY_GROUP: Final = (1 << GROUPS) - 1
+_PLACES: Final = grouped_rows(BLOCK_SUMS).ravel().astype(np.int64)
+
+
+class BlockStates(NamedTuple):
+    """What a measurement says of the blocks; see `skin.messages.Measurement`.
+
+    Attributes
+    ----------
+    sums : array of int32, shape (blocks, BLOCK_SUMS)
+        In the order of Φ: of Hadamard rows.
+    known : array of uint8, shape (blocks, BLOCK_SUMS)
+    valid, states : arrays of uint8, shape (blocks,)
+    since_ns : array of int64, shape (blocks,)
+    unknown, doubtful : arrays of uint8, shape (blocks,)
+        Groups, a bit each: of which nothing is held; that may have changed since what is held was sent.
+    """
+
+    sums: npt.NDArray[np.int32]
+    known: npt.NDArray[np.uint8]
+    valid: npt.NDArray[np.uint8]
+    states: npt.NDArray[np.uint8]
+    since_ns: Integers
+    unknown: npt.NDArray[np.uint8]
+    doubtful: npt.NDArray[np.uint8]
+
+
+def new_states(blocks: int, now_ns: int) -> BlockStates:
+    """Return the state of blocks of which nothing is known."""
+    return BlockStates(
+        sums=np.zeros((blocks, BLOCK_SUMS), np.int32),
+        known=np.zeros((blocks, BLOCK_SUMS), np.uint8),
+        valid=np.zeros(blocks, np.uint8),
+        states=np.full(blocks, BlockState.DEAD, np.uint8),
+        since_ns=np.full(blocks, now_ns, np.int64),
+        unknown=np.full(blocks, _EVERY_GROUP, np.uint8),
+        doubtful=np.zeros(blocks, np.uint8),
+    )
+
+
+@njit(cache=True, nogil=True)
+def judge(  # noqa: PLR0917  compiled functions take no keywords
+    now_ns: int, newton_per_count: float, is_proven: Flags, sums: BusSums, has_changed: Flags, shown: BlockStates
+) -> None:
+    """Bring what is shown up to date.
+
+    Parameters
+    ----------
+    is_proven : array of bool, shape (blocks,)
+    sums : BusSums
+        Of all blocks.
+    has_changed : array of bool, shape (blocks, GROUPS)
+        Groups whose sums are not yet shown; cleared.
+    """
+    for block in range(is_proven.size):
+        unknown, doubtful, newest_ns = 0, 0, NEVER_NS
+        for group in range(GROUPS):
+            is_held = sums.check[block, group] != NO_CHECK
+            if has_changed[block, group]:
+                has_changed[block, group] = False
+                _show(block, group, newton_per_count, sums, shown)
+            if not is_held:
+                unknown |= 1 << group
+            newest_ns = max(newest_ns, sums.seen_ns[block, group])
+            if sums.is_lost[block, group] or (is_held and _is_overdue(block, group, now_ns, sums)):
+                doubtful |= 1 << group
+        state, since_ns = _FRESH, newest_ns
+        if not is_proven[block] or unknown == _EVERY_GROUP:
+            state, since_ns = _DEAD, now_ns
+        elif doubtful:
+            state, since_ns = _STALE, now_ns
+        elif now_ns - newest_ns > FRESH_NS:
+            state, since_ns = _QUIET, newest_ns + FRESH_NS
+        if state != shown.states[block]:
+            shown.states[block], shown.since_ns[block] = state, since_ns
+        shown.unknown[block], shown.doubtful[block] = unknown, doubtful
+        shown.valid[block] = state >= _QUIET and not unknown
+
+
+@njit(cache=True, nogil=True)
+def _show(block: int, group: int, newton_per_count: float, sums: BusSums, shown: BlockStates) -> None:
+    is_held = sums.check[block, group] != NO_CHECK
+    for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
+        row = _PLACES[place]
+        shown.sums[block, row] = round(sums.value_n[block, place] / newton_per_count) if is_held else 0
+        shown.known[block, row] = is_held
+
+
+@njit(cache=True, nogil=True)
+def _is_overdue(block: int, group: int, now_ns: int, sums: BusSums) -> bool:
+    """Tell whether a refresh should have come; a group at zero is not refreshed for ever."""
+    if now_ns - sums.coarse_ns[block, group] <= OVERDUE_NS:
+        return False
+    mine = slice(GROUP_SUMS * group, GROUP_SUMS * (group + 1))
+    return bool(sums.value_n[block, mine].any() and sums.coarse_n[block, mine].any())

@@ -1,0 +1,123 @@
+"""Synchronous sums: one measurement for each SYNC, when its cycle is settled or out of time."""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from dbc.canopen import NmtState
+from dbc.contract import Contract, NodeContract
+from dbc.frame import Frames
+from gateway.collector import Collector
+from gateway.gathering import Health, Sync
+from gateway.nmt_master import NmtMaster
+from skin.messages import FrameCounts, Measurement
+
+#: A cycle ends at the latest this part of a period after the next SYNC was due.
+GRACE: Final = 0.9
+
+
+class CycleGathering:
+    """Gathers the sums of the open cycles.
+
+    Attributes
+    ----------
+    collector : Collector
+    """
+
+    #: See `gateway.gathering.Gathering`.
+    rests_until_s = float("-inf")
+    disturbance = "its cycles are not valid"
+
+    def __init__(self, contract: Contract) -> None:
+        self.collector = Collector(contract)
+        self.published = self.complete = 0
+        self._contract = contract
+        self._period_s = contract.layout.sync.period_s
+        self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
+        self._flying: deque[Sync] = deque()
+
+    @property
+    def counts(self) -> FrameCounts:
+        """What became of the frames."""
+        return msgspec.structs.replace(self.collector.counts)
+
+    @property
+    def in_flight(self) -> int:
+        """Number of open cycles."""
+        return len(self._flying)
+
+    @property
+    def due_s(self) -> float:
+        """When the oldest cycle must be closed."""
+        return self._closes_s(self._flying[0]) if self._flying else float("inf")
+
+    def trust(self, node: NodeContract, *, proven: bool) -> None:
+        """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
+        self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
+        if proven:
+            self.collector.expected[self._place[node.bus, node.node_id]] = True
+
+    def take(self, bus: int, arrived: Frames, _health: Health, _now_s: float) -> None:
+        """Use the frames that arrived on a bus, in bus order."""
+        self.collector.take(bus, arrived)
+
+    def begin(self, sync: Sync) -> list[Measurement]:
+        """Open the cycle of a SYNC; return the measurements of cycles that were closed for it."""
+        closed = [self._close(self._flying.popleft()) for _ in range(len(self._flying) - 1)]
+        self.collector.open(sync.counter)
+        self._flying.append(sync)
+        return closed
+
+    def tick(self, now_s: float) -> None:
+        """Do nothing: cycles end by frames and time alone."""
+
+    def measurements(self, now_s: float, _wall_offset_ns: int) -> list[Measurement]:
+        """End the cycles that are settled or out of time; return their measurements."""
+        closed = []
+        while self._flying:
+            oldest = self._flying[0]
+            if not self.collector.is_settled(oldest.counter) and now_s < self._closes_s(oldest):
+                break
+            closed.append(self._close(self._flying.popleft()))
+        return closed
+
+    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Let cycles wait for operational nodes only; report swapped phases."""
+        for place in self.collector.take_swapped():
+            node = self._contract.nodes[place]
+            if node.bus in masters:
+                masters[node.bus].swapped(node.node_id, now_s)
+        for number, master in masters.items():
+            for node_id, state in zip(master.node_ids, master.nmt, strict=True):
+                place = self._place[number, node_id]
+                # A node that sends sums is operational, whatever state its last heartbeat had.
+                self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
+        self.collector.heard[:] = False
+
+    def take_foreign_syncs(self, bus: int) -> int:
+        """Return the number of foreign SYNCs on a bus since the last call."""
+        return self.collector.take_foreign_syncs(bus)
+
+    def missing_and_late(self, place: int) -> tuple[int, int]:
+        """Return how many frames of the node at `place` did not come in their cycle, and came too late."""
+        return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
+
+    def _closes_s(self, sync: Sync) -> float:
+        return sync.due_s + (1 + GRACE) * self._period_s
+
+    def _close(self, sync: Sync) -> Measurement:
+        gathered = self.collector.close(sync.counter)
+        self.published += 1
+        self.complete += gathered.complete
+        return Measurement(
+            cycle=sync.number,
+            sync_counter=sync.counter,
+            sync_mono_ns=sync.mono_ns,
+            time_ns=sync.time_ns,
+            sums=gathered.sums.astype("<i4").tobytes(),
+            valid=gathered.valid.astype(np.uint8).tobytes(),
+            fingerprint=self._contract.phi.fingerprint,
+        )

@@ -1,0 +1,112 @@
+"""What the gateway asks adaptive nodes for besides proofs: groups again (2030h), and their noise (2035h).
+
+Few nodes of a bus are asked at the same time, and each at growing pauses, so that requests never fill a bus.
+"""
+
+import struct
+from collections.abc import Callable, Generator
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.indices import OD_NODE_NOISE, OD_REFRESH
+from gateway.nmt_master import TICK_S, NmtMaster
+from gateway.sdo import Read, SdoDialogue, Transfer, Write
+
+#: Pause after each request for groups to the same node; the last pause follows every further request.
+REQUEST_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)
+#: When a node has needed nothing for so long, its pauses begin anew.
+SETTLED_S: Final = 2.0
+#: A node that is started sends all groups by itself; after this time it is asked for those that did not come.
+START_S: Final = 0.3
+#: Most nodes of a bus that are asked at the same time.
+MOST_ASKED: Final = 4
+#: Time between two reads of a node's noise.
+NOISE_PERIOD_S: Final = 10.0
+
+Groups = npt.NDArray[np.uint8]
+_Steps = Generator[Transfer, bytes, None]
+
+
+class Errands:
+    """The requests to the nodes of one bus. Nodes are named by their place on the bus.
+
+    Parameters
+    ----------
+    master : NmtMaster
+        Its SDO dialogues are used: one at a time with a node.
+    take_noise : callable
+        Called with a node and its noise, newtons.
+    """
+
+    def __init__(self, master: NmtMaster, take_noise: Callable[[int, float], None]) -> None:
+        self._master = master
+        self._take_noise = take_noise
+        self._ids = master.node_ids
+        nodes = len(self._ids)
+        self._proven_s = np.full(nodes, np.inf)
+        self._noise_s = np.full(nodes, np.inf)
+        self._next_s = np.full(nodes, -np.inf)
+        self._tries = np.zeros(nodes, np.intp)
+        self._open: list[tuple[int, SdoDialogue]] = []
+        self._tick_s = -np.inf
+
+    def proven(self, node: int, now_s: float) -> None:
+        """Take note that a node has just been proven: its noise is asked for now, groups after `START_S`."""
+        self._proven_s[node] = self._noise_s[node] = now_s
+        self._next_s[node], self._tries[node] = -np.inf, 0
+
+    def lost(self, node: int) -> None:
+        """Ask a node for nothing until it is proven again."""
+        self._proven_s[node] = self._noise_s[node] = np.inf
+
+    def again(self) -> None:
+        """Begin the pauses of all nodes anew: the bus is back."""
+        self._next_s[:], self._tries[:] = -np.inf, 0
+
+    def tick(self, now_s: float, unknown: Groups, doubtful: Groups) -> None:
+        """Ask who has to be asked; call it many times a second.
+
+        Parameters
+        ----------
+        unknown, doubtful : arrays of uint8, shape (nodes,)
+            Groups, a bit each: of which nothing is held; that may have changed since.
+        """
+        if now_s < self._tick_s:
+            return
+        self._tick_s = now_s + TICK_S
+        records = self._master.nodes
+        self._open = [(node_id, each) for node_id, each in self._open if records[node_id].errand is each]
+        is_used = self._proven_s < np.inf
+        wanted = np.where(is_used, doubtful | np.where(now_s - self._proven_s >= START_S, unknown, 0), 0)
+        self._tries[(wanted == 0) & (now_s - self._next_s >= SETTLED_S)] = 0
+        due = np.flatnonzero((wanted != 0) & (now_s >= self._next_s))
+        for node in due[np.argsort(self._next_s[due], kind="stable")].tolist():
+            if self._ask(node, _refresh(int(wanted[node])), now_s):
+                self._next_s[node] = now_s + REQUEST_PAUSES_S[self._tries[node]]
+                self._tries[node] = min(self._tries[node] + 1, len(REQUEST_PAUSES_S) - 1)
+        oldest = int(self._noise_s.argmin())
+        if now_s >= self._noise_s[oldest] and self._ask(oldest, self._noise(oldest), now_s):
+            self._noise_s[oldest] = now_s + NOISE_PERIOD_S
+
+    def _ask(self, node: int, steps: _Steps, now_s: float) -> bool:
+        if len(self._open) >= MOST_ASKED:
+            return False
+        dialogue = self._master.ask(self._ids[node], steps, now_s)
+        if dialogue is not None:
+            self._open.append((self._ids[node], dialogue))
+        return dialogue is not None
+
+    def _noise(self, node: int) -> _Steps:
+        """Read a node's noise; a node without one (0) is not counted."""
+        data = yield Read(OD_NODE_NOISE)
+        if len(data) == struct.calcsize("<f"):
+            (noise_n,) = struct.unpack("<f", data)
+            if 0 < noise_n < np.inf:
+                self._take_noise(node, noise_n)
+
+
+def _refresh(groups: int) -> _Steps:
+    """Ask a node to send groups again."""
+    yield Write(OD_REFRESH, 0, bytes((groups,)))

@@ -1,0 +1,56 @@
+"""What SDO requests of another master to a node mean for the gateway: a doubt, a channel in use, or nothing."""
+
+from collections.abc import Collection
+from enum import Enum, auto
+from typing import Final
+
+#: After another client's request the gateway leaves the node's SDO channel alone for this long.
+SDO_QUIET_S: Final = 0.05
+#: A block download of another master has ended when no frame of it comes for this long.
+BLOCK_DOWNLOAD_S: Final = 1.0
+
+
+class Effect(Enum):
+    """What one request means."""
+
+    #: The request asks for nothing: the end of a transfer.
+    NONE = auto()
+    #: The node answers one client at a time.
+    BUSY = auto()
+    #: An object that the proof compares is written.
+    DOUBT = auto()
+
+
+class ForeignClient:
+    """The SDO requests of other masters to one node.
+
+    Parameters
+    ----------
+    compared : collection of int
+        Indices of the objects that the proof compares.
+    """
+
+    def __init__(self, compared: Collection[int]) -> None:
+        self._compared = compared
+        self._heard_s = float("-inf")
+        self._is_suspect = True
+        self._in_block_download = False
+
+    @property
+    def free_s(self) -> float:
+        """When the gateway may use the node's SDO channel again."""
+        return self._heard_s + SDO_QUIET_S
+
+    def take(self, data: bytes, now_s: float) -> Effect:
+        """Tell what a request means."""
+        kind = data[0] >> 5
+        if self._in_block_download and now_s - self._heard_s < BLOCK_DOWNLOAD_S:
+            kind = 0  # the data of a block download: its first byte is a number
+        else:
+            self._in_block_download = kind == 6
+        self._heard_s = now_s
+        if kind in (1, 6):  # a download begins, in segments or blocks
+            self._is_suspect = int.from_bytes(data[1:3], "little") in self._compared
+        if kind in (0, 1, 6) and self._is_suspect:
+            return Effect.DOUBT
+        return Effect.BUSY if kind else Effect.NONE

@@ -1,0 +1,146 @@
+"""What a way of gathering sums offers to the loop: cycles of synchronous sums, or adaptive sums as they come."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.error_frames import ErrorClass
+from bus.link import State
+from dbc.contract import NodeContract
+from dbc.frame import ECHO, ERROR, Frames
+from gateway.nmt_master import NmtMaster
+from skin.messages import FrameCounts, Measurement
+
+#: Byte 1 of a report of the controller: its receive buffer has overflowed (SocketCAN: CAN_ERR_CRTL_RX_OVERFLOW).
+_OVERFLOW: Final = 0x01
+_DOWN: Final = (State.BUS_OFF, State.LOST)
+
+
+@dataclass(frozen=True)
+class Sync:
+    """A SYNC: its number since the start, its counter byte, and when it was due."""
+
+    number: int
+    counter: int
+    due_s: float
+    mono_ns: int
+    time_ns: int
+
+
+class Gathering(Protocol):
+    """Makes measurements of frames. All times are arguments.
+
+    Attributes
+    ----------
+    published, complete : int
+        Measurements so far, and those in which every block was valid.
+    """
+
+    published: int
+    complete: int
+
+    @property
+    def counts(self) -> FrameCounts:
+        """What became of the frames."""
+        ...
+
+    @property
+    def in_flight(self) -> int:
+        """Number of open cycles."""
+        ...
+
+    @property
+    def due_s(self) -> float:
+        """When the next measurement is due, whatever comes."""
+        ...
+
+    @property
+    def rests_until_s(self) -> float:
+        """Until when frames may wait unread: no measurement is made before."""
+        ...
+
+    @property
+    def disturbance(self) -> str:
+        """What another SYNC producer does to the sums of its bus."""
+        ...
+
+    def trust(self, node: NodeContract, *, proven: bool) -> None:
+        """Use the sums of a node from now on, or stop at once."""
+        ...
+
+    def take(self, bus: int, arrived: Frames, health: "Health", now_s: float) -> None:
+        """Use the frames that arrived on a bus, in bus order."""
+        ...
+
+    def begin(self, sync: Sync) -> list[Measurement]:
+        """Take note of a SYNC that is about to be sent; return the measurements that must be closed before."""
+        ...
+
+    def tick(self, now_s: float) -> None:
+        """Do what is due besides measurements."""
+        ...
+
+    def measurements(self, now_s: float, wall_offset_ns: int) -> list[Measurement]:
+        """Return the measurements that are due."""
+        ...
+
+    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Compare what came with the states of the nodes; called a few times a second."""
+        ...
+
+    def take_foreign_syncs(self, bus: int) -> int:
+        """Return the number of foreign SYNCs on a bus since the last call."""
+        ...
+
+    def missing_and_late(self, place: int) -> tuple[int, int]:
+        """Return how many frames of the node at `place` in the contract did not come in time."""
+        ...
+
+
+class Health:
+    """Whether a bus may have lost frames since the last look.
+
+    Attributes
+    ----------
+    has_gap : bool
+        Frames were lost before or among the newest that arrived.
+    is_down : bool
+        The controller is off the bus.
+    has_returned : bool
+        The controller is back on the bus.
+    """
+
+    def __init__(self) -> None:
+        self.has_gap = self.is_down = self.has_returned = False
+        self._dropped = 0
+
+    def look(self, arrived: Frames, state: State, dropped: int) -> None:
+        """Use what a link says after it was read.
+
+        Parameters
+        ----------
+        arrived : Frames
+            With the reports of the controller: a bus-off that is over, an overflow.
+        state : State
+            Of the controller.
+        dropped : int
+            Frames that the receive side has lost so far.
+        """
+        is_down = state in _DOWN
+        self.has_returned = self.is_down and not is_down
+        self.has_gap = is_down or self.is_down or dropped != self._dropped or _tells_loss(arrived)
+        self.is_down, self._dropped = is_down, dropped
+
+
+def _tells_loss(arrived: Frames) -> bool:
+    """Tell whether a report among the frames says that the controller received nothing for a time."""
+    is_report: npt.NDArray[np.bool_] = arrived["flags"] & (ERROR | ECHO) == ERROR
+    if not is_report.any():
+        return False
+    why, control = arrived["can_id"][is_report], arrived["data"][is_report, 1]
+    off = why & (ErrorClass.BUS_OFF | ErrorClass.RESTARTED) != 0
+    overflow = (why & ErrorClass.CONTROLLER != 0) & (control & _OVERFLOW != 0)
+    return bool((off | overflow).any())

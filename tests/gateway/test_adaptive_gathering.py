@@ -1,0 +1,317 @@
+"""The gateway's state of adaptive blocks in the company of boards: what it calls valid, and what it asks for."""
+
+import numpy as np
+import pytest
+
+from bus.error_frames import ErrorClass
+from bus.link import State
+from dbc.adaptive import GROUP_SUMS, cob_id
+from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
+from dbc.contract import Contract
+from dbc.dictionary import HEARTBEAT_MS
+from dbc.frame import ERROR
+from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
+from gateway.block_states import FRESH_NS, OVERDUE_NS
+from gateway.nmt_master import SILENT_AFTER_S
+from skin.messages import BlockState
+from tests.bus.harness import frame
+from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
+
+DEAD, STALE, QUIET, FRESH = BlockState
+#: The times that docs/adaptive.md promises.
+FRESH_S, OVERDUE_S, START_S = 0.1, 2.548, 0.3
+
+
+def holds_what_boards_hold(world: BoardWorld) -> bool:
+    """Whether it does so after a refresh in a coarse frame, and the next in a fine frame."""
+    world.run(0.3)
+    return all(np.array_equal(sums_of(world.measured[-1], block), world.known_counts(block)) for block in range(4))
+
+
+def test_measurement_holds_the_sums_of_the_boards_in_the_order_of_phi(boards: BoardWorld, adaptive: Contract) -> None:
+    assert holds_what_boards_hold(boards)
+    newest = boards.measured[-1]
+    taxels_n = adaptive.phi.adjoint(np.frombuffer(newest.sums, "<i4").astype(np.float64))
+    assert taxels_n[adaptive.phi.taxels_of_blocks[1]].any()
+    assert not taxels_n[adaptive.phi.taxels_of_blocks[[0, 2, 3]]].any()
+    assert len(newest.known) == 128
+    assert np.frombuffer(newest.known, np.uint8).all()
+    assert newest.fingerprint == adaptive.phi.fingerprint
+    assert newest.noise_n == pytest.approx(2.5e-4)
+    assert boards.gateway.sync.counter - 1 <= newest.sync_counter <= boards.gateway.sync.counter
+    assert newest.sync_mono_ns <= round(boards.now_s * 1e9)
+
+
+def test_something_is_published_ten_times_a_second_before_any_node_is_there(adaptive: Contract) -> None:
+    world = BoardWorld(adaptive)
+    for board in world.boards:
+        board.answers = board.beats = False
+    came = world.run(1.0)
+    assert len(came) in {9, 10}
+    assert [each.cycle for each in came] == list(range(1, len(came) + 1))
+    assert all(states(each) == [DEAD] * 4 and not any(each.valid) and not any(each.known) for each in came)
+    assert came[-1].noise_n == 0
+
+
+def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
+    gateway, first_s = boards.gateway, boards.now_s
+    payload, times = b"\x90" * 8, []
+    for step in range(300):
+        now_s = first_s + 1e-4 * step
+        gateway.take(0, frame(cob_id(0, 5, 1, False), payload, time_ns=round(now_s * 1e9)), now_s)
+        if came := gateway.measurements(now_s):
+            times.append(now_s)
+            assert came[0].sync_mono_ns == round(now_s * 1e9)
+        assert gateway.rests_until_s <= (times or [now_s])[-1] + 1e-3 + 1e-9
+    assert 27 <= len(times) <= 30
+    assert min(np.diff(times)) >= 1e-3 - 1e-9
+    assert gateway.due_s <= now_s + 0.1
+
+
+def test_block_is_fresh_for_a_tenth_of_a_second_and_quiet_from_then_on(boards: BoardWorld) -> None:
+    at_rest(boards)
+    assert boards.run(0.3)[-1].states[0] == QUIET
+    boards.touch(0, seed=5)
+    boards.boards[0].speaks = True
+    boards.step()
+    seen_ns = round(boards.now_s * 1e9)
+    assert boards.measured[-1].states[0] == FRESH
+    boards.boards[0].speaks = False
+    came = boards.run(0.25)
+    assert came[-1].states[0] == QUIET
+    assert np.frombuffer(came[-1].since_ns, "<i8")[0] == seen_ns + FRESH_NS
+    assert came[-1].valid[0] == 1
+
+
+def test_node_that_sends_heartbeats_only_stays_quiet_and_valid(boards: BoardWorld) -> None:
+    at_rest(boards)
+    sent = boards.boards[0].sent
+    came = boards.run(10.0)
+    assert boards.boards[0].sent == sent
+    assert {each.states[0] for each in came[5:]} == {QUIET}
+    assert all(all(each.valid) for each in came)
+    assert not any(board.asked for board in boards.boards)
+    assert not boards.lines
+
+
+def test_frames_and_counts_balance(boards: BoardWorld) -> None:
+    for seed in range(20):
+        boards.touch(seed % 4, seed, 0.001 * seed)
+        boards.run(0.05)
+    counts = boards.status().frames
+    assert counts.received == counts.accepted == sum(board.sent for board in boards.boards)
+    status = boards.status()
+    assert status.cycles == len(boards.measured)
+    assert status.cycles_complete == sum(all(each.valid) for each in boards.measured)
+    assert (status.buses[0].missing, status.buses[0].late) == ([0, 0], [0, 0])
+    assert counts.missing == counts.late == counts.malformed == 0
+
+
+def test_dropped_frames_make_the_bus_stale_until_each_group_has_come_again(boards: BoardWorld) -> None:
+    at_rest(boards)
+    lose(boards, 0)
+    (came,) = boards.gateway.measurements(boards.gateway.due_s)
+    assert states(came)[:2] == [STALE, STALE]
+    assert states(came)[2:] == [QUIET, QUIET]
+    assert list(came.valid) == [0, 0, 1, 1]
+    assert known_of(came, 0).all()
+    took_s = boards.until_whole(1.0)
+    assert took_s <= 0.05
+    assert [[groups for _, groups in board.asked] for board in boards.boards] == [[15], [15], [], []]
+    assert holds_what_boards_hold(boards)
+
+
+def test_frames_that_were_read_together_with_a_loss_do_not_end_it(boards: BoardWorld) -> None:
+    """Where among them the frames were lost is not known."""
+    at_rest(boards)
+    boards.boards[1].again(15)
+    boards.boards[1].answers = boards.boards[0].answers = False
+    boards.dropped[0] += 1
+    (came,) = boards.step()
+    assert states(came)[1] == STALE
+    boards.boards[1].again(15)
+    (came,) = boards.step()
+    assert states(came)[1] == FRESH
+    assert states(came)[0] == STALE
+
+
+@pytest.mark.parametrize("why", [State.BUS_OFF, State.LOST])
+def test_controller_that_was_off_the_bus_makes_it_stale(boards: BoardWorld, why: State) -> None:
+    at_rest(boards)
+    boards.link[1], boards.wires[1].gateway.is_held = why, True
+    boards.touch(3, seed=7)
+    came = boards.run(0.3)
+    assert states(came[-1]) == [QUIET, QUIET, STALE, STALE]
+    assert not any(boards.boards[3].asked)
+    boards.wires[1].gateway.waiting.clear()
+    boards.link[1], boards.wires[1].gateway.is_held = State.ACTIVE, False
+    assert boards.until_whole(1.0) <= 0.05
+    assert [len(board.asked) for board in boards.boards] == [0, 0, 1, 1]
+    assert holds_what_boards_hold(boards)
+
+
+@pytest.mark.parametrize(
+    ("why", "control"), [(ErrorClass.BUS_OFF, 0), (ErrorClass.RESTARTED, 0), (ErrorClass.CONTROLLER, 0x01)]
+)
+def test_controller_reports_a_gap_that_is_over(boards: BoardWorld, why: ErrorClass, control: int) -> None:
+    """Bus-off and return within one turn, or an overflow of the controller's own buffer."""
+    at_rest(boards)
+    report = frame(int(why), bytes((0, control, 0, 0, 0, 0, 0, 0)), ERROR)
+    boards.gateway.take(0, report, boards.now_s)
+    (came,) = boards.gateway.measurements(boards.gateway.due_s)
+    assert states(came) == [STALE, STALE, QUIET, QUIET]
+    boards.until_whole(0.1)
+
+
+def test_other_reports_of_the_controller_change_nothing(boards: BoardWorld) -> None:
+    at_rest(boards)
+    boards.gateway.take(0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s)
+    boards.run(0.2)
+    assert states(boards.measured[-1]) == [QUIET] * 4
+
+
+def test_fine_frame_that_does_not_fit_has_its_group_asked_for(boards: BoardWorld) -> None:
+    """A coarse frame was lost that nobody knows of."""
+    at_rest(boards)
+    wire = boards.wires[0]
+    payload = bytes(7) + bytes(((int(boards.boards[1].groups.check[0, 2]) + 1) & 0xFF,))
+    before = sums_of(boards.measured[-1], 1).copy()
+    wire.put(cob_id(1, 0, 2, True), payload)
+    came = boards.run(0.2)
+    assert STALE in {states(each)[1] for each in came}
+    assert [groups for _, groups in boards.boards[1].asked] == [0b100]
+    assert boards.status().frames.unrefined == 1
+    assert holds_what_boards_hold(boards)
+    np.testing.assert_array_equal(sums_of(came[-1], 1), before)
+    assert all(came[-1].valid)
+
+
+def test_refresh_that_is_overdue_makes_stale_what_is_not_zero(boards: BoardWorld) -> None:
+    at_rest(boards)
+    for board in boards.boards:
+        board.speaks = False
+    silent_s = boards.now_s
+    came = boards.run(OVERDUE_S + 0.2)
+    stale = next(each for each in came if states(each)[1] == STALE)
+    stale_s = np.frombuffer(stale.since_ns, "<i8")[1] / 1e9
+    assert round(OVERDUE_S * 1e9) == OVERDUE_NS
+    assert stale_s - silent_s <= OVERDUE_S + 0.1
+    assert {states(each)[0] for each in came} == {QUIET}
+    assert boards.boards[1].asked
+    assert not boards.boards[0].asked
+    boards.boards[1].speaks = True
+    boards.until_whole(3.0)
+
+
+def test_reset_node_is_forgotten_at_once_and_comes_back_by_itself(boards: BoardWorld) -> None:
+    at_rest(boards)
+    boards.nmt(0, NmtCommand.RESET_NODE, 2)
+    came = boards.run(2 * STEP_S)
+    assert states(came[-1]) == [QUIET, DEAD, QUIET, QUIET]
+    assert not known_of(came[-1], 1).any()
+    assert not sums_of(came[-1], 1).any()
+    assert boards.until_whole(1.0) < 0.3
+    assert not boards.boards[1].asked
+    assert holds_what_boards_hold(boards)
+
+
+def test_silent_node_is_dead(boards: BoardWorld) -> None:
+    at_rest(boards)
+    boards.boards[1].speaks = boards.boards[1].beats = False
+    came = boards.run(HEARTBEAT_MS / 1000 + SILENT_AFTER_S + 0.2)
+    assert states(came[-1])[1] == DEAD
+    assert not known_of(came[-1], 1).any()
+    assert list(came[-1].valid) == [1, 0, 1, 1]
+
+
+def test_frames_of_a_node_that_is_not_proven_are_not_used() -> None:
+    """Its code of sums differs: the same bytes would mean other forces."""
+    world = BoardWorld(small_adaptive('configure = "refuse"\n'))
+    wrong = world.boards[2]
+    wrong.objects[OD_COMPANDING, 1] = b"\0\0\0\x40"
+    wrong.objects[OD_SIGNATURE, 0] = bytes(4)
+    wrong.state = NmtState.OPERATIONAL
+    wrong.again(15)
+    world.touch(2)
+    came = world.run(1.0)
+    assert states(came[-1])[2] == DEAD
+    assert not any(known_of(each, 2).any() for each in came)
+    assert list(came[-1].valid) == [1, 1, 0, 1]
+    counts = world.status().frames
+    assert counts.unproven == wrong.sent > 0
+    assert counts.received == sum(board.sent for board in world.boards)
+    assert world.status().buses[1].refused == [1]
+
+
+def test_frames_that_came_with_the_end_of_the_proof_are_not_used(adaptive: Contract) -> None:
+    """They may have been sent before the node was set right."""
+    world = BoardWorld(adaptive)
+    board = world.boards[0]
+    board.answers = False
+    world.run(0.1)
+    board.answers, world.wires[0].gateway.is_held = True, True
+    world.run(0.3)  # the question is repeated
+    board.state = NmtState.OPERATIONAL
+    board.again(15)
+    world.run(2 * STEP_S)
+    world.wires[0].gateway.is_held = False
+    board.speaks = False
+    world.run(2 * STEP_S)
+    assert world.gateway.masters[0].nodes[1].trusted
+    assert board.sent
+    assert states(world.measured[-1])[0] == DEAD
+    assert not known_of(world.measured[-1], 0).any()
+    board.speaks = True
+    world.until_whole(START_S + 0.1)
+
+
+def test_node_whose_test_pattern_somebody_sets_is_forgotten(boards: BoardWorld) -> None:
+    at_rest(boards)
+    request = b"\x2f" + OD_TEST_PATTERN.to_bytes(2, "little") + b"\0\1\0\0\0"
+    boards.wires[0].put(0x600 + 2, request)
+    boards.touch(1, seed=9)
+    came = boards.run(2 * STEP_S)
+    assert states(came[-1])[1] == DEAD
+    boards.boards[1].objects[OD_TEST_PATTERN, 0] = b"\0"
+    boards.until_whole(1.0)
+
+
+def test_identifier_of_a_node_is_set_right_though_its_mapping_is_fixed(adaptive: Contract) -> None:
+    world = BoardWorld(adaptive)
+    board = world.boards[0]
+    board.objects[OD_TPDO_COMMUNICATION + 3, 1] = b"\x23\x01\0\x40"
+    board.objects[OD_SIGNATURE, 0] = bytes(4)
+    world.until_whole(2.0)
+    world.run(0.3)
+    written = [line for line in world.lines if "set right" in line]
+    assert len(written) == 1
+    assert "1803h:1" in written[0]
+
+
+def test_gateway_that_joins_a_running_skin_asks_for_everything(boards: BoardWorld) -> None:
+    boards.touch(2, seed=4)
+    at_rest(boards)
+    for board in boards.boards:
+        board.asked.clear()
+    boards.gateway = boards.new_gateway()
+    assert boards.until_whole(1.1) <= START_S + 0.1
+    assert all(board.state is NmtState.OPERATIONAL for board in boards.boards)
+    assert holds_what_boards_hold(boards)
+    assert all(len(board.asked) <= 1 for board in boards.boards)
+
+
+def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> None:
+    at_rest(boards)
+    before = boards.status().frames
+    wire = boards.wires[0]
+    wire.put(SYNC_COB_ID, b"\1")
+    wire.put(cob_id(2, 5, 0, False), bytes(8))
+    wire.put(HEARTBEAT_BASE + 99, b"\5")
+    wire.put(cob_id(0, 5, 0, False), b"\1" * (GROUP_SUMS - 1))
+    boards.step()
+    boards.run(0.3)
+    after = boards.status().frames
+    assert after.malformed == before.malformed + 1
+    assert after.foreign >= before.foreign + 3
+    assert boards.complaints == ["another SYNC producer on bus0: no sums start in the millisecond after each SYNC"]
+    assert states(boards.measured[-1]) == [QUIET] * 4
