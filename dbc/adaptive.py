@@ -60,6 +60,8 @@ class SendingRule(NamedTuple):
         A level of urgency stands for this many doublings of difference over threshold.
     doubling : float
         Waiting for so long counts as twice the difference.
+    patience : int
+        News that has waited for so long has the highest level, and no other news has.
     inhibit : int
         Least time between two frames of a group (the TPDOs' inhibit time).
     fine_ratio : float
@@ -79,6 +81,7 @@ class SendingRule(NamedTuple):
     rounding: float = 0.75
     level_ratio: float = 1.25
     doubling: float = 8.0
+    patience: int = 24
     inhibit: int = 1
     fine_ratio: float = 0.3
     fine_wait: int = 4

@@ -109,7 +109,7 @@ def room_for(count: int) -> Chosen:
 
 @njit(cache=True, nogil=True)
 def rule_of(rules: Numbers, node: int) -> SendingRule:
-    """Return a node's row of an array of rules, shape (nodes, 12)."""
+    """Return a node's row of an array of rules, shape (nodes, 13)."""
     row = rules[node]
     return SendingRule(
         row[0],
@@ -124,6 +124,7 @@ def rule_of(rules: Numbers, node: int) -> SendingRule:
         int(row[9]),
         int(row[10]),
         int(row[11]),
+        int(row[12]),
     )
 
 
