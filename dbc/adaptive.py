@@ -27,6 +27,8 @@ TPDOS: Final = GROUPS * (LEVELS + FINE_LEVELS)
 NODES: Final = 32
 #: COB-ID of the first TPDO of node 1; those of all nodes end at 580h, below the SDO answers.
 FIRST_COB_ID: Final = 0x181
+#: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
+PAUSE_MS: Final = 2
 #: Largest codes of the mean row, and on each side of 0 of the other rows.
 MEAN_CODES: Final = 255
 OTHER_CODES: Final = 127
@@ -60,8 +62,6 @@ class SendingRule(NamedTuple):
         A level of urgency stands for this many doublings of difference over threshold.
     doubling : float
         Waiting for so long counts as twice the difference.
-    patience : int
-        News that has waited for so long has the highest level, and no other news has.
     inhibit : int
         Least time between two frames of a group (the TPDOs' inhibit time).
     fine_ratio : float
@@ -74,6 +74,8 @@ class SendingRule(NamedTuple):
         A refresh that waits so long goes up one level.
     zero_refreshes : int
         A group at zero is sent again so often.
+    patience : int
+        News that has waited for so long has the highest level, and no other news has.
     """
 
     noise_ratio: float = 0.15
@@ -81,7 +83,6 @@ class SendingRule(NamedTuple):
     rounding: float = 0.75
     level_ratio: float = 1.25
     doubling: float = 8.0
-    patience: int = 24
     inhibit: int = 1
     fine_ratio: float = 0.3
     fine_wait: int = 4
@@ -89,6 +90,7 @@ class SendingRule(NamedTuple):
     refresh_max: int = 1024
     overdue: int = 100
     zero_refreshes: int = 6
+    patience: int = 24
 
 
 class Companding(NamedTuple):
