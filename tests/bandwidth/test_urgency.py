@@ -24,6 +24,8 @@ from skin.walsh import GROUPS
 MS = 1_000_000
 NODES, TICKS = 32, 330
 RULE = SendingRule()
+#: Of a frame, where `evaluation.schemes.adaptive_bus` writes.
+FIRST_BYTE = FRAME.fields["can_id"][1]  # type: ignore[index]
 QUIET = Disturbance(0.0, 0.0, 0.0)
 #: Bytes whose runs of four equal bits need the most stuff bits, and bytes near 0.
 STUFFED = (0x0F, 0x1E, 0x3C, 0x78, 0xF0, 0xE1, 0xC3, 0x87)
@@ -44,7 +46,7 @@ def arbitrated(
     """Run one bus; return the log of its frames and what the nodes then know. `beats`, due heartbeats, is changed."""
     capacity = 10 * len(sums_n)
     sent = frames(capacity)
-    rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, 8:]
+    rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, FIRST_BYTE:]
     record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(NODES)
     count = run_bus(sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, 1000, record)
     return record.log[:count], groups
