@@ -16,7 +16,7 @@ import numpy.typing as npt
 from bandwidth.response import ERROR_BITS, UNBOUNDED, response_times_ns
 from bandwidth.response_kernel import arrivals
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from dbc.adaptive import GROUP_SUMS, LEVELS, PAUSE_MS, SendingRule, cob_id
+from dbc.adaptive import GROUP_SUMS, LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, cob_id
 from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.frame_bits import frame_time_ns, nominal_ns
@@ -28,9 +28,6 @@ _MS: Final = 1_000_000
 _RULE: Final = SendingRule()
 #: A refresh reaches the highest level after this time.
 OVERDUE_NS: Final = (LEVELS - 1) * _RULE.overdue * _MS
-#: A budget (2034h) can be saved up for so long, and for so many frames at least.
-BUDGET_SAVED_S: Final = 0.25
-BUDGET_SAVED_FRAMES: Final = 2 * GROUPS
 #: What waits for more pauses has no bound.
 _PAUSES_MAX: Final = 1000
 
@@ -182,7 +179,7 @@ class Budgeted:
     @property
     def saved_bits(self) -> float:
         """Bits that a node can save up."""
-        return max(BUDGET_SAVED_FRAMES * self.frame_bits, BUDGET_SAVED_S * self.bits_per_s)
+        return max(SAVED_FRAMES * self.frame_bits, SAVING_S * self.bits_per_s)
 
     @cached_property
     def full_ns(self) -> int:

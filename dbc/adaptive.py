@@ -29,6 +29,9 @@ NODES: Final = 32
 FIRST_COB_ID: Final = 0x181
 #: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
 PAUSE_MS: Final = 2
+#: A budget of bits can be saved up for so long, and for so many frames at least.
+SAVING_S: Final = 0.25
+SAVED_FRAMES: Final = 2 * GROUPS
 #: Largest codes of the mean row, and on each side of 0 of the other rows.
 MEAN_CODES: Final = 255
 OTHER_CODES: Final = 127
