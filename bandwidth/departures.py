@@ -41,17 +41,17 @@ def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, loa
         Results of `plan` and `measure` for this bus.
     """
     taken, seconds = whole_cycles(seen)
-    lines = [*_load(planned, load), *_foreign(contract, bus, load), *_errors(seen)]
+    lines = [*_load(planned, load), *foreign(contract, bus, load), *errors(seen)]
     syncs = int(is_sync(seen).sum())
     if syncs > 1:
         lines += [
-            *_sync(contract, taken, seconds),
+            *sync(contract, taken, seconds),
             *_cycles(contract, bus, taken),
             *_late(contract, bus, taken, planned),
         ]
     else:
         lines.append(f"{'one' if syncs else 'no'} SYNC: cycles cannot be told apart")
-    lines += [*_heartbeats(contract, bus, taken, seconds)]
+    lines += [*heartbeats(contract, bus, taken, seconds)]
     return [f"{planned.name}: {line}" for line in lines]
 
 
@@ -60,7 +60,8 @@ def _load(planned: BusPlan, load: BusLoad) -> Iterator[str]:
         yield f"load {load.load_exact:.1%}, at most {planned.load_worst:.1%} were planned"
 
 
-def _foreign(contract: Contract, bus: int, load: BusLoad) -> Iterator[str]:
+def foreign(contract: Contract, bus: int, load: BusLoad) -> Iterator[str]:
+    """Find identifiers that are not planned, and emergencies."""
     for each in load.identifiers:
         if each.kind == FOREIGN:
             yield f"{each.name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
@@ -68,13 +69,15 @@ def _foreign(contract: Contract, bus: int, load: BusLoad) -> Iterator[str]:
             yield f"node {kind_of(contract, bus, each.cob_id)[1]} sent {each.frames} emergencies"
 
 
-def _errors(seen: Frames) -> Iterator[str]:
-    errors = int((seen["flags"] & ERROR != 0).sum())
-    if errors:
-        yield f"{errors} errors reported"
+def errors(seen: Frames) -> Iterator[str]:
+    """Count the errors that the log reports."""
+    reported = int((seen["flags"] & ERROR != 0).sum())
+    if reported:
+        yield f"{reported} errors reported"
 
 
-def _sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
+def sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
+    """Compare period and counters of SYNC with the layout."""
     syncs = taken[is_sync(taken)]
     period_s = seconds / len(syncs)
     if abs(period_s / contract.layout.sync.period_s - 1) > PERIOD_TOLERANCE:
@@ -142,7 +145,8 @@ def _ranges(numbers: list[int]) -> str:
     return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
 
 
-def _heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
+def heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
+    """Find nodes that were silent for too long."""
     patience_s = PATIENCE * HEARTBEAT_MS * 1e-3
     if seconds <= patience_s:
         return

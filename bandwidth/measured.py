@@ -6,7 +6,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from bandwidth.adaptive_plan import AdaptiveBusPlan
 from bandwidth.plan import BusPlan
+from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, NODES, TPDOS, frame_of
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -102,14 +104,14 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     return real[first:last], seconds
 
 
-def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan) -> BusLoad:
+def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan) -> BusLoad:
     """Measure the load of bus number `bus`.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-    planned : BusPlan
+    planned : BusPlan or AdaptiveBusPlan
 
     Raises
     ------
@@ -172,6 +174,10 @@ def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
 
 def kind_of(contract: Contract, bus: int, cob_id: int) -> tuple[str, int | None]:
     """Return the kind of an 11-bit identifier and the node-ID of its sender; 0 is the gateway."""
+    if contract.layout.sending == "adaptive" and 0 <= cob_id - FIRST_COB_ID < NODES * TPDOS:
+        node_id, _, _, is_fine = frame_of(cob_id)
+        is_node = node_id <= contract.layout.bus[bus].nodes
+        return ("fine" if is_fine else "coarse", node_id) if is_node else (FOREIGN, None)
     row = int(contract.table.row_of[bus, cob_id]) if cob_id <= 0x7FF else -1
     if row >= 0:
         return "TPDO", contract.nodes[int(contract.table.node[row])].node_id
@@ -228,6 +234,14 @@ def is_due(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]
     return due
 
 
+def is_sum_frame(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
+    """Tell which frames have the identifier of sums of an adaptive node of bus number `bus`."""
+    place = taken["can_id"].astype(np.int64) - FIRST_COB_ID
+    found: npt.NDArray[np.bool_] = is_plain(taken) & (place >= 0) & (place < NODES * TPDOS)
+    found &= place % NODES < contract.layout.bus[bus].nodes
+    return found
+
+
 def tpdo_rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
     """Return the row of each frame in the contract's table of TPDOs, -1 for other frames."""
     known = is_plain(taken) & (taken["can_id"] <= 0x7FF)
@@ -251,8 +265,13 @@ def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[s
     if foreign > MISFIT_RATIO * load.frames:
         lines.append(f"{foreign} of {load.frames} frames have identifiers that the layout does not plan; {hint}")
     taken, _ = whole_cycles(seen)
-    tpdos = int((tpdo_rows(contract, bus, taken) >= 0).sum())
-    wrong = tpdos - int(is_due(contract, bus, taken).sum())
+    if contract.layout.sending == "adaptive":
+        is_tpdo = is_sum_frame(contract, bus, taken)
+        is_right = taken["length"][is_tpdo] == GROUP_SUMS
+    else:
+        is_tpdo, is_right = tpdo_rows(contract, bus, taken) >= 0, is_due(contract, bus, taken)
+    tpdos = int(is_tpdo.sum())
+    wrong = tpdos - int(is_right.sum())
     if wrong > MISFIT_RATIO * tpdos:
         lines.append(f"{wrong} of {tpdos} TPDOs have another length or format than the layout plans; {hint}")
     if load.load_exact > 1:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from bandwidth.adaptive_plan import AdaptiveBusPlan, plan_adaptive
 from bandwidth.alternatives import alternatives
 from bandwidth.plan import BusPlan
 from bandwidth.plan import plan as plan_buses
@@ -10,6 +11,7 @@ from bandwidth.traffic import Disturbance
 from bus.options import BusOptions, Channels, channels
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
+from skin.errors import InputError
 from skin.layout import load_layout
 from skin.service import say
 from skin.terminal import Json, print_json
@@ -21,6 +23,7 @@ def plan(
     check: Path | None = None,
     channel: Channels | None = None,
     plot: Path | None = None,
+    node_budget: int = 0,
     disturbance: Disturbance | None = None,
     json_: Json = False,
 ) -> int:
@@ -38,6 +41,8 @@ def plan(
         The channel of each bus in the log. Default: the names of the buses, else all channels in their order.
     plot
         Folder for pictures: rates for other numbers of buses and widths of sums; time line of one cycle.
+    node_budget
+        Adaptive sending: bits a second that each node may send (object 2034h); 0 for no budget.
     disturbance
         Disturbances that response times include.
     json_
@@ -47,9 +52,16 @@ def plan(
     --------
     skin plan palm.toml --plot pictures
     skin plan palm.toml --check candump-2026-11-20_120000.log
+    skin plan adaptive --node-budget 24000
     """
     allowed = disturbance or Disturbance()
-    contract = Contract.from_layout(load_layout(layout))
+    contract = Contract.from_layout(load_layout(layout, adaptive=True))
+    if contract.layout.sending == "adaptive":
+        if plot is not None:
+            raise InputError("--plot draws cycles, and adaptive nodes send none: leave the option out")
+        return _plan_adaptive(contract, allowed, node_budget, check, channel or [], as_json=json_)
+    if node_budget:
+        raise InputError("--node-budget is for adaptive sending: the nodes of this layout send in every cycle")
     plans = plan_buses(contract, allowed=allowed)
     if check is not None:
         return _check(contract, plans, check, channel or [], as_json=json_)
@@ -64,6 +76,33 @@ def plan(
         from bandwidth.tables import print_plan
 
         print_plan(plans, alternatives(contract.layout, allowed))
+    return int(any(each.problems for each in plans))
+
+
+def _plan_adaptive(
+    contract: Contract, allowed: Disturbance, budget: int, log: Path | None, names: list[str], *, as_json: bool
+) -> int:
+    plans = plan_adaptive(contract, allowed=allowed, budget_bits_per_s=budget)
+    if log is not None:
+        return _check(contract, plans, log, names, as_json=as_json)
+    if as_json:
+        layout = contract.layout
+        print_json(
+            {
+                "name": layout.name,
+                "sending": layout.sending,
+                "sync_rate_hz": layout.sync.rate_hz,
+                "taxels": layout.taxels.count,
+                "sums": layout.measurement.sums,
+                "allowed": allowed,
+                "fits": not any(each.problems for each in plans),
+                "buses": plans,
+            }
+        )
+    else:
+        from bandwidth.adaptive_tables import print_adaptive_plan
+
+        print_adaptive_plan(plans)
     return int(any(each.problems for each in plans))
 
 
@@ -84,7 +123,15 @@ def _document(contract: Contract, plans: list[BusPlan], allowed: Disturbance) ->
     }
 
 
-def _check(contract: Contract, plans: list[BusPlan], log: Path, names: list[str], *, as_json: bool) -> int:
+def _check(
+    contract: Contract,
+    plans: list[BusPlan] | list[AdaptiveBusPlan],
+    log: Path,
+    names: list[str],
+    *,
+    as_json: bool,
+) -> int:
+    from bandwidth.adaptive_departures import adaptive_departures
     from bandwidth.departures import departures
     from bandwidth.logs import of_buses, read_log
     from bandwidth.measured import measure, misfits
@@ -100,7 +147,11 @@ def _check(contract: Contract, plans: list[BusPlan], log: Path, names: list[str]
         )
         for line in misfits(contract, number, seen, load):
             say("plan", line)
-        lines += departures(contract, number, seen, plans[number], load)
+        planned = plans[number]
+        if isinstance(planned, BusPlan):
+            lines += departures(contract, number, seen, planned, load)
+        else:
+            lines += adaptive_departures(contract, number, seen, planned, load)
     if as_json:
         print_json(lines)
     elif lines:

@@ -1,7 +1,7 @@
 """Tables of plans and of measured loads."""
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from bandwidth.alternatives import Alternative
@@ -20,8 +20,8 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
     tried = list(others)
     _print_buses(plans)
     print("\nworst response of each node's last TPDO, ms:")
-    for line in _node_lines(plans):
-        print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    ").replace(_NO_BREAK, " "))
+    times = {each.name: [(node.node_id, node.response_ms) for node in each.node_plans] for each in plans}
+    print_wrapped(node_lines(times))
     print()
     _print_alternatives(tried)
     for plan in plans:
@@ -37,10 +37,10 @@ def print_loads(loads: Sequence[BusLoad]) -> None:
     rows: list[list[object]] = [
         ["measured, s", *(f"{each.seconds:.2f}" for each in loads)],
         ["frames", *(each.frames for each in loads)],
-        ["load", *(_percent(each.load_exact) for each in loads)],
-        ["load planned, touched", *(_percent(each.plan_touched) for each in loads)],
-        ["load with most stuff bits", *(_percent(each.load_worst) for each in loads)],
-        ["load planned, worst", *(_percent(each.plan_worst) for each in loads)],
+        ["load", *(percent(each.load_exact) for each in loads)],
+        ["load planned, touched", *(percent(each.plan_touched) for each in loads)],
+        ["load with most stuff bits", *(percent(each.load_worst) for each in loads)],
+        ["load planned, worst", *(percent(each.plan_worst) for each in loads)],
         ["errors reported", *(each.errors for each in loads)],
     ]
     print_table(["", *(each.name for each in loads)], rows)
@@ -72,17 +72,17 @@ def _print_buses(plans: Sequence[BusPlan]) -> None:
         "nodes": [str(each.nodes) for each in plans],
         "frames a cycle": [str(each.frames_per_cycle) for each in plans],
         "bits a cycle, touched / worst": [
-            f"{_number(each.bits_per_cycle_touched, 0)} / {each.bits_per_cycle_worst}" for each in plans
+            f"{number(each.bits_per_cycle_touched, 0)} / {each.bits_per_cycle_worst}" for each in plans
         ],
-        "load, touched / worst": [f"{_percent(each.load_touched)} / {_percent(each.load_worst)}" for each in plans],
+        "load, touched / worst": [f"{percent(each.load_touched)} / {percent(each.load_worst)}" for each in plans],
         "highest SYNC rate, touched / worst, Hz": [
-            f"{_number(each.max_rate_hz_touched, 1)} / {each.max_rate_hz_worst:.1f}" for each in plans
+            f"{number(each.max_rate_hz_touched, 1)} / {each.max_rate_hz_worst:.1f}" for each in plans
         ],
         "highest SYNC rate, random bits, Hz": [f"{each.max_rate_hz_random:.1f}" for each in plans],
         "highest SYNC rate at a worst load of 80 %, Hz": [f"{each.max_rate_hz_worst_80:.1f}" for each in plans],
-        "window (1007h), needed / set, ms": [f"{_ms(each.window_needed_ms)} / {each.window_ms:.2f}" for each in plans],
-        "SDO response at worst, ms": [_ms(each.sdo_response_ms) for each in plans],
-        "heartbeat at worst, ms": [_ms(each.heartbeat_response_ms) for each in plans],
+        "window (1007h), needed / set, ms": [f"{ms(each.window_needed_ms)} / {each.window_ms:.2f}" for each in plans],
+        "SDO response at worst, ms": [ms(each.sdo_response_ms) for each in plans],
+        "heartbeat at worst, ms": [ms(each.heartbeat_response_ms) for each in plans],
         "receive buffer, frames / bytes": [
             f"{each.receive_buffer_frames} / {each.receive_buffer_bytes}" for each in plans
         ],
@@ -102,35 +102,44 @@ def _print_alternatives(others: Iterable[Alternative]) -> None:
                 str(each.nodes),
                 str(each.frames_per_cycle),
                 f"{each.rounding_error_n * 1e3:.2f}",
-                f"{_percent(each.load_random)} / {_percent(each.load_worst)}",
-                f"{_number(each.max_rate_hz_random, 1)} / {_number(each.max_rate_hz_worst, 1)}",
-                _ms(each.window_needed_ms),
+                f"{percent(each.load_random)} / {percent(each.load_worst)}",
+                f"{number(each.max_rate_hz_random, 1)} / {number(each.max_rate_hz_worst, 1)}",
+                ms(each.window_needed_ms),
             ]
         )
     headings = ["with", "nodes", "frames", "rounding, mN", "load, random / worst", "Hz, random / worst", "window, ms"]
     print_table(headings, rows)
 
 
-def _node_lines(plans: Sequence[BusPlan]) -> list[str]:
-    """Return lines with the response times of every bus; buses with equal times share a line."""
+def node_lines(buses: Mapping[str, Sequence[tuple[int, float | None]]]) -> list[str]:
+    """Return lines with node-IDs and times of every bus, by its name; buses with equal times share a line."""
     alike: dict[str, list[str]] = {}
-    for each in plans:
-        responses = ", ".join(f"{node.node_id}:{_NO_BREAK}{_ms(node.response_ms)}" for node in each.node_plans)
-        alike.setdefault(responses, []).append(each.name)
+    for name, times in buses.items():
+        responses = ", ".join(f"{node_id}:{_NO_BREAK}{ms(time_ms)}" for node_id, time_ms in times)
+        alike.setdefault(responses, []).append(name)
     return [f"{', '.join(names)}: {responses}" for responses, names in alike.items()]
+
+
+def print_wrapped(lines: Iterable[str]) -> None:
+    """Print long lines, indented and wrapped between nodes."""
+    for line in lines:
+        print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    ").replace(_NO_BREAK, " "))
 
 
 def _sender(node_id: int | None) -> str:
     return "-" if node_id is None else str(node_id) if node_id else "gateway"
 
 
-def _ms(value: float | None) -> str:
+def ms(value: float | None) -> str:
+    """Return milliseconds, or none."""
     return "none" if value is None else f"{value:.2f}"
 
 
-def _number(value: float | None, digits: int) -> str:
+def number(value: float | None, digits: int) -> str:
+    """Return a number with so many digits, or a dash."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _percent(value: float | None) -> str:
+def percent(value: float | None) -> str:
+    """Return a share in percent, or a dash."""
     return "-" if value is None else f"{value:.1%}"

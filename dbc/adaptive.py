@@ -27,6 +27,11 @@ TPDOS: Final = GROUPS * (LEVELS + FINE_LEVELS)
 NODES: Final = 32
 #: COB-ID of the first TPDO of node 1; those of all nodes end at 580h, below the SDO answers.
 FIRST_COB_ID: Final = 0x181
+#: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
+PAUSE_MS: Final = 2
+#: A budget of bits can be saved up for so long, and for so many frames at least.
+SAVING_S: Final = 0.25
+SAVED_FRAMES: Final = 2 * GROUPS
 #: Largest codes of the mean row, and on each side of 0 of the other rows.
 MEAN_CODES: Final = 255
 OTHER_CODES: Final = 127
@@ -72,6 +77,8 @@ class SendingRule(NamedTuple):
         A refresh that waits so long goes up one level.
     zero_refreshes : int
         A group at zero is sent again so often.
+    patience : int
+        News that has waited for so long has the highest level, and no other news has.
     """
 
     noise_ratio: float = 0.15
@@ -86,6 +93,7 @@ class SendingRule(NamedTuple):
     refresh_max: int = 1024
     overdue: int = 100
     zero_refreshes: int = 6
+    patience: int = 24
 
 
 class Companding(NamedTuple):

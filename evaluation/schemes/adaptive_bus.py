@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from dbc.adaptive import Companding, SendingRule, cob_id
+from dbc.adaptive import PAUSE_MS, Companding, SendingRule, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.contract import SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
@@ -19,8 +19,7 @@ from evaluation.schemes.wire import TICK_NS
 from nodes.adaptive.sending import SILENT, Groups, frame_level, look, make_payload, note_sent
 from skin.walsh import GROUPS
 
-#: Milliseconds between two SYNCs. No TPDO starts in the millisecond after a SYNC, so that heartbeats find room on a
-#: full bus.
+#: Milliseconds between two SYNCs.
 SYNC_MS: Final = 100
 #: Columns of `Record.log`: node (-1: SYNC), group (-1: heartbeat), asked, begun and ended (ns, with intermission), the
 #: sample's tick, reason.
@@ -85,7 +84,7 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
             address(row, SYNC_COB_ID, 1)
             syncs += 1
         else:
-            is_paused = now < ((syncs - 1) * SYNC_MS + 1) * TICK_NS
+            is_paused = now < ((syncs - 1) * SYNC_MS + PAUSE_MS) * TICK_NS
             node, group = _winner(groups, beat_ns, now, is_paused)
             if node < 0:
                 now = _next(now, tick, syncs, beat_ns, is_paused)
@@ -136,5 +135,5 @@ def _next(now: int, tick: int, syncs: int, beat_ns: Any, is_paused: bool) -> int
     """Return when something may be sent next."""
     then = min(tick * TICK_NS, syncs * SYNC_MS * TICK_NS, beat_ns.min())
     if is_paused:
-        then = min(then, ((syncs - 1) * SYNC_MS + 1) * TICK_NS)
+        then = min(then, ((syncs - 1) * SYNC_MS + PAUSE_MS) * TICK_NS)
     return int(max(then, now + 1))

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import TPDOS, SendingRule
+from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.indices import (
@@ -23,7 +23,6 @@ from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.mailboxes import (
     FRAME_BITS,
     REFUSED,
-    SAVED_FRAMES,
     SENT,
     Chosen,
     choose,

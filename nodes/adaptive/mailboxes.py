@@ -11,7 +11,19 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from dbc.adaptive import BLOCK_SUMS, FIRST_COB_ID, GROUP_SUMS, LEVELS, TPDOS, Bytes, Companding, SendingRule, tpdo_index
+from dbc.adaptive import (
+    BLOCK_SUMS,
+    FIRST_COB_ID,
+    GROUP_SUMS,
+    LEVELS,
+    SAVED_FRAMES,
+    SAVING_S,
+    TPDOS,
+    Bytes,
+    Companding,
+    SendingRule,
+    tpdo_index,
+)
 from dbc.canopen import BASE_ID_MASK
 from dbc.frame import ECHO, ERROR, FRAME, Frames, frames
 from nodes.adaptive.sending import (
@@ -32,9 +44,6 @@ from skin.walsh import GROUPS
 
 #: Bits of a classic frame of 8 bytes at most, with stuff bits and intermission: what a frame takes of a budget.
 FRAME_BITS: Final = 135
-#: A budget can be saved up for so long, and for so many frames at least.
-SAVING_S: Final = 0.25
-SAVED_FRAMES: Final = 2 * GROUPS
 #: Details leave so much of a saved budget that every group can send a coarse frame.
 KEPT_BITS: Final = GROUPS * FRAME_BITS
 #: A frame is given up for lost, with its echo, so long after it has expired.
@@ -109,7 +118,7 @@ def room_for(count: int) -> Chosen:
 
 @njit(cache=True, nogil=True)
 def rule_of(rules: Numbers, node: int) -> SendingRule:
-    """Return a node's row of an array of rules, shape (nodes, 12)."""
+    """Return a node's row of an array of rules, shape (nodes, 13)."""
     row = rules[node]
     return SendingRule(
         row[0],
@@ -124,6 +133,7 @@ def rule_of(rules: Numbers, node: int) -> SendingRule:
         int(row[9]),
         int(row[10]),
         int(row[11]),
+        int(row[12]),
     )
 
 

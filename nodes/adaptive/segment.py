@@ -7,7 +7,7 @@ from typing import Final, cast
 import numpy as np
 
 from bus.link import Send
-from dbc.adaptive import GROUP_SUMS, TPDOS
+from dbc.adaptive import GROUP_SUMS, PAUSE_MS, TPDOS
 from dbc.canopen import BASE_ID_MASK, NmtState
 from dbc.configuration import configuration
 from dbc.contract import Contract, NodeContract
@@ -16,14 +16,13 @@ from dbc.frame import Frames, frames
 from nodes.adaptive.boards import AdaptiveBoards, tpdo_places
 from nodes.adaptive.mailboxes import FRAME_BITS, room_for
 from nodes.adaptive.node import AdaptiveNode
-from nodes.adaptive.sensors import SAMPLE_NS
 from nodes.boards import Boards
 from nodes.node import SkinNode
 from nodes.segment import Segment
 from nodes.storage import Storage
 
 #: No frame of sums starts so soon after a SYNC.
-PAUSE_NS: Final = SAMPLE_NS
+PAUSE_NS: Final = PAUSE_MS * 1_000_000
 #: Frames that a bus gets beyond those that fit until the next decision.
 SPARE_FRAMES: Final = 4
 #: Most frames that a bus gets at once.

@@ -163,14 +163,14 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
         if groups.since[node, group] < 0:
             groups.since[node, group] = now
         if wait >= rule.inhibit:
-            waiting = (now - groups.since[node, group]) / rule.doubling
-            doublings = np.log2(coarse_n2 / threshold) + waiting
-            level = min(LEVELS - 1, 1 + int(doublings / rule.level_ratio))
+            level = _urgency(coarse_n2 / threshold, now - groups.since[node, group], rule)
     else:
         groups.since[node, group] = -1
         if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
             level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
             may_be_fine = groups.fine_turn[node, group] == 1 and groups.is_wanted[node, group] == 0
+            # A fine frame knows no higher level: a refresh that waits longer is coarse, whoever's turn it is.
+            may_be_fine = may_be_fine and level < FINE_LEVELS
             reason, is_fine = REFRESH, int(may_be_fine and _is_in_reach(node, group, sums_n, law, groups))
         elif (
             wait >= rule.fine_wait
@@ -209,6 +209,14 @@ def _is_in_reach(node: int, group: int, sums_n: npt.NDArray[np.float32], law: Co
         if abs(away) > FINE_LIMIT:
             return False
     return True
+
+
+@njit(cache=True, nogil=True)
+def _urgency(ratio: float, waited: int, rule: SendingRule) -> int:
+    """Return the level of news; the highest is for what waited, so that no motion of others holds it back for ever."""
+    if waited >= rule.patience:
+        return LEVELS - 1
+    return min(LEVELS - 2, int((np.log2(ratio) + waited / rule.doubling) / rule.level_ratio))
 
 
 @njit(cache=True, nogil=True)

@@ -15,7 +15,6 @@ import pytest
 
 from bandwidth.scheme_rates import schemes
 from dbc.contract import Contract
-from skin.command import main
 from skin.layout import load_layout, parse_layout
 
 # The arguments stand where the command finds them, in sys.argv.
@@ -23,18 +22,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked wit
 
 
 Skin = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def skin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Skin:
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["skin", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
-
-    return run
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dbc.adaptive import GROUP_SUMS, LEVELS, SendingRule, companding
+from dbc.adaptive import FINE_LEVELS, GROUP_SUMS, LEVELS, SendingRule, companding
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
@@ -90,11 +90,29 @@ def test_larger_and_older_news_is_more_urgent() -> None:
     small, large = new_groups(1), new_groups(1)
     nudge = NOTHING.copy()
     nudge[::GROUP_SUMS] = 0.4e-3
-    assert [1 <= one < other for one, other in zip(looked(small, 0, nudge), looked(large, 0, PRESSED), strict=True)]
-    assert looked(large, 0, PRESSED)[0] == LEVELS - 1
+    assert all(0 <= one < other for one, other in zip(looked(small, 0, nudge), looked(large, 0, PRESSED), strict=True))
+    assert looked(large, 0, PRESSED)[0] == LEVELS - 2
     waiting = [looked(small, now, nudge)[1] for now in range(100)]
     assert waiting == sorted(waiting)
     assert waiting[0] < waiting[-1] == LEVELS - 1
+
+
+def test_the_highest_level_is_for_news_that_waited() -> None:
+    groups = new_groups(1)
+    levels = [looked(groups, now, PRESSED * (1 + now)) for now in range(RULE.patience + 1)]
+    assert {level for each in levels[:-1] for level in each} == {LEVELS - 2}
+    assert levels[-1] == [LEVELS - 1] * GROUPS
+
+
+def test_a_fine_refresh_that_waits_becomes_coarse_because_fine_frames_know_no_high_level() -> None:
+    groups = new_groups(1)
+    for now in range(100):
+        sent(groups, now, PRESSED)
+    due = int(groups.refresh_at[0, 0])
+    looked(groups, due, PRESSED)
+    assert groups.is_fine[0, 0]
+    looked(groups, due + FINE_LEVELS * RULE.overdue, PRESSED)
+    assert (groups.is_fine[0, 0], groups.level[0, 0]) == (0, FINE_LEVELS)
 
 
 def test_noise_below_the_threshold_is_no_news() -> None:

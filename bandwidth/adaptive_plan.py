@@ -1,0 +1,182 @@
+"""The plan of buses with adaptive nodes: idle, touched and full load, and how old what they show can get."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from bandwidth.plan import CAUTION, CYCLES_BUFFERED, RECEIVED_FRAME_BYTES, bus_time
+from bandwidth.response import UNBOUNDED
+from bandwidth.traffic import Disturbance
+from bandwidth.urgency import Urgency
+from dbc.adaptive import GROUP_SUMS, SendingRule
+from dbc.contract import Contract
+from dbc.frame import frames
+from dbc.frame_bits import wire_bits
+from skin.errors import InputError
+from skin.walsh import GROUPS
+
+#: Samples of a second: a group sends one frame for each at most.
+_SAMPLES_PER_S: Final = 1000
+
+
+@dataclass(frozen=True)
+class AdaptiveNodePlan:
+    """Longest times of one node while everything moves; None without a bound.
+
+    `coarse_ms` from the sample that is first news to the end of the group's frame, of the slowest group.
+    """
+
+    node_id: int
+    coarse_ms: float | None
+    heartbeat_response_ms: float | None
+
+
+@dataclass(frozen=True)
+class BudgetPlan:
+    """What a budget (2034h) of `bits_per_s` for every node gives: bus load, and longest times; None without a bound.
+
+    `coarse_ms` and `fine_ms` are those of a node whose other groups, and all other nodes, spend their budgets;
+    `fine_ms` is that of details of a node whose coarse sums stay as they are. `full_ms`: the bus is full for so long
+    at most, with what nodes have saved up.
+    """
+
+    bits_per_s: int
+    load: float
+    full_ms: float | None
+    coarse_ms: float | None
+    fine_ms: float | None
+
+
+@dataclass(frozen=True)
+class AdaptiveBusPlan:
+    """One bus with adaptive nodes.
+
+    Loads: ``idle`` nothing touches (SYNC and heartbeats), ``touched`` a simulated touched skin, None without
+    simulation; ``worst`` every group has news in every sample. `groups_fill` groups with a frame in every sample fill
+    the bus.
+
+    Times are upper bounds, None without a bound. While everything moves: `coarse_ms` from the sample that is first
+    news to the end of its coarse frame; `refresh_ms` from the time when a refresh is due, or a node has started, to the
+    end of its frame; `heartbeat_response_ms` and `sdo_response_ms`. Fine sums then have no bound. After everything has
+    come to rest, all sums are shown coarse after `settled_coarse_ms` and fine after `settled_fine_ms`.
+
+    `budget_80_bits_per_s` is the budget of a node with which the bus has a load of 80 % at most.
+    """
+
+    name: str
+    nodes: int
+    bitrate: int
+    load_idle: float
+    load_idle_worst: float
+    load_touched: float | None
+    load_worst: float
+    groups_fill: int
+    coarse_ms: float | None
+    refresh_ms: float | None
+    settled_coarse_ms: float | None
+    settled_fine_ms: float | None
+    sdo_response_ms: float | None
+    heartbeat_response_ms: float | None
+    receive_buffer_frames: int
+    receive_buffer_bytes: int
+    budget_80_bits_per_s: int
+    budget: BudgetPlan | None
+    node_plans: list[AdaptiveNodePlan]
+    problems: list[str]
+
+
+def plan_adaptive(
+    contract: Contract, *, allowed: Disturbance | None = None, budget_bits_per_s: int = 0
+) -> list[AdaptiveBusPlan]:
+    """Plan every bus of a skin with adaptive sending.
+
+    Parameters
+    ----------
+    contract : Contract
+    allowed : Disturbance, optional
+        Disturbances that times include; `jitter_s` is the longest time from a sample until its frame is queued.
+    budget_bits_per_s : int
+        Budget of every node (2034h); 0 for none.
+
+    Raises
+    ------
+    InputError
+        If the budget is below 0.
+    """
+    if budget_bits_per_s < 0:
+        raise InputError(f"expected a budget of 0 (none) or more bits a second, got {budget_bits_per_s}")
+    return [
+        _plan_bus(contract, bus, None, allowed or Disturbance(), budget_bits_per_s)
+        for bus in range(len(contract.layout.bus))
+    ]
+
+
+def _plan_bus(
+    contract: Contract, bus: int, touched_bits_per_s: float | None, allowed: Disturbance, budget_bits_per_s: int
+) -> AdaptiveBusPlan:
+    line, urgency = contract.layout.bus[bus], Urgency.of(contract, bus, allowed)
+    rate_hz = contract.layout.sync.rate_hz
+    idle, idle_worst = (bus_time(urgency.streams, how).load(rate_hz) for how in ("exact", "worst"))
+    news_ns, service_ns = urgency.news_ns, urgency.service_ns
+    beats_ns = service_ns[urgency.streams.is_heartbeat]
+    settled_ns = urgency.settled_ns
+    wanted = line.nodes * GROUPS * _SAMPLES_PER_S * urgency.frame_ns * 1e-9 + idle_worst
+    shortest = frames(1)
+    shortest["length"] = GROUP_SUMS
+    shortest_bits = int(wire_bits(shortest, "none")[0][0])
+    buffered = math.ceil(CYCLES_BUFFERED * line.bitrate / (rate_hz * shortest_bits))
+    free = CAUTION - idle_worst
+    return AdaptiveBusPlan(
+        name=line.name,
+        nodes=line.nodes,
+        bitrate=line.bitrate,
+        load_idle=idle,
+        load_idle_worst=idle_worst,
+        load_touched=None if touched_bits_per_s is None else min(1.0, idle + touched_bits_per_s / line.bitrate),
+        load_worst=min(1.0, wanted),
+        groups_fill=math.ceil((1 - idle_worst) * 1e9 / (_SAMPLES_PER_S * urgency.frame_ns)),
+        coarse_ms=_milliseconds(news_ns),
+        refresh_ms=_milliseconds(urgency.refresh_ns),
+        settled_coarse_ms=_milliseconds(settled_ns[0]),
+        settled_fine_ms=_milliseconds(settled_ns[1]),
+        sdo_response_ms=_milliseconds(service_ns[urgency.streams.is_sdo_response]),
+        heartbeat_response_ms=_milliseconds(beats_ns),
+        receive_buffer_frames=buffered,
+        receive_buffer_bytes=buffered * RECEIVED_FRAME_BYTES,
+        budget_80_bits_per_s=max(0, int(free * line.bitrate / line.nodes)),
+        budget=_budget(urgency, idle_worst, budget_bits_per_s) if budget_bits_per_s else None,
+        node_plans=[
+            AdaptiveNodePlan(node.node_id, _milliseconds(mine), _milliseconds(beat))
+            for node, mine, beat in zip(contract.on_bus(bus), news_ns, beats_ns, strict=True)
+        ],
+        problems=_problems(urgency, line.name, news_ns, beats_ns),
+    )
+
+
+def _budget(urgency: Urgency, idle_worst: float, bits_per_s: int) -> BudgetPlan:
+    load = idle_worst + urgency.nodes * bits_per_s / urgency.streams.bus.bitrate
+    spent = urgency.budgeted(bits_per_s)
+    return BudgetPlan(
+        bits_per_s, min(1.0, load), *(_milliseconds(each) for each in (spent.full_ns, spent.coarse_ns, spent.fine_ns))
+    )
+
+
+def _problems(urgency: Urgency, name: str, news_ns: np.ndarray, beats_ns: np.ndarray) -> list[str]:
+    found = []
+    if (news_ns == UNBOUNDED).any():
+        patience_ms, each_ms = SendingRule().patience, GROUPS * urgency.frame_ns * 1e-6
+        found.append(
+            f"{name}: coarse sums have no bound while everything moves: {urgency.nodes} nodes send for "
+            f"{urgency.nodes * each_ms:.1f} ms what has waited for {patience_ms} ms; "
+            f"{int(patience_ms / each_ms)} nodes or a higher bit rate would do"
+        )
+    if (beats_ns == UNBOUNDED).any():
+        found.append(f"{name}: the pauses after SYNC have no room for all SDO transfers and heartbeats")
+    return found
+
+
+def _milliseconds(times_ns: "np.ndarray | int | np.integer") -> float | None:
+    longest = int(np.max(times_ns, initial=0))
+    return longest * 1e-6 if 0 < longest < UNBOUNDED else None

@@ -1,0 +1,233 @@
+"""Response times of adaptive nodes: how long news, refreshes, details and heartbeats wait when everything moves.
+
+Only news that has waited for `SendingRule.patience` has the highest level. A group that was sent needs as long to come
+back to that level, whatever moves. So the frames of this level are sporadic messages with that least distance, and the
+analysis of Davis et al. (`bandwidth.response`) bounds their response time. The pause after a SYNC counts as a message
+above all of them.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.response import ERROR_BITS, UNBOUNDED, response_times_ns
+from bandwidth.response_kernel import arrivals
+from bandwidth.traffic import Disturbance, Traffic, traffic
+from dbc.adaptive import GROUP_SUMS, LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, cob_id
+from dbc.contract import Contract
+from dbc.frame import frames
+from dbc.frame_bits import frame_time_ns, nominal_ns
+from skin.walsh import GROUPS
+
+Nanoseconds = npt.NDArray[np.int64]
+
+_MS: Final = 1_000_000
+_RULE: Final = SendingRule()
+#: A refresh reaches the highest level after this time.
+OVERDUE_NS: Final = (LEVELS - 1) * _RULE.overdue * _MS
+#: What waits for more pauses has no bound.
+_PAUSES_MAX: Final = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Urgency:
+    """The waiting times of one bus with adaptive nodes.
+
+    Attributes
+    ----------
+    streams : Traffic
+        SYNC, SDO transfers and heartbeats.
+    allowed : Disturbance
+        `jitter_s` is the longest time from a sample until its frame is queued.
+    nodes : int
+    """
+
+    streams: Traffic
+    allowed: Disturbance
+    nodes: int
+
+    @classmethod
+    def of(cls, contract: Contract, bus: int, allowed: Disturbance) -> "Urgency":
+        """Return the waiting times of bus number `bus`."""
+        return cls(traffic(contract, bus, allowed=allowed), allowed, len(contract.on_bus(bus)))
+
+    @cached_property
+    def frame_ns(self) -> int:
+        """Longest frame of sums, with the most stuff bits."""
+        longest = frames(1)
+        longest["length"] = GROUP_SUMS
+        return int(frame_time_ns(longest, self.streams.bus.bitrate, None, "worst")[0])
+
+    @property
+    def sync_ns(self) -> int:
+        """Longest SYNC."""
+        return int(self.streams.worst_ns[0])
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two SYNCs."""
+        return round(float(self.streams.period_s[0]) * 1e9)
+
+    @property
+    def jitter_ns(self) -> int:
+        """Longest time from a sample until its frame is queued."""
+        return round(self.allowed.jitter_s * 1e9)
+
+    @cached_property
+    def above(self) -> list[tuple[int, int, int]]:
+        """Time, period and jitter of what keeps the bus from all sums: pauses, and errors with the frame sent again.
+
+        A frame of another kind that has begun in a pause may reach beyond the end of the pause.
+        """
+        rows = [(self.sync_ns + PAUSE_MS * _MS + self.frame_ns, self.period_ns, self.jitter_ns)]
+        if self.allowed.errors_per_s:
+            error_ns = nominal_ns(ERROR_BITS, self.streams.bus.bitrate) + self.frame_ns
+            rows.append((error_ns, round(1e9 / self.allowed.errors_per_s), self.frame_ns))
+        return rows
+
+    def _responses(self, count: int, period_ns: int, jitter_ns: int) -> Nanoseconds:
+        """Return the response times of `count` frames of sums by falling priority, each once in `period_ns`."""
+        rows = np.array([*self.above, *[(self.frame_ns, period_ns, jitter_ns)] * count], np.int64)
+        found = response_times_ns(
+            *rows.T,
+            bit_ns=nominal_ns(1, self.streams.bus.bitrate),
+            blocked_ns=np.full(len(rows), self.frame_ns),
+        )
+        return found[len(self.above) :]
+
+    @cached_property
+    def top_ns(self) -> Nanoseconds:
+        """From the highest level to the end of the frame, shape (nodes, GROUPS); `UNBOUNDED` without a bound."""
+        by_priority = self._responses(GROUPS * self.nodes, _RULE.patience * _MS, self.jitter_ns)
+        identifiers = [cob_id(node, LEVELS - 1, group, False) for node in range(self.nodes) for group in range(GROUPS)]
+        rank = np.argsort(np.argsort(identifiers))
+        return by_priority[rank].reshape(self.nodes, GROUPS)
+
+    @property
+    def news_ns(self) -> Nanoseconds:
+        """From the sample that is first news to the end of its group's coarse frame, shape (nodes, GROUPS)."""
+        return _after(_RULE.patience * _MS, self.top_ns)
+
+    @property
+    def refresh_ns(self) -> Nanoseconds:
+        """From the time when a refresh is due to the end of its frame, shape (nodes, GROUPS); the group has no news."""
+        return _after(OVERDUE_NS, self.top_ns)
+
+    @property
+    def settled_ns(self) -> tuple[int, int]:
+        """From the moment when all sums of the bus stay as they are until all are shown coarse, and fine.
+
+        Each group then sends one coarse frame at most (news, or a refresh) until its next refresh is due.
+        """
+        between_ns = _RULE.refresh * _MS
+        coarse_ns = int(self._responses(GROUPS * self.nodes, between_ns, self.jitter_ns + _MS)[-1])
+        if coarse_ns > between_ns:
+            return UNBOUNDED, UNBOUNDED
+        # Details that waited for the coarse frame, and refreshes that came due meanwhile.
+        late_ns = int(self._responses(2 * GROUPS * self.nodes, between_ns, self.jitter_ns + _MS)[-1])
+        fine_ns = coarse_ns + _RULE.fine_wait * _MS + late_ns
+        return coarse_ns, UNBOUNDED if late_ns > between_ns else fine_ns
+
+    def budgeted(self, bits_per_s: int) -> "Budgeted":
+        """Return the times of a bus whose nodes all have this budget (2034h)."""
+        return Budgeted(self, bits_per_s)
+
+    @cached_property
+    def service_ns(self) -> Nanoseconds:
+        """Response time of each of `streams` but SYNC, when sums leave them the pauses only, shape (n,).
+
+        A pause has room from the end of SYNC, which one frame of sums may delay, to `PAUSE_MS` after SYNC was due.
+        """
+        room_ns = PAUSE_MS * _MS - self.frame_ns - self.sync_ns
+        time, period = self.streams.worst_ns, np.rint(self.streams.period_s * 1e9).astype(np.int64)
+        found = np.full(len(time), UNBOUNDED, np.int64)
+        for place in range(1, len(time)):
+            found[place] = self._in_pauses(place, time, period, room_ns)
+        return found
+
+    def _in_pauses(self, place: int, time: Nanoseconds, period: Nanoseconds, room_ns: int) -> int:
+        errors = [(each_ns, interval_ns) for each_ns, interval_ns, _ in self.above[1:]]
+        ahead = [*errors, *zip(time[1:place].tolist(), period[1:place].tolist(), strict=True)]
+        blocked = int(time[place + 1 :].max(initial=0))
+        for pauses in range(1, _PAUSES_MAX):
+            span_ns = pauses * self.period_ns
+            left_ns = blocked - (pauses - 1) * room_ns
+            left_ns += sum(arrivals(span_ns, 0, interval_ns) * each_ns for each_ns, interval_ns in ahead)
+            if left_ns < room_ns:
+                return self.jitter_ns + span_ns - room_ns + max(left_ns, 0) + int(time[place])
+        return UNBOUNDED
+
+
+@dataclass(frozen=True)
+class Budgeted:
+    """The waiting times of one bus whose nodes all have a budget of `bits_per_s`; `UNBOUNDED` where nothing bounds it.
+
+    A frame takes `frame_bits` of its node's budget. A node saves up `saved_bits`.
+    """
+
+    urgency: Urgency
+    bits_per_s: int
+
+    @property
+    def frame_bits(self) -> int:
+        """Bits that a frame takes of a budget: those of the longest."""
+        return round(self.urgency.frame_ns / nominal_ns(1, self.urgency.streams.bus.bitrate))
+
+    @property
+    def saved_bits(self) -> float:
+        """Bits that a node can save up."""
+        return max(SAVED_FRAMES * self.frame_bits, SAVING_S * self.bits_per_s)
+
+    @cached_property
+    def full_ns(self) -> int:
+        """Longest time that the bus is full: what the nodes have saved up, what they get meanwhile, and pauses.
+
+        Each node may owe the bits of a refresh of each group, which no budget holds back.
+        """
+        bit_ns, nodes = nominal_ns(1, self.urgency.streams.bus.bitrate), self.urgency.nodes
+        at_once_ns = nodes * (self.saved_bits + GROUPS * self.frame_bits) * bit_ns + self.urgency.frame_ns
+        share = nodes * self.bits_per_s * bit_ns * 1e-9
+        share += sum(each_ns / interval_ns for each_ns, interval_ns, _ in self.urgency.above)
+        if share >= 1:
+            return UNBOUNDED
+        for each_ns, interval_ns, jitter_ns in self.urgency.above:
+            at_once_ns += (1 + jitter_ns / interval_ns) * each_ns
+        return round(at_once_ns / (1 - share))
+
+    def _saving_ns(self, groups: int, owed: int) -> int:
+        """Return how long the last of some groups waits for bits, behind frames owed; each comes once in patience."""
+        time_ns = round(self.frame_bits / self.bits_per_s * 1e9)
+        rows = np.array([(time_ns, _RULE.patience * _MS, self.urgency.jitter_ns)] * groups, np.int64)
+        blocked = np.full(groups, owed * time_ns)
+        return int(response_times_ns(*rows.T, blocked_ns=blocked)[-1])
+
+    @property
+    def coarse_ns(self) -> int:
+        """From the sample that is first news to the end of the coarse frame, for any group.
+
+        A node owes a refresh of each group, and a frame of less urgent news, when a group reaches the highest level.
+        Waiting for bits brings a group no nearer to its next frame of that level, so that those of the others are as
+        far apart as without a budget.
+        """
+        top_ns = int(self.urgency.top_ns.max())
+        return _sum(_RULE.patience * _MS, self._saving_ns(GROUPS, GROUPS + 1), top_ns)
+
+    @property
+    def fine_ns(self) -> int:
+        """From the sample that has details to the end of their frame, for a node whose coarse sums stay as they are.
+
+        Details of all groups leave bits for a coarse frame of each; refreshes may have left the node in debt.
+        """
+        saving_ns = round((3 * GROUPS + 1) * self.frame_bits / self.bits_per_s * 1e9)
+        return _sum(_RULE.fine_wait * _MS, saving_ns, self.urgency.jitter_ns, self.full_ns)
+
+
+def _sum(*times_ns: int) -> int:
+    return UNBOUNDED if UNBOUNDED in times_ns else sum(times_ns)
+
+
+def _after(first_ns: int, then_ns: Nanoseconds) -> Nanoseconds:
+    return np.where(then_ns < UNBOUNDED, first_ns + np.minimum(then_ns, UNBOUNDED - first_ns), UNBOUNDED)

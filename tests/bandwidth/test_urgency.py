@@ -1,0 +1,194 @@
+"""The bounds of adaptive nodes against random overloads of the arbitrated bus, which runs the nodes' own decisions."""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from bandwidth.response import UNBOUNDED
+from bandwidth.traffic import Disturbance
+from bandwidth.urgency import Urgency
+from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule, coarse_value
+from dbc.contract import Contract
+from dbc.dictionary import HEARTBEAT_MS
+from dbc.frame import FRAME, frames
+from evaluation.schemes.adaptive_bus import ASKED, ENDED, GROUP, NODE, REASON, SYNC_MS, Record, run_bus
+from nodes.adaptive.sending import DETAIL, NEWS, Groups, new_groups
+from skin.layout import load_layout
+from skin.walsh import GROUPS
+
+MS = 1_000_000
+NODES, TICKS = 32, 330
+RULE = SendingRule()
+#: Of a frame, where `evaluation.schemes.adaptive_bus` writes.
+FIRST_BYTE = FRAME.fields["can_id"][1]  # type: ignore[index]
+QUIET = Disturbance(0.0, 0.0, 0.0)
+#: Bytes whose runs of four equal bits need the most stuff bits, and bytes near 0.
+STUFFED = (0x0F, 0x1E, 0x3C, 0x78, 0xF0, 0xE1, 0xC3, 0x87)
+
+
+@cache
+def adaptive() -> Contract:
+    return Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+
+
+def bounds(allowed: Disturbance = QUIET, contract: Contract | None = None) -> Urgency:
+    return Urgency.of(contract or adaptive(), 0, allowed)
+
+
+def arbitrated(
+    sums_n: npt.NDArray[np.float32], threshold_n2: npt.NDArray[np.float64], beats: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.int64], Groups]:
+    """Run one bus; return the log of its frames and what the nodes then know. `beats`, due heartbeats, is changed."""
+    capacity = 10 * len(sums_n)
+    sent = frames(capacity)
+    rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, FIRST_BYTE:]
+    record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(NODES)
+    count = run_bus(sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, 1000, record)
+    return record.log[:count], groups
+
+
+@dataclass
+class Overload:
+    """Random sums of a bus: who moves, how much, how often and from when on."""
+
+    seed: int
+
+    def sums(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
+        """Return the sums of each millisecond, and the thresholds of news."""
+        rng = np.random.default_rng(self.seed)
+        law = adaptive().law
+        pattern = rng.choice([*STUFFED, *range(1, 256)] if self.seed % 2 else STUFFED, (TICKS, NODES, GROUPS, 1))
+        scale = np.ones((NODES, GROUPS, 1))
+        if self.seed % 3 == 0:
+            scale = 10 ** rng.uniform(-2.5, 0, scale.shape)
+        kept = rng.choice([1, 1, 2, 5, 20], (NODES, GROUPS)) if self.seed % 5 else np.ones((NODES, GROUPS), np.int64)
+        time = np.arange(TICKS)[:, None, None] // kept * kept
+        pattern = np.take_along_axis(pattern, time[..., None], axis=0)
+        table = np.array([coarse_value(code, False, law) for code in range(256)])
+        moving = rng.random((NODES, GROUPS)) < rng.choice([0.3, 0.7, 1.0])
+        # From a moment that makes the highest level begin with a SYNC or anywhere.
+        begin = SYNC_MS - RULE.patience if self.seed % 4 == 0 else int(rng.integers(1, SYNC_MS))
+        late = rng.integers(0, 30, (NODES, GROUPS)) if self.seed % 7 == 0 else np.zeros((NODES, GROUPS), np.int64)
+        begun = (np.arange(TICKS)[:, None, None] >= begin + late) & moving
+        groups_n = table[pattern] * scale * begun[..., None]
+        sums_n = np.repeat(groups_n, GROUP_SUMS, axis=3).reshape(TICKS, NODES, BLOCK_SUMS)
+        sums_n[:, :, 0] = np.abs(sums_n[:, :, 0])
+        # Loud nodes have news far above their threshold, the others news that hardly counts.
+        loud = np.arange(NODES) < rng.integers(2, NODES)
+        rng.shuffle(loud)
+        threshold = np.where(loud, 1e-6, GROUP_SUMS * 10 ** rng.uniform(-6, -4.5))
+        return sums_n.astype(np.float32), np.broadcast_to(threshold, (TICKS, NODES)).copy()
+
+    def run(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Return how long news waited, shape (NODES, GROUPS), and heartbeats, shape (NODES,), at worst."""
+        sums_n, threshold_n2 = self.sums()
+        rng = np.random.default_rng(self.seed)
+        beats = np.full(NODES, int(rng.integers(0, 120 * MS)), np.int64)
+        if self.seed % 2:
+            beats = rng.integers(0, HEARTBEAT_MS * MS, NODES)
+        log, groups = arbitrated(sums_n, threshold_n2, beats)
+        waited = np.where(groups.since >= 0, (TICKS - groups.since) * MS, 0)
+        news = log[log[:, REASON] == NEWS]
+        np.maximum.at(waited, (news[:, NODE], news[:, GROUP]), news[:, ENDED] - news[:, ASKED])
+        beaten = np.where(beats < TICKS * MS, TICKS * MS - beats, 0)
+        heard = log[(log[:, GROUP] < 0) & (log[:, NODE] >= 0)]
+        np.maximum.at(beaten, heard[:, NODE], heard[:, ENDED] - heard[:, ASKED])
+        return waited, beaten
+
+
+def compare(seeds: range) -> tuple[float, float]:
+    """Return how near news and heartbeats come to their bounds, which they must not exceed."""
+    limit = bounds()
+    beats_ns = limit.service_ns[limit.streams.is_heartbeat]
+    nearest = 0.0, 0.0
+    for seed in seeds:
+        waited, beaten = Overload(seed).run()
+        assert (waited <= limit.news_ns).all(), seed
+        assert (beaten <= beats_ns).all(), seed
+        nearest = max(nearest[0], (waited / limit.news_ns).max()), max(nearest[1], (beaten / beats_ns).max())
+    return nearest
+
+
+def test_random_overloads_stay_below_the_bounds_and_reach_them() -> None:
+    news, beat = compare(range(300))
+    assert news > 0.9
+    assert beat > 0.9
+
+
+def test_a_group_at_rest_is_refreshed_while_all_others_move() -> None:
+    """Its first refreshes are due after 64, 128, 256 ms; none waits longer than its bound, fine turns included."""
+    rng, ticks, quiet = np.random.default_rng(5), 1400, (NODES - 1, GROUPS - 1)
+    sums_n = rng.uniform(0.02, 0.3, (ticks, NODES, BLOCK_SUMS)).astype(np.float32)
+    sums_n[:, NODES - 1] = 0
+    sums_n[5:, NODES - 1, GROUP_SUMS * (GROUPS - 1) :] = 0.05
+    log = arbitrated(sums_n, np.full((ticks, NODES), 1e-6), np.full(NODES, ticks * MS))[0]
+    mine = log[(log[:, NODE] == quiet[0]) & (log[:, GROUP] == quiet[1])]
+    assert len(mine) == 3
+    due_ns = mine[:-1, ENDED] + RULE.refresh * MS * 2 ** np.arange(len(mine) - 1)
+    assert (mine[1:, ENDED] - due_ns <= bounds().refresh_ns[quiet] + MS).all()
+    assert (mine[1:, ENDED] - due_ns >= 0.9 * bounds().refresh_ns[quiet]).any()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_came_to_rest_is_shown_coarse_and_fine_in_time(seed: int) -> None:
+    rng, rest = np.random.default_rng(seed), 60 + 7 * seed
+    sums_n = rng.uniform(0.005, 0.08, (TICKS, NODES, BLOCK_SUMS)).astype(np.float32)
+    sums_n[rest:] = sums_n[rest]
+    log, groups = arbitrated(sums_n, np.full((TICKS, NODES), 1e-7), np.full(NODES, TICKS * MS))
+    coarse_ns, fine_ns = bounds().settled_ns
+    news = log[log[:, REASON] == NEWS]
+    assert 0.4 * coarse_ns < news[:, ENDED].max() - rest * MS <= coarse_ns
+    for node in range(NODES):
+        for group in range(GROUPS):
+            mine = log[(log[:, NODE] == node) & (log[:, GROUP] == group)]
+            shown_ns = mine[mine[:, REASON] == NEWS, ENDED].max()
+            # The first details after the last news; a later coarse refresh may need details again.
+            refined_ns = mine[(mine[:, REASON] == DETAIL) & (mine[:, ENDED] > shown_ns), ENDED]
+            assert refined_ns.min(initial=shown_ns) - rest * MS <= fine_ns
+    assert (groups.since < 0).all()
+
+
+def test_heartbeats_and_answers_share_the_pauses() -> None:
+    limit = bounds(Disturbance(0.0, 20.0, 0.0))
+    alone = bounds()
+    beats = limit.service_ns[limit.streams.is_heartbeat]
+    assert (np.diff(beats) >= 0).all()
+    assert (beats > alone.service_ns[alone.streams.is_heartbeat]).all()
+    # The gateway takes a node for silent when two heartbeats are 1.5 periods apart.
+    assert beats.max() < HEARTBEAT_MS / 2 * MS
+    assert (limit.service_ns[limit.streams.is_sdo_response] < 100 * MS).all()
+
+
+def test_errors_lengthen_every_time() -> None:
+    calm, rough = bounds(), bounds(Disturbance(0.0, 0.0, 100.0))
+    assert (rough.news_ns > calm.news_ns).all()
+    assert (rough.service_ns >= calm.service_ns).all()
+    assert (bounds(Disturbance(0.0, 0.0, 20_000.0)).news_ns == UNBOUNDED).all()
+
+
+def test_a_slow_bus_has_no_bound_but_for_the_first_groups() -> None:
+    layout = adaptive().layout
+    slow = msgspec.structs.replace(layout, bus=[msgspec.structs.replace(each, bitrate=250_000) for each in layout.bus])
+    news_ns = bounds(contract=Contract.from_layout(slow)).news_ns
+    assert news_ns[0, 0] < UNBOUNDED == news_ns[NODES - 1, GROUPS - 1]
+
+
+def test_a_budget_bounds_the_load_and_lengthens_coarse_waits() -> None:
+    limit = bounds()
+    small, fair = limit.budgeted(5_000), limit.budgeted(24_000)
+    assert small.coarse_ns == UNBOUNDED  # four groups every 24 ms take 22.5 kbit/s
+    assert int(limit.news_ns.max()) < fair.coarse_ns < UNBOUNDED
+    assert small.full_ns < fair.full_ns < UNBOUNDED == limit.budgeted(40_000).full_ns
+    assert small.fine_ns < UNBOUNDED == limit.budgeted(40_000).fine_ns
+
+
+@pytest.mark.slow
+def test_ten_thousand_overloads() -> None:
+    news, beat = compare(range(300, 10_300))
+    assert news > 0.9
+    assert beat > 0.9
