@@ -4,7 +4,7 @@ import numpy as np
 
 from classifier.decide import Classifier
 from skin.fabric import Fabric
-from skin.measured_sums import MeasurementReader
+from skin.measured_sums import MeasurementReader, decode_measurement
 from skin.measurement import Sbhe
 from skin.messages import LABEL, MEASUREMENT, Label, Measurement
 from skin.service import StopSignal
@@ -32,7 +32,7 @@ class ClassifierService:
     def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Fabric) -> None:
         self.labelled = 0
         self._classifier = classifier
-        self._reader = MeasurementReader(phi, "classifier")
+        self._reader = MeasurementReader(phi, "classifier", decode_measurement)
         self._sums_of_block = np.diff(phi.starts)
         self._fabric = fabric
         self._measurements = fabric.mailbox(MEASUREMENT)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from reconstructor.engine import Reconstructor
 from skin.fabric import Fabric
 from skin.layout import Layout
-from skin.measured_sums import MeasurementReader
+from skin.measured_sums import MeasurementReader, decode_measurement
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.service import StopSignal, be_punctual
 
@@ -41,7 +41,7 @@ class ReconstructorService:
     def __init__(self, layout: Layout, solver: Reconstructor, fabric: Fabric) -> None:
         self.images = 0
         self._phi = layout.phi()
-        self._reader = MeasurementReader(self._phi, "reconstructor")
+        self._reader = MeasurementReader(self._phi, "reconstructor", decode_measurement)
         self._newton_per_count = np.float32(layout.taxels.newton_per_count)
         self._solver = solver
         self._fabric = fabric
