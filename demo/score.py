@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from demo.report import NodeMissing, Percentiles, Report
-from skin.ground_truth import Pairing, in_contact
+from skin.ground_truth import Pairs, image_pairs, in_contact, label_pairs
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
@@ -62,9 +62,12 @@ class Score:
     labelled_right: int = 0
     snapshot: Snapshot | None = None
     last_label: Label | None = None
-    _images: Pairing[Image] = field(default_factory=Pairing)
-    _labels: Pairing[Label] = field(default_factory=Pairing)
+    _images: Pairs[Image] = field(init=False)
+    _labels: Pairs[Label] = field(init=False)
     _peak_n: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
@@ -78,27 +81,24 @@ class Score:
         """Use the true forces of a cycle; a truth of another size is ignored."""
         if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
             return
-        image, label = self._images.take_truth(truth), self._labels.take_truth(truth)
-        if image is not None:
-            self._compare(image, truth)
-        if label is not None:
-            self._count_label(label, truth)
+        for image, true in self._images.take_truth(truth):
+            self._compare(image, true)
+        for label, true in self._labels.take_truth(truth):
+            self._count_label(label, true)
 
     def take_image(self, image: Image) -> None:
         """Compare an image with the truth of its cycle; an image of another size is ignored."""
         if len(image.pixels) != 4 * self.layout.taxels.count:
             return
         self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
-        truth = self._images.take(image)
-        if truth is not None:
-            self._compare(image, truth)
+        for shown, truth in self._images.take(image):
+            self._compare(shown, truth)
 
     def take_label(self, label: Label) -> None:
         """Compare a label with the object that touched in its cycle."""
         self.last_label = label
-        truth = self._labels.take(label)
-        if truth is not None:
-            self._count_label(label, truth)
+        for said, truth in self._labels.take(label):
+            self._count_label(said, truth)
 
     def label_text(self) -> str:
         """Return the newest label as text."""

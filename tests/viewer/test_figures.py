@@ -114,11 +114,10 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
                 "valid_sums": 0,
                 "solve_s": 0.0,
             }
-            truth = pairing.take(Image(**common, **rest))
-            pairs += [truth.sync_counter] if truth else []
+            pairs += [truth.sync_counter for _, truth in pairing.take(Image(**common, **rest))]
         else:
-            image = pairing.take_truth(Truth(step=cycle, true=b"", sensor=b"", label="", **common))
-            pairs += [image.cycle] if image else []
+            truth = Truth(step=cycle, true=b"", sensor=b"", label="", **common)
+            pairs += [image.cycle for image, _ in pairing.take_truth(truth)]
     assert sorted(pairs) == list(range(1, 9))
 
 
