@@ -22,8 +22,8 @@ MOST_LOST_RATIO: Final = 0.3
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
 AVERAGED_NOISE_RATIO: Final = 0.2
 #: What adaptive nodes leave of it where they are touched, the rounding of their codes included: 0.21 to 0.27 on a ball
-#: at rest, a sliding box and five fingertips of `skin evaluate rivals`. Nodes that nothing touches show 0, because they
-#: take a force of less than this part of their noise for none.
+#: at rest, a sliding box and five fingertips of `skin evaluate rivals`. They take a force of less than a part of their
+#: noise for none; nodes that nothing touches show 0.
 ADAPTIVE_NOISE_RATIO: Final = 0.25
 ADAPTIVE_DEAD_RATIO: Final = 0.4
 _CHUNK: Final = 128
@@ -63,9 +63,21 @@ def simulate_sums(
         part = slice(start, start + _CHUNK)
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
         if is_adaptive:
-            signal_n[signal_n < sd[part, None] * np.float32(ADAPTIVE_DEAD_RATIO / ADAPTIVE_NOISE_RATIO)] = 0
+            least_n = sd[part, None] * np.float32(ADAPTIVE_DEAD_RATIO / ADAPTIVE_NOISE_RATIO)
+            signal_n[(signal_n < least_n) | _beside(flat[part] > least_n, phi)] = 0
         sums[part] = phi.forward(to_counts(signal_n, taxels))
     return sums
+
+
+def _beside(is_touched: npt.NDArray[np.bool_], phi: Sbhe) -> npt.NDArray[np.bool_]:
+    """Return which taxels are of a block that nothing touches, while something touches another block.
+
+    A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact.
+    """
+    blocks = is_touched[:, phi.taxels_of_blocks].any(axis=2)
+    found = np.empty_like(is_touched)
+    found[:, phi.order] = np.repeat(~blocks & blocks.any(axis=1, keepdims=True), phi.block_size, axis=1)
+    return found
 
 
 def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng: np.random.Generator) -> Untouched:

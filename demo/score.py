@@ -1,10 +1,11 @@
 """The figures of a run: messages in, a `demo.report.Report` out.
 
-PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles.
+PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles. With
+adaptive sending, for each truth, 100 a second, of the image that was on show at its instant.
 """
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -48,7 +49,10 @@ class Score:
     psnr_image_db, psnr_sensor_db : deque of float
         One entry per contact cycle, of the last `HISTORY`.
     latency_ms : deque of float
-        Time from SYNC to the published image, one entry per image, of the last `HISTORY`.
+        Time from SYNC to the published image, one entry per image, of the last `HISTORY`. Adaptive: from the end of the
+        newest frame that is in the image.
+    cpu_ratio : dict of str to float
+        Processor time / wall time of each process; set by the run.
     """
 
     layout: Layout
@@ -62,6 +66,7 @@ class Score:
     labelled_right: int = 0
     snapshot: Snapshot | None = None
     last_label: Label | None = None
+    cpu_ratio: dict[str, float] = field(default_factory=dict)
     _images: Pairs[Image] = field(init=False)
     _labels: Pairs[Label] = field(init=False)
     _peak_n: float = 0.0
@@ -137,13 +142,22 @@ class Score:
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)
 
+    def _kbit_per_s(self, loads: Sequence[float]) -> float | None:
+        """Return the bits of all buses; None with CAN FD, whose load says nothing of bits."""
+        if not loads or any(bus.fd for bus in self.layout.bus):
+            return None
+        bits = (load * bus.bitrate for load, bus in zip(loads, self.layout.bus, strict=False))
+        return round(sum(bits) / 1000, 1)
+
     def report(self) -> Report:
         """Return the figures of the run so far."""
         gateway = self.gateway
         received = gateway.frames.received if gateway else 0
         sensor_db = _mean(self.psnr_sensor_db)
         sent = sum(status.frames_sent for status in self.nodes.values())
+        loads = [bus.mean_load_ratio for bus in gateway.buses] if gateway else []
         return Report(
+            sending=self.layout.sending,
             cycles=gateway.cycles if gateway else 0,
             cycles_complete=gateway.cycles_complete if gateway else 0,
             frames_sent=sent,
@@ -160,7 +174,9 @@ class Score:
             label_accuracy=self.labelled_right / self.labelled if self.labelled else None,
             latency_ms=Percentiles(p50=_percentile(self.latency_ms, 50), p99=_percentile(self.latency_ms, 99)),
             sync_rate_hz=round(gateway.sync_rate_hz, 3) if gateway else 0.0,
-            bus_load=[round(bus.mean_load_ratio, 4) for bus in gateway.buses] if gateway else [],
+            bus_load=[round(load, 4) for load in loads],
+            kbit_per_s=self._kbit_per_s(loads),
+            cpu_ratio=self.cpu_ratio,
         )
 
 
