@@ -74,9 +74,10 @@ def _beside(is_touched: npt.NDArray[np.bool_], phi: Sbhe) -> npt.NDArray[np.bool
 
     A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact.
     """
-    blocks = is_touched[:, phi.taxels_of_blocks].any(axis=2)
+    blocks = np.any(is_touched[:, phi.taxels_of_blocks], axis=2)
+    somewhere = np.any(blocks, axis=1, keepdims=True)
     found = np.empty_like(is_touched)
-    found[:, phi.order] = np.repeat(~blocks & blocks.any(axis=1, keepdims=True), phi.block_size, axis=1)
+    found[:, phi.order] = np.repeat(~blocks & somewhere, phi.block_size, axis=1)
     return found
 
 

@@ -59,7 +59,7 @@ class AdaptiveSums(NamedTuple):
     noise_n: float
 
 
-Sums = TypeVar("Sums", MeasuredSums, AdaptiveSums)
+Sums = TypeVar("Sums", bound=MeasuredSums | AdaptiveSums)
 
 
 def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
