@@ -4,6 +4,7 @@ PSNR follows the paper's equation with the skin's largest force as peak, per cyc
 adaptive sending, for each truth, 100 a second, of the image that was on show at its instant.
 """
 
+import threading
 from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
@@ -42,7 +43,7 @@ def _newest() -> deque[float]:
 
 @dataclass
 class Score:
-    """Collects the messages of a run; each handler may be called from one thread.
+    """Collects the messages of a run; the handlers may be called from several threads.
 
     Attributes
     ----------
@@ -70,6 +71,7 @@ class Score:
     _images: Pairs[Image] = field(init=False)
     _labels: Pairs[Label] = field(init=False)
     _peak_n: float = 0.0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
@@ -86,24 +88,27 @@ class Score:
         """Use the true forces of a cycle; a truth of another size is ignored."""
         if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
             return
-        for image, true in self._images.take_truth(truth):
-            self._compare(image, true)
-        for label, true in self._labels.take_truth(truth):
-            self._count_label(label, true)
+        with self._lock:
+            for image, true in self._images.take_truth(truth):
+                self._compare(image, true)
+            for label, true in self._labels.take_truth(truth):
+                self._count_label(label, true)
 
     def take_image(self, image: Image) -> None:
         """Compare an image with the truth of its cycle; an image of another size is ignored."""
         if len(image.pixels) != 4 * self.layout.taxels.count:
             return
         self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
-        for shown, truth in self._images.take(image):
-            self._compare(shown, truth)
+        with self._lock:
+            for shown, truth in self._images.take(image):
+                self._compare(shown, truth)
 
     def take_label(self, label: Label) -> None:
         """Compare a label with the object that touched in its cycle."""
         self.last_label = label
-        for said, truth in self._labels.take(label):
-            self._count_label(said, truth)
+        with self._lock:
+            for said, truth in self._labels.take(label):
+                self._count_label(said, truth)
 
     def label_text(self) -> str:
         """Return the newest label as text."""
