@@ -67,10 +67,10 @@ class Run:
             if stop.is_set() and not self._has_started():
                 self._supervisor.stop_at_once()
                 raise KeyboardInterrupt
-            # In this order every sent frame is counted as received or lost.
-            self._supervisor.stop("gateway")
-            self._supervisor.stop("nodes")
-            time.sleep(TURN_S)  # wait for the last counters
+            # In this order every sent frame is counted as received or lost: nodes send at SYNC, or by themselves.
+            for name in ("gateway", "nodes") if self._layout.sending == "synchronous" else ("nodes", "gateway"):
+                self._supervisor.stop(name)
+                time.sleep(TURN_S)  # wait for the last frames and counters
         return self._score.report()
 
     def save_picture(self, report: Report) -> Report | None:

@@ -50,8 +50,8 @@ class Score:
     psnr_image_db, psnr_sensor_db : deque of float
         One entry per contact cycle, of the last `HISTORY`.
     latency_ms : deque of float
-        Time from SYNC to the published image, one entry per image, of the last `HISTORY`. Adaptive: from the end of the
-        newest frame that is in the image.
+        Time from SYNC to the published image, one entry per image with new sums, of the last `HISTORY`. Adaptive: from
+        the end of the newest frame that is in the image.
     cpu_ratio : dict of str to float
         Processor time / wall time of each process; set by the run.
     """
@@ -71,6 +71,7 @@ class Score:
     _images: Pairs[Image] = field(init=False)
     _labels: Pairs[Label] = field(init=False)
     _peak_n: float = 0.0
+    _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
@@ -98,8 +99,11 @@ class Score:
         """Compare an image with the truth of its cycle; an image of another size is ignored."""
         if len(image.pixels) != 4 * self.layout.taxels.count:
             return
-        self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
         with self._lock:
+            # An image without any new sum, of a skin with nothing to send, has no latency.
+            if image.valid_sums and image.sync_mono_ns != self._newest_ns:
+                self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
+            self._newest_ns = image.sync_mono_ns
             for shown, truth in self._images.take(image):
                 self._compare(shown, truth)
 

@@ -74,6 +74,14 @@ def test_the_image_on_show_is_compared_at_each_truth(score: Score) -> None:
     assert report.latency_ms == Percentiles(p50=3.0, p99=3.0)
 
 
+def test_an_image_without_new_sums_has_no_latency(score: Score) -> None:
+    for published_ms in (10, 110, 210):
+        score.take_image(image(published_ms, latency_ms=published_ms - 7))
+    score.take_image(msgspec.structs.replace(image(300, latency_ms=250), valid_sums=0))
+    score.take_image(image(310, latency_ms=5))
+    assert list(score.latency_ms) == [3.0, 5.0]
+
+
 def test_labels_count_at_the_truth_nearest_to_them(score: Score) -> None:
     for each, name in ((18, "cup"), (24, "ring"), (33, "cup")):
         score.take_label(label(each, name))

@@ -47,6 +47,16 @@ def test_a_quiet_skin_is_not_stale(state: ViewState, messages: Any) -> None:
     assert not [notice for notice in snapshot.notices if notice.level == "error"]
 
 
+def test_an_image_without_new_sums_has_no_latency(state: ViewState, messages: Any) -> None:
+    one = image(messages, 1.0)
+    for each in range(5):
+        again = msgspec.structs.replace(one, published_mono_ns=one.published_mono_ns + 100_000_000 * each)
+        state.take_image(again, 1.0 + each / 10)
+    figures = state.snapshot(1.4)[0].figures
+    assert figures.latency_p99_s == pytest.approx(0.003)
+    assert figures.images_hz == pytest.approx(10)
+
+
 def test_a_thousand_images_a_second_are_counted(state: ViewState, messages: Any) -> None:
     one = image(messages, 1.0)
     for each in range(6000):

@@ -24,7 +24,7 @@ def state(messages: Any) -> ViewState:
 def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -> None:
     latencies_s = np.linspace(0.004, 0.012, 300)
     for cycle, latency_s in enumerate(latencies_s, 1):
-        state.take_image(messages.image(cycle, latency_s=latency_s), cycle / 100)
+        state.take_image(messages.image(cycle, sync_s=cycle / 100, latency_s=latency_s), cycle / 100)
     figures = state.snapshot(3.0)[0].figures
     assert figures.images_hz == pytest.approx(100, rel=0.02)
     assert figures.latency_p50_s == pytest.approx(np.percentile(latencies_s, 50), abs=1e-6)
