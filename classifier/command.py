@@ -5,6 +5,7 @@ from pathlib import Path
 import msgspec
 
 from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
+from classifier.coarse_sums import classified_phi
 from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
 from skin.errors import InputError
@@ -24,7 +25,7 @@ def classify(
     model: Path | None = None,
     objects: str = "",
 ) -> None:
-    """Name the object that touches the skin, once per measurement.
+    """Name the object that touches the skin, once per measurement; of adaptive sums, a hundred times a second.
 
     Without ``--model``, a model for this skin is trained once and kept in the cache folder: ``$SKIN_CACHE``, else
     ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``.
@@ -46,18 +47,22 @@ def classify(
     skin classify --layout palm.toml --model palm.npz
     """
     from classifier.decide import Classifier  # compiled parts take a moment to load
-    from classifier.service import ClassifierService
+    from classifier.service import AdaptiveClassifierService, ClassifierService
 
     stop = StopSignal().install()
-    skin = load_layout(layout)
-    phi = skin.phi()
+    skin = load_layout(layout, adaptive=True)
+    phi, classified = skin.phi(), classified_phi(skin)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
-    trained = load_model(model, skin, phi) if model else find_or_train(skin, phi, _named(objects))
+    trained = load_model(model, skin, classified) if model else find_or_train(skin, classified, _named(objects))
     fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=phi.fingerprint)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     try:
-        ClassifierService(Classifier(trained, phi), phi, fabric).run(stop)
+        decides = Classifier(trained, classified)
+        if skin.sending == "adaptive":
+            AdaptiveClassifierService(decides, phi, classified, fabric).run(stop)
+        else:
+            ClassifierService(decides, phi, fabric).run(stop)
     finally:
         fabric.close()
 
@@ -99,13 +104,13 @@ def train(
     skin train --objects golf-ball,ring,tuna-can
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     """
-    skin = load_layout(layout)
+    skin = load_layout(layout, adaptive=True)
     names = _named(objects)
     if touches < 0 or seed < 0:
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
     if out is not None:
         check_output_path(out, "model")
-    path = out or cached_path(skin, skin.phi(), names)
+    path = out or cached_path(skin, classified_phi(skin), names)
     model = _train(skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed)
     (save_model if out else keep_model)(model, path)
     _show(model.metadata, path, as_json=json)

@@ -63,7 +63,7 @@ class Classifier:
         about = model.metadata
         self._model = model
         self._labels = (*about.classes, "")
-        self._observer = Observer(phi, about.rows, about.columns, model.no_touch)
+        self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=about.sending == "adaptive")
         self._newest = NewestSums(phi)
         self._features = np.zeros(model.offset.size)
         self._completion: Completion | None = None

@@ -33,6 +33,9 @@ class Smoothed:
         Φ of shape (m, n), n = rows x columns.
     rows, columns : int
         Taxels of the skin.
+    means : bool
+        Whether sums of all taxels of a block count. Of neighbours they show where a force is; of taxels from all over
+        the skin they show no place.
 
     Attributes
     ----------
@@ -40,14 +43,15 @@ class Smoothed:
         Results of the newest `measure`: mean square and largest value of each smoothed image, in ADC counts.
     """
 
-    def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
+    def __init__(self, phi: Sbhe, rows: int, columns: int, *, means: bool = False) -> None:
         sums, taxels = phi.shape
         widths = widths_for(rows, columns)
         self.energies = np.zeros(len(widths))
         self.peaks = np.zeros(len(widths))
         self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
         # The mean of ΦᵀΦ is (m / n) B I, so this weight gives taxels in counts.
-        self._weights = np.where(phi.row_of_sum == 0, 0, taxels / (sums * phi.block_size)).astype(np.float32)
+        left_out = (phi.row_of_sum == 0) & (not means)
+        self._weights = np.where(left_out, 0, taxels / (sums * phi.block_size)).astype(np.float32)
         # Rows that are not sent use the zero after the values.
         self._source = np.full(phi.kept.shape, sums, np.intp)
         self._source[phi.kept] = np.arange(sums)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 Float64 = npt.NDArray[np.float64]
 #: "energies" of the smoothed adjoint image (`classifier.features`), or "sums" as in the paper.
 Features = Literal["energies", "sums"]
+Sending = Literal["synchronous", "adaptive"]
 
 VERSION: Final = 2
 #: Text of the model card for touches of `skin.sources.load_touches`.
@@ -76,6 +77,8 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Of the Φ of the training.
     newton_per_count : float
         ADC step of the training.
+    sending : {"synchronous", "adaptive"}
+        How the skin sends its sums. Of adaptive sums those of `classifier.coarse_sums` are used.
     contact_threshold : float
         Largest standardised peak that still counts as no contact.
     false_alarm_ratio : float
@@ -99,6 +102,7 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     unknown_slack: float
     sum_noise: float
     card: TrainingCard
+    sending: Sending = "synchronous"
 
 
 @dataclass(frozen=True, eq=False)

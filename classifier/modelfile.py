@@ -53,7 +53,7 @@ def save_model(model: Model, path: Path) -> None:
 
 
 def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
-    """Read a model for the skin of `layout`, whose Φ is `phi`.
+    """Read a model for the skin of `layout`, whose classified Φ (`classifier.coarse_sums`) is `phi`.
 
     Raises
     ------
@@ -97,6 +97,7 @@ def _entries(path: Path) -> Arrays:
 def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
     taxels = layout.taxels
     expected = {
+        "sending": (about.sending, layout.sending),
         "Φ": (about.fingerprint, phi.fingerprint),
         "sums": (about.sums, phi.shape[0]),
         "rows": (about.rows, taxels.rows),

@@ -22,10 +22,14 @@ class Observer:
     rows, columns : int
     no_touch : array, shape (4, widths)
         See `classifier.model`.
+    means : bool
+        See `classifier.features.Smoothed`.
     """
 
-    def __init__(self, phi: Sbhe, rows: int, columns: int, no_touch: npt.NDArray[np.float64]) -> None:
-        self.smoothed = Smoothed(phi, rows, columns)
+    def __init__(
+        self, phi: Sbhe, rows: int, columns: int, no_touch: npt.NDArray[np.float64], *, means: bool = False
+    ) -> None:
+        self.smoothed = Smoothed(phi, rows, columns, means=means)
         self._energy_mean, self._energy_sd, self._peak_mean, self._peak_sd = no_touch.copy()
         widths = self._peak_mean.size
         self._standard = np.zeros(widths)

@@ -1,16 +1,22 @@
-"""The classifier's loop: one measurement in, one label out."""
+"""The classifier's loop: measurements in, labels out."""
+
+import time
+from typing import Final
 
 import numpy as np
 
-from classifier.decide import Classifier
+from classifier.coarse_sums import places
+from classifier.decide import FORGET_CYCLES, Classifier, Decision
 from skin.fabric import Fabric
-from skin.measured_sums import MeasurementReader
+from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Sbhe
 from skin.messages import LABEL, MEASUREMENT, Label, Measurement
 from skin.service import StopSignal
 
 #: Period of the check of the stop signal.
 _TURN_S = 0.1
+#: Adaptive sums are decided on at most so often. The decision settles over cycles of this period.
+PERIOD_S: Final = 0.01
 
 
 class ClassifierService:
@@ -32,7 +38,7 @@ class ClassifierService:
     def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Fabric) -> None:
         self.labelled = 0
         self._classifier = classifier
-        self._reader = MeasurementReader(phi, "classifier")
+        self._reader = MeasurementReader(phi, "classifier", decode_measurement)
         self._sums_of_block = np.diff(phi.starts)
         self._fabric = fabric
         self._measurements = fabric.mailbox(MEASUREMENT)
@@ -59,12 +65,85 @@ class ClassifierService:
             return None
         decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle)
         self.labelled += 1
-        return Label(
-            cycle=measurement.cycle,
-            sync_counter=measurement.sync_counter,
-            sync_mono_ns=measurement.sync_mono_ns,
-            label=decision.label,
-            confidence=decision.confidence,
-            valid_sums=int(self._sums_of_block[sums.valid].sum()),
-            blind=decision.blind,
-        )
+        return _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()))
+
+
+class AdaptiveClassifierService:
+    """Labels the newest sums of a skin with adaptive sending, every `PERIOD_S`.
+
+    While no measurement comes, the newest stands, so a label settles as quickly on a skin that has nothing to send. The
+    gateway publishes at least every 0.1 s: after `FORGET_CYCLES` periods without a measurement nothing is labelled.
+
+    Parameters
+    ----------
+    classifier : Classifier
+    phi : Sbhe
+        The Φ of the skin.
+    classified : Sbhe
+        The Φ of the model, see `classifier.coarse_sums`.
+    fabric : Fabric
+
+    Attributes
+    ----------
+    labelled : int
+        Number of labels.
+    """
+
+    def __init__(self, classifier: Classifier, phi: Sbhe, classified: Sbhe, fabric: Fabric) -> None:
+        self.labelled = 0
+        self._classifier = classifier
+        self._reader = MeasurementReader(phi, "classifier", decode_adaptive)
+        self._places = places(phi, classified)
+        self._sums_of_block = np.diff(phi.starts)
+        self._fabric = fabric
+        self._measurements = fabric.mailbox(MEASUREMENT, 1)
+        self._newest: Measurement | None = None
+        self._cycle = self._repeated = 0
+
+    @property
+    def refused(self) -> int:
+        """Number of measurements with another Φ or other sizes."""
+        return self._reader.refused
+
+    def run(self, stop: StopSignal) -> None:
+        """Label the newest sums until `stop` is set."""
+        while not stop.is_set():
+            started_s = time.monotonic()
+            label = self.label(self._measurements.get(PERIOD_S))
+            if label is not None:
+                self._fabric.publish(LABEL, label)
+            time.sleep(max(0.0, started_s + PERIOD_S - time.monotonic()))
+
+    def label(self, measurement: Measurement | None) -> Label | None:
+        """Return the label of the next period, None without one.
+
+        Parameters
+        ----------
+        measurement : Measurement or None
+            The newest, if one came since the last period.
+        """
+        self._cycle += 1
+        self._repeated += 1
+        if measurement is not None:
+            self._newest, self._repeated = measurement, 0
+        if self._newest is None or self._repeated > FORGET_CYCLES:
+            return None
+        sums = self._reader.read(self._newest)
+        if sums is None:
+            self._newest = None
+            return None
+        decision = self._classifier.decide(sums.counts[self._places], sums.valid, self._cycle)
+        self.labelled += 1
+        return _label_of(self._newest, decision, int(self._sums_of_block[sums.valid].sum()))
+
+
+def _label_of(measurement: Measurement, decision: Decision, valid_sums: int) -> Label:
+    return Label(
+        cycle=measurement.cycle,
+        sync_counter=measurement.sync_counter,
+        sync_mono_ns=measurement.sync_mono_ns,
+        label=decision.label,
+        confidence=decision.confidence,
+        valid_sums=valid_sums,
+        blind=decision.blind,
+    )

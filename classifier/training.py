@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from classifier.coarse_sums import classified_phi
 from classifier.confidence import confidence_slope
 from classifier.features import Float32
 from classifier.missing import Factors, fit_factors
@@ -114,7 +115,7 @@ def train(
     say: Progress = progress or (lambda _doing, _ratio: None)
     names = np.asarray(labels, np.str_)
     _check(force_n, names, layout, options)
-    phi = layout.phi()
+    phi = classified_phi(layout)
     rng = np.random.default_rng(options.seed)
     say("the untouched skin", 0.0)
     untouched = observe_untouched(layout, phi, options.noise_n, options.no_touches, rng)
@@ -151,6 +152,7 @@ def train(
         unknown_slack=known.slack,
         sum_noise=factors.noise,
         card=_card(training, chosen, standard, known),
+        sending=layout.sending,
     )
     planes = chosen.machine.weights_ * slope, chosen.machine.biases_ * slope
     return Model(about, *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings)

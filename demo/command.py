@@ -94,7 +94,7 @@ def demo(
         listen=listen,
         picture=picture,
     )
-    skin = load_layout(layout)
+    skin = load_layout(layout, adaptive=True)
     options.check(skin)
     try:
         with run_folder() as folder:

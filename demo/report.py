@@ -38,6 +38,11 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
+    sending : str
+        ``synchronous`` or ``adaptive``.
+    cycles, cycles_complete : int
+        Cycles that have ended, and cycles in which every block was valid; adaptive: measurements published, and those
+        in which every block was valid.
     frames_sent, frames_received, frames_lost : int
         TPDOs with sums; lost = sent, but not received.
     frames_dropped : int
@@ -52,14 +57,23 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         False when the sensor only rounds to ADC counts, as with a recording.
     label_accuracy : float or None
         Cycles with the right label / cycles with contact and a named object.
+    contact_cycles : int
+        Cycles with contact; adaptive: true forces with contact, 100 a second.
     latency_ms : Percentiles
-        Time from SYNC to the published image.
+        Time from SYNC to the published image; adaptive: from the end of the newest frame that is in the image. The
+        sample of that frame is up to 1.2 ms older.
     bus_load : list of float
         Load of each bus since SYNC started, exact stuffing.
+    kbit_per_s : float or None
+        Bits of all buses, from their loads; None with CAN FD.
+    cpu_ratio : dict of str to float
+        Processor time, user and system, of each process / wall time; one processor is 1. Empty where the system does
+        not tell.
     picture : str
         Path of the picture; absent without contact, or if the file could not be written.
     """
 
+    sending: str = "synchronous"
     cycles: int
     cycles_complete: int
     frames_sent: int
@@ -77,15 +91,20 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     latency_ms: Percentiles
     sync_rate_hz: float
     bus_load: list[float]
+    kbit_per_s: float | None = None
+    cpu_ratio: dict[str, float] = {}
     picture: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def failure(self) -> str:
         """Why the run measured nothing; empty if it did measure."""
+        is_adaptive = self.sending == "adaptive"
         if not self.cycles:
-            return "no cycle: SYNC never came"
+            return "no measurement: no sums came" if is_adaptive else "no cycle: SYNC never came"
         if self.cycles_complete:
             return ""
+        if is_adaptive:
+            return "no measurement had all blocks valid: the nodes' states are on the page and in the gateway's log"
         because = ""
         if self.frames_dropped:
             because = f": nodes gave up {self.frames_dropped} TPDOs that did not get on the bus in time"
@@ -93,25 +112,34 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows of the table: name and text of each figure."""
+        is_adaptive = self.sending == "adaptive"
         complete = f"{self.cycles_complete} of {self.cycles} complete, at {self.sync_rate_hz:.1f} Hz"
+        measurements = f"{self.cycles} published, {self.cycles_complete} with all blocks valid"
         frames = f"{self.frames_sent} sent, {self.frames_received} received, {self.frames_lost} lost"
-        rows = [("cycles", complete), ("frames", frames)]
+        rows = [("measurements", measurements) if is_adaptive else ("cycles", complete), ("frames", frames)]
         if self.frames_missing:
             late = f"{self.frames_dropped} given up by their nodes, {self.frames_late} late"
             rows.append(("missing", f"{self.frames_missing} frames missed their cycle: {late}"))
             worst = (f"{each.bus}:{each.node} ({each.missing})" for each in self.nodes_missing[:NAMED])
             rows.append(("missing most", f"node {', '.join(worst)}"))
-        rows.append(("bus load", ", ".join(f"{load:.1%}" for load in self.bus_load)))
+        bits = f"; {self.kbit_per_s:.0f} kbit/s on all" if self.kbit_per_s is not None else ""
+        rows.append(("bus load", ", ".join(f"{load:.1%}" for load in self.bus_load) + bits))
         latency = self.latency_ms
         if latency.p50 is not None and latency.p99 is not None:
-            rows.append(("SYNC to image", f"{latency.p50:.1f} ms, 99 % within {latency.p99:.1f} ms"))
+            within = f"{latency.p50:.1f} ms, 99 % within {latency.p99:.1f} ms"
+            older = "; samples are up to 1.2 ms older than their frames"
+            rows.append(("frame to image", within + older) if is_adaptive else ("SYNC to image", within))
         if self.psnr_image_db is not None:
             sensor = f"the sensor's {self.psnr_sensor_db:.1f} dB"
             against = sensor if self.sensor_adds_noise else "what was played, which has no noise"
-            over = f"over {self.contact_cycles} contact cycles"
+            over = f"over {self.contact_cycles} {'moments of contact' if is_adaptive else 'contact cycles'}"
             rows.append(("image", f"{self.psnr_image_db:.1f} dB, against {against}, {over}"))
         if self.label_accuracy is not None:
-            rows.append(("label", f"right on {self.label_accuracy:.1%} of the contact cycles"))
+            counted = "moments of contact" if is_adaptive else "contact cycles"
+            rows.append(("label", f"right on {self.label_accuracy:.1%} of the {counted}"))
+        if self.cpu_ratio:
+            each = ", ".join(f"{name} {ratio:.0%}" for name, ratio in self.cpu_ratio.items())
+            rows.append(("processors", f"{each}; all {sum(self.cpu_ratio.values()):.0%} of one"))
         if self.picture:
             rows.append(("picture", self.picture))
         return rows

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from demo.options import DemoOptions
 from demo.picture import save_picture
+from demo.processor_time import ratios
 from demo.report import Report
 from demo.score import Score
 from demo.supervisor import Supervisor
@@ -66,10 +67,10 @@ class Run:
             if stop.is_set() and not self._has_started():
                 self._supervisor.stop_at_once()
                 raise KeyboardInterrupt
-            # In this order every sent frame is counted as received or lost.
-            self._supervisor.stop("gateway")
-            self._supervisor.stop("nodes")
-            time.sleep(TURN_S)  # wait for the last counters
+            # In this order every sent frame is counted as received or lost: nodes send at SYNC, or by themselves.
+            for name in ("gateway", "nodes") if self._layout.sending == "synchronous" else ("nodes", "gateway"):
+                self._supervisor.stop(name)
+                time.sleep(TURN_S)  # wait for the last frames and counters
         return self._score.report()
 
     def save_picture(self, report: Report) -> Report | None:
@@ -147,7 +148,7 @@ class Run:
             if time.monotonic() > patience_s:
                 raise RunError("no cycle came from the gateway")
         with progress("", self._options.seconds) as bar:
-            start_s = time.monotonic()
+            start_s, before = time.monotonic(), self._supervisor.processor_times()
             while (elapsed_s := time.monotonic() - start_s) < self._options.seconds:
                 if stop.wait(min(TURN_S, self._options.seconds - elapsed_s)):
                     break
@@ -155,6 +156,7 @@ class Run:
                     if talks(Talk.NORMAL):
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
+            self._score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
 
     def _has_started(self) -> bool:
         """Tell whether SYNC has."""
@@ -163,7 +165,11 @@ class Run:
     def _line(self) -> str:
         """Return the state of the run in one line."""
         gateway, score = self._score.gateway, self._score
-        parts = [f"cycle {gateway.cycles}, {gateway.cycles_complete} complete" if gateway else ""]
+        parts = [""]
+        if gateway:
+            parts = [f"cycle {gateway.cycles}, {gateway.cycles_complete} complete"]
+        if gateway and self._layout.sending == "adaptive":
+            parts = [f"measurement {gateway.cycles}, {gateway.cycles_complete} with all blocks valid"]
         if score.psnr_image_db:
             sensor_db = score.psnr_sensor_db[-1]
             noisy = adds_noise(sensor_db, self._layout.taxels.adc_bits)

@@ -1,10 +1,12 @@
 """The figures of a run: messages in, a `demo.report.Report` out.
 
-PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles.
+PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles. With
+adaptive sending, for each truth, 100 a second, of the image that was on show at its instant.
 """
 
+import threading
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -12,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from demo.report import NodeMissing, Percentiles, Report
-from skin.ground_truth import Pairing, in_contact
+from skin.ground_truth import Pairs, image_pairs, in_contact, label_pairs
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
@@ -41,14 +43,17 @@ def _newest() -> deque[float]:
 
 @dataclass
 class Score:
-    """Collects the messages of a run; each handler may be called from one thread.
+    """Collects the messages of a run; the handlers may be called from several threads.
 
     Attributes
     ----------
     psnr_image_db, psnr_sensor_db : deque of float
         One entry per contact cycle, of the last `HISTORY`.
     latency_ms : deque of float
-        Time from SYNC to the published image, one entry per image, of the last `HISTORY`.
+        Time from SYNC to the published image, one entry per image with new sums, of the last `HISTORY`. Adaptive: from
+        the end of the newest frame that is in the image.
+    cpu_ratio : dict of str to float
+        Processor time / wall time of each process; set by the run.
     """
 
     layout: Layout
@@ -62,9 +67,15 @@ class Score:
     labelled_right: int = 0
     snapshot: Snapshot | None = None
     last_label: Label | None = None
-    _images: Pairing[Image] = field(default_factory=Pairing)
-    _labels: Pairing[Label] = field(default_factory=Pairing)
+    cpu_ratio: dict[str, float] = field(default_factory=dict)
+    _images: Pairs[Image] = field(init=False)
+    _labels: Pairs[Label] = field(init=False)
     _peak_n: float = 0.0
+    _newest_ns: int = -1
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def __post_init__(self) -> None:
+        self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
@@ -78,27 +89,30 @@ class Score:
         """Use the true forces of a cycle; a truth of another size is ignored."""
         if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
             return
-        image, label = self._images.take_truth(truth), self._labels.take_truth(truth)
-        if image is not None:
-            self._compare(image, truth)
-        if label is not None:
-            self._count_label(label, truth)
+        with self._lock:
+            for image, true in self._images.take_truth(truth):
+                self._compare(image, true)
+            for label, true in self._labels.take_truth(truth):
+                self._count_label(label, true)
 
     def take_image(self, image: Image) -> None:
         """Compare an image with the truth of its cycle; an image of another size is ignored."""
         if len(image.pixels) != 4 * self.layout.taxels.count:
             return
-        self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
-        truth = self._images.take(image)
-        if truth is not None:
-            self._compare(image, truth)
+        with self._lock:
+            # An image without any new sum, of a skin with nothing to send, has no latency.
+            if image.valid_sums and image.sync_mono_ns != self._newest_ns:
+                self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
+            self._newest_ns = image.sync_mono_ns
+            for shown, truth in self._images.take(image):
+                self._compare(shown, truth)
 
     def take_label(self, label: Label) -> None:
         """Compare a label with the object that touched in its cycle."""
         self.last_label = label
-        truth = self._labels.take(label)
-        if truth is not None:
-            self._count_label(label, truth)
+        with self._lock:
+            for said, truth in self._labels.take(label):
+                self._count_label(said, truth)
 
     def label_text(self) -> str:
         """Return the newest label as text."""
@@ -137,13 +151,22 @@ class Score:
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)
 
+    def _kbit_per_s(self, loads: Sequence[float]) -> float | None:
+        """Return the bits of all buses; None with CAN FD, whose load says nothing of bits."""
+        if not loads or any(bus.fd for bus in self.layout.bus):
+            return None
+        bits = (load * bus.bitrate for load, bus in zip(loads, self.layout.bus, strict=False))
+        return round(sum(bits) / 1000, 1)
+
     def report(self) -> Report:
         """Return the figures of the run so far."""
         gateway = self.gateway
         received = gateway.frames.received if gateway else 0
         sensor_db = _mean(self.psnr_sensor_db)
         sent = sum(status.frames_sent for status in self.nodes.values())
+        loads = [bus.mean_load_ratio for bus in gateway.buses] if gateway else []
         return Report(
+            sending=self.layout.sending,
             cycles=gateway.cycles if gateway else 0,
             cycles_complete=gateway.cycles_complete if gateway else 0,
             frames_sent=sent,
@@ -160,7 +183,9 @@ class Score:
             label_accuracy=self.labelled_right / self.labelled if self.labelled else None,
             latency_ms=Percentiles(p50=_percentile(self.latency_ms, 50), p99=_percentile(self.latency_ms, 99)),
             sync_rate_hz=round(gateway.sync_rate_hz, 3) if gateway else 0.0,
-            bus_load=[round(bus.mean_load_ratio, 4) for bus in gateway.buses] if gateway else [],
+            bus_load=[round(load, 4) for load in loads],
+            kbit_per_s=self._kbit_per_s(loads),
+            cpu_ratio=self.cpu_ratio,
         )
 
 

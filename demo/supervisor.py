@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from demo.processor_time import ProcessorTime, processor_time
 from skin.command import WRONG_INPUT
 from skin.errors import InputError, RunError
 
@@ -75,6 +76,11 @@ class Supervisor:
                 child.restarts += 1
                 events.append(f"{child.name} started again as process {child.process.pid}")
         return events
+
+    def processor_times(self) -> dict[str, ProcessorTime]:
+        """Return the processor time of each service that runs, where the system tells it."""
+        found = {name: processor_time(child.process.pid) for name, child in self.children.items()}
+        return {name: each for name, each in found.items() if each is not None}
 
     def stop(self, *names: str) -> None:
         """End services, by default all, in the given order; kill services that do not end in time."""

@@ -4,11 +4,13 @@ import threading
 from pathlib import Path
 from typing import Final
 
+from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
+from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
-from skin.layout import load_layout
+from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 
 #: A start that takes longer logs the reason.
@@ -30,7 +32,7 @@ def reconstruct(
     connect
         Endpoint of the fabric's hub, usually the gateway.
     solver
-        Solver of the images.
+        Solver of the images; a layout with adaptive sending has one of its own.
 
     Examples
     --------
@@ -38,17 +40,8 @@ def reconstruct(
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
     stop = StopSignal().install()
-    skin = load_layout(layout)
-    options = solver or SolverOptions()
-    settings = options.settings()
-    engine = Reconstructor(
-        skin.phi(),
-        skin.taxels.rows,
-        skin.taxels.columns,
-        settings,
-        noise_n=options.noise_n,
-        samples=skin.samples_per_sync,
-    )
+    skin = load_layout(layout, adaptive=True)
+    engine, about = _engine(skin, solver)
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
     patience.start()
     try:
@@ -58,7 +51,29 @@ def reconstruct(
     fabric = Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)
     try:
         service = ReconstructorService(skin, engine, fabric)
-        say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {settings.iterations} iterations")
+        say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {about}")
         service.run(stop)
     finally:
         fabric.close()
+
+
+def _engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstructor | AdaptiveReconstructor, str]:
+    """Return the solver of a skin, and words for the log."""
+    if skin.sending == "adaptive":
+        if options is not None:
+            raise InputError(
+                "--solver, --iterations, --penalty-n and --noise-n are for synchronous sending: adaptive sums have a"
+                " solver of their own; leave them out"
+            )
+        return AdaptiveReconstructor(skin), "adaptive sums"
+    chosen = options or SolverOptions()
+    settings = chosen.settings()
+    engine = Reconstructor(
+        skin.phi(),
+        skin.taxels.rows,
+        skin.taxels.columns,
+        settings,
+        noise_n=chosen.noise_n,
+        samples=skin.samples_per_sync,
+    )
+    return engine, f"{settings.iterations} iterations"

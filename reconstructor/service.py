@@ -1,4 +1,7 @@
-"""The reconstructor's loop: one measurement in, one image out."""
+"""The reconstructor's loop: one measurement in, one image out.
+
+With adaptive sending only the newest measurement counts: it holds everything that the ones before held.
+"""
 
 import time
 from typing import Final
@@ -6,10 +9,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.engine import Reconstructor
 from skin.fabric import Fabric
 from skin.layout import Layout
-from skin.measured_sums import MeasurementReader
+from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.service import StopSignal, be_punctual
 
@@ -17,6 +21,8 @@ from skin.service import StopSignal, be_punctual
 MAILBOX_DEPTH: Final = 4
 #: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1
+
+Image_n = npt.NDArray[np.float32]
 
 
 class ReconstructorService:
@@ -28,8 +34,8 @@ class ReconstructorService:
     Parameters
     ----------
     layout : Layout
-    solver : Reconstructor
-        For the layout's Φ and grid.
+    solver : Reconstructor or AdaptiveReconstructor
+        For the layout's Φ and grid, and its way of sending.
     fabric : Fabric
 
     Attributes
@@ -38,19 +44,20 @@ class ReconstructorService:
         Number of published images.
     """
 
-    def __init__(self, layout: Layout, solver: Reconstructor, fabric: Fabric) -> None:
+    def __init__(self, layout: Layout, solver: Reconstructor | AdaptiveReconstructor, fabric: Fabric) -> None:
         self.images = 0
-        self._phi = layout.phi()
-        self._reader = MeasurementReader(self._phi, "reconstructor")
-        self._newton_per_count = np.float32(layout.taxels.newton_per_count)
-        self._solver = solver
+        self._work: _Adaptive | _Cycles
+        if isinstance(solver, AdaptiveReconstructor):
+            self._work, depth = _Adaptive(layout, solver), 1
+        else:
+            self._work, depth = _Cycles(layout, solver), MAILBOX_DEPTH
         self._fabric = fabric
-        self._mailbox = fabric.mailbox(MEASUREMENT, MAILBOX_DEPTH)
+        self._mailbox = fabric.mailbox(MEASUREMENT, depth)
 
     @property
     def refused(self) -> int:
         """Number of measurements with another Φ or other sizes."""
-        return self._reader.refused
+        return self._work.reader.refused
 
     @property
     def overrun(self) -> int:
@@ -67,18 +74,11 @@ class ReconstructorService:
 
     def take(self, measurement: Measurement) -> None:
         """Solve and publish one measurement, or refuse it."""
-        sums = self._reader.read(measurement)
-        if sums is None:
-            return
-        valid = self._phi.sums_of_blocks(sums.valid)
-        started_s = time.perf_counter()
-        sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        image = self._solver.solve(sums_n, valid)
-        self._publish(measurement, image, int(valid.sum()), time.perf_counter() - started_s)
+        solved = self._work.solve(measurement)
+        if solved is not None:
+            self._publish(measurement, *solved)
 
-    def _publish(
-        self, measurement: Measurement, image: npt.NDArray[np.float32], valid_sums: int, solve_s: float
-    ) -> None:
+    def _publish(self, measurement: Measurement, image: Image_n, valid_sums: int, solve_s: float) -> None:
         message = Image(
             cycle=measurement.cycle,
             sync_counter=measurement.sync_counter,
@@ -91,3 +91,41 @@ class ReconstructorService:
         )
         self.images += 1
         self._fabric.publish(IMAGE, message)
+
+
+class _Cycles:
+    """Images of cycles."""
+
+    def __init__(self, layout: Layout, solver: Reconstructor) -> None:
+        self._phi = layout.phi()
+        self._newton_per_count = np.float32(layout.taxels.newton_per_count)
+        self._solver = solver
+        self.reader = MeasurementReader(self._phi, "reconstructor", decode_measurement)
+
+    def solve(self, measurement: Measurement) -> tuple[Image_n, int, float] | None:
+        """Return image, number of sums used, and time of the solver; None if the measurement is refused."""
+        sums = self.reader.read(measurement)
+        if sums is None:
+            return None
+        valid = self._phi.sums_of_blocks(sums.valid)
+        started_s = time.perf_counter()
+        sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
+        image = self._solver.solve(sums_n, valid)
+        return image, int(valid.sum()), time.perf_counter() - started_s
+
+
+class _Adaptive:
+    """Images of the newest sums."""
+
+    def __init__(self, layout: Layout, solver: AdaptiveReconstructor) -> None:
+        self._solver = solver
+        self.reader = MeasurementReader(layout.phi(), "reconstructor", decode_adaptive)
+
+    def solve(self, measurement: Measurement) -> tuple[Image_n, int, float] | None:
+        """Return image, number of sums used, and time of the solver; None if the measurement is refused."""
+        sums = self.reader.read(measurement)
+        if sums is None:
+            return None
+        started_s = time.perf_counter()
+        image = self._solver.solve(sums)
+        return image, int(np.count_nonzero(sums.known)), time.perf_counter() - started_s

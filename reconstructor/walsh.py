@@ -1,8 +1,8 @@
 """From Walsh sums of patches to the tactile image: the inverse transform, then less total variation.
 
-Every sum that a patch has sent is known; a sum that has not come counts as 0. What the nodes' filter leaves of their
-noise, and what the codes of the sums round away, is taken out of the image by a few steps of the dual of the total
-variation (Chambolle 2004) for each image; the dual is kept, so that a skin at rest converges.
+A sum that is unknown counts as 0, or is filled in: of all images with the known sums, the smoothest. What the nodes'
+filter leaves of their noise, and what the codes of the sums round away, is taken out of the image by a few steps of the
+dual of the total variation (Chambolle 2004) for each image; the dual is kept, so that a skin at rest converges.
 """
 
 from collections.abc import Sequence
@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.checks import check_values
+from reconstructor.kernels.filling import fill
 from reconstructor.kernels.variation import denoise
 from skin.errors import InputError
-from skin.walsh import walsh_matrix
+from skin.walsh import grouped_rows, walsh_matrix
 
 #: Limit of the dual, in units of the nodes' noise.
 LIMIT_RATIO: Final = 0.1
@@ -49,6 +50,10 @@ class VariationFilter:
         denoise(image_n, np.float32(limit_n), STEPS, self._dual, smooth)
         return smooth
 
+    def reset(self) -> None:
+        """Forget the images before."""
+        self._dual[:] = 0
+
 
 class WalshReconstructor:
     """Makes an image of the Walsh sums of all patches.
@@ -72,24 +77,46 @@ class WalshReconstructor:
         if not np.array_equal(np.sort(self._cells, axis=None), np.arange(rows * columns)):
             raise InputError(f"expected patches that hold each of {rows * columns} taxels once")
         taxels = self._cells.shape[1]
+        self._rows = grouped_rows(taxels).ravel()
         self._inverse = walsh_matrix(taxels) / np.float32(taxels)
         self._image = np.zeros((rows, columns), np.float32)
         self._filter = VariationFilter(rows, columns)
+        self._filled, self._work = np.zeros((rows, columns), np.float32), np.zeros((4, rows, columns), np.float32)
+        self._unknown = np.zeros(self._cells.shape, np.bool_)
         self.noise_n = noise_n
 
-    def solve(self, sums_n: Floats) -> Floats:
+    def solve(self, sums_n: Floats, known: npt.NDArray[np.bool_] | None = None) -> Floats:
         """Return the image, float32, shape (rows, columns), newtons.
 
         Parameters
         ----------
         sums_n : array of float32, shape (patches, taxels)
             Of all patches, in the order of `patches`; the sums of each in that of `skin.walsh.grouped_rows`, newtons.
+        known : array of bool, shape (patches, taxels), optional
+            Which sums are known; the others are filled in from the forces around. Without `known`, all sums count as
+            they are. An image without any known sum is 0.
 
         Raises
         ------
         InputError
-            If the sums are of another shape, or not finite.
+            If the sums or `known` are of another shape, or the sums are not finite.
         """
         check_values("sums", sums_n, self._cells.shape)
-        self._image.reshape(-1)[self._cells] = sums_n @ self._inverse
+        if known is not None and (known.shape != self._cells.shape or known.dtype != np.bool_):
+            raise InputError(f"known: expected booleans of shape {self._cells.shape}, got {known.dtype} {known.shape}")
+        if known is None or known.all():
+            self._image.reshape(-1)[self._cells] = sums_n @ self._inverse
+            self._filled[:] = 0
+        elif known.any():
+            self._image.reshape(-1)[self._cells] = np.where(known, sums_n, np.float32(0)) @ self._inverse
+            self._unknown[:, self._rows] = ~known
+            fill(self._image, self._unknown, self._cells, self._filled, self._work)
+        else:
+            self.reset()
+            return np.zeros_like(self._image)
         return self._filter(self._image, LIMIT_RATIO * self.noise_n)
+
+    def reset(self) -> None:
+        """Forget the images before."""
+        self._filter.reset()
+        self._filled[:] = 0

@@ -1,10 +1,16 @@
-"""The ground truth of a cycle: pairs of truth and image or label, and the test for contact."""
+"""The ground truth of an image or a label, and the test for contact.
 
-from typing import Final, Generic, TypeVar
+With synchronous sending, messages of one cycle are pairs. With adaptive sending there are no cycles: a truth belongs to
+the image that was on show at its instant, a label to the truth nearest to its sums.
+"""
+
+from collections import deque
+from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from skin.layout import Layout
 from skin.messages import Image, Label, Truth
 
 #: Messages with equal SYNC counters belong to one cycle if their SYNCs are nearer than this: the counter repeats, after
@@ -12,34 +18,59 @@ from skin.messages import Image, Label, Truth
 PAIRED_WITHIN_NS: Final = 1_000_000_000
 #: Messages kept: SYNC counters run from 1 to 240 (CiA 301, 7.2.5.1), so older cycles would be ambiguous.
 REMEMBERED: Final = 240
-#: A cycle has contact if the largest true force is at least this part of the range: twice the sensor noise.
+#: There is contact if the largest true force is at least this part of the range: twice the sensor noise.
 CONTACT_RATIO: Final = 0.1
+
+#: Adaptive: an image is on show until the next, for so long at most; then the reconstructor has stopped.
+SHOWN_NS: Final = 500_000_000
+#: Adaptive: most images that are kept until the truth of their time comes, and most truths.
+IMAGES_KEPT: Final = 512
+TRUTHS_KEPT: Final = 64
+#: Adaptive: a truth stands for this time to each side; one comes each 10 ms.
+NEAR_NS: Final = 10_000_000
 
 Made = TypeVar("Made", Image, Label)
 Kept = TypeVar("Kept", Image, Label, Truth)
 
 
+class Pairs(Protocol[Made]):
+    """Finds pairs of truth and image or label; messages come in any order, each pair is returned once."""
+
+    def take(self, message: Made) -> list[tuple[Made, Truth]]:
+        """Take an image or label; return the pairs that it completes."""
+        ...
+
+    def take_truth(self, truth: Truth) -> list[tuple[Made, Truth]]:
+        """Take a truth; return the pairs that it completes."""
+        ...
+
+    def truth_of(self, message: Made) -> Truth | None:
+        """Return the truth to be shown beside a message, None if it has not come."""
+        ...
+
+
 class Pairing(Generic[Made]):
-    """Pairs of truth and image or label of one cycle; messages come in any order, each pair is returned once."""
+    """Synchronous sending: pairs of truth and image or label of one cycle."""
 
     def __init__(self) -> None:
         self._truths: dict[int, Truth] = {}
         self._waiting: dict[int, Made] = {}
 
-    def take_truth(self, truth: Truth) -> Made | None:
-        """Keep `truth`; return the waiting message of its cycle, if any."""
+    def take_truth(self, truth: Truth) -> list[tuple[Made, Truth]]:
+        """Keep `truth`; return its pair with the waiting message of its cycle, if any."""
         _remember(self._truths, truth)
         message = self._waiting.get(truth.sync_counter)
         if message is None or not _near(message, truth):
-            return None
-        return self._waiting.pop(truth.sync_counter)
+            return []
+        return [(self._waiting.pop(truth.sync_counter), truth)]
 
-    def take(self, message: Made) -> Truth | None:
-        """Return the truth of the message's cycle, or keep the message until this truth comes."""
+    def take(self, message: Made) -> list[tuple[Made, Truth]]:
+        """Return the pair of the message and its cycle's truth, or keep the message until this truth comes."""
         truth = self.truth_of(message)
         if truth is None:
             _remember(self._waiting, message)
-        return truth
+            return []
+        return [(message, truth)]
 
     def truth_of(self, message: Made) -> Truth | None:
         """Return the truth of the message's cycle, None if it has not come."""
@@ -47,13 +78,98 @@ class Pairing(Generic[Made]):
         return truth if truth is not None and _near(message, truth) else None
 
 
+class ShownImages:
+    """Adaptive sending: pairs of a truth and the image that was on show at its instant.
+
+    An image is on show from `Image.published_mono_ns` until the next, for `SHOWN_NS` at most. So all moments weigh
+    alike, however many images there are of each.
+    """
+
+    def __init__(self) -> None:
+        self._images: deque[Image] = deque(maxlen=IMAGES_KEPT)
+        self._waiting: deque[Truth] = deque(maxlen=TRUTHS_KEPT)
+        self._truths: deque[Truth] = deque(maxlen=TRUTHS_KEPT)
+
+    def take_truth(self, truth: Truth) -> list[tuple[Image, Truth]]:
+        """Keep `truth`; return its pair if a later image shows which one was on show."""
+        self._truths.append(truth)
+        self._waiting.append(truth)
+        return self._pairs()
+
+    def take(self, image: Image) -> list[tuple[Image, Truth]]:
+        """Keep `image`; return the pairs of all truths before it."""
+        self._images.append(image)
+        return self._pairs()
+
+    def truth_of(self, image: Image) -> Truth | None:
+        """Return the truth nearest to the image's publication, None if there is none within `NEAR_NS`."""
+        return _nearest(self._truths, image.published_mono_ns)
+
+    def _pairs(self) -> list[tuple[Image, Truth]]:
+        found = []
+        while self._waiting and self._images and self._images[-1].published_mono_ns > self._waiting[0].sync_mono_ns:
+            truth = self._waiting.popleft()
+            while len(self._images) > 1 and self._images[1].published_mono_ns <= truth.sync_mono_ns:
+                self._images.popleft()
+            if 0 <= truth.sync_mono_ns - self._images[0].published_mono_ns <= SHOWN_NS:
+                found.append((self._images[0], truth))
+        return found
+
+
+class NearestTruths:
+    """Adaptive sending: pairs of a label and the truth nearest to `Label.sync_mono_ns`."""
+
+    def __init__(self) -> None:
+        self._truths: deque[Truth] = deque(maxlen=TRUTHS_KEPT)
+        self._waiting: deque[Label] = deque(maxlen=TRUTHS_KEPT)
+
+    def take_truth(self, truth: Truth) -> list[tuple[Label, Truth]]:
+        """Keep `truth`; return the pairs of all labels before it."""
+        self._truths.append(truth)
+        return self._pairs()
+
+    def take(self, label: Label) -> list[tuple[Label, Truth]]:
+        """Return the pair of the label, or keep the label until a later truth comes."""
+        self._waiting.append(label)
+        return self._pairs()
+
+    def truth_of(self, label: Label) -> Truth | None:
+        """Return the truth nearest to the label's sums, None if there is none within `NEAR_NS`."""
+        return _nearest(self._truths, label.sync_mono_ns)
+
+    def _pairs(self) -> list[tuple[Label, Truth]]:
+        found = []
+        while self._waiting and self._truths and self._truths[-1].sync_mono_ns >= self._waiting[0].sync_mono_ns:
+            label = self._waiting.popleft()
+            truth = self.truth_of(label)
+            if truth is not None:
+                found.append((label, truth))
+        return found
+
+
+def image_pairs(layout: Layout) -> Pairs[Image]:
+    """Return what finds the pairs of images and truths of a skin."""
+    return ShownImages() if layout.sending == "adaptive" else Pairing()
+
+
+def label_pairs(layout: Layout) -> Pairs[Label]:
+    """Return what finds the pairs of labels and truths of a skin."""
+    return NearestTruths() if layout.sending == "adaptive" else Pairing()
+
+
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:
-    """Tell whether a cycle has contact: largest true force >= `CONTACT_RATIO` x `peak_n`."""
+    """Tell whether forces are a contact: largest true force >= `CONTACT_RATIO` x `peak_n`."""
     return float(true.max()) >= CONTACT_RATIO * peak_n
 
 
 def _near(message: Image | Label, truth: Truth) -> bool:
     return abs(message.sync_mono_ns - truth.sync_mono_ns) < PAIRED_WITHIN_NS
+
+
+def _nearest(truths: deque[Truth], time_ns: int) -> Truth | None:
+    """Return the truth nearest to a time, None if there is none within `NEAR_NS`."""
+    found = min(truths, key=lambda truth: abs(truth.sync_mono_ns - time_ns), default=None)
+    return found if found is not None and abs(found.sync_mono_ns - time_ns) <= NEAR_NS else None
 
 
 def _remember(kept: dict[int, Kept], message: Kept) -> None:

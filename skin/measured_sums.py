@@ -1,14 +1,16 @@
 """Decoding of a `Measurement`: checks it, decodes it, and logs refused measurements."""
 
+import math
 import time
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
 from skin.measurement import Sbhe
-from skin.messages import Measurement
+from skin.messages import BlockState, Measurement
 from skin.service import say
 
 #: Shortest time between two log lines about refused measurements.
@@ -30,14 +32,81 @@ class MeasuredSums(NamedTuple):
     valid: npt.NDArray[np.bool_]
 
 
+class AdaptiveSums(NamedTuple):
+    """The newest sums of a skin with adaptive sending.
+
+    Attributes
+    ----------
+    counts : array of int32, shape (m,)
+        Sums in ADC counts; 0 if unknown; read-only.
+    valid : array of bool, shape (blocks,)
+        True if all sums of the block are known and current.
+    known : array of bool, shape (m,)
+        True if a value of the sum is held.
+    states : array of uint8, shape (blocks,)
+        `skin.messages.BlockState`.
+    since_ns : array of int64, shape (blocks,)
+        Monotonic time since when the block is in its state.
+    noise_n : float
+        Median of the nodes' noise, newtons; 0 if it is not known.
+    """
+
+    counts: npt.NDArray[np.int32]
+    valid: npt.NDArray[np.bool_]
+    known: npt.NDArray[np.bool_]
+    states: npt.NDArray[np.uint8]
+    since_ns: npt.NDArray[np.int64]
+    noise_n: float
+
+
+Sums = TypeVar("Sums", bound=MeasuredSums | AdaptiveSums)
+
+
 def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
-    """Return the sums of a measurement with Φ.
+    """Return the sums of a synchronous measurement with Φ.
 
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or sums or validity have another length.
+        If the sums were measured with another Φ, or sums or validity have another length, or the measurement is one of
+        adaptive sending.
     """
+    _check_sums(measurement, phi)
+    if measurement.known or measurement.states or measurement.since_ns:
+        raise InputError("a measurement of adaptive sending, expected synchronous: give both ends the same --layout")
+    return MeasuredSums(np.frombuffer(measurement.sums, "<i4"), np.frombuffer(measurement.valid, np.uint8) != 0)
+
+
+def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
+    """Return the sums of an adaptive measurement with Φ.
+
+    Raises
+    ------
+    InputError
+        If the sums were measured with another Φ, or an array has another length or values that it cannot have, or the
+        measurement is one of synchronous sending.
+    """
+    _check_sums(measurement, phi)
+    if not (measurement.known or measurement.states or measurement.since_ns):
+        raise InputError("a measurement of synchronous sending, expected adaptive: give both ends the same --layout")
+    lengths = (len(measurement.known), len(measurement.states), len(measurement.since_ns))
+    expected = (phi.shape[0], phi.blocks, 8 * phi.blocks)
+    if lengths != expected:
+        raise InputError(f"known, states and since_ns of {lengths} bytes, expected {expected}")
+    if not (math.isfinite(measurement.noise_n) and measurement.noise_n >= 0):
+        raise InputError(f"noise_n of {measurement.noise_n}, expected a number of 0 or more")
+    known, valid = (np.frombuffer(each, np.uint8) != 0 for each in (measurement.known, measurement.valid))
+    states = np.frombuffer(measurement.states, np.uint8)
+    if states.max() > max(BlockState):
+        raise InputError(f"a block's state is {states.max()}, expected 0 to {max(BlockState):d}")
+    if not known.all() and not np.logical_and.reduceat(known, phi.starts[:-1])[valid].all():
+        raise InputError("a block is valid, but not all its sums are known")
+    since_ns = np.frombuffer(measurement.since_ns, "<i8")
+    return AdaptiveSums(np.frombuffer(measurement.sums, "<i4"), valid, known, states, since_ns, measurement.noise_n)
+
+
+def _check_sums(measurement: Measurement, phi: Sbhe) -> None:
+    """Check what measurements of both ways of sending have."""
     if measurement.fingerprint != phi.fingerprint:
         came = measurement.fingerprint[:32]
         raise InputError(f"measured with Φ {came!r}, expected {phi.fingerprint}: give both ends the same --layout")
@@ -47,10 +116,9 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
         raise InputError(
             f"sums and validity of {lengths[0]} and {lengths[1]} bytes, expected {expected[0]} and {expected[1]}"
         )
-    return MeasuredSums(np.frombuffer(measurement.sums, "<i4"), np.frombuffer(measurement.valid, np.uint8) != 0)
 
 
-class MeasurementReader:
+class MeasurementReader(Generic[Sums]):
     """Decodes the measurements that a service receives; measurements that do not fit are counted and logged.
 
     Parameters
@@ -59,6 +127,8 @@ class MeasurementReader:
         The service's Φ.
     service : str
         Name of the service in the log lines.
+    decode : callable
+        `decode_measurement` or `decode_adaptive`.
 
     Attributes
     ----------
@@ -66,16 +136,17 @@ class MeasurementReader:
         Measurements that did not fit.
     """
 
-    def __init__(self, phi: Sbhe, service: str) -> None:
+    def __init__(self, phi: Sbhe, service: str, decode: Callable[[Measurement, Sbhe], Sums]) -> None:
         self.refused = 0
         self._phi = phi
         self._service = service
+        self._decode = decode
         self._quiet_until_s = float("-inf")
 
-    def read(self, measurement: Measurement) -> MeasuredSums | None:
+    def read(self, measurement: Measurement) -> Sums | None:
         """Return the sums of a measurement, or None if they do not fit."""
         try:
-            return decode_measurement(measurement, self._phi)
+            return self._decode(measurement, self._phi)
         except InputError as error:
             self.refused += 1
             now_s = time.monotonic()

@@ -5,7 +5,7 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from skin.ground_truth import Pairing, in_contact
+from skin.ground_truth import Pairs, image_pairs, in_contact
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
@@ -76,7 +76,7 @@ class ViewState:
         self._services: dict[str, Service] = {}
         self._self = new_peer(layout.name, "this page", layout.phi().fingerprint)
         self._peers: dict[str, Peer] = {}
-        self._pairing: Pairing[Image] = Pairing()
+        self._pairing: Pairs[Image] = image_pairs(layout)
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
@@ -86,14 +86,16 @@ class ViewState:
         if not image_fits(image, self._layout):
             self.ignored += 1
             return
+        # An image without any new sum, of a skin with nothing to send, has no latency.
+        is_new = self._image is None or self._image.message.sync_mono_ns != image.sync_mono_ns
         self._image = Last(image, now_s)
         self._valid.add(now_s, self._valid_blocks(image))
         if image.valid_sums:
             self._rate.add(now_s, 1.0)
+        if image.valid_sums and is_new:
             self._latency_s.add(now_s, (image.published_mono_ns - image.sync_mono_ns) * 1e-9)
-        truth = self._pairing.take(image)
-        if truth is not None:
-            self._compare(image, truth, now_s)
+        for shown, truth in self._pairing.take(image):
+            self._compare(shown, truth, now_s)
 
     def take_truth(self, truth: Truth, now_s: float) -> None:
         """Use a truth that came at `now_s`."""
@@ -101,9 +103,8 @@ class ViewState:
             self.ignored += 1
             return
         self._truth = Last(truth, now_s)
-        image = self._pairing.take_truth(truth)
-        if image is not None:
-            self._compare(image, truth, now_s)
+        for image, true in self._pairing.take_truth(truth):
+            self._compare(image, true, now_s)
 
     def take_label(self, label: Label, now_s: float) -> None:
         """Use a label that came at `now_s`."""

@@ -30,7 +30,7 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
 
 
 def greeting(layout: Layout) -> dict[str, Any]:
-    """Return the constants of the skin for the page: grid, buses, block of each taxel, and names of the NMT states."""
+    """Return the skin's constants for the page: sending, grid, buses, block of each taxel, names of the NMT states."""
     taxels, phi = layout.taxels, layout.phi()
     block_of_taxel = np.empty(taxels.count, np.int32)
     block_of_taxel[phi.order] = np.arange(taxels.count) // phi.block_size
@@ -47,6 +47,7 @@ def greeting(layout: Layout) -> dict[str, Any]:
     ]
     return {
         "skin": layout.name,
+        "sending": layout.sending,
         "rows": taxels.rows,
         "columns": taxels.columns,
         "force_max_n": taxels.force_max_n,

@@ -13,12 +13,15 @@ import numpy as np
 import pytest
 
 from reconstructor import command
+from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
 from skin.fabric import Fabric
 from skin.layout import Layout, load_layout
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.service import StopSignal
+from tests import adaptive_messages
+from tests.adaptive_messages import adaptive_measurement
 from tests.reconstructor.conftest import Scene
 
 LAYOUT: Layout = load_layout()
@@ -136,6 +139,42 @@ def test_extreme_counts_do_no_harm(service: ReconstructorService, golf: Scene) -
         service.take(msgspec.structs.replace(good, sums=np.full(1024, value, "<i4").tobytes()))
     assert service.refused == 0
     assert service.images == 2
+
+
+def test_adaptive_sums_give_an_image_of_what_is_known(hub: Fabric, endpoint: str, golf: Scene) -> None:
+    fabric = Fabric(LAYOUT.name, "reconstructor", endpoint)
+    images: queue.Queue[Image] = queue.Queue()
+    fabric.publish = lambda _, image: images.put(image)  # type: ignore[method-assign]
+    layout = adaptive_messages.LAYOUT
+    service = ReconstructorService(layout, AdaptiveReconstructor(layout), fabric)
+    try:
+        known = np.ones((128, 32), np.bool_)
+        known[40], known[50, 7] = False, False
+        service.take(adaptive_measurement(golf.true[30], known, cycle=7, sync_counter=3, sync_mono_ns=5))
+        image = images.get_nowait()
+        assert (image.cycle, image.sync_counter, image.sync_mono_ns, image.valid_sums) == (7, 3, 5, 4096 - 33)
+        assert np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0).tolist() == [40, 50]
+        error_n = np.frombuffer(image.pixels, "<f4").reshape(64, 64) - golf.true[30]
+        assert np.sqrt(np.mean(error_n**2)) < 2e-4
+        service.take(measurement(8, golf.sensor[30]))
+        service.take(msgspec.structs.replace(adaptive_measurement(golf.true[30]), known=b"", states=b"", since_ns=b""))
+        assert service.refused == 2
+        assert images.empty()
+        # Only the newest measurement counts.
+        for cycle in (9, 10):
+            service._mailbox.put(adaptive_measurement(golf.true[30], cycle=cycle))
+        assert service.overrun == 1
+        assert service._mailbox.get().cycle == 10
+    finally:
+        fabric.close()
+
+
+def test_options_of_the_solver_are_refused_for_adaptive_sums() -> None:
+    verb = [sys.executable, "-m", "skin", "reconstruct", "--layout", "adaptive", "--solver", "live"]
+    done = subprocess.run(verb, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert "adaptive sums have a solver of their own" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.slow

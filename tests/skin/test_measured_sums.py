@@ -6,9 +6,9 @@ import pytest
 
 from skin import measured_sums
 from skin.errors import InputError
-from skin.measured_sums import MeasurementReader, decode_measurement
+from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import sbhe
-from skin.messages import Measurement
+from skin.messages import BlockState, Measurement
 
 PHI = sbhe(64, 16, block_size=8)
 SUMS = np.arange(-8, 8, dtype="<i4")
@@ -21,12 +21,20 @@ GOOD = Measurement(
     valid=bytes([1, 0, 1, 1, 1, 1, 1, 1]),
     fingerprint=PHI.fingerprint,
 )
+ADAPTIVE = msgspec.structs.replace(
+    GOOD,
+    known=bytes([1, 1, 0, *[1] * 13]),
+    states=bytes([3, 1, 2, 2, 2, 2, 2, 2]),
+    since_ns=np.arange(8, dtype="<i8").tobytes(),
+    noise_n=1e-3,
+)
 BAD = (
     ({"fingerprint": "0" * 16}, f"measured with Φ '0000000000000000', expected {PHI.fingerprint}"),
     ({"fingerprint": "\x1b[2J" * 1000}, "measured with Φ '.x1b"),
     ({"sums": GOOD.sums[:-1]}, "sums and validity of 63 and 8 bytes, expected 64 and 8"),
     ({"valid": GOOD.valid + b"\1"}, "sums and validity of 64 and 9 bytes, expected 64 and 8"),
     ({"sums": b"", "valid": b""}, "sums and validity of 0 and 0 bytes"),
+    ({"known": ADAPTIVE.known}, "a measurement of adaptive sending, expected synchronous: give both ends the same"),
 )
 
 
@@ -45,10 +53,42 @@ def test_what_does_not_fit_is_refused(changed: dict[str, object], says: str) -> 
     assert str(caught.value).isprintable()
 
 
+BAD_ADAPTIVE = (
+    ({"fingerprint": "0" * 16}, f"measured with Φ '0000000000000000', expected {PHI.fingerprint}"),
+    ({"sums": GOOD.sums[:-1]}, "sums and validity of 63 and 8 bytes, expected 64 and 8"),
+    ({"known": b"", "states": b"", "since_ns": b""}, "a measurement of synchronous sending, expected adaptive"),
+    ({"known": b"\1"}, r"known, states and since_ns of \(1, 8, 64\) bytes, expected \(16, 8, 64\)"),
+    ({"states": b""}, r"of \(16, 0, 64\) bytes"),
+    ({"since_ns": b"\0" * 8}, r"of \(16, 8, 8\) bytes"),
+    ({"states": bytes([4] * 8)}, "a block's state is 4, expected 0 to 3"),
+    ({"noise_n": float("nan")}, "noise_n of nan, expected a number of 0 or more"),
+    ({"noise_n": -1e-3}, "noise_n of -0.001"),
+    ({"valid": bytes([1, 1, *[1] * 6])}, "a block is valid, but not all its sums are known"),
+)
+
+
+def test_adaptive_sums_say_what_is_known_of_each() -> None:
+    sums = decode_adaptive(ADAPTIVE, PHI)
+    np.testing.assert_array_equal(sums.counts, SUMS)
+    assert np.flatnonzero(~sums.known).tolist() == [2]
+    assert np.flatnonzero(~sums.valid).tolist() == [1]
+    assert [BlockState(state).name for state in sums.states[:3]] == ["FRESH", "STALE", "QUIET"]
+    assert sums.since_ns.tolist() == list(range(8))
+    assert sums.noise_n == 1e-3
+    nothing = msgspec.structs.replace(ADAPTIVE, known=bytes(16), valid=bytes(8), states=bytes(8))
+    assert not decode_adaptive(nothing, PHI).known.any()
+
+
+@pytest.mark.parametrize(("changed", "says"), BAD_ADAPTIVE)
+def test_adaptive_sums_that_do_not_fit_are_refused(changed: dict[str, object], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        decode_adaptive(msgspec.structs.replace(ADAPTIVE, **changed), PHI)
+
+
 def test_refusals_are_counted_and_named_once_in_a_while(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader = MeasurementReader(PHI, "classifier")
+    reader = MeasurementReader(PHI, "classifier", decode_measurement)
     for changed, _ in BAD:
         assert reader.read(msgspec.structs.replace(GOOD, **changed)) is None
     assert reader.read(GOOD) is not None

@@ -24,7 +24,7 @@ def state(messages: Any) -> ViewState:
 def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -> None:
     latencies_s = np.linspace(0.004, 0.012, 300)
     for cycle, latency_s in enumerate(latencies_s, 1):
-        state.take_image(messages.image(cycle, latency_s=latency_s), cycle / 100)
+        state.take_image(messages.image(cycle, sync_s=cycle / 100, latency_s=latency_s), cycle / 100)
     figures = state.snapshot(3.0)[0].figures
     assert figures.images_hz == pytest.approx(100, rel=0.02)
     assert figures.latency_p50_s == pytest.approx(np.percentile(latencies_s, 50), abs=1e-6)
@@ -114,11 +114,10 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
                 "valid_sums": 0,
                 "solve_s": 0.0,
             }
-            truth = pairing.take(Image(**common, **rest))
-            pairs += [truth.sync_counter] if truth else []
+            pairs += [truth.sync_counter for _, truth in pairing.take(Image(**common, **rest))]
         else:
-            image = pairing.take_truth(Truth(step=cycle, true=b"", sensor=b"", label="", **common))
-            pairs += [image.cycle] if image else []
+            truth = Truth(step=cycle, true=b"", sensor=b"", label="", **common)
+            pairs += [image.cycle for image, _ in pairing.take_truth(truth)]
     assert sorted(pairs) == list(range(1, 9))
 
 

@@ -26,7 +26,9 @@ function setSkin(greeting) {
   images = new Images(greeting, buses);
   document.title = `${greeting.skin} – canskin`;
   const { rows, columns, blocks, sums } = greeting;
-  write(document.getElementById("skin"), `${greeting.skin} · ${rows} × ${columns} taxels · ${blocks} blocks · ${sums} sums a cycle`);
+  const isAdaptive = greeting.sending === "adaptive";
+  write(document.getElementById("skin"), `${greeting.skin} · ${rows} × ${columns} taxels · ${blocks} blocks · ${sums} sums${isAdaptive ? ", sent when they have news" : " a cycle"}`);
+  write(document.querySelector("#latency h2"), `${isAdaptive ? "Frame" : "SYNC"} to image, median`);
 }
 
 function schedule() {

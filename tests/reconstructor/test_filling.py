@@ -1,0 +1,134 @@
+"""Unknown sums are filled in from the forces around; `pytest -s` prints the table of docs/reconstruction.md."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.walsh import WalshReconstructor
+from skin.errors import InputError
+from skin.measured_sums import AdaptiveSums, decode_adaptive
+from skin.psnr import decibels
+from skin.sources import DEFAULT_OBJECTS, load_touches
+from skin.walsh import grouped_rows
+from tests.adaptive_messages import LAYOUT, PHI, adaptive_measurement
+
+BLOCKS, SIZE = PHI.kept.shape
+COUNT_N = LAYOUT.taxels.newton_per_count
+#: Images until a new state of the skin is fully shown: at ten images a second, half a second.
+SETTLING = 5
+
+
+@cache
+def touches() -> np.ndarray:
+    """Forces of whole counts, (touches, n)."""
+    force_n = load_touches(DEFAULT_OBJECTS, 20, LAYOUT, seed=3).force_n.reshape(20, -1)
+    return np.rint(force_n / COUNT_N) * COUNT_N
+
+
+def sums_of(force_n: np.ndarray, known: np.ndarray | None = None) -> AdaptiveSums:
+    return decode_adaptive(adaptive_measurement(force_n, known), PHI)
+
+
+def dead(ratio: float, seed: int = 0) -> np.ndarray:
+    """Known sums of a skin with some dead blocks."""
+    known = np.ones((BLOCKS, SIZE), np.bool_)
+    known[np.random.default_rng(seed).permutation(BLOCKS)[: round(ratio * BLOCKS)]] = False
+    return known
+
+
+def coarse(ratio: float, seed: int = 0) -> np.ndarray:
+    """Known sums of a skin of which some blocks have sent group 0 alone."""
+    known = np.ones((BLOCKS, SIZE), np.bool_)
+    some = np.random.default_rng(seed).permutation(BLOCKS)[: round(ratio * BLOCKS)]
+    known[np.ix_(some, np.setdiff1d(np.arange(SIZE), grouped_rows(SIZE)[0]))] = False
+    return known
+
+
+@pytest.mark.parametrize(
+    ("name", "drawn", "ratio", "gain_db"),
+    [
+        ("all sums", dead, 0.0, 0.0),
+        ("1 % of the nodes dead", dead, 0.01, 3.0),
+        ("5 % of the nodes dead", dead, 0.05, 8.0),
+        ("20 % of the nodes dead", dead, 0.2, 8.0),
+        ("group 0 alone of half of the nodes", coarse, 0.5, 2.5),
+    ],
+)
+def test_filling_beats_zeros(
+    name: str, drawn: Callable[[float, int], np.ndarray], ratio: float, gain_db: float
+) -> None:
+    errors_n2 = []
+    for seed, force_n in enumerate(touches()):
+        sums = sums_of(force_n, drawn(ratio, seed))
+        images = (shown(sums), shown(sums._replace(known=np.ones_like(sums.known))))
+        errors_n2.append([float(np.mean((image.reshape(-1) - force_n) ** 2)) for image in images])
+    filled_db, zeros_db = decibels(np.mean(errors_n2, axis=0), 0.02)
+    print(f"\n| {name} | {filled_db:.1f} | {zeros_db:.1f} |")
+    assert filled_db >= zeros_db + gain_db
+
+
+def shown(sums: AdaptiveSums) -> np.ndarray:
+    solver = AdaptiveReconstructor(LAYOUT)
+    for _ in range(SETTLING):
+        image = solver.solve(sums)
+    return image
+
+
+def test_with_every_sum_it_is_the_image_of_the_evaluation() -> None:
+    sums = sums_of(touches()[0])
+    plain, service = WalshReconstructor(LAYOUT.patches(), 64, 64, 1e-3), AdaptiveReconstructor(LAYOUT)
+    sums_n = (sums.counts.astype(np.float32) * np.float32(COUNT_N)).reshape(BLOCKS, SIZE)
+    grouped = np.ascontiguousarray(sums_n[:, grouped_rows(SIZE).ravel()])
+    for _ in range(3):
+        np.testing.assert_array_equal(service.solve(sums), plain.solve(grouped))
+
+
+def test_known_sums_are_kept() -> None:
+    known = coarse(0.5) & dead(0.05)
+    cells = np.concatenate(LAYOUT.patches())
+    solver = WalshReconstructor([cells], 64, 64, 0.0)
+    # Forces far from 0, so that none is clipped.
+    force_n = 0.01 + 0.2 * touches()[1]
+    sums_n = np.asarray(PHI.forward(force_n.astype(np.float32))).reshape(BLOCKS, SIZE)
+    rows = grouped_rows(SIZE).ravel()
+    image = solver.solve(sums_n[:, rows], known[:, rows])
+    made = np.asarray(PHI.forward(image.reshape(-1))).reshape(BLOCKS, SIZE)
+    np.testing.assert_allclose(made[known], sums_n[known], atol=1e-5)
+
+
+def test_old_forces_vanish_within_a_few_images() -> None:
+    known, solver = dead(0.2), AdaptiveReconstructor(LAYOUT)
+    for _ in range(SETTLING):
+        solver.solve(sums_of(np.full(4096, 0.015), known))
+    for _ in range(SETTLING):
+        image = solver.solve(sums_of(np.zeros(4096), known))
+    # What is left is less than a tenth of the sensor's noise.
+    assert image.max() < 1e-4
+
+
+def test_a_dead_skin_shows_nothing() -> None:
+    solver = AdaptiveReconstructor(LAYOUT)
+    solver.solve(sums_of(touches()[0]))
+    nothing = np.zeros((BLOCKS, SIZE), np.bool_)
+    assert not solver.solve(sums_of(touches()[0], nothing)).any()
+    # One known patch says nothing of forces at the other end of the skin.
+    nothing[0] = True
+    image = solver.solve(sums_of(np.full(4096, 0.01), nothing))
+    assert image[0, 0] > 0.005
+    assert image[-16:, -16:].max() < 1e-3
+
+
+def test_noise_that_is_not_known_is_the_sensors() -> None:
+    sums = sums_of(touches()[0])
+    known, unknown = shown(sums), shown(sums._replace(noise_n=0.0))
+    np.testing.assert_array_equal(known, unknown)
+    assert not np.array_equal(known, shown(sums._replace(noise_n=2e-3)))
+
+
+def test_known_of_another_shape_is_refused() -> None:
+    solver = WalshReconstructor(LAYOUT.patches(), 64, 64, 0.0)
+    with pytest.raises(InputError, match="known: expected booleans of shape"):
+        solver.solve(np.zeros((BLOCKS, SIZE), np.float32), np.ones(4096, np.bool_))

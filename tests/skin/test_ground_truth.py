@@ -1,0 +1,124 @@
+"""With adaptive sending a truth belongs to the image on show at its instant, and a label to the truth nearest to it."""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from skin.ground_truth import (
+    IMAGES_KEPT,
+    SHOWN_NS,
+    TRUTHS_KEPT,
+    NearestTruths,
+    Pairing,
+    ShownImages,
+    image_pairs,
+    label_pairs,
+)
+from skin.layout import load_layout
+from skin.messages import Image, Label, Truth
+
+MS = 1_000_000
+
+
+def image(published_ms: float) -> Image:
+    return Image(
+        cycle=1,
+        sync_counter=1,
+        sync_mono_ns=round((published_ms - 3) * MS),
+        published_mono_ns=round(published_ms * MS),
+        pixels=b"",
+        valid=b"",
+        valid_sums=0,
+        solve_s=0.0,
+    )
+
+
+def truth(time_ms: float) -> Truth:
+    return Truth(step=1, sync_counter=0, sync_mono_ns=round(time_ms * MS), true=b"", sensor=b"", label="")
+
+
+def label(time_ms: float) -> Label:
+    return Label(cycle=1, sync_counter=1, sync_mono_ns=round(time_ms * MS), label="", confidence=1.0, valid_sums=0)
+
+
+def times_ms(found: list[tuple[Image, Truth]]) -> list[tuple[float, float]]:
+    return [(shown.published_mono_ns / MS, true.sync_mono_ns / MS) for shown, true in found]
+
+
+def test_each_way_of_sending_has_its_pairs() -> None:
+    assert isinstance(image_pairs(load_layout()), Pairing)
+    assert isinstance(label_pairs(load_layout()), Pairing)
+    adaptive = load_layout(Path("adaptive"), adaptive=True)
+    assert isinstance(image_pairs(adaptive), ShownImages)
+    assert isinstance(label_pairs(adaptive), NearestTruths)
+
+
+def test_a_truth_waits_until_the_image_on_show_is_known() -> None:
+    pairs = ShownImages()
+    assert pairs.take(image(8)) == []
+    assert pairs.take_truth(truth(10)) == []  # an image published at 9 may be on its way
+    assert times_ms(pairs.take(image(11))) == [(8, 10)]
+    assert times_ms(pairs.take_truth(truth(10.5))) == [(8, 10.5)]
+    assert pairs.take_truth(truth(20)) == []
+    assert pairs.take(image(20)) == []
+    assert times_ms(pairs.take(image(20.1))) == [(20, 20)]
+
+
+def test_a_quiet_skin_shows_one_image_at_many_truths() -> None:
+    pairs = ShownImages()
+    pairs.take(image(1))
+    for each in range(10, 100, 10):
+        assert pairs.take_truth(truth(each)) == []
+    assert times_ms(pairs.take(image(101))) == [(1, each) for each in range(10, 100, 10)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_messages_of_two_services_come_in_any_order_of_each_other(seed: int) -> None:
+    draw, pairs, found = random.Random(seed), ShownImages(), []
+    images = [image(each + 0.5) for each in range(200)]
+    truths = [truth(10 * each) for each in range(1, 20)]
+    while images or truths:
+        if images and (not truths or draw.random() < 0.9):
+            found += pairs.take(images.pop(0))
+        else:
+            found += pairs.take_truth(truths.pop(0))
+    assert times_ms(found) == [(10 * each - 0.5, 10 * each) for each in range(1, 20)]
+
+
+def test_an_image_of_a_reconstructor_that_stopped_is_not_on_show() -> None:
+    pairs = ShownImages()
+    pairs.take(image(0))
+    late_ms = SHOWN_NS / MS + 10
+    pairs.take_truth(truth(late_ms))
+    assert pairs.take(image(late_ms + 1)) == []
+    assert pairs.take_truth(truth(late_ms - 1000)) == []  # no image of that time is left
+    # Nothing piles up without the other topic.
+    for each in range(2000):
+        pairs.take(image(2000 + each))
+    for each in range(200):
+        pairs.take_truth(truth(10_000 + each))
+    assert (len(pairs._images), len(pairs._waiting)) == (IMAGES_KEPT, TRUTHS_KEPT)
+
+
+def test_the_truth_beside_an_image_is_the_nearest() -> None:
+    pairs = ShownImages()
+    assert pairs.truth_of(image(10)) is None
+    for each in (10, 20, 30):
+        pairs.take_truth(truth(each))
+    near = pairs.truth_of(image(24))
+    assert near is not None
+    assert near.sync_mono_ns == 20 * MS
+    assert pairs.truth_of(image(41)) is None
+
+
+def test_a_label_is_judged_by_the_truth_nearest_to_its_sums() -> None:
+    pairs = NearestTruths()
+    pairs.take_truth(truth(10))
+    assert pairs.take(label(17)) == []  # the truth at 20 is nearer
+    assert pairs.take(label(19)) == []
+    assert [true.sync_mono_ns for _, true in pairs.take_truth(truth(20))] == [20 * MS] * 2
+    assert [true.sync_mono_ns for _, true in pairs.take(label(12))] == [10 * MS]
+    assert pairs.take_truth(truth(100)) == []
+    assert pairs.take(label(60)) == []  # no truth near
+    assert len(pairs.take(label(100))) == 1
