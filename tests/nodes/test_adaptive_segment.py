@@ -67,7 +67,7 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
         assert np.abs(bus.received.value_n[row] - true_n)[1:].max() < 2 * law.fine_n
         assert abs(bus.received.value_n[row, 0] - true_n[0]) < 32 * LEAST_NOISE_N * 1.6  # an offset within the noise
         assert np.array_equal(bus.received.value_n[row], bus.boards._groups.known_n[row])
-    assert bus.received.counts[1:].tolist() == [0, 0]
+    assert not bus.received.counts[1:].any()
     assert bus.segment.frames_sent == bus.received.counts[0]
     assert bus.segment.frames_dropped == 0
 
