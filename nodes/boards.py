@@ -46,6 +46,11 @@ class Boards(ABC):
         """When something has to be done that no frame asks for, in monotonic seconds."""
         return NEVER_S
 
+    @property
+    def is_sending(self) -> bool:
+        """Whether echoes of frames are awaited that nobody will ask for again."""
+        return False
+
     @abstractmethod
     def prepare(self) -> None:
         """Do beforehand what a SYNC will ask for."""

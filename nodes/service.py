@@ -22,6 +22,8 @@ from skin.service import Complaints, StopSignal, be_punctual
 #: Longest wait for frames.
 TURN_S: Final = 0.005
 STATUS_PERIOD_S: Final = 0.2
+#: Longest wait for the last echoes when the process ends.
+LAST_FRAMES_S: Final = 0.5
 #: The next cycle is sampled ahead from so many periods after a SYNC on: all buses have had their answers by then.
 PREPARE_FROM: Final = 0.3
 
@@ -78,7 +80,20 @@ class NodesService:
         be_punctual()
         while not stop.is_set():
             self.turn()
+        self._await_frames()
         self.publish_status()
+
+    def _await_frames(self) -> None:
+        """Wait for the echoes of frames that may still be sent, so that the counters tell what receivers got."""
+        until_s = time.monotonic() + LAST_FRAMES_S
+        while self._boards.is_sending and (left_s := until_s - time.monotonic()) > 0:
+            ready, _, _ = select.select(list(self._links.values()), [], [], left_s)
+            self._receive(ready, self._clock())
+
+    def _receive(self, ready: Collection[Link], now_s: float) -> None:
+        for bus, link in self._links.items():
+            if link in ready:
+                self.segments[bus].take(link.receive(), now_s)
 
     def turn(self) -> None:
         """Wait for frames up to `TURN_S`, or for the next sample; handle frames, and do what is due by time."""
@@ -90,9 +105,7 @@ class NodesService:
             time.sleep(max(0.0, min(self._boards.due_s - self._clock(), TURN_S)))
             ready, _, _ = select.select(links, [], [], 0)
         now_s = self._clock()
-        for bus, link in self._links.items():
-            if link in ready:
-                self.segments[bus].take(link.receive(), now_s)
+        self._receive(ready, now_s)
         for segment in self.segments.values():
             segment.tick(now_s)
         self._publish(now_s)

@@ -134,6 +134,11 @@ class AdaptiveBoards(Boards):
         """Time between two decisions: that of a sample, unless the process is late."""
         return self._pace_ns
 
+    @property
+    def is_sending(self) -> bool:
+        """Whether a controller may hold a frame, or its echo is to be read."""
+        return bool(self._groups.under_way.any())
+
     def prepare(self) -> None:
         """Do nothing: no SYNC asks for anything."""
 

@@ -138,7 +138,7 @@ def _unclip_table() -> Floats:
     return np.interp(np.linspace(0, mean[-1], _POINTS), mean, force).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
     """Undo the bias of clipping at 0 in place."""
     scale = np.float32((table.size - 1) / _REACH)

@@ -27,6 +27,7 @@ LEAST_WEIGHT: Final = 1e-9
 
 Floats = npt.NDArray[np.float32]
 
+# Division by 0, which never happens here, is not checked below: loops with that check are not vectorised.
 _LOG2_E: Final = np.float32(1.4426950408889634)
 #: exp(x) below is 0 for all that matters, and above has a normal exponent.
 _LEAST_EXPONENT: Final = np.float32(-120.0)
@@ -98,7 +99,7 @@ def new_tracks(models: Models, coefficients: int) -> Tracks:
     return Tracks(level, slope, weight, surprise, level_mean, slope_mean)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def step(  # noqa: PLR0917  compiled functions take no keywords
     sample: Floats, models: Models, tracks: Tracks, horizon: Any, forecast: Floats, variance: Floats
 ) -> None:
@@ -152,7 +153,7 @@ def step(  # noqa: PLR0917  compiled functions take no keywords
             variance[c] += weight[c] * spread
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _weigh(tracks: Tracks, least: Floats) -> None:
     """Multiply the weights by the likelihoods exp(-surprise), relative to the likeliest, and make their sum 1."""
     count, size = tracks.weight.shape

@@ -140,7 +140,7 @@ class PatchSensors:
         return np.ascontiguousarray(flat[..., self._cells])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sample(  # noqa: PLR0917  compiled functions take no keywords
     since: float,
     drawn: npt.NDArray[np.uint16],

@@ -11,6 +11,7 @@ import pytest
 from bus.link import State
 from dbc.contract import Contract
 from dbc.frame import Frames
+from dbc.indices import OD_REFRESH
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
@@ -118,9 +119,18 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
         now_s += 1e-3
         service.turn()
     assert boards.decision - samples in {29, 30}
-    assert [truth.step for truth in published.truths] == list(range(published.truths[0].step, 3))
+    assert [truth.step for truth in published.truths] == [1, 2, 3]
     assert sum(len(link.take_sent()) for link in links.values()) > 8
     service.publish_status()
     newest = published.statuses[-1]
     assert newest.frames_sent == sum(segment.frames_sent for segment in service.segments.values()) > 0
     assert (newest.frames_dropped, newest.syncs_seen) == (0, 1)
+    boards.adjust(blocks[0], OD_REFRESH, 0, 0xF)
+    now_s += 2e-3
+    service.turn()
+    assert boards.is_sending
+    for link in links.values():
+        link.put()
+    now_s += 1e-6
+    service.turn()
+    assert not boards.is_sending
