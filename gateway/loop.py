@@ -25,7 +25,7 @@ BOOT_PATIENCE_S: Final = 3.0
 #: Time from the start of the last node to the first SYNC.
 SETTLE_S: Final = 0.1
 #: The load of one bus is added up after a measurement, at most this often.
-ACCOUNT_PERIOD_S: Final = 0.005
+ACCOUNT_PERIOD_S: Final = 0.02
 
 
 @dataclass
@@ -87,7 +87,8 @@ class GatewayLoop:
             if contract.layout.sending == "adaptive"
             else CycleGathering(contract)
         )
-        self._patience_s = now_s + BOOT_PATIENCE_S
+        #: Known from the first tick on: what comes before may take long.
+        self._patience_s: float | None = None
         self._look_s = self._account_s = now_s
         self._accounted = 0
 
@@ -132,6 +133,8 @@ class GatewayLoop:
         for bus in self._buses.values():
             bus.master.tick(now_s)
         self.gathering.tick(now_s)
+        if self._patience_s is None:
+            self._patience_s = now_s + BOOT_PATIENCE_S
         if not self.sync.runs and self.sync.counter == 0:
             passed = all(bus.master.passed for bus in self._buses.values())
             if passed or now_s >= self._patience_s:

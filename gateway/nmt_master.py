@@ -21,6 +21,7 @@ from dbc.canopen import (
     SDO_BYTES,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    TPDO_BASES,
     NmtCommand,
     NmtState,
     is_of_node,
@@ -105,8 +106,6 @@ class NmtMaster:
         #: Emergencies since the list was last cleared: node-ID and error code.
         self.emergencies: list[tuple[int, int]] = []
 
-    # What is known
-
     @property
     def passed(self) -> bool:
         """Whether every node's first dialogue has ended, with or without an answer."""
@@ -144,6 +143,8 @@ class NmtMaster:
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use the frames of the bus, in bus order."""
         can_id, flags = arrived["can_id"], arrived["flags"]
+        if not ((can_id < TPDO_BASES[0]) | (can_id > SDO_RESPONSE_BASE)).any():
+            return  # sums only
         plain = flags & (ERROR | ECHO | EXTENDED | REMOTE) == 0
         ours = (can_id == NMT_COB_ID) | (can_id > SDO_RESPONSE_BASE) | is_of_node(can_id, EMCY_BASE)
         commanded = (flags & (ERROR | ECHO) == ECHO) & (can_id == NMT_COB_ID)
