@@ -181,7 +181,7 @@ def test_check_names_each_difference(skin: Run, buses: list[Frames], tmp_path: P
         sync = np.flatnonzero(sent["can_id"] == 0x80)[5]
         added = sent[is_coarse(sent)][:4].copy()
         added["time_ns"] = sent["time_ns"][sync] + 200_000 * (1 + np.arange(4))
-        return np.insert(sent, sync + 1, added)
+        return np.concatenate([sent[: sync + 1], added, sent[sync + 1 :]])
 
     def silent(sent: Frames) -> Frames:
         return sent[~((sent["time_ns"] > 10**12 + 1000 * MS) & ((sent["can_id"] - 0x181) % 32 == 3))]
