@@ -181,10 +181,13 @@ def test_check_names_each_difference(skin: Run, buses: list[Frames], tmp_path: P
         sync = np.flatnonzero(sent["can_id"] == 0x80)[5]
         added = sent[is_coarse(sent)][:4].copy()
         added["time_ns"] = sent["time_ns"][sync] + 200_000 * (1 + np.arange(4))
-        return np.concatenate([sent[: sync + 1], added, sent[sync + 1 :]])
+        whole: Frames = np.concatenate([sent[: sync + 1], added, sent[sync + 1 :]])
+        return whole
 
     def silent(sent: Frames) -> Frames:
-        return sent[~((sent["time_ns"] > 10**12 + 1000 * MS) & ((sent["can_id"] - 0x181) % 32 == 3))]
+        is_gone = (sent["time_ns"] > 10**12 + 1000 * MS) & ((sent["can_id"] - 0x181) % 32 == 3)
+        kept: Frames = sent[~is_gone]
+        return kept
 
     def foreign(sent: Frames) -> Frames:
         sent["can_id"][sent["can_id"] == 0x701] = 0x7F1
