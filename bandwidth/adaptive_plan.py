@@ -8,6 +8,7 @@ import numpy as np
 
 from bandwidth.plan import CAUTION, CYCLES_BUFFERED, RECEIVED_FRAME_BYTES, bus_time
 from bandwidth.response import UNBOUNDED
+from bandwidth.touched_bits import SOURCE
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
 from dbc.adaptive import GROUP_SUMS, SendingRule
@@ -15,8 +16,12 @@ from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.frame_bits import wire_bits
 from skin.errors import InputError
+from skin.sources import load_sender, load_source
 from skin.walsh import GROUPS
 
+#: Length of the simulated touches, and steps of their source in a second.
+TOUCHED_S: Final = 16.0
+TOUCH_HZ: Final = 100.0
 #: Samples of a second: a group sends one frame for each at most.
 _SAMPLES_PER_S: Final = 1000
 
@@ -88,7 +93,7 @@ class AdaptiveBusPlan:
 
 
 def plan_adaptive(
-    contract: Contract, *, allowed: Disturbance | None = None, budget_bits_per_s: int = 0
+    contract: Contract, *, allowed: Disturbance | None = None, budget_bits_per_s: int = 0, is_touched: bool = True
 ) -> list[AdaptiveBusPlan]:
     """Plan every bus of a skin with adaptive sending.
 
@@ -99,6 +104,8 @@ def plan_adaptive(
         Disturbances that times include; `jitter_s` is the longest time from a sample until its frame is queued.
     budget_bits_per_s : int
         Budget of every node (2034h); 0 for none.
+    is_touched : bool
+        Whether to simulate a touch for `AdaptiveBusPlan.load_touched`.
 
     Raises
     ------
@@ -107,10 +114,29 @@ def plan_adaptive(
     """
     if budget_bits_per_s < 0:
         raise InputError(f"expected a budget of 0 (none) or more bits a second, got {budget_bits_per_s}")
+    touched = touched_bits_per_s(contract) if is_touched else None
     return [
-        _plan_bus(contract, bus, None, allowed or Disturbance(), budget_bits_per_s)
+        _plan_bus(contract, bus, touched, allowed or Disturbance(), budget_bits_per_s)
         for bus in range(len(contract.layout.bus))
     ]
+
+
+def touched_bits_per_s(contract: Contract) -> float | None:
+    """Return the bits a second of the sums of a bus while the default objects press and slide, with exact stuff bits.
+
+    Neighbouring patches are on different buses, so that one bus stands for all: the first. None if no installed package
+    tells what adaptive nodes send.
+    """
+    try:
+        sent_of = load_sender("adaptive")
+    except InputError:
+        return None
+    taxels = contract.layout.taxels
+    source = load_source(
+        SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=TOUCH_HZ, seed=0
+    )
+    sent = sent_of(contract, 0, source, TOUCHED_S)
+    return int(wire_bits(sent)[0].sum()) / TOUCHED_S
 
 
 def _plan_bus(
@@ -167,10 +193,11 @@ def _problems(urgency: Urgency, name: str, news_ns: np.ndarray, beats_ns: np.nda
     found = []
     if (news_ns == UNBOUNDED).any():
         patience_ms, each_ms = SendingRule().patience, GROUPS * urgency.frame_ns * 1e-6
+        free = 1 - sum(each_ns / interval_ns for each_ns, interval_ns, _ in urgency.above)
         found.append(
             f"{name}: coarse sums have no bound while everything moves: {urgency.nodes} nodes send for "
             f"{urgency.nodes * each_ms:.1f} ms what has waited for {patience_ms} ms; "
-            f"{int(patience_ms / each_ms)} nodes or a higher bit rate would do"
+            f"{max(0, int(free * patience_ms / each_ms))} nodes or a higher bit rate would do"
         )
     if (beats_ns == UNBOUNDED).any():
         found.append(f"{name}: the pauses after SYNC have no room for all SDO transfers and heartbeats")

@@ -82,7 +82,7 @@ def plan(
 def _plan_adaptive(
     contract: Contract, allowed: Disturbance, budget: int, log: Path | None, names: list[str], *, as_json: bool
 ) -> int:
-    plans = plan_adaptive(contract, allowed=allowed, budget_bits_per_s=budget)
+    plans = plan_adaptive(contract, allowed=allowed, budget_bits_per_s=budget, is_touched=log is None)
     if log is not None:
         return _check(contract, plans, log, names, as_json=as_json)
     if as_json:
@@ -141,10 +141,8 @@ def _check(
     lines = []
     for number, seen in of_buses(contract.layout, wanted, logged, log, named_by_user=bool(names)).items():
         load = measure(contract, number, seen, plans[number])
-        say(
-            "plan",
-            f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full, {load.plan_touched or 0:.1%} planned",
-        )
+        wanted_load = "" if load.plan_touched is None else f", {load.plan_touched:.1%} planned"
+        say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full{wanted_load}")
         for line in misfits(contract, number, seen, load):
             say("plan", line)
         planned = plans[number]

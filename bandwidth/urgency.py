@@ -154,10 +154,10 @@ class Urgency:
         blocked = int(time[place + 1 :].max(initial=0))
         for pauses in range(1, _PAUSES_MAX):
             span_ns = pauses * self.period_ns
-            left_ns = blocked - (pauses - 1) * room_ns
-            left_ns += sum(arrivals(span_ns, 0, interval_ns) * each_ns for each_ns, interval_ns in ahead)
+            left_ns: int = blocked - (pauses - 1) * room_ns
+            left_ns += sum(int(arrivals(span_ns, 0, interval_ns)) * each_ns for each_ns, interval_ns in ahead)
             if left_ns < room_ns:
-                return self.jitter_ns + span_ns - room_ns + max(left_ns, 0) + int(time[place])
+                return int(self.jitter_ns + span_ns - room_ns + max(left_ns, 0) + time[place])
         return UNBOUNDED
 
 

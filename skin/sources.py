@@ -6,6 +6,7 @@ electronics. A generator of touches draws labelled images for training. Python p
 - ``canskin.sources``: taxel sources. ``touch`` offers ``objects`` and ``recording``; ``nodes``, ``bandwidth`` and
   ``demo`` load them.
 - ``canskin.touches``: labelled touches. ``touch`` offers ``random``; ``classifier`` loads it.
+- ``canskin.senders``: what nodes send of a touch. ``nodes`` offers ``adaptive``; ``bandwidth`` loads it.
 
 This module is the only place where one package of this distribution uses another through an entry point. The import
 rules do not see this use. So a skin with its own source runs without ``touch``.
@@ -24,6 +25,7 @@ from skin.layout import Layout
 #: Groups of entry points.
 SOURCES: Final = "canskin.sources"
 TOUCHES: Final = "canskin.touches"
+SENDERS: Final = "canskin.senders"
 #: Name in `TOUCHES` of the touches for training: random places, depths and moments.
 RANDOM: Final = "random"
 #: Default objects of the simulated skin and of the classifier.
@@ -58,6 +60,19 @@ def load_source(name: str, **options: Any) -> TaxelSource:
     """
     source: TaxelSource = _load(SOURCES, name)(**options)
     return source
+
+
+def load_sender(name: str) -> Callable[..., Any]:
+    """Return the function registered under `name` that tells what nodes send of a touch.
+
+    The function is called with ``(contract, bus, source, seconds, seed=)`` and returns the frames of sums of one bus.
+
+    Raises
+    ------
+    InputError
+        If no installed package offers a sender of this name.
+    """
+    return _load(SENDERS, name)
 
 
 class LabelledTouches(NamedTuple):

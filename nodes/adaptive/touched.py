@@ -1,0 +1,97 @@
+"""What adaptive nodes send of a touch on a bus that takes every frame at once: for plans, without a running bus."""
+
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from dbc.adaptive import GROUP_SUMS, Companding, SendingRule, cob_id
+from dbc.contract import Contract
+from dbc.frame import Frames, frames
+from nodes.adaptive.filtering import PatchFilter
+from nodes.adaptive.noise import IdleStatistics
+from nodes.adaptive.sending import (
+    SILENT,
+    Groups,
+    frame_level,
+    look,
+    make_payload,
+    new_groups,
+    noise_threshold_n2,
+    note_sent,
+)
+from nodes.adaptive.sensors import SAMPLE_NS, PatchSensors
+from nodes.electronics import Calibration
+from skin.sources import TaxelSource
+from skin.taxel import TaxelModel
+from skin.walsh import GROUPS
+
+#: Samples of the idle skin that the nodes learn from, and that their filters have then seen.
+IDLE_SAMPLES: Final = 1000
+SETTLING_SAMPLES: Final = 300
+
+
+def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: float, seed: int = 0) -> Frames:
+    """Return the frames of sums that the nodes of bus number `bus` send, with the times of their samples.
+
+    Parameters
+    ----------
+    contract : Contract
+        Of a layout with adaptive sending.
+    source : TaxelSource
+        Touch in steps of 10 ms.
+    seconds : float
+    seed : int
+        Of noise and clocks.
+    """
+    calibration, nodes = Calibration(contract.layout.taxels), contract.on_bus(bus)
+    cells = contract.phi.taxels_of_blocks[[node.block for node in nodes]]
+    model = TaxelModel(force_max_n=contract.layout.taxels.force_max_n)
+    sensors = PatchSensors(calibration, cells, model, source, seed)
+    statistics = IdleStatistics(*cells.shape)
+    for _ in range(IDLE_SAMPLES):
+        statistics.take(sensors.sample(0))
+    patch_filter = PatchFilter(statistics.noise(contract.layout.taxels.newton_per_count))
+    for _ in range(SETTLING_SAMPLES):
+        patch_filter.take(sensors.sample(0))
+    sensors.touch_from_ns = 0
+    rule, groups = SendingRule(), new_groups(len(nodes))
+    samples = round(seconds * 1000)
+    parts, part = [], frames(GROUPS * len(nodes))
+    part["length"] = GROUP_SUMS
+    for now in range(samples):
+        patch_filter.take(sensors.sample(now * SAMPLE_NS))
+        noise_n2 = noise_threshold_n2(patch_filter.noise.node_n, rule.noise_ratio)
+        sums = patch_filter.sums_n, patch_filter.variance_n2, noise_n2
+        count = _send(now, *sums, rule, contract.law, groups, part["can_id"], part["data"])
+        if count:
+            part["time_ns"][:count] = now * SAMPLE_NS
+            parts.append(part[:count].copy())
+    return np.concatenate(parts) if parts else frames(0)
+
+
+@njit(cache=True, nogil=True)
+def _send(  # noqa: PLR0917  compiled functions take no keywords
+    now: int,
+    sums_n: Any,
+    variance_n2: Any,
+    noise_n2: Any,
+    rule: SendingRule,
+    law: Companding,
+    groups: Groups,
+    identifiers: Any,
+    payloads: Any,
+) -> int:
+    """Write the frames that are due; return how many."""
+    count = 0
+    for node in range(sums_n.shape[0]):
+        look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule, law, groups)
+        for group in range(GROUPS):
+            if groups.level[node, group] != SILENT:
+                is_fine = groups.is_fine[node, group] == 1
+                payload = payloads[count, :GROUP_SUMS]
+                make_payload(node, group, sums_n[node], law, groups, payload)
+                identifiers[count] = cob_id(node, frame_level(node, group, groups), group, is_fine)
+                note_sent(node, group, now, is_fine, rule, law, groups, payload)
+                count += 1
+    return count
