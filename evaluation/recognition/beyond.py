@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 
+from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
 from evaluation.recognition.pictures import draw_gains, gain_row
@@ -27,7 +28,11 @@ def evaluate(options: Options) -> Result:
     """Measure every method against the plain DAGSVM, then the live service."""
     methods = _method_rows(options)
     pictures = [Picture(_CAPTION, lambda: draw_gains(methods))]
-    return Result("Recognition beyond the paper, and as a service", [*methods, *_live_rows(options)], pictures)
+    return Result(
+        "Recognition beyond the paper, and as a service",
+        [*methods, *_adaptive_rows(options), *_live_rows(options)],
+        pictures,
+    )
 
 
 _CAPTION: Final = (
@@ -52,6 +57,24 @@ def _method_rows(options: Options) -> list[Row]:
         ours, plain = (100 * np.concatenate([each[key] for each in group]) for key in ("accuracy", "plain"))
         rows.append(gain_row(method, size, runs=len(ours), ours=ours, plain=plain, parts=ours.tolist()))
     return rows
+
+
+def _adaptive_rows(options: Options) -> list[Row]:
+    """Return the row of adaptive sums: `DRAWS` splits, because Φ is the layout's."""
+    cells: list[Row] = [{"splits": list(range(1 if options.quick else DRAWS)), **options.shared}]
+    results = measure_cells(measure_adaptive, cells, options, "adaptive sums")
+    return [
+        {
+            "what": "adaptive sums, group 0 of each block",
+            "sums": result["sums"],
+            "runs": len(result["accuracy"]),
+            "ours": round(100 * float(np.mean(result["accuracy"])), 2),
+            **dict.fromkeys(("plain", "gain")),
+            "least": round(100 * min(result["accuracy"]), 2),
+            "most": round(100 * max(result["accuracy"]), 2),
+        }
+        for result in results
+    ]
 
 
 def _live_rows(options: Options) -> list[Row]:

@@ -5,6 +5,7 @@ import pytest
 
 from evaluation.recognition import beyond, classification
 from evaluation.recognition.accuracy import measure_accuracy
+from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import measure_live
 from evaluation.recognition.methods import measure_method
 from evaluation.result import Options
@@ -43,6 +44,13 @@ def test_chosen_rows_and_estimated_sums_beat_the_plain_ways() -> None:
     assert zero["accuracy"][0] < estimated["accuracy"][0]
     with pytest.raises(KeyError):
         measure_method(method="guessing", size=16, **common)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_adaptive_sums_are_no_worse_than_16_chosen_sums() -> None:
+    found = measure_adaptive(splits=[0], meshes=None, seed=0)
+    assert found["sums"] == 1024
+    assert found["accuracy"][0] >= 0.994
 
 
 @pytest.mark.slow
