@@ -192,8 +192,7 @@ def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
     layout = parse_layout(*_read(path, name))
     if layout.sending == "adaptive" and not adaptive:
         raise LayoutError(
-            f"{name}: only 'skin dbc' and 'skin dbc-check' know adaptive sending so far: "
-            'expected sending = "synchronous" - at `$.sending`'
+            f'{name}: this verb does not know adaptive sending: expected sending = "synchronous" - at `$.sending`'
         )
     return layout
 

@@ -145,9 +145,9 @@ def test_layout_that_adaptive_sending_cannot_have_is_refused(change: tuple[str, 
     assert words in str(refused.value)
 
 
-def test_services_refuse_what_they_do_not_know_yet(tmp_path: Path) -> None:
+def test_verbs_that_do_not_know_adaptive_sending_refuse_it(tmp_path: Path) -> None:
     path = tmp_path / "adaptive.toml"
     path.write_text(TEXT)
     assert load_layout(path, adaptive=True).sending == "adaptive"
-    with pytest.raises(LayoutError, match=r"skin dbc.*\$\.sending"):
+    with pytest.raises(LayoutError, match=r"does not know adaptive sending.*\$\.sending"):
         load_layout(path)
