@@ -186,13 +186,17 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
 def _differences_n2(  # noqa: PLR0917  compiled functions take no keywords
     node: int, group: int, sums_n: npt.NDArray[np.float32], rule: SendingRule, law: Companding, groups: Groups
 ) -> tuple[float, float]:
-    """Return the squared difference of a group from what is known, as coarse frames and as fine frames tell it."""
+    """Return the squared difference of a group from what is known, as coarse frames and as fine frames tell it.
+
+    A coarse frame with the code of what is known changes nothing, however far the sum is from it.
+    """
     first = GROUP_SUMS * group
     coarse_n2, fine_n2 = 0.0, 0.0
     for place in range(first, first + GROUP_SUMS):
-        known = groups.known_n[node, place]
-        error = float(sums_n[place]) - known
-        if abs(error) > rule.rounding * coarse_step(known, place == 0, law):
+        now_n, known = float(sums_n[place]), groups.known_n[node, place]
+        error, is_mean = now_n - known, place == 0
+        is_far = abs(error) > rule.rounding * coarse_step(known, is_mean, law)
+        if is_far and coarse_code(now_n, is_mean, law) != coarse_code(known, is_mean, law):
             coarse_n2 += error * error
         if abs(error) > rule.rounding * law.fine_n:
             fine_n2 += error * error
@@ -277,13 +281,13 @@ def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
     if reason == NEWS or groups.is_wanted[node, group]:
         groups.is_wanted[node, group] = 0
         groups.refresh_after[node, group] = rule.refresh
-        groups.refreshes[node, group] = rule.zero_refreshes if is_zero else _NEVER
+        groups.refreshes[node, group] = rule.zero_refreshes
         groups.fine_turn[node, group] = 0
     elif reason == REFRESH:
         groups.refresh_after[node, group] = min(2 * groups.refresh_after[node, group], rule.refresh_max)
-        groups.refreshes[node, group] -= 1
-        if is_zero:
-            groups.refreshes[node, group] = min(groups.refreshes[node, group], rule.zero_refreshes)
+        groups.refreshes[node, group] = min(groups.refreshes[node, group] - 1, rule.zero_refreshes)
         groups.fine_turn[node, group] = 1 - groups.fine_turn[node, group]
+    if not is_zero:
+        groups.refreshes[node, group] = _NEVER
     if reason != DETAIL or not is_fine:
         groups.refresh_at[node, group] = now + groups.refresh_after[node, group]
