@@ -45,6 +45,7 @@ def test_chosen_rows_and_estimated_sums_beat_the_plain_ways() -> None:
         measure_method(method="guessing", size=16, **common)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_adaptive_sums_are_no_worse_than_16_chosen_sums() -> None:
     found = measure_adaptive(splits=[0], meshes=None, seed=0)
     assert found["sums"] == 1024
