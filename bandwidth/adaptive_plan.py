@@ -16,12 +16,11 @@ from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.frame_bits import wire_bits
 from skin.errors import InputError
-from skin.sources import load_sender, load_source
+from skin.sources import ADAPTIVE_STEP_HZ, load_sender, load_source
 from skin.walsh import GROUPS
 
-#: Length of the simulated touches, and steps of their source in a second.
+#: Length of the simulated touches.
 TOUCHED_S: Final = 16.0
-TOUCH_HZ: Final = 100.0
 #: Samples of a second: a group sends one frame for each at most.
 _SAMPLES_PER_S: Final = 1000
 
@@ -133,7 +132,7 @@ def touched_bits_per_s(contract: Contract) -> float | None:
         return None
     taxels = contract.layout.taxels
     source = load_source(
-        SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=TOUCH_HZ, seed=0
+        SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=ADAPTIVE_STEP_HZ, seed=0
     )
     sent = sent_of(contract, 0, source, TOUCHED_S)
     return int(wire_bits(sent)[0].sum()) / TOUCHED_S

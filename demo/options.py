@@ -4,17 +4,13 @@ import errno
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from skin.defects import parse_defects
 from skin.errors import InputError
 from skin.layout import Layout
 from skin.output import check_picture_path
-from skin.sources import load_source
+from skin.sources import load_source, step_rate_hz
 from touch.objects import checked_names
-
-#: Steps of the touch in a second, where the nodes send adaptively.
-TOUCH_HZ: Final = 100.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +73,7 @@ class DemoOptions:
             full_scale=self.full_scale,
             force_max_n=taxels.force_max_n,
             arrays=self.arrays or None,
-            rate_hz=TOUCH_HZ if layout.sending == "adaptive" else layout.sync.rate_hz,
+            rate_hz=step_rate_hz(layout),
             frame_rate_hz=self.rate_hz,
         )
 

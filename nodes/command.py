@@ -11,7 +11,6 @@ from cyclopts import Parameter
 from bus.options import BusOptions, open_links
 from dbc.contract import Contract
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.sensors import TOUCH_HZ
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.service import NodesService
@@ -20,7 +19,7 @@ from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
-from skin.sources import TaxelSource, load_source
+from skin.sources import TaxelSource, load_source, step_rate_hz
 from skin.taxel import NOISE_N
 
 
@@ -167,11 +166,6 @@ def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
     return chosen
 
 
-def _touch_hz(skin: Layout) -> float:
-    """Return how many steps of the touch there are in a second."""
-    return TOUCH_HZ if skin.sending == "adaptive" else skin.sync.rate_hz
-
-
 def _recording(
     skin: Layout, path: Path, full_scale: float | None, arrays: list[str] | None, frame_rate_hz: float | None
 ) -> TaxelSource:
@@ -184,7 +178,7 @@ def _recording(
         full_scale=full_scale,
         force_max_n=taxels.force_max_n,
         arrays=tuple(arrays) if arrays else None,
-        rate_hz=_touch_hz(skin),
+        rate_hz=step_rate_hz(skin),
         frame_rate_hz=frame_rate_hz,
     )
 
@@ -196,7 +190,7 @@ def _objects(skin: Layout, names: str, seed: int) -> TaxelSource:
         rows=taxels.rows,
         columns=taxels.columns,
         pitch_m=taxels.pitch_m,
-        rate_hz=_touch_hz(skin),
+        rate_hz=step_rate_hz(skin),
         names=[name.strip() for name in names.split(",") if name.strip()] or None,
         seed=seed,
     )

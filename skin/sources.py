@@ -28,6 +28,8 @@ TOUCHES: Final = "canskin.touches"
 SENDERS: Final = "canskin.senders"
 #: Name in `TOUCHES` of the touches for training: random places, depths and moments.
 RANDOM: Final = "random"
+#: Steps of a touch in a second where nodes send adaptively; between two steps they interpolate.
+ADAPTIVE_STEP_HZ: Final = 100.0
 #: Default objects of the simulated skin and of the classifier.
 DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
 
@@ -40,7 +42,7 @@ class Frame(NamedTuple):
 
 
 class TaxelSource(Protocol):
-    """The force on every taxel at steps 0, 1, 2, … of the SYNC clock."""
+    """The force on every taxel at steps 0, 1, 2, …, `step_rate_hz` of them in a second."""
 
     #: True if the values contain a real sensor's noise, so no noise is added.
     has_noise: bool
@@ -48,6 +50,11 @@ class TaxelSource(Protocol):
     def frame(self, step: int) -> Frame:
         """Return the touch at `step`; the same step always gives the same touch."""
         ...
+
+
+def step_rate_hz(layout: Layout) -> float:
+    """Return how many steps of a touch there are in a second: one each SYNC, or `ADAPTIVE_STEP_HZ`."""
+    return ADAPTIVE_STEP_HZ if layout.sending == "adaptive" else layout.sync.rate_hz
 
 
 def load_source(name: str, **options: Any) -> TaxelSource:

@@ -15,14 +15,12 @@ from scipy.special import ndtri
 
 from nodes.adaptive.noise import Floats
 from nodes.electronics import Calibration
-from skin.sources import Frame, TaxelSource
+from skin.sources import ADAPTIVE_STEP_HZ, Frame, TaxelSource
 from skin.taxel import TaxelModel
 
 #: Time between two samples, and between two steps of the touch.
 SAMPLE_NS: Final = 1_000_000
-STEP_NS: Final = 10_000_000
-#: Steps of the touch in a second.
-TOUCH_HZ: Final = 100.0
+STEP_NS: Final = round(1e9 / ADAPTIVE_STEP_HZ)
 #: Largest error of a board's clock, and standard deviation of its jitter, samples.
 DRIFT_PPM: Final = 100.0
 JITTER: Final = 0.02

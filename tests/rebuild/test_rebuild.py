@@ -175,7 +175,10 @@ def test_channels_of_a_log_by_name(contract: Contract, sums: np.ndarray, layout_
         rebuild(path, out=tmp_path / "other.npz", layout=layout_file, channel=["can0"])
 
 
-@pytest.mark.parametrize(("solver", "method"), [pytest.param("spun", "8 parts", marks=pytest.mark.slow), ("paper", "8 parts"), ("variation", "one image")])
+@pytest.mark.parametrize(
+    ("solver", "method"),
+    [pytest.param("spun", "8 parts", marks=pytest.mark.slow), ("paper", "8 parts"), ("variation", "one image")],
+)
 def test_other_solvers(
     force_n: np.ndarray,
     layout_file: Path,

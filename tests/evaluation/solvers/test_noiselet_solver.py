@@ -12,7 +12,10 @@ from reconstructor.fista import fista
 from reconstructor.settings import SolverSettings
 
 
-@pytest.mark.parametrize(("prior", "columns"), [("haar-tensor", 16), ("haar-tensor", 32), pytest.param("contourlet", 32, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("prior", "columns"),
+    [("haar-tensor", 16), ("haar-tensor", 32), pytest.param("contourlet", 32, marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize(("dtype", "error"), [(np.float64, 1e-13), (np.float32, 1e-6)])
 def test_solver_is_the_reference_with_rows_deleted(prior: Any, columns: int, dtype: type, error: float) -> None:
     phi, rng = noiselet(32, columns, 200, seed=3), np.random.default_rng(0)
