@@ -7,14 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.link import State
-from dbc.adaptive import SendingRule, cob_id
+from dbc.adaptive import Companding, SendingRule, cob_id
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH, OD_SIGNATURE
 from gateway.loop import GatewayLoop
-from nodes.adaptive.sending import NEWS, SILENT, Groups, fill, frame_level, look, new_groups
+from nodes.adaptive.sending import NEWS, SILENT, Groups, frame_level, look, make_payload, new_groups, note_sent
 from skin.layout import parse_layout
 from skin.messages import BlockState, GatewayStatus, Measurement
 from skin.walsh import GROUPS, grouped_rows
@@ -55,6 +55,14 @@ STATES = {
 
 def small_adaptive(top: str = "") -> Contract:
     return Contract.from_layout(parse_layout((top + SMALL).encode(), "small"))
+
+
+def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, law: Companding) -> np.ndarray:
+    """Return the payload of a group's frame, which is sent at once."""
+    payload = np.zeros(8, np.uint8)
+    make_payload(0, group, sums_n, law, groups, payload)
+    note_sent(0, group, now, bool(groups.is_fine[0, group]), RULE, law, groups, payload)
+    return payload
 
 
 class Board:
@@ -105,9 +113,9 @@ class Board:
             if self.forced >> group & 1:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
             if groups.level[0, group] != SILENT:
-                payload, is_fine = np.zeros(8, np.uint8), bool(groups.is_fine[0, group])
+                is_fine = bool(groups.is_fine[0, group])
                 can_id = cob_id(self.contract.node_id - 1, frame_level(0, group, groups), group, is_fine)
-                fill(0, group, now, self.sums_n, RULE, self.law, groups, payload)
+                payload = send(groups, group, now, self.sums_n, self.law)
                 out.append(frame(can_id, payload.tobytes()))
         self.forced = 0
         self.sent += len(out)

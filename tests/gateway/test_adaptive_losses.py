@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from dbc.adaptive import GROUP_SUMS, SendingRule, coarse_code, coarse_value, cob_id, companding
 from dbc.frame import FRAME, Frames, frames
 from gateway.adaptive_state import NO_CHECK, UNREFINED, USED, BusSums, new_sums, take_all
-from nodes.adaptive.sending import NEWS, SILENT, fill, frame_level, look, new_groups
+from nodes.adaptive.sending import NEWS, SILENT, frame_level, look, new_groups
 from skin.walsh import GROUPS
 from tests.bus.harness import frame
+from tests.gateway.boards import send
 
 LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
 VARIANCE_N2 = np.zeros(32, np.float32)
@@ -51,9 +52,9 @@ class Sender:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
             if groups.level[0, group] == SILENT:
                 continue
-            payload, is_fine = np.zeros(8, np.uint8), bool(groups.is_fine[0, group])
+            is_fine = bool(groups.is_fine[0, group])
             can_id = cob_id(0, frame_level(0, group, groups), group, is_fine)
-            fill(0, group, self.now, self.sums_n, RULE, LAW, groups, payload)
+            payload = send(groups, group, self.now, self.sums_n, LAW)
             self._number += 1
             self.newest[group] = self._number, is_fine, groups.known_n[0, PLACES[group]].copy()
             for place in range(32)[PLACES[group]]:

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from dbc.adaptive import GROUP_SUMS, SendingRule, check_of, coarse_code, cob_id, companding, fine_steps
 from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, forget, new_sums, take
-from nodes.adaptive.sending import SILENT, Groups, fill, frame_level, look, new_groups
+from nodes.adaptive.sending import SILENT, Groups, frame_level, look, new_groups
 from skin.walsh import GROUPS
+from tests.gateway.boards import send
 
 LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
 VARIANCE_N2 = np.zeros(32, np.float32)
@@ -29,9 +30,9 @@ def frames_of(groups: Groups, sums_n: np.ndarray, now: int) -> list[tuple[int, i
     sent = []
     for group in range(GROUPS):
         if groups.level[0, group] != SILENT:
-            is_fine, payload = bool(groups.is_fine[0, group]), np.zeros(8, np.uint8)
+            is_fine = bool(groups.is_fine[0, group])
             can_id = cob_id(0, frame_level(0, group, groups), group, is_fine)
-            fill(0, group, now, sums_n, RULE, LAW, groups, payload)
+            payload = send(groups, group, now, sums_n, LAW)
             sent.append((group, can_id, is_fine, payload))
     return sent
 

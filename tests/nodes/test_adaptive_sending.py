@@ -2,7 +2,16 @@
 
 import numpy as np
 
-from dbc.adaptive import FINE_LEVELS, GROUP_SUMS, LEVELS, SendingRule, companding
+from dbc.adaptive import (
+    FINE_LEVELS,
+    GROUP_SUMS,
+    LEVELS,
+    SendingRule,
+    coarse_code,
+    coarse_step,
+    coarse_value,
+    companding,
+)
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
@@ -144,3 +153,29 @@ def test_a_node_leaves_time_between_two_frames_of_a_group() -> None:
                 assert now - last.get(group, -9) >= rule.inhibit
                 last[group] = now
                 send(groups, group, now, PRESSED, rule)
+
+
+def test_a_coarse_frame_that_would_change_nothing_is_no_news() -> None:
+    """The sum and what is known of it are at the two ends of one code: the code again tells the receiver nothing."""
+    groups, step_n = new_groups(1), coarse_step(0.3, False, LAW)
+    assert (0.9 * step_n) ** 2 > 100 * NOISE_N2
+    held_n, sums_n = PRESSED.copy(), PRESSED.copy()
+    low_n = coarse_value(coarse_code(0.3, False, LAW), False, LAW) - 0.45 * step_n
+    held_n[1], sums_n[1] = low_n, low_n + 0.9 * step_n
+    assert coarse_code(float(sums_n[1]), False, LAW) == coarse_code(float(held_n[1]), False, LAW)
+    sent(groups, 0, held_n)
+    groups.known_n[0] = held_n
+    assert NEWS not in [reason for now in range(1, 50) for _, _, reason, _ in sent(groups, now, sums_n)]
+
+
+def test_a_group_that_details_lift_from_zero_is_refreshed_for_ever() -> None:
+    groups, faint_n = new_groups(1), np.zeros(32, np.float32)
+    for now in range(3):
+        sent(groups, now, PRESSED)
+    for now in range(3, 40):
+        sent(groups, now, NOTHING)
+    assert groups.refreshes[0].max() <= RULE.zero_refreshes
+    faint_n[1] = 3 * LAW.fine_n
+    frames = [frame for now in range(40, 40_000) for frame in sent(groups, now, faint_n)]
+    assert frames[0][2:] == (DETAIL, True)
+    assert frames[-1][0] > 40_000 - 2 * RULE.refresh_max
