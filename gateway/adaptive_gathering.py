@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from dbc.adaptive import PAUSE_MS
 from dbc.contract import Contract, NodeContract
 from dbc.frame import FRAME, Frames, frames
 from gateway.adaptive_state import (
@@ -63,7 +64,7 @@ class AdaptiveGathering:
 
     #: See `gateway.gathering.Gathering`.
     in_flight = 0
-    disturbance = "no sums start in the millisecond after each SYNC"
+    disturbance = f"no sums start in the {PAUSE_MS} ms after each SYNC"
 
     def __init__(self, contract: Contract, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         self.published = self.complete = 0

@@ -101,6 +101,8 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
         raise InputError(f"a block's state is {states.max()}, expected 0 to {max(BlockState):d}")
     if not known.all() and not np.logical_and.reduceat(known, phi.starts[:-1])[valid].all():
         raise InputError("a block is valid, but not all its sums are known")
+    if (states[valid] < BlockState.QUIET).any():
+        raise InputError("a block is valid, but neither fresh nor quiet")
     since_ns = np.frombuffer(measurement.since_ns, "<i8")
     return AdaptiveSums(np.frombuffer(measurement.sums, "<i4"), valid, known, states, since_ns, measurement.noise_n)
 

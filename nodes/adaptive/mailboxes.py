@@ -166,7 +166,9 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
         has_due[node] = False
         if budget[node] > 0:
             most = max(SAVED_FRAMES * FRAME_BITS, budget[node] * SAVING_S)
-            saved[node] = min(most, saved[node] + budget[node] * passed_s)
+            # Refreshes go whatever is saved. Without a limit, their debt would hold news back for minutes.
+            owed = max(saved[node], float(-SAVED_FRAMES * FRAME_BITS))
+            saved[node] = min(most, owed + budget[node] * passed_s)
         if not is_operational[node]:
             continue
         for group in range(GROUPS):

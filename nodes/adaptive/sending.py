@@ -164,6 +164,8 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
             groups.since[node, group] = now
         if wait >= rule.inhibit:
             level = _urgency(coarse_n2 / threshold, now - groups.since[node, group], rule)
+        if groups.is_wanted[node, group] == 1:
+            reason = REFRESH  # what was asked for is sent whatever the budget
     else:
         groups.since[node, group] = -1
         if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
@@ -220,7 +222,8 @@ def _urgency(ratio: float, waited: int, rule: SendingRule) -> int:
     """Return the level of news; the highest is for what waited, so that no motion of others holds it back for ever."""
     if waited >= rule.patience:
         return LEVELS - 1
-    return min(LEVELS - 2, int((np.log2(ratio) + waited / rule.doubling) / rule.level_ratio))
+    # Compared before it is made whole: with a tiny number of the rule it is too large for an integer.
+    return int(min(float(LEVELS - 2), (np.log2(ratio) + waited / rule.doubling) / rule.level_ratio))
 
 
 @njit(cache=True, nogil=True)

@@ -313,5 +313,5 @@ def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> 
     after = boards.status().frames
     assert after.malformed == before.malformed + 1
     assert after.foreign >= before.foreign + 3
-    assert boards.complaints == ["another SYNC producer on bus0: no sums start in the millisecond after each SYNC"]
+    assert boards.complaints == ["another SYNC producer on bus0: no sums start in the 2 ms after each SYNC"]
     assert states(boards.measured[-1]) == [QUIET] * 4

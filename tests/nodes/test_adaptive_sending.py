@@ -18,6 +18,7 @@ from nodes.adaptive.sending import (
     REFRESH,
     SILENT,
     Groups,
+    ask,
     frame_level,
     look,
     make_payload,
@@ -179,3 +180,16 @@ def test_a_group_that_details_lift_from_zero_is_refreshed_for_ever() -> None:
     frames = [frame for now in range(8000, 20_000) for frame in sent(groups, now, faint_n)]
     assert frames[0][2:] == (DETAIL, True)
     assert frames[-1][0] > 20_000 - 2 * RULE.refresh_max
+
+
+def test_a_tiny_number_of_the_rule_leaves_news_its_highest_level() -> None:
+    rule, groups = RULE._replace(level_ratio=1e-30), new_groups(1)
+    look(0, 0, PRESSED, VARIANCE_N2, NOISE_N2, rule, LAW, groups)
+    assert groups.level[0].tolist() == [LEVELS - 2] * GROUPS
+
+
+def test_news_that_is_asked_for_does_not_wait_for_a_budget() -> None:
+    groups = new_groups(1)
+    ask(0, 1, 0, groups)
+    looked(groups, 0, PRESSED)
+    assert groups.reason[0].tolist() == [NEWS, REFRESH, NEWS, NEWS]

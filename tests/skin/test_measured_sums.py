@@ -61,6 +61,7 @@ BAD_ADAPTIVE = (
     ({"states": b""}, r"of \(16, 0, 64\) bytes"),
     ({"since_ns": b"\0" * 8}, r"of \(16, 8, 8\) bytes"),
     ({"states": bytes([4] * 8)}, "a block's state is 4, expected 0 to 3"),
+    ({"states": bytes([3, 1, 2, 1, 2, 2, 2, 2])}, "a block is valid, but neither fresh nor quiet"),
     ({"noise_n": float("nan")}, "noise_n of nan, expected a number of 0 or more"),
     ({"noise_n": -1e-3}, "noise_n of -0.001"),
     ({"valid": bytes([1, 1, *[1] * 6])}, "a block is valid, but not all its sums are known"),
