@@ -6,7 +6,7 @@ from bus.faults import parse_fault
 from bus.server import BusServer, BusSettings
 from skin.errors import InputError
 from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
-from skin.service import StopSignal, be_punctual, say
+from skin.service import StopSignal, request_real_time, say
 from skin.terminal import Json, print_json
 
 #: Far above any real device, and far below the limit of times in 64 bits.
@@ -78,7 +78,7 @@ def bus(
     )
     stop = StopSignal().install()
     with BusServer(names, settings) as server:
-        be_punctual()
+        request_real_time()
         say("bus", f"ready: {', '.join(names)} at {bitrate} bit/s")
         server.serve(stop.is_set)
         if json_:

@@ -58,7 +58,7 @@ class Odds(NamedTuple):
     bit_error: float
 
 
-class FaultBook:
+class FaultSchedule:
     """The present faults, looked up once per controller and identifier, and their random numbers.
 
     Parameters

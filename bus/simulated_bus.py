@@ -11,7 +11,7 @@ from typing import Final
 from bus.arbitration import clash_bits
 from bus.confinement import Confinement
 from bus.controller import Controller
-from bus.faults import Fault, FaultBook, Odds
+from bus.faults import Fault, FaultSchedule, Odds
 from bus.outbox import OTHERS, OWNER, Events
 from bus.pending import Waiting
 from bus.station import Counts, Station, Stations
@@ -54,7 +54,7 @@ class SimulatedBus:
         self._intermission_ns = nominal_ns(INTERMISSION_BITS, bitrate)
         self._stations = Stations()
         self._queues = TransmitQueues()
-        self._faults = FaultBook(faults, seed)
+        self._faults = FaultSchedule(faults, seed)
         self._confinement = Confinement(self._stations, self._queues, bitrate, restart_s)
         self._free_ns = 0
 

@@ -37,7 +37,7 @@ class CycleGathering:
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
-        self._flying: deque[Sync] = deque()
+        self._open_cycles: deque[Sync] = deque()
 
     @property
     def counts(self) -> FrameCounts:
@@ -47,12 +47,12 @@ class CycleGathering:
     @property
     def in_flight(self) -> int:
         """Number of open cycles."""
-        return len(self._flying)
+        return len(self._open_cycles)
 
     @property
     def due_s(self) -> float:
         """When the oldest cycle must be closed."""
-        return self._closes_s(self._flying[0]) if self._flying else float("inf")
+        return self._closes_s(self._open_cycles[0]) if self._open_cycles else float("inf")
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
@@ -66,9 +66,9 @@ class CycleGathering:
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles that were closed for it."""
-        closed = [self._close(self._flying.popleft()) for _ in range(len(self._flying) - 1)]
+        closed = [self._close(self._open_cycles.popleft()) for _ in range(len(self._open_cycles) - 1)]
         self.collector.open(sync.counter)
-        self._flying.append(sync)
+        self._open_cycles.append(sync)
         return closed
 
     def tick(self, now_s: float) -> None:
@@ -77,11 +77,11 @@ class CycleGathering:
     def measurements(self, now_s: float, _wall_offset_ns: int) -> list[Measurement]:
         """End the cycles that are settled or out of time; return their measurements."""
         closed = []
-        while self._flying:
-            oldest = self._flying[0]
+        while self._open_cycles:
+            oldest = self._open_cycles[0]
             if not self.collector.is_settled(oldest.counter) and now_s < self._closes_s(oldest):
                 break
-            closed.append(self._close(self._flying.popleft()))
+            closed.append(self._close(self._open_cycles.popleft()))
         return closed
 
     def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:

@@ -12,7 +12,7 @@ from dbc.contract import Contract
 from dbc.frame import frames
 from gateway.loop import GatewayLoop
 from skin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
-from skin.service import Complaints, StopSignal, be_punctual, say
+from skin.service import RateLimitedLog, StopSignal, request_real_time, say
 
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.
@@ -54,7 +54,7 @@ class GatewayService:
             {number: link.send for number, link in links.items()},
             clock(),
             say=lambda text: say("gateway", text),
-            complain=Complaints("gateway").complain,
+            complain=RateLimitedLog("gateway").say,
         )
         self._links = dict(links)
         self._fabric = fabric
@@ -63,7 +63,7 @@ class GatewayService:
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`; open cycles are finished before the return."""
-        be_punctual()
+        request_real_time()
         while not stop.is_set():
             self.turn()
         self.loop.sync.stop()

@@ -17,7 +17,7 @@ from nodes.segment import Segment
 from nodes.synchronous_segment import SynchronousSegment
 from skin.fabric import Fabric
 from skin.messages import NODES, TRUTH, NodesStatus
-from skin.service import Complaints, StopSignal, be_punctual
+from skin.service import RateLimitedLog, StopSignal, request_real_time
 
 #: Longest wait for frames.
 TURN_S: Final = 0.005
@@ -60,7 +60,7 @@ class NodesService:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         def new_segment(bus: int, link: Link) -> Segment:
-            complain = Complaints("nodes").complain
+            complain = RateLimitedLog("nodes").say
             if isinstance(boards, AdaptiveBoards):
                 return AdaptiveSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
             return SynchronousSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
@@ -77,7 +77,7 @@ class NodesService:
         """Boot the nodes, then serve until `stop`."""
         for segment in self.segments.values():
             segment.boot(self._clock())
-        be_punctual()
+        request_real_time()
         while not stop.is_set():
             self.turn()
         self._await_frames()

@@ -15,7 +15,7 @@ from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
-from skin.service import StopSignal, be_punctual
+from skin.service import StopSignal, request_real_time
 
 #: Measurements that wait during a solve; a longer queue would only make images older.
 MAILBOX_DEPTH: Final = 4
@@ -66,7 +66,7 @@ class ReconstructorService:
 
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
-        be_punctual()
+        request_real_time()
         while not stop.is_set():
             measurement = self._mailbox.get(PATIENCE_S)
             if measurement is not None:

@@ -59,7 +59,7 @@ class StopSignal:
         self._is_set = True
 
 
-class Complaints:
+class RateLimitedLog:
     """Log lines of repeated errors, limited in number: a cut cable must not flood the log.
 
     The first `BURST` lines of every `PERIOD_S` are printed. Before the next line comes the number of lines that were
@@ -74,7 +74,7 @@ class Complaints:
         self._since_s = float("-inf")
         self._said = self._held_back = 0
 
-    def complain(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Print one line, unless `BURST` lines were printed in the present period."""
         now_s = time.monotonic()
         if now_s - self._since_s > self.PERIOD_S:
@@ -98,7 +98,7 @@ def _end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def be_punctual() -> None:
+def request_real_time() -> None:
     """Request real-time scheduling, for loops that must keep the SYNC period.
 
     Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is. Objects that exist now are excluded

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.faults import Fault, FaultBook, parse_fault
+from bus.faults import Fault, FaultSchedule, parse_fault
 from bus.outbox import DISCARDED, OTHERS, OWNER
 from bus.simulated_bus import SimulatedBus
 from dbc.frame import ERROR
@@ -67,12 +67,12 @@ def test_rules_aim_at_controllers_and_identifiers() -> None:
 
 
 def test_a_rule_of_a_mask_alone_aims_at_identifiers_without_these_bits() -> None:
-    book = FaultBook([Fault(mask=0x780, loss_ratio=1.0)])
+    book = FaultSchedule([Fault(mask=0x780, loss_ratio=1.0)])
     assert [book.odds("a:0", can_id).loss for can_id in (0x000, 0x07F, 0x080, 0x181)] == [1, 1, 0, 0]
 
 
 def test_rules_that_are_replaced_no_longer_hold() -> None:
-    book = FaultBook([Fault(loss_ratio=1.0)])
+    book = FaultSchedule([Fault(loss_ratio=1.0)])
     assert book.odds("a:0", 0x100).loss == 1
     book.replace([])
     assert book.odds("a:0", 0x100).loss == 0
@@ -101,7 +101,7 @@ def test_a_delayed_frame_is_overtaken() -> None:
 
 
 def test_the_largest_value_counts_where_rules_meet() -> None:
-    book = FaultBook([Fault(loss_ratio=0.1, delay_ratio=0.5, delay_s=0.2), Fault(controller="a:*", loss_ratio=0.3)])
+    book = FaultSchedule([Fault(loss_ratio=0.1, delay_ratio=0.5, delay_s=0.2), Fault(controller="a:*", loss_ratio=0.3)])
     assert book.odds("a:1", 5) == (0.3, 0.0, 0.5, 200_000_000, 0.0)
     assert book.odds("b:1", 5).loss == 0.1
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from skin.command import VERBS, build_app
 from skin.errors import InputError
 from skin.explain import docstring, examples, summary
-from skin.service import Complaints, Talk, say, set_talk
+from skin.service import RateLimitedLog, Talk, say, set_talk
 
 
 def help_of(*arguments: str) -> str:
@@ -78,9 +78,9 @@ def test_quiet_and_verbose(option: str, lines: int, capsys: pytest.CaptureFixtur
     capsys.readouterr()
     say("test", "one")
     say("test", "detail", Talk.VERBOSE)
-    complaints = Complaints("test")
-    for _ in range(Complaints.BURST + 1):
-        complaints.complain("again")
+    log = RateLimitedLog("test")
+    for _ in range(RateLimitedLog.BURST + 1):
+        log.say("again")
     assert len(capsys.readouterr().err.splitlines()) == lines
 
 
