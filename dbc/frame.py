@@ -44,6 +44,11 @@ def frames(count: int) -> Frames:
     return np.zeros(count, FRAME)
 
 
+def frame_bytes(burst: Frames) -> npt.NDArray[np.uint8]:
+    """Return frames as rows of bytes, shape (n, bytes of FRAME), for compiled code; a view where possible."""
+    return np.ascontiguousarray(burst).view(np.uint8).reshape(len(burst), FRAME.itemsize)
+
+
 def one_frame(can_id: int, data: bytes = b"", flags: int = 0) -> Frames:
     """Return a burst of one frame."""
     frame = frames(1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dbc.adaptive import PAUSE_MS
 from dbc.contract import Contract, NodeContract
-from dbc.frame import FRAME, Frames, frames
+from dbc.frame import Frames, frame_bytes, frames
 from gateway.adaptive_state import (
     FOREIGN,
     FOREIGN_SYNCS,
@@ -124,7 +124,7 @@ class AdaptiveGathering:
         Frames before the end of a node's proof are not used, nor those that came together with it.
         """
         mine = self._buses[bus]
-        rows = np.ascontiguousarray(arrived).view(np.uint8).reshape(len(arrived), FRAME.itemsize)
+        rows = frame_bytes(arrived)
         newest_ns = take_all(rows, health.has_gap, self._law, mine.is_proven, mine.sums, mine.has_changed)
         self._newest_ns = max(self._newest_ns, newest_ns)
         is_still_down = health.is_down and mine.is_down
@@ -219,7 +219,7 @@ class AdaptiveGathering:
 
     def _compile(self) -> None:
         """Compile what runs for each frame before the first comes."""
-        rows = frames(0).view(np.uint8).reshape(0, FRAME.itemsize)
+        rows = frame_bytes(frames(0))
         for bus in self._buses.values():
             take_all(rows, False, self._law, bus.is_proven, bus.sums, bus.has_changed)
         self._judge(self._published_s)

@@ -177,14 +177,6 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     return newest_ns
 
 
-def forget(sums: BusSums) -> None:
-    """Take note that frames of this bus were lost: no fine frame counts until the next coarse one of its group.
-
-    What is held stays: a coarse frame with its code leaves it as it is.
-    """
-    sums.is_lost[:] = True
-
-
 def forget_node(node: int, sums: BusSums) -> None:
     """Hold nothing of a node any more."""
     sums.value_n[node] = sums.coarse_n[node] = 0

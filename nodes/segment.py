@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -61,6 +61,9 @@ class Segment(ABC):
         When the newest SYNC was read.
     """
 
+    #: What the nodes are; it fits the boards.
+    node_type: ClassVar[type[SkinNode]] = SkinNode
+
     def __init__(
         self,
         contract: Contract,
@@ -111,7 +114,7 @@ class Segment(ABC):
         """Do what a SYNC asks for; its counter is 0 without one."""
 
     def _new_node(self, node: NodeContract, boards: Boards, storage: Storage) -> SkinNode:
-        return SkinNode(
+        return self.node_type(
             node,
             dictionary(self._contract, node),
             configuration(self._contract, node),

@@ -9,7 +9,7 @@ from numba import njit
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, Companding, SendingRule, companding
 from dbc.contract import COARSE_STEP_RATIO
-from dbc.frame import FRAME, Frames, frames
+from dbc.frame import FRAME, Frames, frame_bytes, frames
 from evaluation.schemes.adaptive_bus import ASKED, ENDED, REASON, Record, run_bus
 from evaluation.schemes.events import BIT_NS, FRAMES_PER_TICK
 from evaluation.schemes.judge import Images
@@ -164,7 +164,7 @@ def _run_bus(
     ticks, nodes = sums_n.shape[:2]
     capacity = ticks * FRAMES_PER_TICK
     sent = frames(capacity)
-    rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, _FIRST_BYTE:]
+    rows = frame_bytes(sent)[:, _FIRST_BYTE:]
     record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(nodes)
     count = _send(sums_n, variance_n2, threshold_n2, groups, record)
     return sent[:count].copy(), record.log[:count], groups.since[groups.since >= 0]
@@ -180,8 +180,7 @@ def _send(
 
 def _bytes_of(sent: Frames) -> npt.NDArray[np.uint8]:
     """Return FRAME records from `can_id` on."""
-    whole = np.ascontiguousarray(sent).view(np.uint8).reshape(len(sent), FRAME.itemsize)
-    return np.ascontiguousarray(whole[:, _FIRST_BYTE:])
+    return np.ascontiguousarray(frame_bytes(sent)[:, _FIRST_BYTE:])
 
 
 @njit(cache=True, nogil=True)

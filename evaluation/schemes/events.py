@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import FRAME, Frames, frames
+from dbc.frame import FRAME, Frames, frame_bytes, frames
 from evaluation.schemes.event_kernel import (
     ASKED,
     COUNT,
@@ -77,7 +77,7 @@ def _run_bus(
     """Return frames, log, and since when events had waited, those of every frame and those never sent."""
     capacity = len(counts) * FRAMES_PER_TICK
     sent = frames(capacity)
-    rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, _FIRST_BYTE:]
+    rows = frame_bytes(sent)[:, _FIRST_BYTE:]
     record = Record(rows, np.empty((capacity, 5), np.int64), np.empty((capacity, EVENTS), np.int64))
     nodes = new_nodes(first_beats_ns(len(held)))
     count = send_on_delta(np.ascontiguousarray(counts[:, held]), rule, nodes, record)

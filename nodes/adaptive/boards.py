@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
 from dbc.contract import Contract
-from dbc.frame import Frames
+from dbc.frame import Frames, frame_bytes
 from dbc.indices import (
     OD_BUDGET,
     OD_COARSE,
@@ -31,7 +31,6 @@ from nodes.adaptive.mailboxes import (
     look_at_all,
     new_mailboxes,
     present_codes,
-    rows_of,
     take_echoes,
 )
 from nodes.adaptive.noise import IdleStatistics, Noise
@@ -254,7 +253,7 @@ class AdaptiveBoards(Boards):
     def take_echoes(self, arrived: Frames, place_of: npt.NDArray[np.int64]) -> tuple[int, int]:
         """Take note of the nodes' own frames, see `nodes.adaptive.mailboxes.take_echoes`."""
         parts = self._now, self._rules, self._law, self._groups, self._boxes
-        sent, others = take_echoes(rows_of(arrived), place_of, *parts)
+        sent, others = take_echoes(frame_bytes(arrived), place_of, *parts)
         return int(sent), int(others)
 
     # --- objects --------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from dbc.adaptive import (
     tpdo_index,
 )
 from dbc.canopen import BASE_ID_MASK
-from dbc.frame import ECHO, ERROR, FRAME, Frames, frames
+from dbc.frame import ECHO, ERROR, FRAME, frame_bytes, frames
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
@@ -342,12 +342,7 @@ def compile_all(law: Companding) -> None:
     look_at_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, boxes, yes)
     choose(0, 1, 1, 1, 1, sums_n, law, groups, boxes, yes, room)
     give_back(0, 0, groups, boxes)
-    take_echoes(rows_of(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, boxes)
-
-
-def rows_of(arrived: Frames) -> npt.NDArray[np.uint8]:
-    """Return frames as rows of bytes."""
-    return np.ascontiguousarray(arrived).view(np.uint8).reshape(len(arrived), FRAME.itemsize)
+    take_echoes(frame_bytes(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, boxes)
 
 
 def present_codes(sums_n: Any, law: Companding, groups: Groups, node: int) -> tuple[Bytes, Bytes]:

@@ -9,17 +9,13 @@ import numpy as np
 from bus.link import Send
 from dbc.adaptive import GROUP_SUMS, PAUSE_MS, TPDOS
 from dbc.canopen import BASE_ID_MASK, NmtState
-from dbc.configuration import configuration
-from dbc.contract import Contract, NodeContract
-from dbc.dictionary import dictionary
+from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from nodes.adaptive.boards import AdaptiveBoards, tpdo_places
 from nodes.adaptive.mailboxes import FRAME_BITS, room_for
 from nodes.adaptive.node import AdaptiveNode
-from nodes.boards import Boards
 from nodes.node import SkinNode
 from nodes.segment import Segment
-from nodes.storage import Storage
 
 #: No frame of sums starts so soon after a SYNC.
 PAUSE_NS: Final = PAUSE_MS * 1_000_000
@@ -31,6 +27,8 @@ MOST_FRAMES: Final = 64
 
 class AdaptiveSegment(Segment):
     """The adaptive nodes of one bus; parameters as for `Segment`."""
+
+    node_type = AdaptiveNode
 
     def __init__(
         self,
@@ -68,16 +66,6 @@ class AdaptiveSegment(Segment):
     def frames_dropped(self) -> int:
         """Number of TPDOs that a full transmit queue refused."""
         return self._dropped
-
-    def _new_node(self, node: NodeContract, boards: Boards, storage: Storage) -> SkinNode:
-        return AdaptiveNode(
-            node,
-            dictionary(self._contract, node),
-            configuration(self._contract, node),
-            network=self._network,
-            boards=cast("AdaptiveBoards", boards),
-            storage=storage,
-        )
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Handle received frames: first the echoes of sums, then all others in their order."""

@@ -11,7 +11,7 @@ import pytest
 from bandwidth.adaptive_log import AGAIN, EARLY, NEW, REFINING, UNREFINED, sum_frames
 from dbc.adaptive import FIRST_COB_ID, TPDOS, SendingRule
 from dbc.contract import Contract
-from dbc.frame import FRAME, Frames, frames
+from dbc.frame import FRAME, Frames, frame_bytes, frames
 from evaluation.schemes.adaptive_bus import ENDED, Record, run_bus
 from nodes.adaptive.sending import new_groups
 from skin.layout import load_layout
@@ -38,7 +38,7 @@ def arbitrated(seed: int) -> Frames:
     sums_n[800:, 3:5] = sums_n[799, 3:5]
     sums_n[:, :, 0] = np.abs(sums_n[:, :, 0])
     sent = frames(10 * TICKS)
-    rows = sent.view(np.uint8).reshape(len(sent), FRAME.itemsize)[:, FIRST_BYTE:]
+    rows = frame_bytes(sent)[:, FIRST_BYTE:]
     record, groups = Record(rows, np.empty((len(sent), 7), np.int64)), new_groups(NODES)
     beats = np.arange(NODES, dtype=np.int64) * 30 * MS
     threshold = np.full((TICKS, NODES), 1e-5)

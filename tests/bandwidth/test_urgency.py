@@ -16,7 +16,7 @@ from bandwidth.urgency import Urgency
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule, coarse_value
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import FRAME, frames
+from dbc.frame import FRAME, frame_bytes, frames
 from evaluation.schemes.adaptive_bus import ASKED, ENDED, GROUP, NODE, REASON, SYNC_MS, Record, run_bus
 from nodes.adaptive.sending import DETAIL, NEWS, Groups, new_groups
 from skin.layout import load_layout
@@ -49,7 +49,7 @@ def arbitrated(
     """Run one bus; return the log of its frames and what the nodes then know. `beats`, due heartbeats, is changed."""
     capacity = 10 * len(sums_n)
     sent = frames(capacity)
-    rows = sent.view(np.uint8).reshape(capacity, FRAME.itemsize)[:, FIRST_BYTE:]
+    rows = frame_bytes(sent)[:, FIRST_BYTE:]
     record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(NODES)
     count = run_bus(sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, 1000, record)
     return record.log[:count], groups

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.adaptive import GROUP_SUMS, SendingRule, coarse_code, coarse_value, cob_id, companding
-from dbc.frame import FRAME, Frames, frames
+from dbc.frame import Frames, frame_bytes, frames
 from gateway.adaptive_state import NO_CHECK, UNREFINED, USED, BusSums, new_sums, take_all
 from nodes.adaptive.sending import NEWS, SILENT, frame_level, look, new_groups
 from skin.walsh import GROUPS
@@ -84,7 +84,7 @@ class Receiver:
         """Return whether all losses so far are noticed."""
         if self._waiting:
             batch = np.concatenate([*self._waiting, frames(0)])
-            rows = batch.view(np.uint8).reshape(len(batch), FRAME.itemsize)
+            rows = frame_bytes(batch)
             take_all(rows, self._has_gap, LAW, np.ones(1, np.bool_), self.sums, self._changed)
             self._waiting, self._has_gap = [], False
         return not self._has_gap
@@ -147,7 +147,7 @@ def test_after_a_loss_that_nobody_noticed_no_frame_counts_that_has_another_check
                 continue
             held, was_lost = int(sums.check[0, group]), bool(sums.is_lost[0, group])
             used, unrefined = int(sums.counts[USED]), int(sums.counts[UNREFINED])
-            rows = came.view(np.uint8).reshape(1, FRAME.itemsize)
+            rows = frame_bytes(came)
             take_all(rows, False, LAW, np.ones(1, np.bool_), sums, changed)
             if node.newest[group][1] and (was_lost or held != int(came["data"][0, 7])):
                 assert (sums.counts[USED], sums.counts[UNREFINED]) == (used, unrefined + 1)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.adaptive import GROUP_SUMS, SendingRule, check_of, coarse_code, cob_id, companding, fine_steps
-from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, forget, new_sums, take
+from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, new_sums, take
 from nodes.adaptive.sending import SILENT, Groups, frame_level, look, new_groups
 from skin.walsh import GROUPS
 from tests.gateway.boards import send
@@ -62,7 +62,7 @@ def test_while_losses_are_known_no_frame_is_misread(steps: list[tuple[int, int, 
         sums_n = moved(sums_n, size, seed)
         for group, can_id, is_fine, payload in frames_of(groups, sums_n, 5 * number):
             if lost >> group & 1:
-                forget(sums)
+                sums.is_lost[:] = True
                 continue
             used = sums.counts[USED]
             assert take(can_id, 8, payload, number, LAW, sums)
