@@ -3,7 +3,6 @@
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
 # make mutants  small faults put into the code that no quick test notices (docs/develop.md); hours without PATHS or ARGS
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
-# make clean    removes compiled kernels: numba does not see that a kernel in another file has changed
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
 
 PYTHON ?= python3
@@ -16,7 +15,7 @@ PATHS ?=
 OLDEST := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < tuple(map(int, "$(OLDEST)".split("."))))
 
-.PHONY: setup demo test test-vcan mutants figures check loop clean
+.PHONY: setup demo test test-vcan mutants figures check loop
 
 setup: .venv/.installed
 
@@ -72,6 +71,3 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-
-clean:
-	find . -path ./.venv -prune -o -name '*.nb[ci]' -exec rm -f {} +

@@ -5,7 +5,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from bandwidth.measured import BusLoad, is_sum_frame, whole_cycles
 from dbc.adaptive import (
@@ -21,6 +20,7 @@ from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.frame_bits import frame_time_ns
+from skin.compiled import njit
 from skin.walsh import GROUPS
 
 #: What a frame of sums says: other values than before, the same bytes again (a refresh), details of the newest coarse

@@ -2,7 +2,9 @@
 
 from typing import Any, Final
 
-from numba import int64, njit, void
+from numba import int64, void
+
+from skin.compiled import njit
 
 #: Columns of the table of messages, nanoseconds; one row per message, by falling priority.
 _ROWS: Final = int64[:, ::1]

@@ -3,9 +3,8 @@
 import math
 from collections.abc import Callable
 
-import numba
-
 from classifier.dag import Float64
+from skin.compiled import njit
 
 
 def _descend(features: Float64, weights: Float64, biases: Float64, classes: int) -> tuple[int, float]:
@@ -25,4 +24,4 @@ def _descend(features: Float64, weights: Float64, biases: Float64, classes: int)
 
 #: ``descend(features, weights, biases, classes)``: class and confidence of `classifier.dag.DecisionGraph.decide`, from
 #: the features of one observation and the hyperplanes of all pairs, without memory allocation.
-descend: Callable[[Float64, Float64, Float64, int], tuple[int, float]] = numba.njit(cache=True, fastmath=True)(_descend)
+descend: Callable[[Float64, Float64, Float64, int], tuple[int, float]] = njit(cache=True, fastmath=True)(_descend)

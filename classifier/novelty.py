@@ -9,9 +9,10 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from skin.compiled import njit
 
 Float64 = npt.NDArray[np.float64]
 
@@ -50,7 +51,7 @@ def _nearest(features: Float64, centres: Float64, whitening: Float64) -> tuple[i
 
 
 #: ``nearest(features, centres, whitening)``: the nearest region, -1 without regions, and its distance.
-nearest: Callable[[Float64, Float64, Float64], tuple[int, float]] = numba.njit(cache=True)(_nearest)
+nearest: Callable[[Float64, Float64, Float64], tuple[int, float]] = njit(cache=True)(_nearest)
 
 
 def novelty(features: Float64, regions: Regions) -> float:

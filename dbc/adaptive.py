@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from skin.compiled import njit
 from skin.walsh import GROUPS
 
 #: Sums of a group, one byte each in a coarse frame.

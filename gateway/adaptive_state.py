@@ -10,7 +10,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from dbc.adaptive import (
     BLOCK_SUMS,
@@ -26,6 +25,7 @@ from dbc.adaptive import (
 )
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE
+from skin.compiled import njit
 from skin.walsh import GROUPS
 
 #: No coarse frame of the group is held.

@@ -13,12 +13,12 @@ from the samples:
 
 from typing import Final
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from nodes.adaptive.models import Floats, Models, Tracks, make_models, new_tracks, step
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, ClipCorrection
+from skin.compiled import njit
 
 #: Which models run: a jump, the average with gain 2⁻⁸, and trends with memories of 2², 2⁴ and 2⁶ samples. All eight
 #: give no better images on the scenes of the evaluation, and take 1.6 times as long.
@@ -122,7 +122,7 @@ class SampleFilter:
         return np.where(known, force, self._average)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _learn(samples: Floats, age: npt.NDArray[np.int32], last: Floats, difference: Floats) -> None:
     """Follow the mean of the squares and of the sizes of second differences; `last` holds the two newest samples."""
     square, size = difference[0], difference[1]
@@ -145,7 +145,7 @@ def _learn(samples: Floats, age: npt.NDArray[np.int32], last: Floats, difference
             age[c] = min(age[c] + 1, 2 * MEMORY)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _average(  # noqa: PLR0917  compiled functions take no keywords
     samples: Floats,
     age: npt.NDArray[np.int32],

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from skin.compiled import njit
 from skin.defects import STIFFNESS_N_PER_M
 from skin.errors import InputError
 from skin.layout import Taxels
@@ -205,4 +205,4 @@ def _deepest(
                     compression[row, column] = max(compression[row, column], pushed)
 
 
-_compress: Callable[..., None] = numba.njit(cache=True)(_deepest)
+_compress: Callable[..., None] = njit(cache=True)(_deepest)

@@ -4,11 +4,11 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from reconstructor.kernels.steps import aligned, gather
+from skin.compiled import njit
 
 #: Multiplications and additions, fused two by two, on each value in one pass: enough to hide loading it, few enough
 #: that many values are in flight.
@@ -17,7 +17,7 @@ CHAIN: Final = 8
 PASSES: Final = 50
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _chains(values: npt.NDArray[Any], factor: Any, term: Any) -> None:
     for _ in range(PASSES):
         for k in range(values.size):
@@ -27,7 +27,7 @@ def _chains(values: npt.NDArray[Any], factor: Any, term: Any) -> None:
             values[k] = x
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _moves(target: npt.NDArray[Any], source: npt.NDArray[Any], index: npt.NDArray[Any]) -> None:
     for _ in range(PASSES):
         gather(target, source, index)

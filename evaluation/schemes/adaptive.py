@@ -5,7 +5,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, Companding, SendingRule, companding
 from dbc.contract import COARSE_STEP_RATIO
@@ -22,6 +21,7 @@ from nodes.adaptive.filtering import ForceFilter, PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.adaptive.sending import NEWS, Groups, new_groups, noise_threshold_n2
 from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
+from skin.compiled import njit
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 

@@ -8,7 +8,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from dbc.adaptive import PAUSE_MS, Companding, SendingRule, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
@@ -17,6 +16,7 @@ from dbc.dictionary import HEARTBEAT_MS
 from evaluation.schemes.event_kernel import DATA, address, bits_of
 from evaluation.schemes.wire import TICK_NS
 from nodes.adaptive.sending import SILENT, Groups, frame_level, look, make_payload, note_sent
+from skin.compiled import njit
 from skin.walsh import GROUPS
 
 #: Milliseconds between two SYNCs.

@@ -8,12 +8,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from dbc.canopen import HEARTBEAT_BASE, TPDO_BASES, NmtState
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.stuff_bits import count_classic
 from evaluation.schemes.wire import TICK_NS
+from skin.compiled import njit
 
 #: Events a frame of 8 bytes holds: 5 bits of place in the node and 11 of value each.
 EVENTS: Final = 4

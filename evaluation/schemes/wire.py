@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.contract import SYNC_OVERFLOW
@@ -19,6 +18,7 @@ from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, wire_bits
 from evaluation.result import Row
+from skin.compiled import njit
 from skin.layout import Bus
 
 #: Touches are known every millisecond.

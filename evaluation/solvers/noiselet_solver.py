@@ -7,7 +7,6 @@ butterflies pair whole rows, wherever they stand. So unlike with the SBHE nothin
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -29,6 +28,7 @@ from reconstructor.kernels.problem import checked
 from reconstructor.kernels.steps import aligned, deliver, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 from reconstructor.settings import SolverSettings
+from skin.compiled import njit
 
 Table = npt.NDArray[np.uint16]
 Steps = npt.NDArray[np.int64]
@@ -69,7 +69,7 @@ class _Scratch(NamedTuple):
     slope: Flat
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _butterflies(work: Flat, pairs: Steps, width: int) -> None:
     """Apply N to every column of ``work.reshape(-1, width)``; the first step adds where the others subtract."""
     for step in range(len(pairs)):
@@ -84,7 +84,7 @@ def _butterflies(work: Flat, pairs: Steps, width: int) -> None:
                     p[i], q[i] = p[i] - q[i], p[i] + q[i]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _turn(target: Flat, source: Flat, rows: int, columns: int) -> None:
     """Transpose (rows, columns)."""
     for column in range(columns):
@@ -92,7 +92,7 @@ def _turn(target: Flat, source: Flat, rows: int, columns: int) -> None:
             target[column * rows + row] = source[row * columns + column]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _gram(work: Flat, problem: _Problem, scratch: _Scratch) -> None:
     """Replace the image by Φᵀ(Φ work - y) / L, with the rows of weight 0 left out."""
     turned = scratch.turned
@@ -106,7 +106,7 @@ def _gram(work: Flat, problem: _Problem, scratch: _Scratch) -> None:
     _butterflies(work, problem.down, problem.columns)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, scratch: _Scratch) -> int:
     count = load(sums, weights, problem.places, problem.numbers[0], scratch.gain, scratch.target)
     ahead, slope = scratch.ahead, scratch.slope
@@ -123,7 +123,7 @@ def _solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, sc
     return count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _solve_contourlet(  # noqa: PLR0917  compiled functions take no keywords
     estimate: Flat,
     sums: Flat,

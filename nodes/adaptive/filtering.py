@@ -5,12 +5,12 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from nodes.adaptive.following import NoiseScale, Offsets
 from nodes.adaptive.models import Floats, make_models, new_tracks, step
 from nodes.adaptive.noise import Noise, haar_matrix
 from skin.clipping import clipped_mean
+from skin.compiled import njit
 from skin.walsh import patch_shape, walsh_matrix
 
 #: Samples that a forecast looks ahead: the way to an image takes so long.

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from nodes.adaptive.noise import Floats
 from skin.clipping import IDLE_DEVIATION
+from skin.compiled import njit
 
 #: An offset follows this part of what is left in each sample, at most by so much, newtons: 3 mN a second.
 FOLLOWING: Final = 1 / 128

@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from dbc.adaptive import (
     BLOCK_SUMS,
@@ -40,6 +39,7 @@ from nodes.adaptive.sending import (
     new_groups,
     note_sent,
 )
+from skin.compiled import njit
 from skin.walsh import GROUPS
 
 #: Bits of a classic frame of 8 bytes at most, with stuff bits and intermission: what a frame takes of a budget.

@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from skin.compiled import njit
 
 #: Exponents k of the averages' gains 2^-k: the first follows every jump.
 AVERAGES: Final = (0, 6, 8)

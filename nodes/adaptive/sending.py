@@ -4,7 +4,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from dbc.adaptive import (
     BLOCK_SUMS,
@@ -23,6 +22,7 @@ from dbc.adaptive import (
     pack_fine,
     unpack_fine,
 )
+from skin.compiled import njit
 from skin.walsh import GROUPS
 
 #: Why a frame is to be sent.

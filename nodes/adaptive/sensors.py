@@ -10,11 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.special import ndtri
 
 from nodes.adaptive.noise import Floats
 from nodes.electronics import Calibration
+from skin.compiled import njit
 from skin.sources import ADAPTIVE_STEP_HZ, Frame, TaxelSource
 from skin.taxel import TaxelModel
 

@@ -3,7 +3,6 @@
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
 from dbc.adaptive import GROUP_SUMS, Companding, SendingRule, cob_id
 from dbc.contract import Contract
@@ -22,6 +21,7 @@ from nodes.adaptive.sending import (
 )
 from nodes.adaptive.sensors import SAMPLE_NS, PatchSensors
 from nodes.electronics import Calibration
+from skin.compiled import njit
 from skin.sources import TaxelSource
 from skin.taxel import TaxelModel
 from skin.walsh import GROUPS

@@ -2,7 +2,6 @@
 
 from typing import Any, Final, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -22,6 +21,7 @@ from reconstructor.kernels.problem import check_penalty_ratio, checked, places_o
 from reconstructor.kernels.steps import Table, aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from reconstructor.settings import SolverSettings
+from skin.compiled import njit
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
@@ -47,7 +47,7 @@ class _Scratch(NamedTuple):
     slope: Flat
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _solve(  # noqa: PLR0917  compiled functions take no keywords
     estimate: Flat,
     sums: Flat,
@@ -71,7 +71,7 @@ def _solve(  # noqa: PLR0917  compiled functions take no keywords
     return count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def advance_coefficients(estimate: Flat, ahead: Flat, slope: Flat, threshold: Any, momentum: Any) -> None:
     """Set the estimate to the shrunken step down `slope`, and `ahead` to the next point."""
     for k in range(estimate.size):

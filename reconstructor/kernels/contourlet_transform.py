@@ -3,17 +3,16 @@
 Samples are in the orders of `reconstructor.kernels.contourlet_tables`.
 """
 
-import numba
-
 from reconstructor.bases.pkva import ROOT_TWO
 from reconstructor.kernels.contourlet_tables import ContourletBuffers, ContourletTables, Phases
 from reconstructor.kernels.steps import gather
 from reconstructor.kernels.transforms import FAST_MATH, Flat
+from skin.compiled import njit
 
 # Compiled functions take no keyword arguments.
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def synthesise(image: Flat, coefficients: Flat, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Set image = Ψ coefficients: x = d + U (c - D d Dᵀ) Uᵀ of d = F⁻¹ s_d."""
     count = image.size
@@ -32,7 +31,7 @@ def synthesise(image: Flat, coefficients: Flat, tables: ContourletTables, buffer
         image[k] += work[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def transpose(coefficients: Flat, image: Flat, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Set coefficients = Ψᵀ image: c = Uᵀ x U, and the transposed bank of x - Dᵀ c D."""
     count = image.size
@@ -48,7 +47,7 @@ def transpose(coefficients: Flat, image: Flat, tables: ContourletTables, buffers
             buffers.image[:] = work
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _ladder(work: Flat, number: int, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Run the two steps of one level, the same both ways: b ← -(b + F a) / √2, a ← √2 a + Fᵀ b."""
     size = work.size // 2
@@ -63,7 +62,7 @@ def _ladder(work: Flat, number: int, tables: ContourletTables, buffers: Contourl
         first[k] = root_two * first[k] + made[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _fan(target: Flat, source: Flat, number: int, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Filter every band: from (columns, rows, bands) to (rows, bands, columns)."""
     bands, rows, columns, count = tables.geometry[number]
@@ -77,7 +76,7 @@ def _fan(target: Flat, source: Flat, number: int, tables: ContourletTables, buff
     _filter(target, long, tables.along[number, 0], bands * columns, count)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _fan_transposed(
     target: Flat, source: Flat, number: int, tables: ContourletTables, buffers: ContourletBuffers
 ) -> None:
@@ -94,20 +93,20 @@ def _fan_transposed(
     _filter(target, wide, tables.across, rows * bands, 12)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _copy(target: Flat, source: Flat) -> None:
     for k in range(target.size):
         target[k] = source[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _wrap(target: Flat, source: Flat, size: int, rows: int, before: int, count: int) -> None:  # noqa: PLR0917
     """Copy `rows` rows of `size`, periodically extended by `before` rows ahead and behind for `count` taps."""
     _copy(target[before * size : (before + rows) * size], source)
     _wrap_rows(target, rows, size, before, count, False)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _wrap_rows(long: Flat, rows: int, size: int, above: int, count: int, quincunx: bool) -> None:  # noqa: PLR0917
     """Fill the rows above and below the middle periodically; in a quincunx shifted by half the width."""
     end, below = above + rows, count - 1 - above
@@ -128,7 +127,7 @@ def _wrap_rows(long: Flat, rows: int, size: int, above: int, count: int, quincun
             _copy(line, seen)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _filter(target: Flat, source: Flat, taps: Flat, size: int, count: int) -> None:
     """Set target = Σ taps[t] · source moved by t rows of `size`, for the first `count` taps, a multiple of four."""
     for t in range(0, count, 4):
@@ -143,7 +142,7 @@ def _filter(target: Flat, source: Flat, taps: Flat, size: int, count: int) -> No
                 target[k] += (a * p[k] + b * q[k]) + (c * r[k] + d * s[k])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _coarsen(coarse: Flat, image: Flat, phases: Phases, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Filter and halve rows, then columns; the result is transposed."""
     size = tables.size
@@ -154,7 +153,7 @@ def _coarsen(coarse: Flat, image: Flat, phases: Phases, tables: ContourletTables
     _halve(coarse, turned, phases, size // 2, buffers)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _refine(image: Flat, coarse: Flat, phases: Phases, tables: ContourletTables, buffers: ContourletBuffers) -> None:
     """Upsample and filter the columns, then the rows, of a transposed coarse image."""
     size = tables.size
@@ -165,7 +164,7 @@ def _refine(image: Flat, coarse: Flat, phases: Phases, tables: ContourletTables,
     _double(image, turned, phases, size, buffers)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _halve(target: Flat, source: Flat, phases: Phases, width: int, buffers: ContourletBuffers) -> None:
     """Set target[i] = Σ even[k] source[2i + 2k] + Σ odd[k] source[2i + 2k + 1]; rows of `width`, even rows first."""
     half = target.size
@@ -179,7 +178,7 @@ def _halve(target: Flat, source: Flat, phases: Phases, width: int, buffers: Cont
         target[k] += other[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _double(target: Flat, source: Flat, phases: Phases, width: int, buffers: ContourletBuffers) -> None:
     """Apply the transpose of `_halve`, by the symmetry of the taps."""
     half = source.size

@@ -6,16 +6,15 @@ low half of a level is first and contiguous; the next level uses this half only.
 
 from typing import Any, Final
 
-import numba
-
 from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
 from reconstructor.kernels.transforms import FAST_MATH, Flat
+from skin.compiled import njit
 
 #: Rows of working memory: gain, target, ahead, work, image, other.
 SCRATCH_ROWS: Final = 6
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_daubechies(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
     """Solve in place from `estimate` and return the number of sums used, as `reconstructor.kernels.haar.solve_haar`."""
     threshold, floor, taps = problem.numbers[1], problem.numbers[2], problem.numbers[4:8]
@@ -34,13 +33,13 @@ def solve_daubechies(estimate: Flat, sums: Flat, weights: Flat, problem: Problem
     return count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _soft(work: Flat, threshold: Any) -> None:
     for k in range(work.size):
         work[k] = work[k] - max(-threshold, min(threshold, work[k]))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def shrink_tensor(  # noqa: PLR0917  compiled functions take no keywords
     image: Flat, other: Flat, problem: Problem, lanes: int, threshold: Any, taps: Flat
 ) -> None:
@@ -55,7 +54,7 @@ def shrink_tensor(  # noqa: PLR0917  compiled functions take no keywords
     _synthesise(image, other, rows, columns * lanes, taps)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _analyse(work: Flat, other: Flat, height: int, width: int, taps: Flat) -> None:
     while height > 1:
         part, spare = work[: height * width], other[: height * width]
@@ -64,7 +63,7 @@ def _analyse(work: Flat, other: Flat, height: int, width: int, taps: Flat) -> No
         height //= 2
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _synthesise(work: Flat, other: Flat, height: int, width: int, taps: Flat) -> None:
     size = 2 * width
     while size <= height * width:
@@ -74,7 +73,7 @@ def _synthesise(work: Flat, other: Flat, height: int, width: int, taps: Flat) ->
         size *= 2
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def shrink_pyramid(  # noqa: PLR0917  compiled functions take no keywords
     image: Flat, other: Flat, problem: Problem, lanes: int, threshold: Any, taps: Flat
 ) -> None:
@@ -106,7 +105,7 @@ def shrink_pyramid(  # noqa: PLR0917  compiled functions take no keywords
         image[:size] = other[:size]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _transpose(target: Flat, source: Flat, rows: int, columns: int, lanes: int) -> None:
     """Set target, (columns, rows, lanes), to the transpose of source, (rows, columns, lanes)."""
     if lanes == 1:
@@ -121,7 +120,7 @@ def _transpose(target: Flat, source: Flat, rows: int, columns: int, lanes: int) 
                 there[lane] = taken[lane]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _split(target: Flat, source: Flat, width: int, taps: Flat) -> None:
     """One level along the columns: row k of the low half is computed from rows 2k to 2k + 3 of the source."""
     a, b, c, d = taps[0], taps[1], taps[2], taps[3]
@@ -137,7 +136,7 @@ def _split(target: Flat, source: Flat, width: int, taps: Flat) -> None:
             high[j] = d * p[j] - c * q[j] + b * r[j] - a * s[j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _join(target: Flat, source: Flat, width: int, taps: Flat) -> None:
     """Undo `_split`."""
     a, b, c, d = taps[0], taps[1], taps[2], taps[3]

@@ -8,10 +8,10 @@ sums; they start from the image before, so a skin that changes little takes few 
 
 from typing import Any, Final
 
-import numba
 import numpy as np
 
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
+from skin.compiled import njit
 
 #: Weights of slopes and of forces, beside that of 1 for curves.
 SLOPE: Final = 0.1
@@ -22,7 +22,7 @@ STEPS: Final = 24
 ENOUGH_N: Final = 1e-6
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def fill(image: Any, unknown: Any, cells: Any, filled: Any, work: Any) -> int:
     """Add to the image what its unknown sums are likely to be; return the number of steps.
 
@@ -75,7 +75,7 @@ def fill(image: Any, unknown: Any, cells: Any, filled: Any, work: Any) -> int:
     return STEPS
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _project(values: Any, unknown: Any, cells: Any, patch: Flat) -> int:
     """Keep only what changes no known sum; return the number of unknown sums."""
     flat, taxels, total = values.ravel(), cells.shape[1], 0
@@ -101,7 +101,7 @@ def _project(values: Any, unknown: Any, cells: Any, patch: Flat) -> int:
     return total
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _bend(values: Any, half: Any, bent: Any) -> None:
     """Set bent = (L² + `SLOPE` L + `SIZE`) values."""
     slope, size = values.dtype.type(SLOPE), values.dtype.type(SIZE)
@@ -115,7 +115,7 @@ def _bend(values: Any, half: Any, bent: Any) -> None:
         made[k] += size * flat[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _laplacian(values: Any, made: Any) -> None:
     """Set made = DᵀD values: each taxel's differences from its neighbours, summed."""
     rows, columns = values.shape

@@ -6,16 +6,15 @@ and a mask. Gradient and momentum are computed in block order, the shrinkage in 
 
 from typing import Any
 
-import numba
-
 from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
 from reconstructor.kernels.transforms import FAST_MATH, Flat
+from skin.compiled import njit
 
 #: Rows of working memory: gain, target, ahead, work, image.
 SCRATCH_ROWS = 5
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
     """Solve in place from `estimate` and return the number of sums used.
 
@@ -45,7 +44,7 @@ def solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scra
     return count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
     """Replace the image by Ψ soft(Ψᵀ image) with the Haar pyramid; `work` in the order of `pyramid_addresses`."""
     size = work.size
@@ -72,7 +71,7 @@ def shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
         size *= 4
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def shrink_tensor(work: Flat, columns: int, lanes: int, threshold: Any, root_half: Any) -> None:
     """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`.
 
@@ -88,7 +87,7 @@ def shrink_tensor(work: Flat, columns: int, lanes: int, threshold: Any, root_hal
     _synthesise(work, work.size, width, root_half)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _analyse(work: Flat, length: int, width: int, root_half: Any) -> None:
     """Haar-transform each run of `length`, taken as columns of ``(length // width, width)``, along those columns."""
     half = length // 2
@@ -100,7 +99,7 @@ def _analyse(work: Flat, length: int, width: int, root_half: Any) -> None:
         half //= 2
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _synthesise(work: Flat, length: int, width: int, root_half: Any) -> None:
     """Undo `_analyse`."""
     half = width

@@ -6,7 +6,6 @@ a permutation moves whole vectors, not single values.
 
 from typing import Final
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +15,7 @@ from reconstructor.kernels.problem import Model, checked
 from reconstructor.kernels.steps import Problem, Table, advance, aligned, descend, row, scratch_of, start_scale
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
 from reconstructor.settings import WAVELETS, SolverSettings
+from skin.compiled import njit
 from skin.errors import InputError
 from skin.measurement import Sbhe
 
@@ -25,7 +25,7 @@ LANES: Final = 8
 _SCRATCH_ROWS: Final = 6
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _solve(  # noqa: PLR0917  compiled functions take no keywords
     estimate: Flat, sums: Values, weights: Values, problem: Problem, scratch: Flat, smooth: bool
 ) -> None:
@@ -60,7 +60,7 @@ def _solve(  # noqa: PLR0917  compiled functions take no keywords
         advance(estimate, floor, problem.momentum[turn], scratch)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _load(sums: Values, weights: Values, problem: Problem, gain: Flat, target: Flat) -> None:
     """Write the masks and the masked sums, both over L; see `reconstructor.kernels.steps.load`."""
     for k in range(problem.places.size):
@@ -71,7 +71,7 @@ def _load(sums: Values, weights: Values, problem: Problem, gain: Flat, target: F
             target[start + lane] = weight * sums[lane, k] if weight > 0 else weight
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _scale_starts(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) -> None:
     """Scale the start of every lane; see `reconstructor.kernels.steps.begin`."""
     work[:] = estimate
@@ -90,7 +90,7 @@ def _scale_starts(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: 
             estimate[start + lane] *= explained[lane]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _gather(target: Flat, source: Flat, index: Table) -> None:
     """Move eight values at a time: all are read before any is written, so that they become one vector."""
     for k in range(index.size):

@@ -2,12 +2,12 @@
 
 from typing import Any, Final, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from reconstructor.checks import LARGEST_N
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard, masked_gram
+from skin.compiled import njit
 
 Table = npt.NDArray[np.uint16]
 
@@ -66,7 +66,7 @@ def aligned(size: int, dtype: np.dtype[Any]) -> Flat:
     return memory[first : first + size]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def row(scratch: Flat, number: int, size: int) -> Flat:
     """Return one row of working memory."""
     start = number * (size + GAP)
@@ -77,7 +77,7 @@ def row(scratch: Flat, number: int, size: int) -> Flat:
 # Each loop is a separate function: inside the solvers some loops would not be vectorised.
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def usable(sums: Flat, weights: Flat) -> bool:
     """Tell whether all weights are 0 to 1, and all sums of weight above 0 are numbers up to `LARGEST_N`."""
     good = 0  # no early return: such a loop is vectorised
@@ -87,7 +87,7 @@ def usable(sums: Flat, weights: Flat) -> bool:
     return good == sums.size
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> tuple[int, Any]:
     """Fill `scratch` (gain, target, ahead, work, …) for the first iteration.
 
@@ -109,7 +109,7 @@ def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: 
     return count, kept
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target: Flat) -> int:  # noqa: PLR0917
     """Write the mask and the masked sums, both times `step`; return the number of sums used.
 
@@ -129,7 +129,7 @@ def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target
     return count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def descend(size: int, problem: Problem, scratch: Flat) -> None:
     """Compute a gradient step from ``ahead``, equal to ``work``; the result is in ``work``."""
     gain, target, ahead, work = (
@@ -143,14 +143,14 @@ def descend(size: int, problem: Problem, scratch: Flat) -> None:
         work[k] = ahead[k] - work[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def gather(target: Flat, source: Flat, index: Table) -> None:
     """Set target[k] = source[index[k]]."""
     for k in range(target.size):
         target[k] = source[index[k]]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def advance(estimate: Flat, floor: Any, momentum: Any, scratch: Flat) -> None:
     """Set the estimate to max(``work``, `floor`), and write the next point to ``ahead`` and ``work``."""
     ahead, work = row(scratch, 2, estimate.size), row(scratch, 3, estimate.size)
@@ -162,14 +162,14 @@ def advance(estimate: Flat, floor: Any, momentum: Any, scratch: Flat) -> None:
         work[k] = beyond
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def deliver(image: npt.NDArray[np.float32], estimate: Flat, index: Table) -> None:
     """Write the image row by row, negative forces as 0."""
     for k in range(image.size):
         image[k] = max(np.float32(0), np.float32(estimate[index[k]]))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _scale_start(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: int) -> Any:
     """Scale `estimate` by max(0, 2a - 1) and return this factor, with a = argmin ‖a Φ estimate - y‖, at most 1.
 
@@ -189,7 +189,7 @@ def _scale_start(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: i
     return scale
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def start_scale(explained: Any, energy: Any) -> Any:
     """Return max(0, 2a - 1) for a = min(1, explained / energy)."""
     zero = explained - explained  # keeps the dtype

@@ -2,12 +2,12 @@
 
 from typing import Final, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from reconstructor.checks import LARGEST_N
 from reconstructor.kernels.transforms import Flat
+from skin.compiled import njit
 
 #: Smallest gain.
 GAIN_MIN: Final = 0.18
@@ -48,7 +48,7 @@ class FilterState(NamedTuple):
     state: npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_], averages: bool) -> bool:
     """Process one cycle; return False, without a change, if a valid sum is not finite or above `LARGEST_N`.
 
@@ -86,7 +86,7 @@ def update(filtered: FilterState, sums: Flat, valid: npt.NDArray[np.bool_], aver
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _adapt(state: npt.NDArray[np.float64], energy: float, correlation: float) -> float:
     """Return the gain for an innovation of mean square `energy` and its correlation with the innovation before."""
     last = state[GAIN]

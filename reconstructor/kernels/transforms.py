@@ -5,9 +5,10 @@ Flat arrays and slices, because the compiler vectorises these loops, but not loo
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from skin.compiled import njit
 
 #: Sums contain no NaN; the order of additions is kept, so that results are repeatable.
 FAST_MATH = {"nnan", "ninf", "nsz", "contract"}
@@ -15,13 +16,13 @@ FAST_MATH = {"nnan", "ninf", "nsz", "contract"}
 Flat = npt.NDArray[np.floating[Any]]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def hadamard(work: Flat, blocks: int) -> None:
     """Transform every column of ``work.reshape(B, blocks)`` by the B x B Hadamard matrix of ±1."""
     _butterflies(work, blocks, work.size)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def masked_gram(work: Flat, gain: Flat, target: Flat, blocks: int) -> None:
     """Replace every column w of ``work.reshape(B, blocks)`` by H (gain · H w - target).
 
@@ -50,7 +51,7 @@ def masked_gram(work: Flat, gain: Flat, target: Flat, blocks: int) -> None:
     _butterflies(work, blocks, size)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _butterflies(work: Flat, first: int, last: int) -> None:
     """Run the levels with distances `first`, 2 · `first`, … , `last` / 2 between paired values, up to three a pass."""
     half = first
@@ -69,7 +70,7 @@ def _butterflies(work: Flat, first: int, last: int) -> None:
                 p[k], q[k] = p[k] + q[k], p[k] - q[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _three_levels(work: Flat, half: int) -> None:
     p, q, r, s = work[:half], work[half : 2 * half], work[2 * half : 3 * half], work[3 * half : 4 * half]
     t, u, v, w = work[4 * half : 5 * half], work[5 * half : 6 * half], work[6 * half : 7 * half], work[7 * half :]
@@ -84,7 +85,7 @@ def _three_levels(work: Flat, half: int) -> None:
         t[k], u[k], v[k], w[k] = a - e, b - f, c - g, d - h
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _two_levels(work: Flat, half: int) -> None:
     p, q, r, s = work[:half], work[half : 2 * half], work[2 * half : 3 * half], work[3 * half :]
     for k in range(half):

@@ -7,10 +7,9 @@ step well, because the dual is kept between iterations and cycles.
 
 from typing import Any, Final
 
-import numba
-
 from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
 from reconstructor.kernels.transforms import FAST_MATH, Flat
+from skin.compiled import njit
 
 #: Rows of working memory: gain, target, ahead, work, image, smoothed, and the dual: down and right.
 SCRATCH_ROWS: Final = 8
@@ -20,7 +19,7 @@ DUAL_ROWS: Final = (6, 7)
 INNER: Final = 3
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
     """Solve in place from `estimate` and return the number of sums used, as `reconstructor.kernels.haar.solve_haar`."""
     columns, threshold, floor = problem.columns, problem.numbers[1], problem.numbers[2]
@@ -44,7 +43,7 @@ def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem,
     return count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> None:
     """Write the image with less total variation, not below 0, to `smooth`.
 
@@ -67,7 +66,7 @@ def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> No
     _smooth(seen, made, parts, columns, zero)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _smooth(image: Flat, smooth: Flat, dual: tuple[Flat, Flat], columns: int, floor: Any) -> None:
     """Set smooth = max(floor, image - Dᵀ dual); the dual is 0 after the last row and the last column.
 
@@ -84,7 +83,7 @@ def _smooth(image: Flat, smooth: Flat, dual: tuple[Flat, Flat], columns: int, fl
         made[k] = max(floor, seen[k] + below[k] - down[k] + beside[k] - before[k])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST_MATH)
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _ascend(smooth: Flat, dual: tuple[Flat, Flat], columns: int, threshold: Any, eighth: Any) -> None:
     """Add the differences of `smooth` / 8 to the dual, and clip it to ±threshold; 8 bounds ‖D Dᵀ‖."""
     down, right = dual

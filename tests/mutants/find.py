@@ -288,7 +288,7 @@ def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
         try:
             for item, change in chosen:
                 patience_s = _patience_s(change.path.split("/", maxsplit=1)[0])
-                with _kernels(change.path):
+                with _kernels():
                     result: WorkResult = mutate_and_test(item.mutations, _command(change.path), patience_s)
                 if result.worker_outcome is not WorkerOutcome.NORMAL:
                     raise RunError(f"{change.path}:{change.line}: no such mutant can be made: {result.output}")
@@ -317,31 +317,13 @@ def _patience_s(folder: str) -> float:
 
 
 @contextmanager
-def _kernels(path: str) -> Iterator[None]:
-    """Choose which compiled kernels the tests use; a change of what is compiled gets kernels of its own."""
+def _kernels() -> Iterator[None]:
+    """Give a mutant a copy of the compiled kernels, so that no kernel with a fault is left for the next one."""
     with TemporaryDirectory(dir=FOLDER) as own:
-        os.environ["NUMBA_CACHE_DIR"] = own if _is_compiled(path) else str(KERNELS)
+        if KERNELS.exists():
+            shutil.copytree(KERNELS, own, dirs_exist_ok=True)
+        os.environ["NUMBA_CACHE_DIR"] = own
         yield
-
-
-def _is_compiled(path: str) -> bool:
-    """Tell whether compiled code is made of this file; of the evaluation's kernels, only its own tests use any."""
-    return path.startswith("evaluation/") or path in _compiled()
-
-
-@cache
-def _compiled() -> set[str]:
-    """Find the files with kernels, and all that these import of ours."""
-    found: set[str] = set()
-    files = (path for path in Path().glob("*/**/*.py") if path.parts[0] not in {"evaluation", "tests"})
-    new = {path.as_posix() for path in files if "njit" in path.read_text()}
-    while new:
-        found |= new
-        trees = (ast.walk(ast.parse(_source(Path(path)))) for path in new)
-        imports = {node.module for tree in trees for node in tree if isinstance(node, ast.ImportFrom) and node.module}
-        new = {f"{name.replace('.', '/')}.py" for name in imports} - found
-        new = {path for path in new if Path(path).exists()}
-    return found
 
 
 def _command(path: str) -> str:

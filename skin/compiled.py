@@ -1,0 +1,82 @@
+"""Compiled functions (kernels) whose cache notices every change of what was compiled in.
+
+Numba compiles the functions that a kernel calls, and the values of the constants that it names, into the kernel, and
+keeps the result on disk. Its own stamp covers the kernel's file alone: when a function or constant of another file
+changes, as after an update, the old code would run on. The stamp here covers these, too. Every kernel of the project
+is made with `njit` of this module.
+"""
+
+import hashlib
+import inspect
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+from numba import config, njit
+from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.extending import is_jitted
+
+__all__ = ["njit"]
+
+
+class _Stamped:
+    """A place of the cache whose stamp is that of everything that a kernel is made of."""
+
+    def __init__(self, py_func: FunctionType, py_file: str) -> None:
+        super().__init__(py_func, py_file)  # type: ignore[call-arg]  # the numba class beside this one takes them
+        self._globals = py_func.__globals__
+        self._file = py_file
+
+    def get_source_stamp(self) -> str:
+        """Return a hash over the files of the kernel and of the kernels that it can call, and over their constants."""
+        parts: dict[str, str] = {}
+        _collect(self._file, self._globals, parts)
+        return hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()
+
+
+class FolderGiven(_Stamped, UserProvidedCacheLocator):
+    """The folder of `NUMBA_CACHE_DIR`."""
+
+
+class FolderOfSource(_Stamped, InTreeCacheLocator):
+    """`__pycache__` beside the source, where it can be written."""
+
+
+class FolderOfUser(_Stamped, UserWideCacheLocator):
+    """The user's cache folder."""
+
+
+def _collect(file: str, names: dict[str, Any], parts: dict[str, str]) -> None:
+    """Add a file, the constants among its module's `names`, and the files of the kernels among them."""
+    parts[file] = _content(file)
+    for name, value in list(names.items()):
+        if name.startswith("__"):
+            continue
+        if is_jitted(value):
+            other = inspect.getfile(value.py_func)
+            if other not in parts:
+                _collect(other, value.py_func.__globals__, parts)
+        elif _is_plain(value):
+            parts[f"{file}:{name}"] = repr(value)
+        elif isinstance(value, np.ndarray):
+            parts[f"{file}:{name}"] = f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+
+
+def _is_plain(value: object) -> bool:
+    """Tell whether a value is a constant whose text says all of it; the text of others may have an address."""
+    if isinstance(value, tuple):
+        return all(map(_is_plain, value))
+    return isinstance(value, int | float | complex | str | np.generic)
+
+
+@cache
+def _content(file: str) -> str:
+    """Hash a source file once in a process: what was imported does not change later."""
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
+config.CACHE_LOCATOR_CLASSES = ",".join(  # type: ignore[attr-defined]  # numba makes its settings at run time
+    f"{place.__module__}.{place.__qualname__}" for place in (FolderGiven, FolderOfSource, FolderOfUser)
+)
