@@ -24,6 +24,8 @@ START_S: Final = 0.3
 MOST_ASKED: Final = 4
 #: Time between two reads of a node's noise.
 NOISE_PERIOD_S: Final = 10.0
+#: Time until the next try when a node cannot be asked now; meanwhile the other nodes have their turn.
+NOISE_RETRY_S: Final = 1.0
 
 Groups = npt.NDArray[np.uint8]
 _Steps = Generator[Transfer, bytes, None]
@@ -87,8 +89,9 @@ class Errands:
                 self._next_s[node] = now_s + REQUEST_PAUSES_S[self._tries[node]]
                 self._tries[node] = min(self._tries[node] + 1, len(REQUEST_PAUSES_S) - 1)
         oldest = int(self._noise_s.argmin())
-        if now_s >= self._noise_s[oldest] and self._ask(oldest, self._noise(oldest), now_s):
-            self._noise_s[oldest] = now_s + NOISE_PERIOD_S
+        if now_s >= self._noise_s[oldest]:
+            is_asked = self._ask(oldest, self._noise(oldest), now_s)
+            self._noise_s[oldest] = now_s + (NOISE_PERIOD_S if is_asked else NOISE_RETRY_S)
 
     def _ask(self, node: int, steps: _Steps, now_s: float) -> bool:
         if len(self._open) >= MOST_ASKED:

@@ -5,9 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dbc.canopen import SDO_RESPONSE_BASE
+from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.contract import Contract
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH
+from gateway.foreign_sdo import ForeignClient
 from skin.layout import parse_layout
 from skin.messages import BlockState
 from tests.gateway.boards import BoardWorld, at_rest, lose, states
@@ -97,3 +98,17 @@ def test_node_without_noise_is_not_counted(adaptive: Contract) -> None:
         board.objects.pop((OD_NODE_NOISE, 0)) if noise is None else board.objects.update({(OD_NODE_NOISE, 0): noise})
     world.until_whole(1.0)
     assert world.run(0.5)[-1].noise_n == pytest.approx(3e-4)
+
+
+def test_a_busy_node_does_not_hold_back_the_noise_of_the_others(
+    boards: BoardWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_rest(boards)
+    busy = boards.gateway.masters[0].nodes[1].foreign
+    monkeypatch.setattr(ForeignClient, "free_s", property(lambda client: np.inf if client is busy else -np.inf))
+    wire, read = boards.wires[0], b"\x40" + OD_NODE_NOISE.to_bytes(2, "little")
+    wire.log.clear()
+    boards.run(21.0)
+    asked = [can_id for can_id, data in wire.log if data[:3] == read]
+    assert asked.count(SDO_REQUEST_BASE + 2) == 2
+    assert asked.count(SDO_REQUEST_BASE + 1) == 0
