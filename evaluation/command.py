@@ -22,6 +22,7 @@ Subject = Literal[
     "solvers",
     "rivals",
     "rates",
+    "contacts",
     "classification",
     "recognition",
     "postures",
@@ -35,13 +36,14 @@ SUBJECTS: Final[dict[str, str]] = {
     "solvers": "evaluation.paper.solvers:evaluate",
     "rivals": "evaluation.schemes.comparison:evaluate",
     "rates": "evaluation.schemes.rates:evaluate",
+    "contacts": "evaluation.schemes.contacts:evaluate",
     "classification": "evaluation.recognition.classification:evaluate",
     "recognition": "evaluation.recognition.beyond:evaluate",
     "postures": "evaluation.recognition.postures:evaluate",
 }
 
 #: Subjects that average over no draws of Φ; ``all`` hands draws to the others alone.
-_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates")
+_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts")
 
 
 def evaluate(
@@ -76,8 +78,8 @@ def evaluate(
     jobs
         Processes at the same time. Default: one per core.
     draws
-        Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals`` and
-        ``rates`` average over none; ``all`` hands them to the others.
+        Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals``,
+        ``rates`` and ``contacts`` average over none; ``all`` hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes

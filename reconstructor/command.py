@@ -1,10 +1,11 @@
-"""``skin reconstruct``: the tactile image of every cycle."""
+"""``skin reconstruct``: the tactile image of every cycle, and its contacts."""
 
 import threading
 from pathlib import Path
 from typing import Final
 
 from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
@@ -23,7 +24,7 @@ def reconstruct(
     connect: str = DEFAULT_ENDPOINT,
     solver: SolverOptions | None = None,
 ) -> None:
-    """Compute a tactile image from every measurement and publish the image.
+    """Compute a tactile image from every measurement; publish the image and its contacts.
 
     Parameters
     ----------
@@ -46,6 +47,7 @@ def reconstruct(
     patience.start()
     try:
         engine.warm_up()
+        ContactTracker(skin.taxels.rows, skin.taxels.columns).warm_up()
     finally:
         patience.cancel()
     fabric = Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)

@@ -1,4 +1,4 @@
-"""The reconstructor's loop: one measurement in, one image out.
+"""The reconstructor's loop: one measurement in, one image and its contacts out.
 
 With adaptive sending only the newest measurement counts: it holds everything that the ones before held.
 """
@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
 from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
-from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from skin.service import StopSignal, request_real_time
 
 #: Measurements that wait during a solve; a longer queue would only make images older.
@@ -26,7 +27,7 @@ Image_n = npt.NDArray[np.float32]
 
 
 class ReconstructorService:
-    """Publishes an image for every measurement with this skin's Φ.
+    """Publishes an image and its contacts for every measurement with this skin's Φ.
 
     A measurement without valid blocks gives an image of zeros with ``valid_sums`` 0. So the page can distinguish a
     silent skin from a silent reconstructor.
@@ -51,6 +52,8 @@ class ReconstructorService:
             self._work, depth = _Adaptive(layout, solver), 1
         else:
             self._work, depth = _Cycles(layout, solver), MAILBOX_DEPTH
+        self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
+        self._block_of_taxel = np.argsort(layout.phi().order) // layout.phi().block_size
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, depth)
 
@@ -91,6 +94,23 @@ class ReconstructorService:
         )
         self.images += 1
         self._fabric.publish(IMAGE, message)
+        self._fabric.publish(CONTACTS, self._contacts(message, image))
+
+    def _contacts(self, message: Image, image: Image_n) -> Contacts:
+        """Find the contacts of an image; an image without any valid sum says nothing of them."""
+        started_s = time.perf_counter()
+        is_blind = message.valid_sums == 0
+        valid = np.frombuffer(message.valid, np.bool_)[self._block_of_taxel].reshape(image.shape)
+        found, ended = ([], []) if is_blind else self._tracker.take(image, message.sync_mono_ns, valid)
+        return Contacts(
+            cycle=message.cycle,
+            sync_counter=message.sync_counter,
+            sync_mono_ns=message.sync_mono_ns,
+            contacts=found,
+            ended=ended,
+            find_s=time.perf_counter() - started_s,
+            blind=is_blind,
+        )
 
 
 class _Cycles:

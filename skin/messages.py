@@ -98,6 +98,85 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     solve_s: float
 
 
+class Contact(msgspec.Struct, frozen=True, kw_only=True):
+    """A region of the skin that is touched.
+
+    Attributes
+    ----------
+    identity : int
+        Number of the contact, from 1; the same in every image from onset to end. A contact that joined another one has
+        its number again when they part; otherwise no number is used twice.
+    row, column : float
+        Centre of force, in taxels; (0, 0) is the centre of the first taxel.
+    force_n, peak_n : float
+        Sum of the forces of its taxels, and the largest of them, newtons.
+    taxels : int
+        Number of its taxels.
+    top, bottom, left, right : int
+        First and last row, first and last column of its taxels.
+    onset_mono_ns : int
+        Time of the first image with this contact.
+    invalid_taxels : int
+        Number of its taxels whose block is not valid: their forces are estimates from their neighbours.
+    """
+
+    identity: int
+    row: float
+    column: float
+    force_n: float
+    peak_n: float
+    taxels: int
+    top: int
+    bottom: int
+    left: int
+    right: int
+    onset_mono_ns: int
+    invalid_taxels: int = 0
+
+
+class EndedContact(msgspec.Struct, frozen=True):
+    """A contact that has ended.
+
+    Attributes
+    ----------
+    end_mono_ns : int
+        Time of the last image with this contact; of the joining, if it joined another contact.
+    joined : int
+        Identity of the contact that it joined; 0 if the touch ended.
+    """
+
+    identity: int
+    onset_mono_ns: int
+    end_mono_ns: int
+    joined: int = 0
+
+
+class Contacts(msgspec.Struct, frozen=True, kw_only=True):
+    """The contacts of one image.
+
+    Attributes
+    ----------
+    cycle, sync_counter, sync_mono_ns : int
+        Of the image.
+    contacts : list of Contact
+        The strongest first.
+    ended : list of EndedContact
+        Those that ended since the image before.
+    find_s : float
+        Time of the search in seconds.
+    blind : bool
+        No sum was valid: there are no contacts in this message, but that does not mean "no contact".
+    """
+
+    cycle: int
+    sync_counter: int
+    sync_mono_ns: int
+    contacts: list[Contact]
+    ended: list[EndedContact]
+    find_s: float
+    blind: bool = False
+
+
 #: Label of a contact that differs from all objects of the training.
 UNKNOWN_OBJECT: Final = "unknown object"
 
@@ -271,6 +350,7 @@ class Topic(msgspec.Struct, frozen=True):
 
 MEASUREMENT: Final = Topic("measurement", Measurement)
 IMAGE: Final = Topic("image", Image)
+CONTACTS: Final = Topic("contacts", Contacts)
 LABEL: Final = Topic("label", Label)
 TRUTH: Final = Topic("truth", Truth)
 GATEWAY: Final = Topic("gateway", GatewayStatus)

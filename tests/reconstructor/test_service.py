@@ -18,7 +18,7 @@ from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
 from skin.fabric import Fabric
 from skin.layout import Layout, load_layout
-from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from skin.service import StopSignal
 from tests import adaptive_messages
 from tests.adaptive_messages import adaptive_measurement
@@ -110,6 +110,32 @@ def test_missing_blocks_and_an_empty_cycle(hub: Fabric, service: ReconstructorSe
     assert not np.frombuffer(empty.pixels, "<f4").any()
 
 
+def test_contacts_come_with_every_image_and_a_blind_image_says_nothing_of_them(
+    hub: Fabric, service: ReconstructorService, golf: Scene
+) -> None:
+    found: queue.Queue[Contacts] = queue.Queue()
+    hub.subscribe(CONTACTS, found.put)
+    exchange = Exchange(hub)
+
+    def contacts_of(cycle: int, valid: np.ndarray) -> Contacts:
+        exchange.image_of(measurement(cycle, golf.sensor[30], valid))
+        return next(each for each in iter(lambda: found.get(timeout=30), None) if each.cycle == cycle)
+
+    whole, partly, blind = (
+        contacts_of(1, np.ones(128)), contacts_of(2, np.arange(128) % 16 > 0), contacts_of(3, np.zeros(128))
+    )  # fmt: skip
+    contact, later = whole.contacts[0], partly.contacts[0]
+    assert contact.force_n == pytest.approx(golf.true[30].sum(), rel=0.1)
+    assert contact.identity == later.identity
+    assert contact.onset_mono_ns == later.onset_mono_ns == 1000
+    assert contact.invalid_taxels == 0
+    # One block in sixteen is not valid, and blocks are scattered over the skin.
+    assert later.invalid_taxels == pytest.approx(later.taxels / 16, rel=0.7)
+    assert [whole.blind, partly.blind, blind.blind] == [False, False, True]
+    assert not blind.contacts
+    assert not blind.ended
+
+
 def test_what_does_not_fit_is_refused_and_told_once(
     hub: Fabric, service: ReconstructorService, golf: Scene, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -144,7 +170,7 @@ def test_extreme_counts_do_no_harm(service: ReconstructorService, golf: Scene) -
 def test_adaptive_sums_give_an_image_of_what_is_known(hub: Fabric, endpoint: str, golf: Scene) -> None:
     fabric = Fabric(LAYOUT.name, "reconstructor", endpoint)
     images: queue.Queue[Image] = queue.Queue()
-    fabric.publish = lambda _, image: images.put(image)  # type: ignore[method-assign]
+    fabric.publish = lambda topic, image: images.put(image) if topic is IMAGE else None  # type: ignore[method-assign]
     layout = adaptive_messages.LAYOUT
     service = ReconstructorService(layout, AdaptiveReconstructor(layout), fabric)
     try:

@@ -1,0 +1,328 @@
+"""Contacts: where the skin is touched, how strongly, and which touch is which from image to image.
+
+A contact is a region of neighbouring taxels with force. From one image to the next:
+
+* A region belongs to the contact whose taxels it covers.
+* Two objects slide into each other: each taxel of their region keeps its contact, and the border between the contacts
+  follows the valley between them. So both keep their identities, and have them when they part.
+* A contact that has no peak of its own beside another one has joined it. When the other one parts, the piece is the
+  contact that joined last.
+* The regions of one touch often grow together after the onset: a contact younger than `ContactSettings.join_s` joins
+  the oldest contact of its region for good.
+* A contact without a region is remembered for `ContactSettings.memory_s`, so that one bad image does not end it.
+"""
+
+from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstructor.kernels.regions import FEATURES, find_regions, measure_parts, number_parts, spread_owners
+from skin.errors import InputError
+from skin.messages import Contact, EndedContact
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """What counts as a contact.
+
+    Attributes
+    ----------
+    edge_n : float
+        Taxels above this force belong to a region, newtons.
+    keep_n : float
+        A contact lasts while a taxel is above this force.
+    onset_n : float
+        A contact begins when a taxel is above this force.
+    join_s : float
+        A contact younger than this joins an older one that it meets; seconds.
+    peak_ratio : float
+        A contact has a peak of its own while its largest force is more than this times the force of the pass to the
+        next.
+    memory_s : float
+        A contact without a region is remembered for so long.
+    reach : float
+        A remembered contact may come back so far from where it was, in taxels.
+
+    Raises
+    ------
+    InputError
+        If the forces are not 0 <= edge <= keep <= onset, or a number is negative.
+    """
+
+    edge_n: float = 0.0005
+    keep_n: float = 0.001
+    onset_n: float = 0.002
+    join_s: float = 0.5
+    peak_ratio: float = 1.05
+    memory_s: float = 0.05
+    reach: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.edge_n <= self.keep_n <= self.onset_n:
+            raise InputError(
+                "expected forces with 0 <= edge_n <= keep_n <= onset_n, got"
+                f" edge_n {self.edge_n:g}, keep_n {self.keep_n:g}, onset_n {self.onset_n:g}"
+            )
+        for name in ("join_s", "peak_ratio", "memory_s", "reach"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"expected {name} of 0 or above, got {getattr(self, name):g}")
+
+
+@dataclass(eq=False)
+class _Track:
+    """A contact from its onset to its end; `row`, `column`: its centre when it was last seen."""
+
+    identity: int
+    onset_ns: int
+    seen_ns: int = 0
+    row: float = 0.0
+    column: float = 0.0
+    #: The contact that it has joined.
+    host: "_Track | None" = None
+
+
+@dataclass(eq=False)
+class _Part:
+    """The taxels of a region that belong to one contact: a row of `measure_parts`, with its region and its contact."""
+
+    #: Its number, and those of the parts that have joined it.
+    numbers: list[int]
+    region: int
+    owner: int
+    force_n: float
+    by_row: float
+    by_column: float
+    peak_n: float
+    taxels: float
+    top: float
+    bottom: float
+    left: float
+    right: float
+    pass_n: float
+    neighbour: float
+    track: _Track | None = None
+
+    def add(self, other: "_Part") -> None:
+        """Take another part in."""
+        self.force_n += other.force_n
+        self.by_row += other.by_row
+        self.by_column += other.by_column
+        self.peak_n = max(self.peak_n, other.peak_n)
+        self.taxels += other.taxels
+        self.top, self.bottom = min(self.top, other.top), max(self.bottom, other.bottom)
+        self.left, self.right = min(self.left, other.left), max(self.right, other.right)
+        self.numbers += other.numbers
+
+    @property
+    def row(self) -> float:
+        """Row of the centre of force."""
+        return self.by_row / self.force_n
+
+    @property
+    def column(self) -> float:
+        """Column of the centre of force."""
+        return self.by_column / self.force_n
+
+
+class ContactTracker:
+    """Finds the contacts of each image, and follows them.
+
+    Parameters
+    ----------
+    rows, columns : int
+        The grid.
+    settings : ContactSettings, optional
+    """
+
+    def __init__(self, rows: int, columns: int, settings: ContactSettings | None = None) -> None:
+        self.settings = settings or ContactSettings()
+        shape = self._shape = rows, columns
+        #: Of each taxel, 1 + the place of its contact in `_tracks`; 0 without a contact.
+        self._owners = np.zeros(shape, np.int32)
+        self._regions, self._parts, self._seeds = (np.zeros(shape, np.int32) for _ in range(3))
+        self._queue = np.empty(rows * columns, np.int32)
+        self._pairs = np.empty((rows * columns, 2), np.int32)
+        self._tracks: list[_Track] = []
+        self._lost: list[_Track] = []
+        self._joined: list[_Track] = []
+        self._ended: list[EndedContact] = []
+        self._begun = 0
+        self._now_ns = 0
+
+    def take(
+        self, image: npt.NDArray[np.floating], now_ns: int, valid: npt.NDArray[np.bool_] | None = None
+    ) -> tuple[list[Contact], list[EndedContact]]:
+        """Return the contacts of the next image, the strongest first, and the contacts that have ended.
+
+        Parameters
+        ----------
+        image : array of float, shape (rows, columns)
+            Newtons.
+        now_ns : int
+            Time of the image, nanoseconds; never earlier than that of the image before.
+        valid : array of bool, shape (rows, columns), optional
+            Which taxels were measured; without it, all.
+
+        Raises
+        ------
+        InputError
+            If the image has another shape.
+        """
+        if image.shape != self._shape:
+            raise InputError(f"expected an image of {self._shape} taxels, got {image.shape}")
+        if self._is_over(self._now_ns, now_ns):
+            self._lost += self._tracks
+            self._tracks = []
+            self._owners[:] = 0
+        self._now_ns, self._ended = now_ns, []
+        parts = self._cut(image)
+        self._assign(parts)
+        kept = self._join(parts)
+        kept.sort(key=attrgetter("force_n"), reverse=True)
+        contacts = self._follow(kept, len(parts), valid)
+        self._forget()
+        return contacts, self._ended
+
+    def warm_up(self) -> None:
+        """Compile the kernels, or take them from the cache; before the first image."""
+        ContactTracker(*self._shape).take(np.full(self._shape, 0.01, np.float32), 0)
+
+    def _is_over(self, seen_ns: int, now_ns: int) -> bool:
+        return now_ns - seen_ns > 1e9 * self.settings.memory_s
+
+    def _cut(self, image: npt.NDArray[np.floating]) -> list[_Part]:
+        """Cut the image into parts, one for each pair of region and earlier contact."""
+        settings = self.settings
+        find_regions(image, settings.edge_n, settings.keep_n, self._regions, self._queue)
+        spread_owners(image, self._regions, self._owners, self._seeds)
+        count = number_parts(self._regions, self._owners, self._parts, self._pairs)
+        table = np.empty((count, FEATURES))
+        measure_parts(image, self._parts, table)
+        rows = zip(self._pairs[:count].tolist(), table.tolist(), strict=True)
+        return [_Part([number], *pair, *row) for number, (pair, row) in enumerate(rows, 1)]
+
+    def _assign(self, parts: list[_Part]) -> None:
+        """Give each part its contact: the earlier one to its strongest part, to the others one remembered or new."""
+        gone = dict(enumerate(self._tracks, 1))
+        free = []
+        for part in sorted(parts, key=attrgetter("force_n"), reverse=True):
+            part.track = gone.pop(part.owner, None)
+            if part.track is None and part.peak_n > self.settings.onset_n:
+                free.append(part)
+        self._lost += gone.values()
+        for part in free:
+            part.track = self._parted(part) or self._remembered(part) or self._new()
+
+    def _parted(self, part: _Part) -> _Track | None:
+        """Take the contact that joined the owner of this part last."""
+        host = self._tracks[part.owner - 1] if part.owner else None
+        for track in reversed(self._joined if host else ()):
+            if track.host is host:
+                self._joined.remove(track)
+                return track
+        return None
+
+    def _remembered(self, part: _Part) -> _Track | None:
+        """Take the nearest lost contact within reach."""
+        distances = [(each.row - part.row) ** 2 + (each.column - part.column) ** 2 for each in self._lost]
+        if not distances or min(distances) > self.settings.reach**2:
+            return None
+        return self._lost.pop(distances.index(min(distances)))
+
+    def _new(self) -> _Track:
+        self._begun += 1
+        return _Track(self._begun, self._now_ns)
+
+    def _join(self, parts: list[_Part]) -> list[_Part]:
+        """Join the parts of a region that are one contact; return what is left, without parts of no contact."""
+        of_number = {number: part for part in parts for number in part.numbers}
+        kept = []
+        for _, group in groupby(sorted(parts, key=attrgetter("region")), attrgetter("region")):
+            region = list(group)
+            oldest = min(region, key=_age)
+            if oldest.track is None:
+                continue
+            for part in sorted(region, key=attrgetter("peak_n")):
+                host = self._host(part, oldest, of_number.get(int(part.neighbour)))
+                if host is None:
+                    kept.append(part)
+                else:
+                    self._give(part, host, may_part=host is not oldest or not self._is_young(part))
+                    of_number.update(dict.fromkeys(part.numbers, host))
+        return kept
+
+    def _host(self, part: _Part, oldest: _Part, neighbour: _Part | None) -> _Part | None:
+        """Return the part that this one joins, if any."""
+        if part is not oldest and self._is_young(part):
+            return oldest
+        has_peak = part.peak_n > self.settings.peak_ratio * part.pass_n
+        return None if has_peak or neighbour is part else neighbour
+
+    def _is_young(self, part: _Part) -> bool:
+        return part.track is None or self._now_ns - part.track.onset_ns < 1e9 * self.settings.join_s
+
+    def _give(self, part: _Part, host: _Part, *, may_part: bool) -> None:
+        """Join a part to another one."""
+        host.add(part)
+        track, part.track = part.track, None
+        if track is None or host.track is None:
+            return
+        if track.seen_ns:
+            self._ended.append(EndedContact(track.identity, track.onset_ns, self._now_ns, host.track.identity))
+        if may_part:
+            track.host = host.track
+            self._joined.append(track)
+
+    def _follow(self, parts: list[_Part], count: int, valid: npt.NDArray[np.bool_] | None) -> list[Contact]:
+        """Note where each contact is now, and return the contacts.
+
+        Parameters
+        ----------
+        count : int
+            Number of parts before some were joined.
+        """
+        owner_of_part = np.zeros(count + 1, np.int32)
+        for place, part in enumerate(parts, 1):
+            owner_of_part[part.numbers] = place
+        np.take(owner_of_part, self._parts, out=self._owners)
+        unmeasured = self._owners[~valid] if valid is not None else np.zeros(0, np.int32)
+        invalid = np.bincount(unmeasured, minlength=len(parts) + 1)[1:].tolist()
+        contacts = []
+        self._tracks = []
+        for part, invalid_taxels in zip(parts, invalid, strict=True):
+            track = part.track or self._new()
+            track.seen_ns, track.row, track.column = self._now_ns, part.row, part.column
+            self._tracks.append(track)
+            contacts.append(
+                Contact(
+                    identity=track.identity,
+                    row=part.row,
+                    column=part.column,
+                    force_n=part.force_n,
+                    peak_n=part.peak_n,
+                    taxels=int(part.taxels),
+                    top=int(part.top),
+                    bottom=int(part.bottom),
+                    left=int(part.left),
+                    right=int(part.right),
+                    onset_mono_ns=track.onset_ns,
+                    invalid_taxels=invalid_taxels,
+                )
+            )
+        return contacts
+
+    def _forget(self) -> None:
+        """End the contacts that have been without a region for too long, and forget those that had joined them."""
+        over = [each for each in self._lost if self._is_over(each.seen_ns, self._now_ns)]
+        self._lost = [each for each in self._lost if each not in over]
+        self._ended += [EndedContact(each.identity, each.onset_ns, each.seen_ns) for each in over]
+        alive = {each.identity for each in (*self._tracks, *self._lost, *self._joined)}
+        self._joined = [each for each in self._joined if each.host and each.host.identity in alive]
+
+
+def _age(part: _Part) -> tuple[float, int]:
+    """Sort the oldest contact first, parts without a contact last."""
+    return (part.track.onset_ns, part.track.identity) if part.track else (float("inf"), 0)

@@ -1,0 +1,192 @@
+"""Contacts: what counts as one, its figures, and its identity while touches slide, meet, part and go."""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from reconstructor.contacts import ContactSettings, ContactTracker
+from skin.errors import InputError
+from skin.messages import Contact, EndedContact
+
+ROWS, COLUMNS = 32, 48
+PERIOD_NS = 10_000_000
+Image = npt.NDArray[np.float32]
+Y, X = np.mgrid[:ROWS, :COLUMNS]
+
+
+def bump(row: float, column: float, peak_n: float = 0.01, width: float = 2.0) -> Image:
+    """Return the image of a soft ball."""
+    image: Image = (peak_n * np.exp(-((Y - row) ** 2 + (X - column) ** 2) / (2 * width**2))).astype(np.float32)
+    return image
+
+
+NOTHING = np.zeros((ROWS, COLUMNS), np.float32)
+
+
+class Run:
+    """A tracker that is shown one image after the other."""
+
+    def __init__(self, contact_settings: ContactSettings | None = None) -> None:
+        self.tracker = ContactTracker(ROWS, COLUMNS, contact_settings)
+        self.now_ns = 0
+        self.ended: list[EndedContact] = []
+
+    def show(self, image: Image, pause_ns: int = PERIOD_NS) -> list[Contact]:
+        self.now_ns += pause_ns
+        contacts, ended = self.tracker.take(image, self.now_ns)
+        self.ended += ended
+        return contacts
+
+    def all(self, images: Iterable[Image]) -> list[list[Contact]]:
+        return [self.show(image) for image in images]
+
+
+def identities(contacts: list[Contact]) -> set[int]:
+    return {each.identity for each in contacts}
+
+
+def test_a_contact_has_the_figures_of_its_taxels() -> None:
+    image = NOTHING.copy()
+    image[4, 7:10] = 0.002, 0.004, 0.006
+    image[5, 9] = 0.001
+    (contact,) = Run().show(image)
+    assert (contact.identity, contact.taxels, contact.onset_mono_ns) == (1, 4, PERIOD_NS)
+    assert (contact.top, contact.bottom, contact.left, contact.right) == (4, 5, 7, 9)
+    assert contact.force_n == pytest.approx(0.013)
+    assert contact.peak_n == pytest.approx(0.006)
+    assert contact.row == pytest.approx((4 * 12 + 5) / 13)
+    assert contact.column == pytest.approx((7 * 2 + 8 * 4 + 9 * 7) / 13)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.floats(0.9, 0.995))
+def test_contacts_of_one_image_are_the_connected_regions_that_another_library_finds(seed: int, empty: float) -> None:
+    random = np.random.default_rng(seed)
+    image = np.where(random.random((ROWS, COLUMNS)) < empty, 0, random.uniform(0, 0.02, (ROWS, COLUMNS)))
+    labels, count = ndimage.label(image > 0.0005, np.ones((3, 3)))
+    peaks = ndimage.maximum(image, labels, range(1, count + 1)) if count else []
+    expected = [place for place, peak in enumerate(peaks, 1) if peak > 0.002]
+    forces = sorted(float(ndimage.sum(image, labels, place)) for place in expected)
+    contacts = Run().show(image.astype(np.float32))
+    assert sorted(each.force_n for each in contacts) == pytest.approx(forces)
+    assert [each.force_n for each in contacts] == sorted((each.force_n for each in contacts), reverse=True)
+    assert sum(each.taxels for each in contacts) == sum(int((labels == place).sum()) for place in expected)
+
+
+def test_noise_is_no_contact_and_a_contact_lasts_until_its_force_has_fallen_well_below_its_onset() -> None:
+    run = Run()
+    assert not run.show(bump(16, 20, 0.0019))
+    assert identities(run.show(bump(16, 20, 0.0021))) == {1}
+    assert identities(run.show(bump(16, 20, 0.0011))) == {1}
+    assert not run.show(bump(16, 20, 0.0009))
+
+
+def test_a_sliding_contact_keeps_its_identity_and_its_onset() -> None:
+    shown = Run().all(bump(16, 5 + 0.5 * step) for step in range(70))
+    assert [(each.identity, each.onset_mono_ns) for contacts in shown for each in contacts] == [(1, PERIOD_NS)] * 70
+    assert shown[-1][0].column == pytest.approx(39.5, abs=0.1)
+
+
+def test_a_jump_farther_than_the_memory_reaches_is_another_contact() -> None:
+    run = Run()
+    run.show(bump(16, 5))
+    assert identities(run.show(bump(16, 40))) == {2}
+
+
+def meeting(gap: Callable[[int], float], steps: int) -> Iterable[Image]:
+    """Two balls, one stronger, that come and go along a row."""
+    for step in range(steps):
+        yield bump(16, 24 - gap(step), 0.012) + bump(16, 24 + gap(step), 0.008)
+
+
+def test_two_contacts_that_touch_keep_their_identities_and_figures_and_have_them_when_they_part() -> None:
+    run = Run()
+    shown = run.all(meeting(lambda step: 4.0 + abs(step - 100) * 0.06, 200))
+    assert all(identities(contacts) == {1, 2} for contacts in shown)
+    assert not run.ended
+    closest = {each.identity: each for each in shown[100]}
+    assert closest[1].column == pytest.approx(20, abs=0.3)
+    assert closest[2].column == pytest.approx(28, abs=0.3)
+    assert closest[1].force_n == pytest.approx(float(bump(16, 20, 0.012).sum()), rel=0.05)
+
+
+def test_the_border_between_two_contacts_moves_with_them() -> None:
+    run = Run()
+    for step in range(120):
+        run.show(bump(16, 8, 0.012) + bump(16, 28 - 0.1 * step, 0.008))
+    for step in range(200):
+        contacts = run.show(bump(16, 8 + 0.1 * step, 0.012) + bump(16, 16 + 0.1 * step, 0.008))
+    by_identity = {each.identity: each for each in contacts}
+    assert by_identity[1].column == pytest.approx(28, abs=0.3)
+    assert by_identity[2].column == pytest.approx(36, abs=0.3)
+
+
+def test_a_contact_that_vanishes_in_another_joins_it_and_has_its_identity_again_when_they_part() -> None:
+    run = Run()
+    shown = run.all(meeting(lambda step: abs(step - 120) * 0.1, 240))
+    assert [identities(shown[step]) for step in (0, 120, 239)] == [{1, 2}, {1}, {1, 2}]
+    assert [(each.identity, each.joined) for each in run.ended] == [(2, 1)]
+    assert {each.identity: each.onset_mono_ns for each in shown[239]} == {1: PERIOD_NS, 2: PERIOD_NS}
+
+
+def test_regions_of_one_touch_that_grow_together_soon_after_the_onset_become_one_contact() -> None:
+    run = Run()
+    shown = run.all(bump(16, 20, 0.0005 * step) + bump(16, 29, 0.0005 * step) for step in range(30))
+    assert [len(contacts) for contacts in shown][5] == 2
+    assert identities(shown[-1]) == {1}
+    assert [(each.identity, each.joined) for each in run.ended] == [(2, 1)]
+
+
+def test_the_end_comes_after_the_memory_with_the_time_of_the_last_image() -> None:
+    run = Run()
+    run.show(bump(16, 20))
+    run.all([NOTHING] * 5)
+    assert not run.ended
+    run.show(NOTHING)
+    assert run.ended == [EndedContact(identity=1, onset_mono_ns=PERIOD_NS, end_mono_ns=PERIOD_NS)]
+    assert identities(run.show(bump(16, 20))) == {2}
+
+
+def test_one_bad_image_does_not_end_a_contact() -> None:
+    run = Run()
+    run.show(bump(16, 20))
+    run.show(NOTHING)
+    assert identities(run.show(bump(17, 21))) == {1}
+    assert not run.ended
+
+
+def test_after_a_pause_longer_than_the_memory_contacts_begin_anew_unless_they_are_where_they_were_remembered() -> None:
+    run = Run()
+    run.show(bump(16, 20))
+    assert identities(run.show(bump(16, 20), 1_000_000_000)) == {1}
+    assert identities(run.show(bump(16, 40), 1_000_000_000)) == {2}
+    assert [each.identity for each in run.ended] == [1]
+
+
+def test_taxels_that_were_not_measured_are_counted() -> None:
+    tracker = ContactTracker(ROWS, COLUMNS)
+    image = NOTHING.copy()
+    image[4, 7:10] = 0.005
+    image[20, 30] = 0.006
+    valid = np.ones_like(image, np.bool_)
+    valid[4, 8:20] = False
+    contacts, _ = tracker.take(image, 1, valid)
+    assert [(each.taxels, each.invalid_taxels) for each in contacts] == [(3, 2), (1, 0)]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"edge_n": 0.003}, {"onset_n": 0.0001}, {"edge_n": -1.0}, {"join_s": -1.0}, {"reach": float("nan")}]
+)
+def test_settings_that_contradict_each_other_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        ContactSettings(**wrong)
+
+
+def test_an_image_of_another_shape_is_refused() -> None:
+    with pytest.raises(InputError, match=r"\(32, 48\).*\(48, 32\)"):
+        ContactTracker(ROWS, COLUMNS).take(NOTHING.T, 1)
