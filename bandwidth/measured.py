@@ -100,7 +100,7 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     first, last = (int(syncs[0]), int(syncs[-1])) if len(syncs) > 1 else (0, len(real) - 1)
     seconds = (int(real["time_ns"][last]) - int(real["time_ns"][first])) * 1e-9
     if seconds <= 0:
-        raise InputError("expected frames with times that grow: the first and the last have the same")
+        raise InputError("expected frames with times that grow: the last is not later than the first")
     return real[first:last], seconds
 
 

@@ -8,6 +8,10 @@ from typing import Final
 SDO_QUIET_S: Final = 0.05
 #: A block download of another master has ended when no frame of it comes for this long.
 BLOCK_DOWNLOAD_S: Final = 1.0
+#: First byte of an abort (CiA 301, 7.2.4.3.17); no segment of a block download begins with it.
+_ABORT: Final = 0x80
+#: First byte of the answer that ends a block download (CiA 301, 7.2.4.3.11).
+_BLOCK_DOWNLOAD_ENDED: Final = 0xA1
 
 
 class Effect(Enum):
@@ -44,6 +48,8 @@ class ForeignClient:
     def take(self, data: bytes, now_s: float) -> Effect:
         """Tell what a request means."""
         kind = data[0] >> 5
+        if data[0] == _ABORT:
+            self._in_block_download = False
         if self._in_block_download and now_s - self._heard_s < BLOCK_DOWNLOAD_S:
             kind = 0  # the data of a block download: its first byte is a number
         else:
@@ -54,3 +60,8 @@ class ForeignClient:
         if kind in (0, 1, 6) and self._is_suspect:
             return Effect.DOUBT
         return Effect.BUSY if kind else Effect.NONE
+
+    def take_answer(self, data: bytes) -> None:
+        """Note that the node ends or refuses a block download: what follows are requests again."""
+        if data[0] in (_ABORT, _BLOCK_DOWNLOAD_ENDED):
+            self._in_block_download = False

@@ -49,8 +49,6 @@ STABLE_S: Final = 10.0
 UNDER_WAY_NS: Final = 300_000_000
 #: Most SDO dialogues at the same time. SDO frames have a lower priority than TPDOs.
 DIALOGUES: Final = 16
-#: An emergency at most this long before a node left is logged as the reason.
-EXPLAINS_S: Final = 2.0
 #: How often `tick` looks at every node.
 TICK_S: Final = 0.01
 
@@ -166,6 +164,7 @@ class NmtMaster:
 
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
         if base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
+            node.foreign.take_answer(data)
             if node.dialogue is not None:
                 node.dialogue.take(data, now_s)
                 self._finish(node, now_s)
@@ -194,7 +193,7 @@ class NmtMaster:
             if is_under_way and now_s - node.trusted_s < SILENT_AFTER_S:
                 return
             node.nmt = state
-            self._lose(node, f"left OPERATIONAL: {state_text(state)}{self._explanation(node, now_s)}", now_s)
+            self._lose(node, f"left OPERATIONAL: {state_text(state)}{node.explanation(now_s)}", now_s)
             return
         node.nmt = state
         if was_silent and not node.trusted:
@@ -208,7 +207,7 @@ class NmtMaster:
             node.tries = 0
         node.refusal = ""
         if node.trusted:
-            self._lose(node, f"booted again{node.hint or self._explanation(node, now_s)}", now_s)
+            self._lose(node, f"booted again{node.hint or node.explanation(now_s)}", now_s)
         elif node.lost_s is None:
             node.prove_at_s = now_s
         else:
@@ -291,11 +290,15 @@ class NmtMaster:
         self._lines.flush()
 
     def _check_times(self, node: NodeRecord, limit_s: float, now_s: float) -> None:
-        """Find a heartbeat or a proof that is overdue."""
+        """Find a heartbeat or a proof that is overdue, and a refused node that sends PDOs."""
         if node.nmt != SILENT and now_s - node.heard_s > SILENT_AFTER_S:
             node.nmt, node.refusal = SILENT, ""
             if node.trusted:
                 self._lose(node, f"silent: no heartbeat for {SILENT_AFTER_S:g} s", now_s)
+        if node.refusal and node.nmt == NmtState.OPERATIONAL:
+            # Its PDOs may have identifiers of other nodes.
+            self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
+            node.nmt = NmtState.PRE_OPERATIONAL
         if node.trusted and now_s - node.trusted_s > STABLE_S:
             node.tries = 0
         if node.trusted and now_s - node.proven_s > limit_s:
@@ -393,7 +396,3 @@ class NmtMaster:
 
     def _command(self, command: NmtCommand, node_id: int) -> None:
         self._send(NMT_COB_ID, bytes((command, node_id)))
-
-    @staticmethod
-    def _explanation(node: NodeRecord, now_s: float) -> str:
-        return f" after EMCY {node.emcy:04X}h" if now_s - node.emcy_s < EXPLAINS_S else ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from dbc.contract import NodeContract
 from gateway.foreign_sdo import ForeignClient
 from gateway.sdo import SdoDialogue
 from skin.messages import SILENT
+
+#: An emergency at most this long before a node left is logged as the reason.
+EXPLAINS_S: Final = 2.0
 
 
 @dataclass
@@ -80,6 +84,10 @@ class NodeRecord:
     def is_free(self) -> bool:
         """Whether no dialogue with the node is open: it answers one request at a time."""
         return self.dialogue is None and self.errand is None
+
+    def explanation(self, now_s: float) -> str:
+        """Return the emergency that explains why the node leaves now, empty without one."""
+        return f" after EMCY {self.emcy:04X}h" if now_s - self.emcy_s < EXPLAINS_S else ""
 
     def end_errand(self) -> None:
         """Drop the errand if it is done."""

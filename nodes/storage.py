@@ -1,6 +1,7 @@
 """The parameters of one node that 1010h stores (CiA 301, 7.5.2.13): in memory, and in a file if a folder is given."""
 
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 
@@ -9,13 +10,15 @@ from skin.output import write_file
 
 #: Values by index and sub-index, in the bytes of an SDO transfer.
 Parameters = dict[int, dict[int, bytes]]
+_Place = Annotated[str, msgspec.Meta(pattern="^[0-9A-F]{4}:[0-9A-F]{2}$")]
+_Value = Annotated[str, msgspec.Meta(pattern="^([0-9a-f]{2})*$")]
 
 
 class _Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Content of the file: fingerprint of Φ, and the values in hexadecimal by ``INDEX:SUBINDEX``."""
 
     phi: str
-    parameters: dict[str, str]
+    parameters: dict[_Place, _Value]
 
 
 class Storage:

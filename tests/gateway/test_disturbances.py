@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 
 from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
-from dbc.contract import Contract
 from dbc.frame import ECHO
 from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, SIGNATURE_LOAD, SIGNATURE_SAVE
 from gateway.nmt_master import LATER_S, PAUSES_S
 from tests.gateway.test_proof import little, swap_mapping
-from tests.gateway.world import EndOfWire, Wire, World, small_contract
+from tests.gateway.world import STEP_S, EndOfWire, Wire, World, small_contract
 
 EXAMPLES, STEPS = 50, 200  # 10,000 steps
 #: After the last disturbance and the pause of a node that is out: a heartbeat, another pause, a proof that runs out.
@@ -44,6 +43,8 @@ value = st.one_of(st.sampled_from(VALUES), st.binary(min_size=1, max_size=4))
 action = st.one_of(
     st.just(("quiet",)),
     st.tuples(st.just("write"), node, place, value),
+    st.tuples(st.just("write in segments"), node, place, value),
+    st.tuples(st.just("request"), node, st.integers(0, 255), place, value),
     st.tuples(st.just("swap"), node, st.integers(0, 3)),
     st.tuples(st.just("pattern"), node, st.integers(0, 3)),
     st.tuples(st.just("nmt"), st.integers(0, 1), st.sampled_from(list(NmtCommand)), st.integers(0, 2)),
@@ -67,8 +68,11 @@ class Losing:
 def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
     """Do one thing to the skin; return the blocks it may have changed."""
     match what:
-        case ("write", (bus, node_id), (index, subindex, size), data):
-            world.write(bus, node_id, index, subindex, data.ljust(size, b"\0")[:size])
+        case ("write" | "write in segments" as how, (bus, node_id), (index, subindex, size), data):
+            write = world.write if how == "write" else world.write_in_segments
+            write(bus, node_id, index, subindex, data.ljust(size, b"\0")[:size])
+        case ("request", (bus, node_id), command, (index, subindex, _), data):
+            world.request(bus, node_id, command, index, subindex, data)
         case ("swap", (bus, node_id), tpdo):
             swap_mapping(world, bus, node_id, tpdo)
         case ("pattern", (bus, node_id), pattern):
@@ -92,15 +96,15 @@ def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
     return [bus * 2 + node_id - 1]
 
 
-def drive(contract: Contract, actions: list[tuple], store: Path, *, gateway_loses: bool) -> None:
-    world = World(contract, store)
+def drive(world: World, actions: list[tuple], *, gateway_loses: bool, pause_s: float = STEP_S) -> None:
+    """Disturb a skin again and again, `pause_s` apart; then let it become whole."""
     world.until_whole(2.0)
-    changed_s = np.full(contract.phi.blocks, -np.inf)
+    changed_s = np.full(world.contract.phi.blocks, -np.inf)
     limit_s = max(master.proof_limit_s for master in world.gateway.masters.values())
     for what in actions:
         for block in disturb(world, what, gateway_loses=gateway_loses):
             changed_s[block] = world.now_s
-        for each in world.step():
+        for each in world.run(pause_s):
             for block in world.wrong_blocks(each):
                 ago_s = world.now_s - changed_s[block]
                 assert gateway_loses, f"block {block} is wrong"
@@ -127,7 +131,7 @@ def test_ten_thousand_steps(gateway_loses: bool) -> None:
     @given(st.lists(action, min_size=STEPS, max_size=STEPS))
     def run(actions: list[tuple]) -> None:
         with TemporaryDirectory() as folder:
-            drive(SMALL, actions, Path(folder), gateway_loses=gateway_loses)
+            drive(World(SMALL, Path(folder)), actions, gateway_loses=gateway_loses)
 
     run()
 
@@ -147,4 +151,4 @@ def test_a_short_while_of_disturbances(tmp_path: Path) -> None:
     for gateway_loses in (False, True):
         folder = tmp_path / str(gateway_loses)
         folder.mkdir()
-        drive(SMALL, actions, folder, gateway_loses=gateway_loses)
+        drive(World(SMALL, folder), actions, gateway_loses=gateway_loses)

@@ -158,6 +158,18 @@ def test_data_of_a_block_download_is_no_request(boards: Boards) -> None:
     assert boards.trusted() == [2]
 
 
+@pytest.mark.parametrize(
+    ("base", "command"),
+    [(SDO_RESPONSE_BASE, 0x80), (SDO_RESPONSE_BASE, 0xA1), (SDO_REQUEST_BASE, 0x80)],
+    ids=["the node refuses", "the node confirms", "the master aborts"],
+)
+def test_block_download_that_has_ended_hides_no_write(boards: Boards, base: int, command: int) -> None:
+    boards.hear(SDO_REQUEST_BASE + 1, request(0xC2, OD_GAIN, 3))
+    boards.hear(base + 1, request(command, OD_GAIN, 3))
+    boards.hear(SDO_REQUEST_BASE + 1, request(0x23, OD_TPDO_MAPPING, 1))
+    assert boards.trusted() == [2]
+
+
 def test_proof_gives_way_to_another_master_and_is_begun_again(boards: Boards) -> None:
     boards.mute.update({1, 2})
     boards.asked_s.clear()

@@ -85,6 +85,27 @@ def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
     assert world.gateway.masters[0].refused == []
 
 
+@pytest.mark.parametrize("started", [False, True], ids=["doubted", "started by another master"])
+def test_refused_node_sends_nothing_under_identifiers_of_another_node(started: bool) -> None:
+    """Else its sums would be those of a node that misses a SYNC."""
+    world = World(small_contract('configure = "refuse"'))
+    world.until_whole(2.0)
+    first, second = world.contract.on_bus(0)
+    for place, (tpdo, other) in enumerate(zip(second.tpdos, first.tpdos, strict=True)):
+        for cob_id in (tpdo.cob_id | 0xC000_0000, other.cob_id | 0x4000_0000):
+            world.write(0, second.node_id, OD_TPDO_COMMUNICATION + place, 1, little(cob_id))
+    world.run(0.5)
+    assert world.gateway.masters[0].refused == [second.node_id]
+    if started:
+        world.nmt(0, NmtCommand.START, 0)
+        world.run(1.5)
+    world.nmt(0, NmtCommand.STOP, first.node_id)
+    world.wires[0].log.clear()
+    check(world, 2 * PERIOD_S)
+    taken = {tpdo.cob_id for tpdo in first.tpdos}
+    assert not [cob_id for cob_id, _ in world.wires[0].log if cob_id in taken]
+
+
 def test_test_pattern_is_not_touch(world: World) -> None:
     world.write(1, 2, OD_TEST_PATTERN, 0, b"\2")
     check(world, 1.0)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -173,6 +174,7 @@ class World:
     lines: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     measured: list[Measurement] = field(default_factory=list)
+    step_s: ClassVar[float] = STEP_S
 
     def __post_init__(self) -> None:
         self.electronics = Witness(self.contract.layout.taxels, noise_n=0.0)
@@ -207,8 +209,8 @@ class World:
         )
 
     def step(self) -> list[Measurement]:
-        """Go on by `STEP_S`: everybody does what is due, until nobody says anything more."""
-        self.now_s += STEP_S
+        """Go on by `step_s`: everybody does what is due, until nobody says anything more."""
+        self.now_s += self.step_s
         came: list[Measurement] = []
         self.gateway.tick(self.now_s)
         came += self.gateway.send_sync(self.now_s)
@@ -235,7 +237,7 @@ class World:
     def run(self, seconds: float) -> list[Measurement]:
         """Go on for some time; return the measurements of it."""
         first = len(self.measured)
-        for _ in range(round(seconds / STEP_S)):
+        for _ in range(round(seconds / self.step_s)):
             self.step()
         return self.measured[first:]
 
@@ -277,8 +279,18 @@ class World:
 
     def write(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
         """Write an object by an expedited SDO download."""
-        request = bytes((0x23 | 4 - len(data) << 2,)) + index.to_bytes(2, "little") + bytes((subindex,))
-        self.wires[bus].put(SDO_REQUEST_BASE + node_id, request + data.ljust(4, b"\0"))
+        self.request(bus, node_id, 0x23 | 4 - len(data) << 2, index, subindex, data)
+
+    def write_in_segments(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object of up to seven bytes by a segmented SDO download."""
+        self.request(bus, node_id, 0x21, index, subindex, len(data).to_bytes(4, "little"))
+        segment = bytes((1 | 7 - len(data) << 1,)) + data.ljust(7, b"\0")
+        self.wires[bus].put(SDO_REQUEST_BASE + node_id, segment)
+
+    def request(self, bus: int, node_id: int, command: int, index: int, subindex: int, data: bytes) -> None:
+        """Send an SDO request."""
+        place = index.to_bytes(2, "little") + bytes((subindex,))
+        self.wires[bus].put(SDO_REQUEST_BASE + node_id, bytes((command,)) + place + data.ljust(4, b"\0"))
 
 
 def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:

@@ -125,7 +125,18 @@ def test_full_disk_is_an_abort_and_loses_nothing(
     assert Board(contract, tmp_path).offset == 100.0
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"phi": 3}', '{"phi": "x", "parameters": {"zz": "00"}}', "\0\1\2"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[]",
+        '{"phi": 3}',
+        '{"phi": "x", "parameters": {"zz": "00"}}',
+        '{"phi": "x", "parameters": {"-1:0": "00"}}',
+        '{"phi": "x", "parameters": {"1017:00": "e80"}}',
+        "\0\1\2",
+    ],
+)
 def test_file_that_no_node_stored_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "bus0-1.json").write_text(content)
     with pytest.raises(InputError, match=r"bus0-1\.json: expected parameters"):
