@@ -118,7 +118,7 @@ def test_contacts_come_with_every_image_and_a_blind_image_says_nothing_of_them(
     exchange = Exchange(hub)
 
     def contacts_of(cycle: int, valid: np.ndarray) -> Contacts:
-        exchange.image_of(measurement(cycle, golf.sensor[30], valid))
+        exchange.image_of(measurement(cycle, golf.true[30], valid))
         return next(each for each in iter(lambda: found.get(timeout=30), None) if each.cycle == cycle)
 
     whole, partly, blind = (
