@@ -5,9 +5,11 @@ import math
 import numpy as np
 
 from skin.layout import Layout
-from skin.messages import GatewayStatus, Image, Label, Truth
+from skin.messages import Contacts, GatewayStatus, Image, Label, Truth
 
 FLOAT_BYTES = 4
+#: Most contacts of a message that the page shows.
+MOST_CONTACTS = 256
 
 
 def image_fits(image: Image, layout: Layout) -> bool:
@@ -18,6 +20,15 @@ def image_fits(image: Image, layout: Layout) -> bool:
 def truth_fits(truth: Truth, layout: Layout) -> bool:
     """Tell whether a truth has this skin's taxels, and finite forces."""
     return _pixels_fit(truth.true, layout) and _pixels_fit(truth.sensor, layout)
+
+
+def contacts_fit(contacts: Contacts, layout: Layout) -> bool:
+    """Tell whether every contact has its centre on this skin, and a finite force."""
+    rows, columns = layout.taxels.rows, layout.taxels.columns
+    return len(contacts.contacts) <= MOST_CONTACTS and all(
+        0 <= each.row < rows and 0 <= each.column < columns and math.isfinite(each.force_n)
+        for each in contacts.contacts
+    )
 
 
 def label_fits(label: Label) -> bool:

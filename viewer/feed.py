@@ -7,7 +7,7 @@ from typing import Any
 
 from skin.fabric import Fabric
 from skin.layout import Layout
-from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH, Topic
+from skin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, NODES, TRUTH, Topic
 from skin.peers import Peer
 from viewer.snapshot import Pictures, Snapshot
 from viewer.state import ViewState
@@ -33,6 +33,7 @@ class Feed:
         state = self._state
         handlers: tuple[tuple[Topic, Callable[[Any, float], None]], ...] = (
             (IMAGE, state.take_image),
+            (CONTACTS, state.take_contacts),
             (TRUTH, state.take_truth),
             (LABEL, state.take_label),
             (GATEWAY, state.take_gateway),

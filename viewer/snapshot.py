@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from skin.messages import BusState, GatewayStatus, NodesStatus
+from skin.messages import BusState, Contact, GatewayStatus, NodesStatus
 
 Pixels = npt.NDArray[np.float32]
 
@@ -77,6 +77,24 @@ class TruthState(msgspec.Struct, frozen=True, kw_only=True):
     age_s: float
     stale: bool
     of_image: bool
+
+
+class ContactsState(msgspec.Struct, frozen=True, kw_only=True):
+    """The contacts of the newest image.
+
+    Attributes
+    ----------
+    cycle : int
+        Of their image.
+    blind : bool
+        No sum was valid: nothing is known of contacts.
+    """
+
+    cycle: int
+    contacts: list[Contact]
+    blind: bool
+    age_s: float
+    stale: bool
 
 
 class LabelState(msgspec.Struct, frozen=True, kw_only=True):
@@ -168,6 +186,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     time_s: float
     skin: str
     image: ImageState | None
+    contacts: ContactsState | None
     truth: TruthState | None
     label: LabelState | None
     figures: Figures

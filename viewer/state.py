@@ -8,13 +8,14 @@ import numpy as np
 from skin.ground_truth import Pairs, image_pairs, in_contact
 from skin.labels import is_measured
 from skin.layout import Layout
-from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.messages import Contacts, GatewayStatus, Image, Label, NodesStatus, Truth
 from skin.peers import Peer, new_peer
 from skin.psnr import adds_noise, psnr_db
 from viewer.buses import gateway_state, nodes_state
-from viewer.checks import image_fits, label_fits, status_fits, truth_fits
+from viewer.checks import contacts_fit, image_fits, label_fits, status_fits, truth_fits
 from viewer.notices import notices
 from viewer.snapshot import (
+    ContactsState,
     Figures,
     GatewayState,
     ImageState,
@@ -69,6 +70,7 @@ class ViewState:
         self._layout = layout
         self._epoch_s = epoch_s
         self._image: Last[Image] | None = None
+        self._contacts: Last[Contacts] | None = None
         self._truth: Last[Truth] | None = None
         self._label: Last[Label] | None = None
         self._gateway: Last[GatewayStatus] | None = None
@@ -96,6 +98,13 @@ class ViewState:
             self._latency_s.add(now_s, (image.published_mono_ns - image.sync_mono_ns) * 1e-9)
         for shown, truth in self._pairing.take(image):
             self._compare(shown, truth, now_s)
+
+    def take_contacts(self, contacts: Contacts, now_s: float) -> None:
+        """Use the contacts of an image that came at `now_s`."""
+        if not contacts_fit(contacts, self._layout):
+            self.ignored += 1
+            return
+        self._contacts = Last(contacts, now_s)
 
     def take_truth(self, truth: Truth, now_s: float) -> None:
         """Use a truth that came at `now_s`."""
@@ -156,6 +165,7 @@ class ViewState:
             time_s=self._epoch_s + now_s,
             skin=self._layout.name,
             image=self._image_state(now_s),
+            contacts=self._contacts_state(now_s),
             truth=truth[0] if truth else None,
             label=self._label_state(now_s),
             figures=self._figures(now_s),
@@ -194,6 +204,18 @@ class ViewState:
             invalid_blocks=[int(block) for block in invalid],
             valid_sums=image.valid_sums,
             solve_s=image.solve_s,
+        )
+
+    def _contacts_state(self, now_s: float) -> ContactsState | None:
+        if self._contacts is None:
+            return None
+        contacts, at_s = self._contacts
+        return ContactsState(
+            cycle=contacts.cycle,
+            contacts=contacts.contacts,
+            blind=contacts.blind,
+            age_s=now_s - at_s,
+            stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S),
         )
 
     def _truth_shown(self, now_s: float) -> tuple[TruthState, Truth] | None:

@@ -10,7 +10,7 @@ import pytest
 
 from skin.fabric import Fabric
 from skin.layout import Bus, Layout, Measuring, Taxels
-from skin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.messages import BusState, Contact, Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
 
 SECOND_NS = 1_000_000_000
 
@@ -76,6 +76,16 @@ class Messages:
             true=real.tobytes(),
             sensor=(real if sensor is None else sensor).tobytes(),
             label="golf-ball",
+        )
+
+    def contacts(self, cycle: int = 1, *, blind: bool = False, row: float = 7.5, column: float = 6.0) -> Contacts:
+        force_n = float(self.grid().sum())
+        contact = Contact(
+            identity=7, row=row, column=column, force_n=force_n, peak_n=0.01, taxels=113,
+            top=2, bottom=13, left=0, right=11, onset_mono_ns=0, invalid_taxels=4,
+        )  # fmt: skip
+        return Contacts(
+            cycle=cycle, sync_counter=1, sync_mono_ns=0, contacts=[contact], ended=[], find_s=1e-4, blind=blind
         )
 
     def label(self, label: str = "golf-ball", confidence: float = 0.93, valid_sums: int = 64) -> Label:

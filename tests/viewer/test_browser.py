@@ -12,7 +12,7 @@ import pytest
 import uvicorn
 
 from skin.fabric import Fabric
-from skin.messages import GATEWAY, IMAGE, LABEL, TRUTH
+from skin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, TRUTH
 from tests.browser import CHROMIUM, Browser, chromium
 from viewer.app import build_app
 from viewer.feed import Feed
@@ -27,7 +27,7 @@ class Chain:
     """Stands for the services: publishes a small skin's messages 50 times a second."""
 
     def __init__(self, messages: Any, hub: Fabric, endpoint: str) -> None:
-        self.images, self.truths = True, True
+        self.images, self.truths, self.contacts = True, True, False
         self.invalid: tuple[int, ...] = ()
         self.gateway: dict[str, Any] = {}
         self.label: dict[str, Any] = {}
@@ -46,6 +46,8 @@ class Chain:
             if self.images:
                 image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid)
                 self._hub.publish(IMAGE, image)
+            if self.contacts:
+                self._hub.publish(CONTACTS, self._messages.contacts(cycle))
             self._hub.publish(LABEL, self._messages.label(**self.label))
             self._hub.publish(GATEWAY, self._messages.gateway(cycles=cycle, **self.gateway))
             if self._stop.wait(0.02):
@@ -146,6 +148,17 @@ def test_taxels_of_invalid_blocks_are_hatched(page: Browser, chain: Chain, messa
     hatched = set(messages.layout.phi().order[3 * size : 4 * size].tolist())
     differs = (pixels(page, "image") != pixels(page, "true")).any(axis=2)
     assert set(np.flatnonzero(differs).tolist()) == hatched
+
+
+def test_contacts_are_marked_and_described_while_they_come(page: Browser, chain: Chain) -> None:
+    chain.contacts = True
+    page.until(lambda: "contact 7" in page.text("#readout"), "no contact was described")
+    assert "at row 7.5, column 6.0, 113 taxels, 4 not measured" in page.text("#readout")
+    marked = np.flatnonzero((pixels(page, "image") != pixels(page, "true")).any(axis=2).any(axis=0))
+    assert set(marked.tolist()) & {5, 6, 7}
+    chain.contacts = False
+    page.until(lambda: "contact" not in page.text("#readout"), "an old contact is still described")
+    np.testing.assert_array_equal(pixels(page, "image"), pixels(page, "true"))
 
 
 def test_pointer_names_force_block_and_node(page: Browser, messages: Any) -> None:

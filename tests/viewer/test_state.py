@@ -164,9 +164,22 @@ def test_other_messages_that_do_not_fit_are_ignored(state: ViewState, messages: 
     state.take_gateway(msgspec.structs.replace(status, sync_rate_hz=float("inf")), 1.0)
     state.take_label(messages.label(confidence=float("nan")), 1.0)
     state.take_truth(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
+    state.take_contacts(messages.contacts(row=16.0), 1.0)
+    state.take_contacts(messages.contacts(column=float("nan")), 1.0)
     snapshot, _ = state.snapshot(1.0)
-    assert (snapshot.gateway, snapshot.label, snapshot.truth) == (None, None, None)
-    assert snapshot.ignored == 4
+    assert (snapshot.gateway, snapshot.label, snapshot.truth, snapshot.contacts) == (None, None, None, None)
+    assert snapshot.ignored == 6
+
+
+def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messages: Any) -> None:
+    state.take_contacts(messages.contacts(3), 1.0)
+    state.take_contacts(messages.contacts(4, blind=True), 1.1)
+    shown = state.snapshot(1.2)[0].contacts
+    assert shown is not None
+    assert (shown.cycle, shown.blind, shown.stale, [each.identity for each in shown.contacts]) == (4, True, False, [7])
+    old = state.snapshot(1.8)[0].contacts
+    assert old is not None
+    assert old.stale
 
 
 def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None:

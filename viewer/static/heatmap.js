@@ -60,6 +60,30 @@ export class Heatmap {
     if (taxel !== null) this.outline(brush, [taxel], "#ffffff", 2);
   }
 
+  /** Draw a cross and the identity at the centre of force of each contact. */
+  markContacts(contacts) {
+    const brush = this.canvas.getContext("2d", { alpha: false });
+    const arm = Math.max(4 * devicePixelRatio, this.cell);
+    brush.font = `600 ${Math.round(12 * devicePixelRatio)}px system-ui, "DejaVu Sans", sans-serif`;
+    for (const { identity, row, column } of contacts) {
+      const [x, y] = [(column + 0.5) * this.cell, (row + 0.5) * this.cell];
+      for (const [style, width] of [["#000000c0", 3], ["#ffffff", 1]]) {
+        brush.strokeStyle = style;
+        brush.lineWidth = width * devicePixelRatio;
+        brush.beginPath();
+        brush.moveTo(x - arm, y);
+        brush.lineTo(x + arm, y);
+        brush.moveTo(x, y - arm);
+        brush.lineTo(x, y + arm);
+        brush.stroke();
+        brush.lineWidth = 3 * devicePixelRatio;
+        if (width > 1) brush.strokeText(String(identity), x + arm, y - arm / 2);
+      }
+      brush.fillStyle = "#ffffff";
+      brush.fillText(String(identity), x + arm, y - arm / 2);
+    }
+  }
+
   /** Mark the image as stale with `text`; an empty text removes the mark. */
   setStale(text) {
     this.figure.classList.toggle("stale", Boolean(text));

@@ -11,6 +11,21 @@ const GAP_PX = 12;
 const AROUND_PX = { beside: 400, alone: 240 };
 const SMALLEST_PX = 5;
 const CAPTION_PX = 30;
+// Contacts described in words below the images; all are marked.
+const MOST_DESCRIBED = 3;
+
+/** The contacts that are known now. */
+const touching = ({ contacts }) => (contacts && !contacts.stale && !contacts.blind ? contacts.contacts : []);
+
+/** Text of the strongest contacts. */
+function described(contacts) {
+  const each = contacts.slice(0, MOST_DESCRIBED).map(({ identity, force_n, row, column, taxels, invalid_taxels }) => {
+    const guessed = invalid_taxels ? `, ${invalid_taxels} not measured` : "";
+    return `${identity}: ${(1000 * force_n).toFixed(0)} mN at row ${row.toFixed(1)}, column ${column.toFixed(1)}, ${taxels} taxels${guessed}`;
+  });
+  const more = contacts.length > MOST_DESCRIBED ? [`${contacts.length - MOST_DESCRIBED} more`] : [];
+  return each.length ? `contact ${[...each, ...more].join(" · ")}` : "";
+}
 
 export class Images {
   constructor(skin, buses) {
@@ -51,6 +66,7 @@ export class Images {
     for (const name of NAMES) {
       if (pictures[name]) this.maps[name].draw(pictures[name], top, name === "image" ? hatched : [], marked, this.taxel);
     }
+    if (pictures.image && !lost) this.maps.image.markContacts(touching(snapshot));
     this.explain(snapshot, lost);
     write(document.getElementById("readout"), this.readout(snapshot, pictures));
   }
@@ -73,8 +89,9 @@ export class Images {
     for (const map of [real, sensor]) map.setStale(lost || (truth.stale ? old(truth.age_s) : ""));
   }
 
-  readout({ image }, pictures) {
-    if (this.block === null) return "Point at a taxel for its force, at a node for its taxels.";
+  readout(snapshot, pictures) {
+    const { image } = snapshot;
+    if (this.block === null) return described(touching(snapshot)) || "Point at a taxel for its force, at a node for its taxels.";
     const measured = image && !image.invalid_blocks.includes(this.block) ? "" : ", not measured";
     const where = `block ${this.block} · ${this.buses.place(this.block)}, ${this.buses.state(this.block)}${measured}`;
     if (this.taxel === null) return `${where} · ${this.taxelsOf[this.block].length} taxels outlined`;
