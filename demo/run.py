@@ -142,11 +142,7 @@ class Run:
         self._console.print(f"fabric: {endpoint}", highlight=False)
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
         self._console.print(f"processes: {pids}", highlight=False)
-        patience_s = time.monotonic() + FIRST_CYCLE_PATIENCE_S
-        while not self._has_started() and not stop.wait(TURN_S / 5):
-            self._supervisor.look()
-            if time.monotonic() > patience_s:
-                raise RunError("no cycle came from the gateway")
+        self._await_first_cycle(stop)
         with progress("", self._options.seconds) as bar:
             start_s, before = time.monotonic(), self._supervisor.processor_times()
             while (elapsed_s := time.monotonic() - start_s) < self._options.seconds:
@@ -157,6 +153,17 @@ class Run:
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
             self._score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
+
+    def _await_first_cycle(self, stop: StopSignal) -> None:
+        """Wait until SYNC has started; a gateway that compiles, as on a first start, has more time."""
+        patience_s, is_ready = time.monotonic() + READY_PATIENCE_S, False
+        while not self._has_started() and not stop.wait(TURN_S / 5):
+            self._supervisor.look()
+            if not is_ready and self._score.gateway is not None:
+                patience_s, is_ready = time.monotonic() + FIRST_CYCLE_PATIENCE_S, True
+            if time.monotonic() > patience_s:
+                why = "no cycle came from the gateway" if is_ready else "gateway did not become ready"
+                raise RunError(f"{why} in {FIRST_CYCLE_PATIENCE_S if is_ready else READY_PATIENCE_S:g} s")
 
     def _has_started(self) -> bool:
         """Tell whether SYNC has."""
