@@ -9,10 +9,10 @@ import numpy as np
 from bandwidth.adaptive_log import UNREFINED, SumFrames, sum_frames
 from bandwidth.adaptive_plan import AdaptiveBusPlan
 from bandwidth.departures import errors, foreign, heartbeats, sync
-from bandwidth.measured import BusLoad, is_sum_frame, is_sync, whole_cycles
-from dbc.adaptive import GROUP_SUMS, PAUSE_MS, SendingRule
+from bandwidth.measured import BusLoad, is_sum_frame, is_sum_shape, is_sync, whole_cycles
+from dbc.adaptive import PAUSE_MS, SendingRule
 from dbc.contract import Contract
-from dbc.frame import BRS, FD, Frames
+from dbc.frame import Frames
 from dbc.frame_bits import frame_time_ns
 from skin.walsh import GROUPS
 
@@ -46,8 +46,7 @@ def adaptive_departures(
 
 def _misshapen(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     mine = taken[is_sum_frame(contract, bus, taken)]
-    wrong = (mine["length"] != GROUP_SUMS) | (mine["flags"] & (FD | BRS) != 0)
-    for node_id, count in _by_node(contract, bus, mine[wrong]).items():
+    for node_id, count in _by_node(contract, bus, mine[~is_sum_shape(contract, bus, mine)]).items():
         yield f"node {node_id}: {count} frames of sums have another length or format"
 
 
@@ -87,8 +86,9 @@ def _silent(sums: SumFrames, planned: AdaptiveBusPlan, ended_ns: int) -> Iterato
                 if not sums.is_zero[place]
             ]
             if max(gaps_ms, default=0.0) > most_ms:
+                who = f"node {node_id}" if sums.is_fd else f"node {node_id}: group {group}"
                 yield (
-                    f"node {node_id}: group {group} was silent for {max(gaps_ms) * 1e-3:.1f} s, "
+                    f"{who} was silent for {max(gaps_ms) * 1e-3:.1f} s, "
                     f"its sums are not 0; a frame every {most_ms * 1e-3:.1f} s was planned"
                 )
 

@@ -6,15 +6,17 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.measured import BusLoad, is_sum_frame, whole_cycles
+from bandwidth.measured import BusLoad, is_sum_frame, is_sum_shape, whole_cycles
 from dbc.adaptive import (
-    GROUP_SUMS,
+    IDENTIFIERS,
     LEVELS,
-    NODES,
+    NO_CHECK,
     OTHER_CODES,
     Bytes,
     check_of,
     frame_of,
+    payload_bytes,
+    refines,
 )
 from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
@@ -27,8 +29,6 @@ from skin.walsh import GROUPS
 #: frame of its group, details of another coarse frame, or details before the first coarse frame of the log.
 NEW, AGAIN, REFINING, UNREFINED, EARLY = range(5)
 _SAYINGS: Final = 5
-#: Nothing was seen of the group yet.
-_NONE: Final = -1
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class AdaptiveLoad:
 
 @dataclass(frozen=True, eq=False)
 class SumFrames:
-    """The frames of sums of a log, in its order.
+    """The frames of sums of a log, in its order; on CAN FD (`is_fd`) a frame counts as group 0, and stands for all.
 
     Attributes
     ----------
@@ -88,16 +88,18 @@ class SumFrames:
     is_fine: npt.NDArray[np.bool_]
     says: npt.NDArray[np.int64]
     is_zero: npt.NDArray[np.bool_]
+    is_fd: bool
 
 
 def sum_frames(contract: Contract, bus: int, taken: Frames) -> SumFrames:
     """Find the well-formed frames of sums of bus number `bus`, and follow what each group holds."""
-    mine = taken[is_sum_frame(contract, bus, taken) & (taken["length"] == GROUP_SUMS)]
-    parts = np.array([frame_of(int(can_id)) for can_id in mine["can_id"]], np.int64).reshape(-1, 4)
+    is_fd, mine = contract.layout.bus[bus].fd, taken[is_sum_frame(contract, bus, taken)]
+    mine = mine[is_sum_shape(contract, bus, mine)]
+    parts = np.array([frame_of(int(can_id), is_fd=is_fd) for can_id in mine["can_id"]], np.int64).reshape(-1, 4)
     says, is_zero = np.empty(len(mine), np.int64), np.empty(len(mine), np.bool_)
-    payloads = np.ascontiguousarray(mine["data"][:, :GROUP_SUMS])
-    _follow(parts[:, 0] - 1, parts[:, 2], parts[:, 3] == 1, payloads, says, is_zero)
-    return SumFrames(mine, parts[:, 0], parts[:, 1], parts[:, 2], parts[:, 3] == 1, says, is_zero)
+    payloads = np.ascontiguousarray(mine["data"])
+    _follow(parts[:, 0] - 1, parts[:, 2], parts[:, 3] == 1, payloads, is_fd, says, is_zero)
+    return SumFrames(mine, parts[:, 0], parts[:, 1], parts[:, 2], parts[:, 3] == 1, says, is_zero, is_fd)
 
 
 def measure_adaptive(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> AdaptiveLoad:
@@ -143,20 +145,23 @@ def measure_adaptive(contract: Contract, bus: int, seen: Frames, load: BusLoad) 
 
 @njit(cache=True, nogil=True)
 def _follow(  # noqa: PLR0917  compiled functions take no keywords
-    node: Any, group: Any, is_fine: Any, payloads: Bytes, says: Any, is_zero: Any
+    node: Any, group: Any, is_fine: Any, payloads: Bytes, is_fd: bool, says: Any, is_zero: Any
 ) -> None:
-    check, zero = np.full((NODES, GROUPS), _NONE, np.int64), np.zeros((NODES, GROUPS), np.bool_)
-    held = np.zeros((NODES, GROUPS, GROUP_SUMS), np.uint8)
+    size = payload_bytes(False, is_fd)
+    check, zero = np.full((IDENTIFIERS, GROUPS), NO_CHECK, np.int64), np.zeros((IDENTIFIERS, GROUPS), np.bool_)
+    held = np.zeros((IDENTIFIERS, GROUPS, size), np.uint8)
     for each in range(node.size):
         place, payload = (node[each], group[each]), payloads[each]
+        coarse, is_known = payload[:size], check[place] != NO_CHECK
         if is_fine[each]:
-            known = check[place]
-            says[each] = EARLY if known == _NONE else REFINING if known == payload[GROUP_SUMS - 1] else UNREFINED
+            is_right = refines(payload, group[each], is_fd, check[node[each]])
+            says[each] = REFINING if is_right else UNREFINED if is_known or is_fd else EARLY
         else:
-            says[each] = AGAIN if check[place] != _NONE and (held[place] == payload).all() else NEW
-            held[place], check[place] = payload, check_of(payload)
+            says[each] = AGAIN if is_known and (held[place] == coarse).all() else NEW
+        if is_fd or not is_fine[each]:
+            held[place], check[place] = coarse, check_of(coarse)
             zero[place] = True
-            for sum_ in range(GROUP_SUMS):
+            for sum_ in range(size):
                 neutral = 0 if group[each] == 0 and sum_ == 0 else OTHER_CODES + 1
                 zero[place] = zero[place] and payload[sum_] == neutral
         is_zero[each] = zero[place]

@@ -11,10 +11,9 @@ from bandwidth.response import UNBOUNDED
 from bandwidth.touched_bits import SOURCE
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
-from dbc.adaptive import GROUP_SUMS, SendingRule
-from dbc.contract import Contract
-from dbc.frame import frames
-from dbc.frame_bits import wire_bits
+from dbc.adaptive import SendingRule
+from dbc.contract import Contract, sum_frame
+from dbc.frame_bits import frame_time_ns
 from skin.errors import InputError
 from skin.sources import ADAPTIVE_STEP_HZ, load_sender, load_source
 from skin.walsh import GROUPS
@@ -113,33 +112,35 @@ def plan_adaptive(
     """
     if budget_bits_per_s < 0:
         raise InputError(f"expected a budget of 0 (none) or more bits a second, got {budget_bits_per_s}")
-    touched = touched_bits_per_s(contract) if is_touched else None
+    lines = contract.layout.bus
+    kinds = [(line.fd, line.bitrate, line.data_bitrate) for line in lines]
+    # Neighbouring patches are on different buses, so that one bus stands for all like it: the first.
+    touched = {kind: touched_load(contract, kinds.index(kind)) if is_touched else None for kind in kinds}
     return [
-        _plan_bus(contract, bus, touched, allowed or Disturbance(), budget_bits_per_s)
-        for bus in range(len(contract.layout.bus))
+        _plan_bus(contract, bus, touched[kind], allowed or Disturbance(), budget_bits_per_s)
+        for bus, kind in enumerate(kinds)
     ]
 
 
-def touched_bits_per_s(contract: Contract) -> float | None:
-    """Return the bits a second of the sums of a bus while the default objects press and slide, with exact stuff bits.
+def touched_load(contract: Contract, bus: int) -> float | None:
+    """Return the load of the sums of a bus while the default objects press and slide, with exact stuff bits.
 
-    Neighbouring patches are on different buses, so that one bus stands for all: the first. None if no installed package
-    tells what adaptive nodes send.
+    None if no installed package tells what adaptive nodes send.
     """
     try:
         sent_of = load_sender("adaptive")
     except InputError:
         return None
-    taxels = contract.layout.taxels
+    taxels, line = contract.layout.taxels, contract.layout.bus[bus]
     source = load_source(
         SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=ADAPTIVE_STEP_HZ, seed=0
     )
-    sent = sent_of(contract, 0, source, TOUCHED_S)
-    return int(wire_bits(sent)[0].sum()) / TOUCHED_S
+    sent = sent_of(contract, bus, source, TOUCHED_S)
+    return float(frame_time_ns(sent, line.bitrate, line.data_bitrate).sum()) * 1e-9 / TOUCHED_S
 
 
 def _plan_bus(
-    contract: Contract, bus: int, touched_bits_per_s: float | None, allowed: Disturbance, budget_bits_per_s: int
+    contract: Contract, bus: int, touched: float | None, allowed: Disturbance, budget_bits_per_s: int
 ) -> AdaptiveBusPlan:
     line, urgency = contract.layout.bus[bus], Urgency.of(contract, bus, allowed)
     rate_hz = contract.layout.sync.rate_hz
@@ -147,11 +148,10 @@ def _plan_bus(
     news_ns, service_ns = urgency.news_ns, urgency.service_ns
     beats_ns = service_ns[urgency.streams.is_heartbeat]
     settled_ns = urgency.settled_ns
-    wanted = line.nodes * GROUPS * _SAMPLES_PER_S * urgency.frame_ns * 1e-9 + idle_worst
-    shortest = frames(1)
-    shortest["length"] = GROUP_SUMS
-    shortest_bits = int(wire_bits(shortest, "none")[0][0])
-    buffered = math.ceil(CYCLES_BUFFERED * line.bitrate / (rate_hz * shortest_bits))
+    wanted = line.nodes * urgency.frames_of_node * _SAMPLES_PER_S * urgency.coarse_frame_ns * 1e-9 + idle_worst
+    shortest_ns = frame_time_ns(sum_frame(line, is_fine=False), line.bitrate, line.data_bitrate, "none")[0]
+    buffered = math.ceil(CYCLES_BUFFERED * 1e9 / (rate_hz * shortest_ns))
+    frames_fill = math.ceil((1 - idle_worst) * 1e9 / (_SAMPLES_PER_S * urgency.coarse_frame_ns))
     free = CAUTION - idle_worst
     return AdaptiveBusPlan(
         name=line.name,
@@ -159,9 +159,9 @@ def _plan_bus(
         bitrate=line.bitrate,
         load_idle=idle,
         load_idle_worst=idle_worst,
-        load_touched=None if touched_bits_per_s is None else min(1.0, idle + touched_bits_per_s / line.bitrate),
+        load_touched=None if touched is None else min(1.0, idle + touched),
         load_worst=min(1.0, wanted),
-        groups_fill=math.ceil((1 - idle_worst) * 1e9 / (_SAMPLES_PER_S * urgency.frame_ns)),
+        groups_fill=frames_fill * GROUPS // urgency.frames_of_node,
         coarse_ms=_milliseconds(news_ns),
         refresh_ms=_milliseconds(urgency.refresh_ns),
         settled_coarse_ms=_milliseconds(settled_ns[0]),
@@ -191,7 +191,7 @@ def _budget(urgency: Urgency, idle_worst: float, bits_per_s: int) -> BudgetPlan:
 def _problems(urgency: Urgency, name: str, news_ns: np.ndarray, beats_ns: np.ndarray) -> list[str]:
     found = []
     if (news_ns == UNBOUNDED).any():
-        patience_ms, each_ms = SendingRule().patience, GROUPS * urgency.frame_ns * 1e-6
+        patience_ms, each_ms = SendingRule().patience, urgency.frames_of_node * urgency.coarse_frame_ns * 1e-6
         free = 1 - sum(each_ns / interval_ns for each_ns, interval_ns, _ in urgency.above)
         found.append(
             f"{name}: coarse sums have no bound while everything moves: {urgency.nodes} nodes send for "

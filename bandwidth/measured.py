@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from bandwidth.adaptive_plan import AdaptiveBusPlan
 from bandwidth.plan import BusPlan
-from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, NODES, TPDOS, frame_of
+from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, LEVELS, NODES, frame_of, payload_bytes
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -18,7 +18,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
 )
-from dbc.contract import Contract
+from dbc.contract import Contract, frame_flags
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
@@ -174,8 +174,8 @@ def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
 
 def kind_of(contract: Contract, bus: int, cob_id: int) -> tuple[str, int | None]:
     """Return the kind of an 11-bit identifier and the node-ID of its sender; 0 is the gateway."""
-    if contract.layout.sending == "adaptive" and 0 <= cob_id - FIRST_COB_ID < NODES * TPDOS:
-        node_id, _, _, is_fine = frame_of(cob_id)
+    if contract.layout.sending == "adaptive" and 0 <= cob_id - FIRST_COB_ID < IDENTIFIERS * KINDS:
+        node_id, _, _, is_fine = frame_of(cob_id, is_fd=contract.layout.bus[bus].fd)
         is_node = node_id <= contract.layout.bus[bus].nodes
         return ("fine" if is_fine else "coarse", node_id) if is_node else (FOREIGN, None)
     row = int(contract.table.row_of[bus, cob_id]) if cob_id <= 0x7FF else -1
@@ -236,10 +236,18 @@ def is_due(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]
 
 def is_sum_frame(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
     """Tell which frames have the identifier of sums of an adaptive node of bus number `bus`."""
-    place = taken["can_id"].astype(np.int64) - FIRST_COB_ID
-    found: npt.NDArray[np.bool_] = is_plain(taken) & (place >= 0) & (place < NODES * TPDOS)
-    found &= place % NODES < contract.layout.bus[bus].nodes
+    line, place = contract.layout.bus[bus], taken["can_id"].astype(np.int64) - FIRST_COB_ID
+    found: npt.NDArray[np.bool_] = is_plain(taken) & (place >= 0) & (place < IDENTIFIERS * KINDS)
+    found &= place % (IDENTIFIERS if line.fd else NODES) < line.nodes
     return found
+
+
+def is_sum_shape(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
+    """Tell which of some frames of adaptive sums have the length and format of their identifier."""
+    line, is_fine = contract.layout.bus[bus], taken["can_id"] >= FIRST_COB_ID + IDENTIFIERS * LEVELS
+    length = np.where(is_fine, payload_bytes(True, line.fd), payload_bytes(False, line.fd))
+    right: npt.NDArray[np.bool_] = (taken["length"] == length) & (taken["flags"] & (FD | BRS) == frame_flags(line))
+    return right
 
 
 def tpdo_rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
@@ -267,7 +275,7 @@ def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[s
     taken, _ = whole_cycles(seen)
     if contract.layout.sending == "adaptive":
         is_tpdo = is_sum_frame(contract, bus, taken)
-        is_right = taken["length"][is_tpdo] == GROUP_SUMS
+        is_right = is_sum_shape(contract, bus, taken[is_tpdo])
     else:
         is_tpdo, is_right = tpdo_rows(contract, bus, taken) >= 0, is_due(contract, bus, taken)
     tpdos = int(is_tpdo.sum())

@@ -6,6 +6,7 @@ analysis of Davis et al. (`bandwidth.response`) bounds their response time. The 
 above all of them.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -16,9 +17,8 @@ import numpy.typing as npt
 from bandwidth.response import ERROR_BITS, UNBOUNDED, response_times_ns
 from bandwidth.response_kernel import arrivals
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from dbc.adaptive import GROUP_SUMS, LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, cob_id
-from dbc.contract import Contract
-from dbc.frame import frames
+from dbc.adaptive import LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, cob_id
+from dbc.contract import Contract, sum_frame, sum_frame_bits
 from dbc.frame_bits import frame_time_ns, nominal_ns
 from skin.walsh import GROUPS
 
@@ -56,10 +56,22 @@ class Urgency:
 
     @cached_property
     def frame_ns(self) -> int:
-        """Longest frame of sums, with the most stuff bits."""
-        longest = frames(1)
-        longest["length"] = GROUP_SUMS
-        return int(frame_time_ns(longest, self.streams.bus.bitrate, None, "worst")[0])
+        """Longest frame of sums, a fine one, with the most stuff bits."""
+        return self._frame_ns(is_fine=True)
+
+    @cached_property
+    def coarse_frame_ns(self) -> int:
+        """Longest coarse frame, with the most stuff bits."""
+        return self._frame_ns(is_fine=False)
+
+    def _frame_ns(self, *, is_fine: bool) -> int:
+        line = self.streams.bus
+        return int(frame_time_ns(sum_frame(line, is_fine=is_fine), line.bitrate, line.data_bitrate, "worst")[0])
+
+    @property
+    def frames_of_node(self) -> int:
+        """Frames that tell all sums of a node: one for each group, or on CAN FD one."""
+        return 1 if self.streams.bus.fd else GROUPS
 
     @property
     def sync_ns(self) -> int:
@@ -88,9 +100,9 @@ class Urgency:
             rows.append((error_ns, round(1e9 / self.allowed.errors_per_s), self.frame_ns))
         return rows
 
-    def _responses(self, count: int, period_ns: int, jitter_ns: int) -> Nanoseconds:
+    def _responses(self, each_ns: int, count: int, period_ns: int, jitter_ns: int) -> Nanoseconds:
         """Return the response times of `count` frames of sums by falling priority, each once in `period_ns`."""
-        rows = np.array([*self.above, *[(self.frame_ns, period_ns, jitter_ns)] * count], np.int64)
+        rows = np.array([*self.above, *[(each_ns, period_ns, jitter_ns)] * count], np.int64)
         found = response_times_ns(
             *rows.T,
             bit_ns=nominal_ns(1, self.streams.bus.bitrate),
@@ -100,35 +112,42 @@ class Urgency:
 
     @cached_property
     def top_ns(self) -> Nanoseconds:
-        """From the highest level to the end of the frame, shape (nodes, GROUPS); `UNBOUNDED` without a bound."""
-        by_priority = self._responses(GROUPS * self.nodes, _RULE.patience * _MS, self.jitter_ns)
-        identifiers = [cob_id(node, LEVELS - 1, group, False) for node in range(self.nodes) for group in range(GROUPS)]
+        """From the highest level to the end of the frame, shape (nodes, frames of a node).
+
+        `UNBOUNDED` without a bound.
+        """
+        shape = self.nodes, self.frames_of_node
+        period_ns = _RULE.patience * _MS
+        by_priority = self._responses(self.coarse_frame_ns, math.prod(shape), period_ns, self.jitter_ns)
+        identifiers = [cob_id(node, LEVELS - 1, group, False) for node, group in np.ndindex(shape)]
         rank = np.argsort(np.argsort(identifiers))
-        return by_priority[rank].reshape(self.nodes, GROUPS)
+        return by_priority[rank].reshape(shape)
 
     @property
     def news_ns(self) -> Nanoseconds:
-        """From the sample that is first news to the end of its group's coarse frame, shape (nodes, GROUPS)."""
+        """From the sample that is first news to the end of its group's coarse frame, shape as `top_ns`."""
         return _after(_RULE.patience * _MS, self.top_ns)
 
     @property
     def refresh_ns(self) -> Nanoseconds:
-        """From the time when a refresh is due to the end of its frame, shape (nodes, GROUPS); the group has no news."""
+        """From the time when a refresh is due to the end of its frame, shape as `top_ns`; the group has no news."""
         return _after(OVERDUE_NS, self.top_ns)
 
     @property
     def settled_ns(self) -> tuple[int, int]:
         """From the moment when all sums of the bus stay as they are until all are shown coarse, and fine.
 
-        Each group then sends one coarse frame at most (news, or a refresh) until its next refresh is due.
+        Each group then sends one coarse frame at most (news, or a refresh) until its next refresh is due. On CAN FD the
+        refresh of another group may begin the wait for details anew.
         """
-        between_ns = _RULE.refresh * _MS
-        coarse_ns = int(self._responses(GROUPS * self.nodes, between_ns, self.jitter_ns + _MS)[-1])
+        between_ns, count = _RULE.refresh * _MS, self.frames_of_node * self.nodes
+        coarse_ns = int(self._responses(self.coarse_frame_ns, count, between_ns, self.jitter_ns + _MS)[-1])
         if coarse_ns > between_ns:
             return UNBOUNDED, UNBOUNDED
         # Details that waited for the coarse frame, and refreshes that came due meanwhile.
-        late_ns = int(self._responses(2 * GROUPS * self.nodes, between_ns, self.jitter_ns + _MS)[-1])
-        fine_ns = coarse_ns + _RULE.fine_wait * _MS + late_ns
+        late_ns = int(self._responses(self.frame_ns, 2 * count, between_ns, self.jitter_ns + _MS)[-1])
+        waits = 2 if self.streams.bus.fd else 1
+        fine_ns = coarse_ns + waits * _RULE.fine_wait * _MS + late_ns
         return coarse_ns, UNBOUNDED if late_ns > between_ns else fine_ns
 
     def budgeted(self, bits_per_s: int) -> "Budgeted":
@@ -174,7 +193,7 @@ class Budgeted:
     @property
     def frame_bits(self) -> int:
         """Bits that a frame takes of a budget: those of the longest."""
-        return round(self.urgency.frame_ns / nominal_ns(1, self.urgency.streams.bus.bitrate))
+        return sum_frame_bits(self.urgency.streams.bus, is_fine=True)
 
     @property
     def saved_bits(self) -> float:
@@ -188,7 +207,8 @@ class Budgeted:
         Each node may owe the bits of a refresh of each group, which no budget holds back.
         """
         bit_ns, nodes = nominal_ns(1, self.urgency.streams.bus.bitrate), self.urgency.nodes
-        at_once_ns = nodes * (self.saved_bits + GROUPS * self.frame_bits) * bit_ns + self.urgency.frame_ns
+        owed_bits = self.urgency.frames_of_node * self.frame_bits
+        at_once_ns = nodes * (self.saved_bits + owed_bits) * bit_ns + self.urgency.frame_ns
         share = nodes * self.bits_per_s * bit_ns * 1e-9
         share += sum(each_ns / interval_ns for each_ns, interval_ns, _ in self.urgency.above)
         if share >= 1:
@@ -212,8 +232,8 @@ class Budgeted:
         Waiting for bits brings a group no nearer to its next frame of that level, so that those of the others are as
         far apart as without a budget.
         """
-        top_ns = int(self.urgency.top_ns.max())
-        return _sum(_RULE.patience * _MS, self._saving_ns(GROUPS, GROUPS + 1), top_ns)
+        top_ns, count = int(self.urgency.top_ns.max()), self.urgency.frames_of_node
+        return _sum(_RULE.patience * _MS, self._saving_ns(count, count + 1), top_ns)
 
     @property
     def fine_ns(self) -> int:
@@ -221,7 +241,8 @@ class Budgeted:
 
         Details of all groups leave bits for a coarse frame of each; refreshes may have left the node in debt.
         """
-        saving_ns = round((3 * GROUPS + 1) * self.frame_bits / self.bits_per_s * 1e9)
+        count = SAVED_FRAMES + self.urgency.frames_of_node + 1
+        saving_ns = round(count * self.frame_bits / self.bits_per_s * 1e9)
         return _sum(_RULE.fine_wait * _MS, saving_ns, self.urgency.jitter_ns, self.full_ns)
 
 

@@ -3,6 +3,9 @@
 A *coarse* frame carries the eight sums of a group, each as a companded byte that needs no earlier frame. A *fine* frame
 refines the values of the newest coarse frame of its group: seven bits of each sum, and a check that tells which coarse
 frame it belongs to.
+
+A CAN FD frame carries all groups: its *parts* are the payloads of four coarse frames, and in a fine frame the payloads
+of the four fine frames that refine these.
 """
 
 import math
@@ -21,10 +24,14 @@ BLOCK_SUMS: Final = GROUPS * GROUP_SUMS
 #: Urgency levels of coarse frames, 0 the lowest, and of fine frames.
 LEVELS: Final = 6
 FINE_LEVELS: Final = 2
-#: Frames of each kind and level that a node owns: its TPDOs.
-TPDOS: Final = GROUPS * (LEVELS + FINE_LEVELS)
-#: Nodes of a bus: each owns one identifier in `NODES` for each TPDO.
+#: Kinds and levels of frames: the TPDOs of a node on CAN FD.
+KINDS: Final = LEVELS + FINE_LEVELS
+#: Frames of each kind, level and group that a classic node owns: its TPDOs.
+TPDOS: Final = GROUPS * KINDS
+#: Nodes of a classic bus: each owns one identifier in `NODES` for each TPDO.
 NODES: Final = 32
+#: Identifiers of a kind and level: those of all nodes, on a classic bus of each group.
+IDENTIFIERS: Final = GROUPS * NODES
 #: COB-ID of the first TPDO of node 1; those of all nodes end at 580h, below the SDO answers.
 FIRST_COB_ID: Final = 0x181
 #: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
@@ -47,6 +54,8 @@ FINE_PER_COARSE: Final = 8
 #: x^8 + x^5 + x^3 + x^2 + x + 1 (the code of AUTOSAR's CRC8H2F): detects every change of one byte and of up to three
 #: bits, and 254 of 255 changes of two bytes.
 _CRC_8: Final = 0x2F
+#: In place of a check: no coarse payload of the group is held.
+NO_CHECK: Final = -1
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -153,17 +162,50 @@ def tpdo_index(level: int, group: int, is_fine: bool) -> int:
 
 @njit(cache=True, nogil=True)
 def cob_id(node: int, level: int, group: int, is_fine: bool) -> int:
-    """Return the identifier of a frame of the node with node-ID `node` + 1."""
+    """Return the identifier of a frame of the node with node-ID `node` + 1; on CAN FD the group is 0."""
     return FIRST_COB_ID + NODES * tpdo_index(level, group, is_fine) + node
 
 
-def frame_of(identifier: int) -> tuple[int, int, int, bool]:
-    """Return the node-ID, level, group and whether it is fine of an identifier from `FIRST_COB_ID` on."""
-    index, node = divmod(identifier - FIRST_COB_ID, NODES)
-    row, group = divmod(index, GROUPS)
-    if row < LEVELS:
-        return node + 1, LEVELS - 1 - row, group, False
-    return node + 1, LEVELS + FINE_LEVELS - 1 - row, group, True
+@njit(cache=True, nogil=True)
+def place_of(identifier: int, is_fd: bool) -> tuple[int, int, int]:
+    """Return kind and level as a number (from `LEVELS` on: fine), group and node of an identifier.
+
+    The number is -1 for identifiers that are no sums. The node is the node-ID less 1; the group is 0 on CAN FD.
+    """
+    kind, column = (identifier - FIRST_COB_ID) // IDENTIFIERS, (identifier - FIRST_COB_ID) % IDENTIFIERS
+    if identifier < FIRST_COB_ID or kind >= KINDS:
+        return -1, 0, 0
+    return (kind, 0, column) if is_fd else (kind, column // NODES, column % NODES)
+
+
+def frame_of(identifier: int, *, is_fd: bool = False) -> tuple[int, int, int, bool]:
+    """Return the node-ID, level, group (0 on CAN FD) and whether it is fine of an identifier of sums."""
+    kind, group, node = place_of(identifier, is_fd)
+    if kind < LEVELS:
+        return node + 1, LEVELS - 1 - kind, group, False
+    return node + 1, KINDS - 1 - kind, group, True
+
+
+@njit(cache=True, nogil=True)
+def parts_of(is_fine: bool, is_fd: bool) -> int:
+    """Return how many payloads of `GROUP_SUMS` bytes a frame holds."""
+    if not is_fd:
+        return 1
+    return 2 * GROUPS if is_fine else GROUPS
+
+
+@njit(cache=True, nogil=True)
+def payload_bytes(is_fine: bool, is_fd: bool) -> int:
+    """Return the payload of a frame in bytes: 8; on CAN FD 32, and 64 with fine parts."""
+    return GROUP_SUMS * parts_of(is_fine, is_fd)
+
+
+@njit(cache=True, nogil=True)
+def part_of(part: int, group: int, is_fine: bool, is_fd: bool) -> tuple[int, bool]:
+    """Return the group of a part of a frame, and whether the part is fine; `group` and `is_fine` are the frame's."""
+    if is_fd:
+        return part % GROUPS, part >= GROUPS
+    return group, is_fine
 
 
 @njit(cache=True, nogil=True)
@@ -200,7 +242,7 @@ def hold_coarse(  # noqa: PLR0917  compiled functions take no keywords
     value_n: npt.NDArray[np.float64],
     coarse_n: npt.NDArray[np.float64],
 ) -> None:
-    """Take the sums of a coarse frame, as every receiver does and the node that sent the frame.
+    """Take the sums of a coarse payload.
 
     Parameters
     ----------
@@ -263,3 +305,60 @@ def unpack_fine(
         if away >= FINE_REACH:
             away -= 2 * FINE_REACH
         values_n[place] = (near + away) * law.fine_n
+
+
+@njit(cache=True, nogil=True)
+def refines(payload: Bytes, group: int, is_fd: bool, check: npt.NDArray[np.int64]) -> bool:
+    """Tell whether the fine parts of a fine frame refine what is held, on CAN FD the coarse parts of the same frame."""
+    if not is_fd:
+        return bool(check[group] == int(payload[GROUP_SUMS - 1]))
+    for part in range(GROUPS):
+        coarse = payload[GROUP_SUMS * part : GROUP_SUMS * (part + 1)]
+        if check_of(coarse) != int(payload[GROUP_SUMS * (GROUPS + part + 1) - 1]):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def hold(  # noqa: PLR0917  compiled functions take no keywords
+    payload: Bytes,
+    group: int,
+    is_fine: bool,
+    is_fd: bool,
+    law: Companding,
+    value_n: npt.NDArray[np.float64],
+    coarse_n: npt.NDArray[np.float64],
+    check: npt.NDArray[np.int64],
+) -> bool:
+    """Take the sums of a frame, as every receiver does and the node that sent the frame.
+
+    A fine part counts for one coarse payload only: the newest of its group, on CAN FD that of the same frame.
+
+    Parameters
+    ----------
+    payload : array of uint8
+        At least `payload_bytes` long.
+    value_n, coarse_n : arrays of float64, shape (BLOCK_SUMS,)
+        See `hold_coarse`; written.
+    check : array of int64, shape (GROUPS,)
+        Checks of the newest coarse payloads, `NO_CHECK` before the first; written.
+
+    Returns
+    -------
+    bool
+        False, and nothing is taken, if a fine part refines another coarse payload.
+    """
+    if is_fine and not refines(payload, group, is_fd, check):
+        return False
+    for part in range(parts_of(is_fine, is_fd)):
+        each, is_fine_part = part_of(part, group, is_fine, is_fd)
+        mine, sums = (
+            payload[GROUP_SUMS * part : GROUP_SUMS * (part + 1)],
+            slice(GROUP_SUMS * each, GROUP_SUMS * (each + 1)),
+        )
+        if is_fine_part:
+            unpack_fine(mine, coarse_n[sums], law, value_n[sums])
+        else:
+            hold_coarse(mine, GROUP_SUMS * each, check[each] != NO_CHECK, law, value_n, coarse_n)
+            check[each] = check_of(mine)
+    return True

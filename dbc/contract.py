@@ -6,6 +6,7 @@ COB-IDs. This is CiA 301, transmission type `PHASES` with SYNC start value `phas
 frame that is one SYNC late has the wrong COB-ID and is not used in the new cycle.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Self
@@ -13,13 +14,15 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import FIRST_COB_ID, NODES, TPDOS, Companding, companding, frame_of
+from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, NODES, TPDOS, Companding, companding, frame_of, payload_bytes
 from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
+from dbc.frame_bits import wire_bits
 from dbc.packing import Packing, packing
 from skin.errors import LayoutError
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe
+from skin.walsh import GROUPS
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
@@ -55,7 +58,8 @@ class Tpdo:
 class AdaptiveTpdo:
     """One transmit PDO of an adaptive node: the sums of a group (`skin.walsh.grouped_rows`) at a level of urgency.
 
-    A coarse frame carries the eight sums, a fine frame (`is_fine`) what refines them (`dbc.adaptive`).
+    A coarse frame carries the eight sums, a fine frame (`is_fine`) what refines them (`dbc.adaptive`). A CAN FD frame
+    carries all groups, the coarse codes in fine frames, too; its `group` is 0.
     """
 
     number: int
@@ -63,6 +67,17 @@ class AdaptiveTpdo:
     level: int
     group: int
     is_fine: bool
+    is_fd: bool = False
+
+    @property
+    def length(self) -> int:
+        """Payload in bytes."""
+        return int(payload_bytes(self.is_fine, self.is_fd))
+
+    @property
+    def groups(self) -> range:
+        """The groups that the frame carries."""
+        return range(GROUPS) if self.is_fd else range(self.group, self.group + 1)
 
 
 @dataclass(frozen=True)
@@ -120,12 +135,12 @@ class Contract:
         phi, pack = layout.phi(), packing(layout)
         nodes: list[NodeContract] = []
         for number, bus in enumerate(layout.bus):
-            flags = FD | (BRS if bus.data_bitrate else 0) if bus.fd else 0
+            flags = frame_flags(bus)
             for node_id in range(1, bus.nodes + 1):
                 block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
                 first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
                 is_adaptive = layout.sending == "adaptive"
-                adaptive = _adaptive_tpdos(node_id) if is_adaptive else ()
+                adaptive = _adaptive_tpdos(node_id, is_fd=bus.fd) if is_adaptive else ()
                 tpdos = () if is_adaptive else _tpdos(bus, number, node_id, range(first, last), pack.bits)
                 nodes.append(
                     NodeContract(
@@ -184,6 +199,24 @@ class FrameTable:
     row_of: npt.NDArray[np.intp]
 
 
+def frame_flags(line: Bus) -> int:
+    """Return the flags (`dbc.frame`) of the PDOs of a bus."""
+    return FD | (BRS if line.data_bitrate else 0) if line.fd else 0
+
+
+def sum_frame(line: Bus, *, is_fine: bool) -> Frames:
+    """Return a frame of adaptive sums as a bus carries it, identifier and data 0."""
+    one = frames(1)
+    one["length"], one["flags"] = payload_bytes(is_fine, line.fd), frame_flags(line)
+    return one
+
+
+def sum_frame_bits(line: Bus, *, is_fine: bool) -> int:
+    """Return the longest time of a frame of adaptive sums in bits at the nominal rate: what it takes of a budget."""
+    nominal, data = wire_bits(sum_frame(line, is_fine=is_fine), "worst")
+    return int(nominal[0]) + math.ceil(int(data[0]) * line.bitrate / (line.data_bitrate or line.bitrate))
+
+
 def phase_of(sync_counter: int) -> int:
     """Return the phase of a SYNC counter value (1 to 240)."""
     return (sync_counter - 1) % PHASES
@@ -194,11 +227,13 @@ def next_counter(sync_counter: int) -> int:
     return sync_counter % SYNC_OVERFLOW + 1
 
 
-def _adaptive_tpdos(node_id: int) -> tuple[AdaptiveTpdo, ...]:
+def _adaptive_tpdos(node_id: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
     """Return the TPDOs of an adaptive node, the most urgent first."""
-    identifiers = [FIRST_COB_ID + NODES * index + node_id - 1 for index in range(TPDOS)]
+    count, step = (KINDS, IDENTIFIERS) if is_fd else (TPDOS, NODES)
+    identifiers = [FIRST_COB_ID + step * index + node_id - 1 for index in range(count)]
     return tuple(
-        AdaptiveTpdo(number, identifier, *frame_of(identifier)[1:]) for number, identifier in enumerate(identifiers, 1)
+        AdaptiveTpdo(number, identifier, *frame_of(identifier, is_fd=is_fd)[1:], is_fd)
+        for number, identifier in enumerate(identifiers, 1)
     )
 
 

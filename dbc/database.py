@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
-from dbc.adaptive import FINE_BITS, GROUP_SUMS, OTHER_CODES
+from dbc.adaptive import FINE_BITS, GROUP_SUMS, OTHER_CODES, part_of, parts_of
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -253,33 +253,48 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
 
 
 def _adaptive_sums(contract: Contract, node: NodeContract, tpdo: AdaptiveTpdo) -> "Message":
-    """Return a TPDO of an adaptive node: coarse codes, or fine codes and their check."""
-    name, law, width = _name(node), contract.law, FINE_BITS if tpdo.is_fine else 8
-    first = int(contract.phi.starts[node.block])
-    rows = grouped_rows(contract.phi.block_size)[tpdo.group].tolist()
-    signals = [
-        _signal(signal_name(contract, first + row), place * width, width, receiver=GATEWAY)
-        for place, row in enumerate(rows)
-    ]
-    if tpdo.is_fine:
-        kind = "Fine"
-        meaning = (
-            f"value = N * {law.fine_n:.6g} N; N: of all integers with these low bits the nearest to the coarse value"
-        )
-        signals.append(_signal("Check", len(rows) * width, 8, receiver=GATEWAY))
-    else:
-        kind = "Coarse"
+    """Return a TPDO of an adaptive node: coarse codes, or fine codes and their check; on CAN FD of all groups."""
+    name, kind = _name(node), "Fine" if tpdo.is_fine else "Coarse"
+    signals, meanings = [], []
+    for part in range(parts_of(tpdo.is_fine, tpdo.is_fd)):
+        group, is_fine = part_of(part, tpdo.group, tpdo.is_fine, tpdo.is_fd)
+        signals += _part(contract, node, group, 8 * GROUP_SUMS * part, is_fine=is_fine, is_fd=tpdo.is_fd)
+    law = contract.law
+    if tpdo.is_fd or not tpdo.is_fine:
         mean = f"{law.mean_knee_n:.6g} N * sinh(code / {law.mean_slope:.6g})"
         other = f"{law.knee_n:.6g} N * sinh((code - {OTHER_CODES + 1}) / {law.slope:.6g})"
-        meaning = f"value = {other}" + (f"; of the first row {mean}" if tpdo.group == 0 else "")
+        meanings.append(f"value = {other}" + (f"; of the first row {mean}" if tpdo.group == 0 else ""))
+    if tpdo.is_fine:
+        meanings.append(
+            f"{'fine ' if tpdo.is_fd else ''}value = N * {law.fine_n:.6g} N; "
+            "N: of all integers with these low bits the nearest to the coarse value"
+        )
+    what, groups = ("", "All groups") if tpdo.is_fd else (str(tpdo.group), f"Group {tpdo.group}")
     return _message(
-        f"{name}_{kind}{tpdo.group}_Level{tpdo.level}",
+        f"{name}_{kind}{what}_Level{tpdo.level}",
         tpdo.cob_id,
-        GROUP_SUMS,
+        tpdo.length,
         name,
         signals,
-        comment=f"Group {tpdo.group} at urgency {tpdo.level}: {meaning}",
+        comment=f"{groups} at urgency {tpdo.level}: {'; '.join(meanings)}",
+        is_fd=tpdo.is_fd,
     )
+
+
+def _part(
+    contract: Contract, node: NodeContract, group: int, start: int, *, is_fine: bool, is_fd: bool
+) -> list["Signal"]:
+    """Return the signals of a group's coarse or fine payload, which begins at bit `start` of its frame."""
+    first, width = int(contract.phi.starts[node.block]), FINE_BITS if is_fine else 8
+    more, number = ("_Fine", str(group)) if is_fine and is_fd else ("", "")
+    rows = grouped_rows(contract.phi.block_size)[group].tolist()
+    signals = [
+        _signal(signal_name(contract, first + row) + more, start + place * width, width, receiver=GATEWAY)
+        for place, row in enumerate(rows)
+    ]
+    if is_fine:
+        signals.append(_signal(f"Check{number}", start + len(rows) * width, 8, receiver=GATEWAY))
+    return signals
 
 
 def _milliseconds(period_s: float) -> int:

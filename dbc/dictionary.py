@@ -198,12 +198,17 @@ def _tpdo_communication(number: int, values: _Communication) -> list[Object]:
 
 
 def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
-    """Return the fixed mapping of an adaptive TPDO: eight coarse bytes of a group, or its 64 fine bits."""
+    """Return the fixed mapping of an adaptive TPDO: eight coarse bytes of a group, or its 64 fine bits.
+
+    On CAN FD those of all groups, fine bits behind all coarse bytes.
+    """
+    groups, places = tpdo.groups, _places(BLOCK_SUMS)
+    mapped = []
+    if tpdo.is_fd or not tpdo.is_fine:
+        coarse = places[GROUP_SUMS * groups.start : GROUP_SUMS * groups.stop]
+        mapped += [OD_COARSE << 16 | place << 8 | 8 for place in coarse]
     if tpdo.is_fine:
-        mapped = [OD_FINE << 16 | (tpdo.group + 1) << 8 | 64]
-    else:
-        mapped = [OD_COARSE << 16 | place << 8 | 8 for place in _places(BLOCK_SUMS)[GROUP_SUMS * tpdo.group :]]
-        mapped = mapped[:GROUP_SUMS]
+        mapped += [OD_FINE << 16 | (group + 1) << 8 | 64 for group in groups]
     return _mapping(tpdo.number, len(mapped), mapped, "const")
 
 

@@ -38,6 +38,7 @@ LONGEST_S: Final = 0.1
 class _Bus:
     """One bus: its nodes' blocks, and views of what is held of them."""
 
+    is_fd: bool
     blocks: slice
     sums: BusSums
     is_proven: Flags
@@ -125,7 +126,8 @@ class AdaptiveGathering:
         """
         mine = self._buses[bus]
         rows = frame_bytes(arrived)
-        newest_ns = take_all(rows, health.has_gap, self._law, mine.is_proven, mine.sums, mine.has_changed)
+        parts = self._law, mine.is_proven, mine.sums, mine.has_changed, mine.is_fd
+        newest_ns = take_all(rows, health.has_gap, *parts)
         self._newest_ns = max(self._newest_ns, newest_ns)
         is_still_down = health.is_down and mine.is_down
         self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
@@ -193,6 +195,7 @@ class AdaptiveGathering:
             self._median_n = float(np.nanmedian(self._noise_n))
 
         return _Bus(
+            is_fd=contract.layout.bus[number].fd,
             blocks=blocks,
             sums=self._sums.of(blocks),
             is_proven=self._is_proven[blocks],
@@ -221,5 +224,5 @@ class AdaptiveGathering:
         """Compile what runs for each frame before the first comes."""
         rows = frame_bytes(frames(0))
         for bus in self._buses.values():
-            take_all(rows, False, self._law, bus.is_proven, bus.sums, bus.has_changed)
+            take_all(rows, False, self._law, bus.is_proven, bus.sums, bus.has_changed, bus.is_fd)
         self._judge(self._published_s)

@@ -1,7 +1,8 @@
 """What the gateway knows of adaptive nodes: the newest value of every sum, and how old it is.
 
 A fine frame counts only for the coarse frame that it refines: its check must be that of the coarse frame that is
-held. After frames were lost, no fine frame counts until the next coarse one of its group, so that none is misread. A
+held. After frames were lost, no fine frame counts until the next coarse one of its group, so that none is misread. On
+CAN FD every frame has the coarse codes of all groups: it needs no other frame, and whatever comes ends a loss. A
 loss that the receiver does not know of can have a fine frame misread where the lost coarse frame and the one that is
 held have the same check: two frames that differ in one byte never have, of others one pair in 255 or 256.
 """
@@ -13,23 +14,18 @@ import numpy.typing as npt
 
 from dbc.adaptive import (
     BLOCK_SUMS,
-    FIRST_COB_ID,
-    GROUP_SUMS,
     LEVELS,
-    NODES,
-    TPDOS,
+    NO_CHECK,
     Companding,
-    check_of,
-    hold_coarse,
-    unpack_fine,
+    hold,
+    payload_bytes,
+    place_of,
 )
-from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
+from dbc.canopen import SYNC_COB_ID
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE
 from skin.compiled import njit
 from skin.walsh import GROUPS
 
-#: No coarse frame of the group is held.
-NO_CHECK: Final = -1
 #: A time before all frames.
 NEVER_NS: Final = -(1 << 62)
 _ENDED, _CAN_ID, _LENGTH, _FLAGS, _DATA = (
@@ -100,37 +96,40 @@ def new_sums(nodes: int) -> BusSums:
 
 @njit(cache=True, nogil=True)
 def take(  # noqa: PLR0917  compiled functions take no keywords
-    can_id: int, length: int, payload: Any, ended_ns: int, law: Companding, sums: BusSums
+    can_id: int, length: int, payload: Any, ended_ns: int, law: Companding, sums: BusSums, is_fd: bool = False
 ) -> bool:
-    """Use one frame; False where its identifier is not that of adaptive sums."""
-    index, node = (can_id - FIRST_COB_ID) // NODES, (can_id - FIRST_COB_ID) % NODES
-    if can_id < FIRST_COB_ID or index >= TPDOS or node >= sums.check.shape[0]:
+    """Use one frame; False where its identifier is not that of adaptive sums. `is_fd`: the bus carries CAN FD."""
+    kind, group, node = place_of(can_id, is_fd)
+    if kind < 0 or node >= sums.check.shape[0]:
         return False
-    if length != GROUP_SUMS:
+    is_fine = kind >= LEVELS
+    if length != payload_bytes(is_fine, is_fd):
         sums.counts[MALFORMED] += 1
         return True
-    group = index % GROUPS
-    first = GROUP_SUMS * group
-    if index >= GROUPS * LEVELS:
-        if sums.is_lost[node, group] or sums.check[node, group] != int(payload[GROUP_SUMS - 1]):
-            sums.counts[UNREFINED] += 1
-            return True
-        mine = slice(first, first + GROUP_SUMS)
-        unpack_fine(payload, sums.coarse_n[node, mine], law, sums.value_n[node, mine])
-    else:
-        is_held = sums.check[node, group] != NO_CHECK
-        hold_coarse(payload, first, is_held, law, sums.value_n[node], sums.coarse_n[node])
-        sums.check[node, group] = check_of(payload)
-        sums.is_lost[node, group] = False
-        sums.coarse_ns[node, group] = ended_ns
-    sums.seen_ns[node, group] = ended_ns
+    is_unsure = is_fine and not is_fd and sums.is_lost[node, group]
+    if is_unsure or not hold(
+        payload, group, is_fine, is_fd, law, sums.value_n[node], sums.coarse_n[node], sums.check[node]
+    ):
+        sums.counts[MALFORMED if is_fd else UNREFINED] += 1
+        return True
+    for each in range(0 if is_fd else group, GROUPS if is_fd else group + 1):
+        if is_fd or not is_fine:
+            sums.is_lost[node, each] = False
+            sums.coarse_ns[node, each] = ended_ns
+        sums.seen_ns[node, each] = ended_ns
     sums.counts[USED] += 1
     return True
 
 
 @njit(cache=True, nogil=True)
 def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: npt.NDArray[np.uint8], has_gap: bool, law: Companding, is_proven: Flags, sums: BusSums, has_changed: Flags
+    rows: npt.NDArray[np.uint8],
+    has_gap: bool,
+    law: Companding,
+    is_proven: Flags,
+    sums: BusSums,
+    has_changed: Flags,
+    is_fd: bool = False,
 ) -> int:
     """Use the frames of a bus, in bus order; return when the newest that was used ended, or `NEVER_NS`.
 
@@ -146,6 +145,8 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         Nodes whose frames may be used.
     has_changed : array of bool, shape (nodes, GROUPS)
         Set for groups of which a frame was used.
+    is_fd : bool
+        The bus carries CAN FD.
     """
     newest_ns: int = NEVER_NS
     if has_gap:
@@ -155,9 +156,9 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         if row[_FLAGS] & (ERROR | ECHO):
             continue
         can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
-        index, node = (can_id - FIRST_COB_ID) // NODES, (can_id - FIRST_COB_ID) % NODES
-        is_strange = row[_FLAGS] & (EXTENDED | REMOTE | FD) or can_id > BASE_ID_MASK
-        if is_strange or can_id < FIRST_COB_ID or index >= TPDOS or node >= sums.check.shape[0]:
+        kind, group, node = place_of(can_id, is_fd)
+        is_strange = row[_FLAGS] & (EXTENDED | REMOTE) != 0 or (row[_FLAGS] & FD != 0) != is_fd
+        if is_strange or kind < 0 or node >= sums.check.shape[0]:
             sums.counts[FOREIGN] += 1
             sums.counts[FOREIGN_SYNCS] += can_id == SYNC_COB_ID and not row[_FLAGS] & (EXTENDED | REMOTE)
             continue
@@ -167,13 +168,14 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         ended_ns = np.int64(0)
         for byte in range(8):
             ended_ns |= np.int64(row[_ENDED + byte]) << np.int64(8 * byte)
-        used, unrefined, group = sums.counts[USED], sums.counts[UNREFINED], index % GROUPS
-        take(can_id, int(row[_LENGTH]), row[_DATA : _DATA + GROUP_SUMS], int(ended_ns), law, sums)
+        used, unrefined = sums.counts[USED], sums.counts[UNREFINED]
+        take(can_id, int(row[_LENGTH]), row[_DATA:], int(ended_ns), law, sums, is_fd)
+        groups = slice(0, GROUPS) if is_fd else slice(group, group + 1)
         if sums.counts[USED] > used:
-            has_changed[node, group] = True
+            has_changed[node, groups] = True
             newest_ns = max(newest_ns, int(ended_ns))
         if has_gap or sums.counts[UNREFINED] > unrefined:
-            sums.is_lost[node, group] = True
+            sums.is_lost[node, groups] = True
     return newest_ns
 
 

@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
-from gateway.adaptive_state import NEVER_NS, NO_CHECK, BusSums, Flags, Integers
+from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, NO_CHECK, SendingRule
+from gateway.adaptive_state import NEVER_NS, BusSums, Flags, Integers
 from skin.compiled import njit
 from skin.messages import BlockState
 from skin.walsh import GROUPS, grouped_rows

@@ -14,7 +14,7 @@ from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 
 #: Names of the layouts that come with the project.
-SHIPPED: Final = ("adaptive", "default", "fd", "one-bus-12bit")
+SHIPPED: Final = ("adaptive", "adaptive-fd", "default", "fd", "one-bus-12bit")
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
@@ -22,12 +22,14 @@ BITRATE_MAX: Final = 1_000_000
 RATE_MAX_HZ: Final = 2000.0
 #: Highest sampling rate of a layout.
 SAMPLING_MAX_HZ: Final = 10_000.0
-#: Adaptive sending: taxels of a block, nodes of a bus, each with 32 identifiers of its own, SYNC and sampling rate.
+#: Adaptive sending: taxels of a block, SYNC and sampling rate, and nodes of a bus: each has 32 identifiers of its own,
+#: and on CAN FD 8.
 #: The times of `dbc.adaptive.SendingRule` and of the nodes' filter are those of 1000 samples a second.
 ADAPTIVE_BLOCK: Final = 32
 ADAPTIVE_SYNC_HZ: Final = 10.0
 ADAPTIVE_SAMPLING_HZ: Final = 1000.0
 ADAPTIVE_NODES: Final = 32
+ADAPTIVE_FD_NODES: Final = 127
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
@@ -308,7 +310,7 @@ def _check_measurement(layout: Layout) -> None:
 
 
 def _check_adaptive(layout: Layout) -> None:
-    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, classic frames."""
+    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, identifiers."""
     measurement = layout.measurement
     wanted = {
         "measurement.wiring": (measurement.wiring, "board"),
@@ -321,10 +323,9 @@ def _check_adaptive(layout: Layout) -> None:
         if got != expected:
             raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
     for index, bus in enumerate(layout.bus):
-        if bus.fd:
-            raise LayoutError(f"adaptive sending expects classic frames - at `$.bus[{index}].fd`")
-        if bus.blocks_per_node != 1 or bus.nodes > ADAPTIVE_NODES:
-            limits = f"adaptive sending expects at most {ADAPTIVE_NODES} nodes of one block"
+        most = ADAPTIVE_FD_NODES if bus.fd else ADAPTIVE_NODES
+        if bus.blocks_per_node != 1 or bus.nodes > most:
+            limits = f"adaptive sending expects at most {most} nodes of one block"
             raise LayoutError(f"{limits}, got {bus.nodes} of {bus.blocks_per_node} - at `$.bus[{index}]`")
 
 

@@ -1,16 +1,17 @@
 """Adaptive sums: nodes filter their own patch and send its sums when these are news."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, Companding, SendingRule, companding
+from dbc.adaptive import BLOCK_SUMS, Companding, SendingRule, companding
 from dbc.contract import COARSE_STEP_RATIO
 from dbc.frame import FRAME, Frames, frame_bytes, frames
-from evaluation.schemes.adaptive_bus import ASKED, ENDED, REASON, Record, run_bus
-from evaluation.schemes.events import BIT_NS, FRAMES_PER_TICK
+from evaluation.schemes.adaptive_bus import ASKED, ENDED, REASON, Record, line_of, run_bus
+from evaluation.schemes.events import FRAMES_PER_TICK
 from evaluation.schemes.judge import Images
 from evaluation.schemes.patches import lines_of, patches
 from evaluation.schemes.scenes import IDLE_TICKS_SHORT, NEWTON_PER_COUNT, SIDE, TAXELS, Touch
@@ -19,9 +20,10 @@ from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, first_bea
 from gateway.adaptive_state import BusSums, new_sums, take
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
-from nodes.adaptive.sending import NEWS, Groups, new_groups, noise_threshold_n2
+from nodes.adaptive.sending import NEWS, new_groups, noise_threshold_n2
 from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
 from skin.compiled import njit
+from skin.layout import Bus
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 
@@ -60,7 +62,7 @@ class AdaptiveRun:
             mine = np.flatnonzero((self.sent.asked.bus == number) & arrives)
             sums_n = np.empty((ticks, line.nodes, BLOCK_SUMS), np.float32)
             rows = _bytes_of(self.sent.asked.frames[mine])
-            _receive(rows, self.sent.arrived_ns[mine], law, new_sums(line.nodes), sums_n)
+            _receive(rows, self.sent.arrived_ns[mine], law, new_sums(line.nodes), line.fd, sums_n)
             shares.append(sums_n)
         solver = WalshReconstructor(list(patches(SIDE)), SIDE, SIDE, self.noise_n)
         solved = [solver.solve(np.concatenate([each[tick] for each in shares])).ravel() for tick in range(ticks)]
@@ -82,7 +84,9 @@ def learned_noise(idle: Counts, cells: Cells) -> Noise:
     return statistics.noise(NEWTON_PER_COUNT)
 
 
-def run_adaptive(counts: Counts, idle: Counts, noise: Noise | None = None) -> AdaptiveRun:
+def run_adaptive(
+    counts: Counts, idle: Counts, noise: Noise | None = None, lines: Sequence[Bus] | None = None
+) -> AdaptiveRun:
     """Run the skin of 64 x 64 taxels on its buses.
 
     Parameters
@@ -91,7 +95,10 @@ def run_adaptive(counts: Counts, idle: Counts, noise: Noise | None = None) -> Ad
         What every taxel reads each millisecond, and what it read before, while nothing touched.
     noise : Noise, optional
         What the nodes believe of their noise, in place of what they learn from `idle`.
+    lines : sequence of Bus, optional
+        Other buses than classic ones of 1 Mbit/s: as many, with as many nodes.
     """
+    lines = lines or lines_of(SIDE)
     held = patches(SIDE)
     cells = held.reshape(-1, held.shape[2])
     known = noise or learned_noise(idle, cells)
@@ -107,10 +114,10 @@ def run_adaptive(counts: Counts, idle: Counts, noise: Noise | None = None) -> Ad
     for number in range(len(held)):
         mine = slice(number * held.shape[1], (number + 1) * held.shape[1])
         threshold_n2 = noise_threshold_n2(node_n[:, mine], _RULE.noise_ratio)
-        parts.append(_run_bus(sums_n[:, mine], variance_n2[:, mine], threshold_n2))
+        parts.append(_run_bus(lines[number], sums_n[:, mine], variance_n2[:, mine], threshold_n2))
     bus = np.repeat(np.arange(len(held)), [len(part[0]) for part in parts])
     sent, log, unsent = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    wire = Sent(Asked(sent, bus, log[:, ASKED]), log[:, ENDED], lines_of(SIDE), len(counts))
+    wire = Sent(Asked(sent, bus, log[:, ASKED]), log[:, ENDED], lines, len(counts))
     latency = (wire.arrived_ns - log[:, ASKED])[log[:, REASON] == NEWS]
     waiting = (len(counts) - unsent) * TICK_NS
     return AdaptiveRun(wire, np.concatenate([latency, waiting]), float(np.median(node_n)))
@@ -158,24 +165,18 @@ def _newtons(counts: npt.NDArray[np.integer]) -> Force:
 
 
 def _run_bus(
-    sums_n: Force, variance_n2: Force, threshold_n2: npt.NDArray[np.float64]
+    line: Bus, sums_n: Force, variance_n2: Force, threshold_n2: npt.NDArray[np.float64]
 ) -> tuple[Frames, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return frames, log, and since when groups had news that was never sent."""
     ticks, nodes = sums_n.shape[:2]
     capacity = ticks * FRAMES_PER_TICK
     sent = frames(capacity)
     rows = frame_bytes(sent)[:, _FIRST_BYTE:]
-    record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(nodes)
-    count = _send(sums_n, variance_n2, threshold_n2, groups, record)
+    record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(nodes, line.fd)
+    law, beats = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N), first_beats_ns(nodes).copy()
+    contiguous = np.ascontiguousarray(sums_n), np.ascontiguousarray(variance_n2)
+    count = int(run_bus(*contiguous, threshold_n2, _RULE, law, groups, beats, line_of(line), record))
     return sent[:count].copy(), record.log[:count], groups.since[groups.since >= 0]
-
-
-def _send(
-    sums_n: Force, variance_n2: Force, threshold_n2: npt.NDArray[np.float64], groups: Groups, record: Record
-) -> int:
-    law, beats = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N), first_beats_ns(sums_n.shape[1]).copy()
-    contiguous = (np.ascontiguousarray(sums_n), np.ascontiguousarray(variance_n2))
-    return int(run_bus(*contiguous, threshold_n2, _RULE, law, groups, beats, BIT_NS, record))
 
 
 def _bytes_of(sent: Frames) -> npt.NDArray[np.uint8]:
@@ -184,15 +185,14 @@ def _bytes_of(sent: Frames) -> npt.NDArray[np.uint8]:
 
 
 @njit(cache=True, nogil=True)
-def _receive(
-    rows: npt.NDArray[np.uint8], arrived_ns: Nanoseconds, law: Companding, sums: BusSums, sums_n: Force
+def _receive(  # noqa: PLR0917  compiled functions take no keywords
+    rows: npt.NDArray[np.uint8], arrived_ns: Nanoseconds, law: Companding, sums: BusSums, is_fd: bool, sums_n: Force
 ) -> None:
     """Write what the receiver of one bus knows at each millisecond, shape (ticks, nodes, BLOCK_SUMS)."""
     done = 0
     for tick in range(sums_n.shape[0]):
         while done < arrived_ns.size and arrived_ns[done] <= tick * TICK_NS:
             row = rows[done]
-            payload = row[8 : 8 + GROUP_SUMS]
-            take(int(row[0]) | int(row[1]) << 8, int(row[4]), payload, arrived_ns[done], law, sums)
+            take(int(row[0]) | int(row[1]) << 8, int(row[4]), row[8:], arrived_ns[done], law, sums, is_fd)
             done += 1
         sums_n[tick] = sums.value_n

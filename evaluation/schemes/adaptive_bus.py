@@ -9,14 +9,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import PAUSE_MS, Companding, SendingRule, cob_id
+from dbc.adaptive import LEVELS, PAUSE_MS, Companding, SendingRule, payload_bytes, place_of
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
-from dbc.contract import SYNC_OVERFLOW
+from dbc.contract import SYNC_OVERFLOW, frame_flags, sum_frame
 from dbc.dictionary import HEARTBEAT_MS
+from dbc.frame import FD, FD_LENGTHS
+from dbc.frame_bits import wire_bits
+from dbc.stuff_bits import count_fd
 from evaluation.schemes.event_kernel import DATA, address, bits_of
 from evaluation.schemes.wire import TICK_NS
-from nodes.adaptive.sending import SILENT, Groups, frame_level, look, make_payload, note_sent
+from nodes.adaptive.sending import SILENT, Groups, identifier_of, look, make_payload, note_sent
 from skin.compiled import njit
+from skin.layout import Bus
 from skin.walsh import GROUPS
 
 #: Milliseconds between two SYNCs.
@@ -25,6 +29,38 @@ SYNC_MS: Final = 100
 #: sample's tick, reason.
 NODE, GROUP, ASKED, BEGUN, ENDED, SAMPLED, REASON = range(7)
 _NOBODY: Final = 1 << 30
+#: Places of length and flags in a row of `Record.rows`.
+_LENGTH, _FLAGS = 4, 5
+
+
+class Line(NamedTuple):
+    """How long frames take on a bus.
+
+    Attributes
+    ----------
+    bit_ns, data_bit_ns : float
+        A bit of the nominal and of the data phase.
+    flags : int
+        Of frames of sums.
+    fixed_bits : array of int64, shape (2, 2)
+        Bits of a coarse and of a fine CAN FD frame without stuff bits: nominal, data.
+    dlc : array of int64, shape (2,)
+        Of these frames.
+    """
+
+    bit_ns: float
+    data_bit_ns: float
+    flags: int
+    fixed_bits: npt.NDArray[np.int64]
+    dlc: npt.NDArray[np.int64]
+
+
+def line_of(bus: Bus) -> Line:
+    """Return how long frames take on a bus."""
+    both = np.concatenate([sum_frame(bus, is_fine=is_fine) for is_fine in (False, True)])
+    bits = np.stack(wire_bits(both, "none"), axis=1).astype(np.int64)
+    dlc = np.searchsorted(FD_LENGTHS, both["length"]).astype(np.int64)
+    return Line(1e9 / bus.bitrate, 1e9 / (bus.data_bitrate or bus.bitrate), frame_flags(bus), bits, dlc)
 
 
 class Record(NamedTuple):
@@ -50,7 +86,7 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
     law: Companding,
     groups: Groups,
     beat_ns: Any,
-    bit_ns: int,
+    line: Line,
     record: Record,
 ) -> int:
     """Run one bus and return how many frames were sent.
@@ -99,16 +135,28 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
                 log[REASON] = groups.reason[node, group]
                 since = groups.since[node, group]
                 log[ASKED] = (since if since >= 0 else tick - 1) * TICK_NS
-                level, is_fine = frame_level(node, group, groups), groups.is_fine[node, group] == 1
-                payload = row[DATA : DATA + 8]
-                make_payload(node, group, sums_n[tick - 1, node], law, groups, payload)
-                note_sent(node, group, tick - 1, is_fine, rule, law, groups, payload)
-                address(row, cob_id(node, level, group, is_fine), 8)
+                identifier, payload = identifier_of(node, group, groups), row[DATA:]
+                length = make_payload(node, group, sums_n[tick - 1, node], law, groups, payload)
+                kind, of_frame, _ = place_of(identifier, groups.is_fd[node])
+                note_sent(node, of_frame, tick - 1, kind >= LEVELS, rule, law, groups, payload)
+                address(row, identifier, length)
+                row[_FLAGS] = line.flags
         log[BEGUN] = now
-        now += bits_of(row) * bit_ns
+        now += _took_ns(row, line)
         log[ENDED] = now
         sent += 1
     return sent
+
+
+@njit(cache=True, nogil=True)
+def _took_ns(row: Any, line: Line) -> int:
+    """Return the time of a frame on the bus, with exact stuff bits and intermission."""
+    if row[_FLAGS] & FD == 0:
+        return round(bits_of(row) * line.bit_ns)
+    kind = int(row[_LENGTH] == payload_bytes(True, True))
+    nominal, data = count_fd(row, line.dlc[kind], row[_LENGTH])
+    nominal, data = nominal + line.fixed_bits[kind, 0], data + line.fixed_bits[kind, 1]
+    return round(nominal * line.bit_ns + data * line.data_bit_ns)
 
 
 @njit(cache=True, nogil=True)
@@ -119,8 +167,7 @@ def _winner(groups: Groups, beat_ns: Any, now: int, is_paused: bool) -> tuple[in
         for each in range(groups.level.shape[0]):
             for other in range(GROUPS):
                 if groups.level[each, other] != SILENT:
-                    level, is_fine = frame_level(each, other, groups), groups.is_fine[each, other] == 1
-                    identifier = cob_id(each, level, other, is_fine)
+                    identifier = identifier_of(each, other, groups)
                     if identifier < least:
                         least, node, group = identifier, each, other
     if node < 0:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
-from dbc.contract import Contract
+from dbc.contract import Contract, sum_frame_bits
 from dbc.frame import Frames, frame_bytes
 from dbc.indices import (
     OD_BUDGET,
@@ -21,7 +21,6 @@ from dbc.indices import (
 )
 from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.mailboxes import (
-    FRAME_BITS,
     REFUSED,
     SENT,
     Chosen,
@@ -96,8 +95,10 @@ class AdaptiveBoards(Boards):
         for _ in range(SETTLING_SAMPLES):
             self._filter.take(self._sensors.sample(0))
         compile_all(self._law)
-        nodes = len(blocks)
-        self._groups, self._boxes = new_groups(nodes), new_mailboxes(nodes)
+        nodes, lines = len(blocks), [contract.layout.bus[contract.nodes[block].bus] for block in blocks]
+        self._groups = new_groups(nodes, np.array([line.fd for line in lines]))
+        bits = [[sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] for line in lines]
+        self._boxes = new_mailboxes(np.array(bits, np.int64).reshape(nodes, 2))
         self._rules = np.tile(np.array(_DEFAULTS), (nodes, 1))
         self._given = np.zeros((2, *self._cells.shape), np.float32)
         self._is_operational, self._has_due = np.zeros((2, nodes), np.bool_)
@@ -244,10 +245,10 @@ class AdaptiveBoards(Boards):
         parts = self._filter.sums_n, self._law, self._groups, self._boxes, self._has_due, room
         return int(choose(first, last, self._now, until_ns, most, *parts))
 
-    def refuse(self, nodes: npt.NDArray[np.int64], groups: npt.NDArray[np.int64]) -> None:
+    def refuse(self, nodes: npt.NDArray[np.int64], tpdos: npt.NDArray[np.int64]) -> None:
         """Take note of frames that found no room in a transmit queue."""
-        for row, group in zip(nodes.tolist(), groups.tolist(), strict=True):
-            give_back(row, group, self._groups, self._boxes)
+        for row, tpdo in zip(nodes.tolist(), tpdos.tolist(), strict=True):
+            give_back(row, tpdo, self._groups, self._boxes)
             self._boxes.counts[row, REFUSED] += 1
 
     def take_echoes(self, arrived: Frames, place_of: npt.NDArray[np.int64]) -> tuple[int, int]:
@@ -261,9 +262,9 @@ class AdaptiveBoards(Boards):
     def forget(self, block: int) -> None:
         """Forget what a node has sent, as a reset does; it keeps what it has learned of its noise."""
         row = self._row[block]
-        for mine, fresh in zip(self._groups, new_groups(1), strict=True):
+        for mine, fresh in zip(self._groups, new_groups(1, self._groups.is_fd[row]), strict=True):
             mine[row] = fresh[0]
-        self._boxes.made_at[row] = new_mailboxes(1).made_at[0]
+        self._boxes.made_at[row] = new_mailboxes(self._boxes.frame_bits[row : row + 1]).made_at[0]
         self._boxes.counts[row] = 0
         self._is_operational[row] = False
 
@@ -287,7 +288,8 @@ class AdaptiveBoards(Boards):
             self._given[int(index == OD_COEFFICIENT_NOISE), row, subindex - 1] = value
             self._filter.give(*self._given)
         elif index == OD_BUDGET:
-            self._boxes.budget[row], self._boxes.saved[row] = value, SAVED_FRAMES * FRAME_BITS
+            self._boxes.budget[row] = value
+            self._boxes.saved[row] = SAVED_FRAMES * self._boxes.frame_bits[row, 0]
         else:
             super().adjust(block, index, subindex, value)
 

@@ -21,10 +21,10 @@ from dbc.adaptive import (
     Bytes,
     Companding,
     SendingRule,
-    tpdo_index,
+    payload_bytes,
 )
 from dbc.canopen import BASE_ID_MASK
-from dbc.frame import ECHO, ERROR, FRAME, frame_bytes, frames
+from dbc.frame import BRS, ECHO, ERROR, ESI, FD, FRAME, frame_bytes, frames
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
@@ -33,19 +33,15 @@ from nodes.adaptive.sending import (
     Groups,
     Integers,
     Numbers,
-    frame_level,
     look,
     make_payload,
     new_groups,
     note_sent,
+    tpdo_of,
 )
 from skin.compiled import njit
 from skin.walsh import GROUPS
 
-#: Bits of a classic frame of 8 bytes at most, with stuff bits and intermission: what a frame takes of a budget.
-FRAME_BITS: Final = 135
-#: Details leave so much of a saved budget that every group can send a coarse frame.
-KEPT_BITS: Final = GROUPS * FRAME_BITS
 #: A frame is given up for lost, with its echo, so long after it has expired.
 LOST_NS: Final = 500_000_000
 #: `Mailboxes.cob_id` of a TPDO that does not exist.
@@ -59,7 +55,9 @@ _CAN_ID, _LENGTH, _FLAGS, _DATA = (
     int(FRAME.fields[name][1])  # type: ignore[index]  # FRAME has fields
     for name in ("can_id", "length", "flags", "data")
 )
+#: Flags of an echo of a classic frame, and of CAN FD.
 _PLAIN: Final = ECHO | ERROR
+_PLAIN_FD: Final = ECHO | ERROR | FD | BRS | ESI
 
 
 class Mailboxes(NamedTuple):
@@ -68,7 +66,10 @@ class Mailboxes(NamedTuple):
     Attributes
     ----------
     cob_id, inhibit, made_at : arrays of int64, shape (nodes, TPDOS)
-        Identifier of each TPDO, or `NO_COB_ID`; its inhibit time and the sample of its newest frame, in samples.
+        Identifier of each TPDO (`dbc.adaptive.tpdo_index`), or `NO_COB_ID`; its inhibit time and the sample of its
+        newest frame, in samples.
+    frame_bits : array of int64, shape (nodes, 2)
+        What a coarse and a fine frame take of a budget.
     budget, saved : arrays of float64, shape (nodes,)
         Bits a second that a node may send, 0 for no limit, and bits that it has saved up.
     counts : array of int64, shape (nodes, 2)
@@ -78,17 +79,20 @@ class Mailboxes(NamedTuple):
     cob_id: Integers
     inhibit: Integers
     made_at: Integers
+    frame_bits: Integers
     budget: Numbers
     saved: Numbers
     counts: Integers
 
 
-def new_mailboxes(nodes: int) -> Mailboxes:
-    """Return the controllers of nodes that have sent nothing and have no limit."""
+def new_mailboxes(frame_bits: Integers) -> Mailboxes:
+    """Return the controllers of nodes that have sent nothing and have no limit; `frame_bits` as in `Mailboxes`."""
+    nodes = len(frame_bits)
     return Mailboxes(
         cob_id=np.full((nodes, TPDOS), NO_COB_ID, np.int64),
         inhibit=np.zeros((nodes, TPDOS), np.int64),
         made_at=np.full((nodes, TPDOS), _LONG_AGO, np.int64),
+        frame_bits=frame_bits.copy(),
         budget=np.zeros(nodes),
         saved=np.zeros(nodes),
         counts=np.zeros((nodes, 2), np.int64),
@@ -100,20 +104,22 @@ class Chosen(NamedTuple):
 
     Attributes
     ----------
-    can_id, node, group : arrays of int64, shape (frames,)
-    payload : array of uint8, shape (frames, GROUP_SUMS)
+    can_id, node, tpdo, length : arrays of int64, shape (frames,)
+    payload : array of uint8, shape (frames, 64)
+        Zeros after `length` bytes.
     """
 
     can_id: Integers
     node: Integers
-    group: Integers
+    tpdo: Integers
+    length: Integers
     payload: Bytes
 
 
 def room_for(count: int) -> Chosen:
     """Return room for so many frames."""
-    can_id, node, group = np.zeros((3, count), np.int64)
-    return Chosen(can_id, node, group, np.zeros((count, GROUP_SUMS), np.uint8))
+    can_id, node, tpdo, length = np.zeros((4, count), np.int64)
+    return Chosen(can_id, node, tpdo, length, np.zeros((count, payload_bytes(True, True)), np.uint8))
 
 
 @njit(cache=True, nogil=True)
@@ -165,9 +171,10 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     for node in range(is_operational.size):
         has_due[node] = False
         if budget[node] > 0:
-            most = max(SAVED_FRAMES * FRAME_BITS, budget[node] * SAVING_S)
+            least = float(SAVED_FRAMES * boxes.frame_bits[node, 0])
+            most = max(least, budget[node] * SAVING_S)
             # Refreshes go whatever is saved. Without a limit, their debt would hold news back for minutes.
-            owed = max(saved[node], float(-SAVED_FRAMES * FRAME_BITS))
+            owed = max(saved[node], -least)
             saved[node] = min(most, owed + budget[node] * passed_s)
         if not is_operational[node]:
             continue
@@ -244,13 +251,19 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
     keys, count = np.empty((last - first) * GROUPS, np.int64), 0
     for node in range(first, last):
         if has_due[node]:
+            before = count
             for group in range(GROUPS):
                 if groups.level[node, group] == SILENT or groups.under_way[node, group] > 0:
                     continue
-                tpdo = _tpdo(node, group, groups)
+                tpdo = tpdo_of(node, group, groups)
                 cob_id = boxes.cob_id[node, tpdo]
-                if cob_id != NO_COB_ID and now - boxes.made_at[node, tpdo] >= boxes.inhibit[node, tpdo]:
-                    keys[count] = (cob_id << 32) + node * GROUPS + group
+                is_inhibited = now - boxes.made_at[node, tpdo] < boxes.inhibit[node, tpdo]
+                if cob_id == NO_COB_ID or is_inhibited or not _has_budget(node, group, groups, boxes):
+                    continue
+                keys[count] = (cob_id << 32) + node * GROUPS + group
+                if groups.is_fd[node] and count > before:  # one frame for all groups: that of the most urgent
+                    keys[before] = min(keys[before], keys[count])
+                else:
                     count += 1
     keys[:count].sort()
     done = 0
@@ -260,22 +273,40 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
         if done == most:
             break
         if _has_budget(node, group, groups, boxes):
-            boxes.made_at[node, _tpdo(node, group, groups)] = now
-            boxes.saved[node] -= FRAME_BITS
-            make_payload(node, group, sums_n[node], law, groups, chosen.payload[done])
-            groups.under_way[node, group] = until_ns + LOST_NS
-            chosen.can_id[done], chosen.node[done], chosen.group[done] = key >> 32, node, group
+            tpdo = tpdo_of(node, group, groups)
+            boxes.made_at[node, tpdo] = now
+            boxes.saved[node] -= boxes.frame_bits[node, groups.is_fine[node, group]]
+            chosen.payload[done] = 0
+            chosen.length[done] = make_payload(node, group, sums_n[node], law, groups, chosen.payload[done])
+            _note_way(node, group, until_ns + LOST_NS, groups)
+            chosen.can_id[done], chosen.node[done], chosen.tpdo[done] = key >> 32, node, tpdo
             done += 1
     return done
 
 
 @njit(cache=True, nogil=True)
-def give_back(node: int, group: int, groups: Groups, boxes: Mailboxes) -> None:
+def give_back(node: int, tpdo: int, groups: Groups, boxes: Mailboxes) -> None:
     """Take note of a frame that was not sent."""
+    group = tpdo % GROUPS
     if groups.under_way[node, group] > 0:
-        groups.under_way[node, group] = 0
-        boxes.made_at[node, _tpdo(node, group, groups)] = _LONG_AGO
-        boxes.saved[node] += FRAME_BITS
+        _note_way(node, group, 0, groups)
+        boxes.made_at[node, tpdo] = _LONG_AGO
+        boxes.saved[node] += boxes.frame_bits[node, int(is_fine_tpdo(tpdo))]
+
+
+@njit(cache=True, nogil=True)
+def is_fine_tpdo(tpdo: int) -> bool:
+    """Tell whether the frames of a TPDO (`dbc.adaptive.tpdo_index`) are fine."""
+    return tpdo >= GROUPS * LEVELS
+
+
+@njit(cache=True, nogil=True)
+def _note_way(node: int, group: int, until_ns: int, groups: Groups) -> None:
+    """Set until when the controller may hold a frame of a group, on CAN FD of all groups."""
+    if groups.is_fd[node]:
+        groups.under_way[node] = until_ns
+    else:
+        groups.under_way[node, group] = until_ns
 
 
 @njit(cache=True, nogil=True)
@@ -301,25 +332,23 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
         can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
         flags = int(row[_FLAGS])
         place = place_of[can_id] if can_id <= BASE_ID_MASK else -1
-        if place < 0 or flags & ECHO == 0 or flags & ~_PLAIN != 0 or row[_LENGTH] != GROUP_SUMS:
+        if place < 0 or flags & ECHO == 0:
             others += 1
             continue
         node, tpdo = place // TPDOS, place % TPDOS
-        group = tpdo % GROUPS
+        group, is_fine, is_fd = tpdo % GROUPS, is_fine_tpdo(tpdo), groups.is_fd[node]
+        is_strange = flags & ~(_PLAIN_FD if is_fd else _PLAIN) != 0 or (flags & FD != 0) != is_fd
+        if is_strange or row[_LENGTH] != payload_bytes(is_fine, is_fd):
+            others += 1
+            continue
         if flags & ERROR:
-            give_back(node, group, groups, boxes)
+            give_back(node, tpdo, groups, boxes)
             continue
         sent += 1
         boxes.counts[node, SENT] += 1
-        payload = row[_DATA : _DATA + GROUP_SUMS]
-        note_sent(node, group, now, tpdo >= GROUPS * LEVELS, rule_of(rules, node), law, groups, payload)
-        groups.under_way[node, group] = 0
+        note_sent(node, group, now, is_fine, rule_of(rules, node), law, groups, row[_DATA:])
+        _note_way(node, group, 0, groups)
     return sent, others
-
-
-@njit(cache=True, nogil=True)
-def _tpdo(node: int, group: int, groups: Groups) -> int:
-    return int(tpdo_index(frame_level(node, group, groups), group, groups.is_fine[node, group] == 1))
 
 
 @njit(cache=True, nogil=True)
@@ -328,13 +357,17 @@ def _has_budget(node: int, group: int, groups: Groups, boxes: Mailboxes) -> bool
     reason = groups.reason[node, group]
     if boxes.budget[node] == 0 or reason == REFRESH:
         return True
-    kept = KEPT_BITS if reason == DETAIL else 0
-    return bool(boxes.saved[node] >= FRAME_BITS + kept)
+    coarse = boxes.frame_bits[node, 0]
+    frames_of_all = 1 if groups.is_fd[node] else GROUPS
+    # Details leave so much that every group can send a coarse frame.
+    kept = frames_of_all * coarse if reason == DETAIL else 0
+    return bool(boxes.saved[node] >= boxes.frame_bits[node, groups.is_fine[node, group]] + kept)
 
 
 def compile_all(law: Companding) -> None:
     """Compile what runs every millisecond, so that no bus waits for it: one frame of one node, there and back."""
-    groups, boxes, room, sent = new_groups(1), new_mailboxes(1), room_for(1), frames(1)
+    groups, boxes = new_groups(1), new_mailboxes(np.ones((1, 2), np.int64))
+    room, sent = room_for(1), frames(1)
     boxes.cob_id[:] = sent["can_id"] = FIRST_COB_ID
     groups.refreshes[:], groups.refresh_at[:] = 1, 0
     sums_n, rules = np.zeros((1, BLOCK_SUMS), np.float32), np.array([SendingRule()], np.float64)
@@ -354,9 +387,13 @@ def present_codes(sums_n: Any, law: Companding, groups: Groups, node: int) -> tu
     fine : array of uint8, shape (GROUPS, GROUP_SUMS)
     """
     shown = Groups._make(each[node : node + 1].copy() for each in groups)
-    coarse, fine = np.zeros((GROUPS, GROUP_SUMS), np.uint8), np.zeros((GROUPS, GROUP_SUMS), np.uint8)
-    for is_fine, payloads in enumerate((coarse, fine)):
-        shown.is_fine[:] = is_fine
-        for group in range(GROUPS):
-            make_payload(0, group, sums_n, law, shown, payloads[group])
-    return coarse.reshape(BLOCK_SUMS), fine
+    codes = np.zeros((2, GROUPS, GROUP_SUMS), np.uint8)
+    if shown.is_fd[0]:
+        shown.is_fine[:] = 1
+        make_payload(0, 0, sums_n, law, shown, codes.reshape(-1))
+    else:
+        for is_fine in range(2):
+            shown.is_fine[:] = is_fine
+            for group in range(GROUPS):
+                make_payload(0, group, sums_n, law, shown, codes[is_fine, group])
+    return codes[0].reshape(BLOCK_SUMS), codes[1]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 
+from dbc.adaptive import TPDOS, tpdo_index
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
@@ -52,13 +53,17 @@ class AdaptiveNode(SkinNode):
         self._adaptive.forget(self.contract.block)
 
     def communication(self) -> tuple[list[int], list[int]]:
-        """Return identifier and inhibit time, in samples, of each TPDO; one that does not exist has `NO_COB_ID`."""
-        cob_ids, inhibits = [], []
+        """Return identifier and inhibit time, in samples, of each TPDO, by `dbc.adaptive.tpdo_index`.
+
+        One that does not exist has `NO_COB_ID`.
+        """
+        cob_ids, inhibits = [NO_COB_ID] * TPDOS, [0] * TPDOS
         for tpdo in self.contract.adaptive_tpdos:
             index = OD_TPDO_COMMUNICATION + tpdo.number - 1
             cob_id, inhibit_100us = self._unsigned(index, 1), self._unsigned(index, 3)
-            cob_ids.append(NO_COB_ID if cob_id & COB_ID_INVALID else cob_id & BASE_ID_MASK)
-            inhibits.append(-(-inhibit_100us // _PER_SAMPLE))
+            place = tpdo_index(tpdo.level, tpdo.group, tpdo.is_fine)
+            cob_ids[place] = NO_COB_ID if cob_id & COB_ID_INVALID else cob_id & BASE_ID_MASK
+            inhibits[place] = -(-inhibit_100us // _PER_SAMPLE)
         return cob_ids, inhibits
 
     def _unsigned(self, index: int, subindex: int) -> int:

@@ -7,12 +7,12 @@ from typing import Final, cast
 import numpy as np
 
 from bus.link import Send
-from dbc.adaptive import GROUP_SUMS, PAUSE_MS, TPDOS
+from dbc.adaptive import PAUSE_MS, TPDOS
 from dbc.canopen import BASE_ID_MASK, NmtState
-from dbc.contract import Contract
+from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import Frames, frames
 from nodes.adaptive.boards import AdaptiveBoards, tpdo_places
-from nodes.adaptive.mailboxes import FRAME_BITS, room_for
+from nodes.adaptive.mailboxes import room_for
 from nodes.adaptive.node import AdaptiveNode
 from nodes.node import SkinNode
 from nodes.segment import Segment
@@ -45,12 +45,15 @@ class AdaptiveSegment(Segment):
         self._first, self._last = min(rows, default=0), max(rows, default=-1) + 1
         self._adaptive = boards
         self._sent = self._dropped = 0
-        self._frame_ns = FRAME_BITS * 1e9 / contract.layout.bus[bus].bitrate
+        line = contract.layout.bus[bus]
+        self._coarse_ns, self._frame_ns = (
+            sum_frame_bits(line, is_fine=is_fine) * 1e9 / line.bitrate for is_fine in (False, True)
+        )
         self._sync_ns = -(1 << 62)
         self._decision = 0
         self._room = room_for(MOST_FRAMES)
         self._burst = frames(MOST_FRAMES)
-        self._burst["length"] = GROUP_SUMS
+        self._burst["flags"] = frame_flags(line)
         self._cob_ids = np.zeros((self._last - self._first, TPDOS), np.int64)
         self._place_of = np.full(BASE_ID_MASK + 1, -1, np.int64)
         self._node_id = np.zeros(self._last, np.uint16)
@@ -92,18 +95,18 @@ class AdaptiveSegment(Segment):
         until_ns = now_ns + int(self._adaptive.pace_ns)
         if now_ns < next_ns:
             until_ns = min(until_ns, next_ns)
-        most = min(MOST_FRAMES, SPARE_FRAMES + int(-(-(until_ns - now_ns) // self._frame_ns)))
+        most = min(MOST_FRAMES, SPARE_FRAMES + int(-(-(until_ns - now_ns) // self._coarse_ns)))
         count = self._adaptive.choose(self._first, self._last, until_ns, most, self._room)
         if not count:
             return
         room, burst = self._room, self._burst[:count]
         burst["time_ns"], burst["expires_ns"] = now_ns, until_ns
         burst["can_id"], burst["port"] = room.can_id[:count], self._node_id[room.node[:count]]
-        burst["data"][:, :GROUP_SUMS] = room.payload[:count]
+        burst["length"], burst["data"] = room.length[:count], room.payload[:count]
         accepted = self._send(burst)
         if accepted < count:
             self._dropped += count - accepted
-            self._adaptive.refuse(room.node[accepted:count], room.group[accepted:count])
+            self._adaptive.refuse(room.node[accepted:count], room.tpdo[accepted:count])
 
     def boot(self, now_s: float) -> None:
         """Boot all nodes."""

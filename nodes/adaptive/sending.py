@@ -9,18 +9,25 @@ from dbc.adaptive import (
     BLOCK_SUMS,
     FINE_LEVELS,
     FINE_LIMIT,
+    FIRST_COB_ID,
     GROUP_SUMS,
     LEVELS,
+    NO_CHECK,
+    NODES,
+    TPDOS,
     Bytes,
     Companding,
     SendingRule,
     check_of,
     coarse_code,
     coarse_step,
+    coarse_value,
     fine_steps,
-    hold_coarse,
+    hold,
     pack_fine,
-    unpack_fine,
+    part_of,
+    parts_of,
+    tpdo_index,
 )
 from skin.compiled import njit
 from skin.walsh import GROUPS
@@ -34,6 +41,7 @@ _NEVER: Final = 1 << 60
 
 Integers = npt.NDArray[np.int64]
 Numbers = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 
 class Groups(NamedTuple):
@@ -41,10 +49,12 @@ class Groups(NamedTuple):
 
     Attributes
     ----------
+    is_fd : array of bool, shape (nodes,)
+        Whether a frame of the node carries all its groups (CAN FD).
     known_n, coarse_n : arrays of float64, shape (nodes, BLOCK_SUMS)
         What a receiver that got every frame shows, and the values of the newest coarse frames.
     check : array of int64, shape (nodes, GROUPS)
-        Check of the newest coarse frame, -1 before the first.
+        Check of the newest coarse frame, `NO_CHECK` before the first.
     since, sent_at, refresh_at, refresh_after, refreshes, fine_turn : arrays of int64, shape (nodes, GROUPS)
         Since when there is news (-1: none); when the last frame of any kind was sent; when a refresh is
         due, the time between refreshes, how many are left, and whether the next is fine.
@@ -59,6 +69,7 @@ class Groups(NamedTuple):
         while it may.
     """
 
+    is_fd: Flags
     known_n: Numbers
     coarse_n: Numbers
     check: Integers
@@ -76,16 +87,17 @@ class Groups(NamedTuple):
     under_way: Integers
 
 
-def new_groups(nodes: int) -> Groups:
-    """Return the state of nodes that have sent nothing."""
+def new_groups(nodes: int, is_fd: bool | Flags = False) -> Groups:
+    """Return the state of nodes that have sent nothing; `is_fd` of shape (nodes,), or one value for all."""
 
     def full(value: int) -> Integers:
         return np.full((nodes, GROUPS), value, np.int64)
 
     return Groups(
+        is_fd=np.full(nodes, is_fd, np.bool_),
         known_n=np.zeros((nodes, BLOCK_SUMS)),
         coarse_n=np.zeros((nodes, BLOCK_SUMS)),
-        check=full(-1),
+        check=full(NO_CHECK),
         since=full(-1),
         sent_at=full(_LONG_AGO),
         refresh_at=full(_NEVER),
@@ -207,12 +219,15 @@ def _differences_n2(  # noqa: PLR0917  compiled functions take no keywords
 
 @njit(cache=True, nogil=True)
 def _is_in_reach(node: int, group: int, sums_n: npt.NDArray[np.float32], law: Companding, groups: Groups) -> bool:
-    """Tell whether a fine frame can tell all sums of a group."""
-    if groups.check[node, group] < 0:
+    """Tell whether a fine frame can tell all sums of a group: it refines the newest coarse codes, or on FD its own."""
+    is_fd = groups.is_fd[node]
+    if groups.check[node, group] == NO_CHECK and not is_fd:
         return False
     for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
-        away = fine_steps(float(sums_n[place]), law) - fine_steps(groups.coarse_n[node, place], law)
-        if abs(away) > FINE_LIMIT:
+        now_n, coarse_n = float(sums_n[place]), groups.coarse_n[node, place]
+        if is_fd:
+            coarse_n = coarse_value(coarse_code(now_n, place == 0, law), place == 0, law)
+        if abs(fine_steps(now_n, law) - fine_steps(coarse_n, law)) > FINE_LIMIT:
             return False
     return True
 
@@ -234,53 +249,107 @@ def frame_level(node: int, group: int, groups: Groups) -> int:
 
 
 @njit(cache=True, nogil=True)
+def tpdo_of(node: int, group: int, groups: Groups) -> int:
+    """Return the TPDO (`dbc.adaptive.tpdo_index`) of the frame that a group is to be sent in."""
+    is_fine = groups.is_fine[node, group] == 1
+    return int(tpdo_index(frame_level(node, group, groups), 0 if groups.is_fd[node] else group, is_fine))
+
+
+@njit(cache=True, nogil=True)
+def identifier_of(node: int, group: int, groups: Groups) -> int:
+    """Return the identifier of that frame, of a node that has the identifiers of the contract."""
+    return int(FIRST_COB_ID + NODES * tpdo_of(node, group, groups) + node)
+
+
+@njit(cache=True, nogil=True)
+def most_urgent(node: int, groups: Groups) -> int:
+    """Return the group of a node whose frame has the lowest identifier, or `SILENT`."""
+    least, found = TPDOS, SILENT
+    for group in range(GROUPS):
+        if groups.level[node, group] != SILENT and tpdo_of(node, group, groups) < least:
+            least, found = tpdo_of(node, group, groups), group
+    return found
+
+
+@njit(cache=True, nogil=True)
 def make_payload(  # noqa: PLR0917  compiled functions take no keywords
     node: int, group: int, sums_n: npt.NDArray[np.float32], law: Companding, groups: Groups, payload: Bytes
+) -> int:
+    """Write the payload of a group's frame of the present sums; return its bytes (`dbc.adaptive.payload_bytes`)."""
+    is_fine, is_fd = groups.is_fine[node, group] == 1, groups.is_fd[node]
+    parts = parts_of(is_fine, is_fd)
+    for part in range(parts):
+        each, is_fine_part = part_of(part, group, is_fine, is_fd)
+        mine, first = payload[GROUP_SUMS * part : GROUP_SUMS * (part + 1)], GROUP_SUMS * each
+        if is_fine_part:
+            coarse = payload[first : first + GROUP_SUMS]
+            check = check_of(coarse) if is_fd else groups.check[node, each]
+            _make_fine(node, each, check, coarse, sums_n, law, groups, mine)
+        else:
+            for place in range(GROUP_SUMS):
+                mine[place] = coarse_code(float(sums_n[first + place]), first + place == 0, law)
+    return int(GROUP_SUMS * parts)
+
+
+@njit(cache=True, nogil=True)
+def _make_fine(  # noqa: PLR0917  compiled functions take no keywords
+    node: int,
+    group: int,
+    check: int,
+    coarse: Bytes,
+    sums_n: npt.NDArray[np.float32],
+    law: Companding,
+    groups: Groups,
+    payload: Bytes,
 ) -> None:
-    """Write the payload of a group's frame, 8 bytes, of the present sums."""
-    first = GROUP_SUMS * group
-    if groups.is_fine[node, group]:
-        steps, is_zero = np.empty(GROUP_SUMS, np.int64), True
-        for place in range(GROUP_SUMS):
-            steps[place] = fine_steps(float(sums_n[first + place]), law)
-            is_zero = is_zero and sums_n[first + place] == 0
-        groups.is_zero[node, group] = int(is_zero)
-        pack_fine(steps, groups.check[node, group], payload)
-    else:
-        for place in range(GROUP_SUMS):
-            payload[place] = coarse_code(float(sums_n[first + place]), first + place == 0, law)
+    """Write the fine payload of a group.
+
+    On CAN FD all groups are refined as soon as one has details. A sum out of the reach of its coarse code in the same
+    frame is brought as near as the reach allows.
+    """
+    steps, is_zero = np.empty(GROUP_SUMS, np.int64), True
+    for place in range(GROUP_SUMS):
+        each = GROUP_SUMS * group + place
+        steps[place] = fine_steps(float(sums_n[each]), law)
+        if groups.is_fd[node]:
+            near = fine_steps(coarse_value(int(coarse[place]), each == 0, law), law)
+            steps[place] = max(near - FINE_LIMIT, min(near + FINE_LIMIT, steps[place]))
+        is_zero = is_zero and sums_n[each] == 0
+    groups.is_zero[node, group] = int(is_zero)
+    pack_fine(steps, check, payload)
 
 
 @njit(cache=True, nogil=True)
 def note_sent(  # noqa: PLR0917  compiled functions take no keywords
     node: int, group: int, now: int, is_fine: bool, rule: SendingRule, law: Companding, groups: Groups, payload: Bytes
 ) -> None:
-    """Take note of a frame that was sent: hold what a receiver holds of its payload, and plan the next refresh."""
-    first = GROUP_SUMS * group
-    mine = slice(first, first + GROUP_SUMS)
-    if not is_fine:
-        hold_coarse(payload, first, True, law, groups.known_n[node], groups.coarse_n[node])
-        is_zero = True
-        for place in range(first, first + GROUP_SUMS):
-            is_zero = is_zero and groups.coarse_n[node, place] == 0
-        groups.check[node, group] = check_of(payload)
-    elif groups.check[node, group] == int(payload[GROUP_SUMS - 1]):
-        unpack_fine(payload, groups.coarse_n[node, mine], law, groups.known_n[node, mine])
-        is_zero = groups.is_zero[node, group] == 1
-    else:
+    """Take note of a frame that was sent: hold what a receiver holds of its payload, and plan the next refresh.
+
+    `group` and `is_fine` are those of the identifier.
+    """
+    is_fd, known_n, coarse_n = groups.is_fd[node], groups.known_n[node], groups.coarse_n[node]
+    if not hold(payload, group, is_fine, is_fd, law, known_n, coarse_n, groups.check[node]):
         return
-    _plan_refresh(node, group, now, is_fine, is_zero, rule, groups)
-    groups.sent_at[node, group] = now
-    groups.since[node, group], groups.level[node, group] = -1, SILENT
+    for each in range(0 if is_fd else group, GROUPS if is_fd else group + 1):
+        is_zero = groups.is_zero[node, each] == 1
+        if not is_fine:
+            is_zero = not coarse_n[GROUP_SUMS * each : GROUP_SUMS * (each + 1)].any()
+        _plan_refresh(node, each, now, is_fine, is_zero, rule, groups)
+        groups.sent_at[node, each] = now
+        groups.since[node, each], groups.level[node, each] = -1, SILENT
 
 
 @njit(cache=True, nogil=True)
 def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
     node: int, group: int, now: int, is_fine: bool, is_zero: bool, rule: SendingRule, groups: Groups
 ) -> None:
-    reason = groups.reason[node, group]
-    if is_fine and groups.is_wanted[node, group]:
+    reason, is_fd = groups.reason[node, group], groups.is_fd[node]
+    if is_fine and groups.is_wanted[node, group] and not is_fd:
         return  # the coarse frame was asked for while this one was under way
+    if is_fd and groups.refresh_after[node, group] == 0:
+        reason = NEWS  # the first frame that carries the group
+    elif is_fd and groups.level[node, group] == SILENT and groups.since[node, group] < 0:
+        reason = DETAIL  # the group had no news: the frame was sent for another one
     if reason == NEWS or groups.is_wanted[node, group]:
         groups.is_wanted[node, group] = 0
         groups.refresh_after[node, group] = rule.refresh
@@ -292,5 +361,5 @@ def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
         groups.fine_turn[node, group] = 1 - groups.fine_turn[node, group]
     if not is_zero:
         groups.refreshes[node, group] = _NEVER
-    if reason != DETAIL or not is_fine:
+    if reason != DETAIL or not is_fine or is_fd:
         groups.refresh_at[node, group] = now + groups.refresh_after[node, group]

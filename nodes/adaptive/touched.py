@@ -4,17 +4,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from dbc.adaptive import GROUP_SUMS, Companding, SendingRule, cob_id
-from dbc.contract import Contract
+from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
+from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
 from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.noise import IdleStatistics
 from nodes.adaptive.sending import (
     SILENT,
     Groups,
-    frame_level,
+    identifier_of,
     look,
     make_payload,
+    most_urgent,
     new_groups,
     noise_threshold_n2,
     note_sent,
@@ -55,15 +56,16 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
     for _ in range(SETTLING_SAMPLES):
         patch_filter.take(sensors.sample(0))
     sensors.touch_from_ns = 0
-    rule, groups = SendingRule(), new_groups(len(nodes))
+    line = contract.layout.bus[bus]
+    rule, groups = SendingRule(), new_groups(len(nodes), line.fd)
     samples = round(seconds * 1000)
     parts, part = [], frames(GROUPS * len(nodes))
-    part["length"] = GROUP_SUMS
+    part["flags"] = frame_flags(line)
     for now in range(samples):
         patch_filter.take(sensors.sample(now * SAMPLE_NS))
         noise_n2 = noise_threshold_n2(patch_filter.noise.node_n, rule.noise_ratio)
         sums = patch_filter.sums_n, patch_filter.variance_n2, noise_n2
-        count = _send(now, *sums, rule, contract.law, groups, part["can_id"], part["data"])
+        count = _send(now, *sums, rule, contract.law, groups, part["can_id"], part["length"], part["data"])
         if count:
             part["time_ns"][:count] = now * SAMPLE_NS
             parts.append(part[:count].copy())
@@ -80,18 +82,22 @@ def _send(  # noqa: PLR0917  compiled functions take no keywords
     law: Companding,
     groups: Groups,
     identifiers: Any,
+    lengths: Any,
     payloads: Any,
 ) -> int:
     """Write the frames that are due; return how many."""
     count = 0
     for node in range(sums_n.shape[0]):
         look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule, law, groups)
-        for group in range(GROUPS):
-            if groups.level[node, group] != SILENT:
-                is_fine = groups.is_fine[node, group] == 1
-                payload = payloads[count, :GROUP_SUMS]
-                make_payload(node, group, sums_n[node], law, groups, payload)
-                identifiers[count] = cob_id(node, frame_level(node, group, groups), group, is_fine)
-                note_sent(node, group, now, is_fine, rule, law, groups, payload)
-                count += 1
+        while True:
+            group = most_urgent(node, groups)
+            if group == SILENT:
+                break
+            identifiers[count] = identifier_of(node, group, groups)
+            kind, tpdo_group, _ = place_of(identifiers[count], groups.is_fd[node])
+            payload = payloads[count]
+            payload[:] = 0
+            lengths[count] = make_payload(node, group, sums_n[node], law, groups, payload)
+            note_sent(node, tpdo_group, now, kind >= LEVELS, rule, law, groups, payload)
+            count += 1
     return count

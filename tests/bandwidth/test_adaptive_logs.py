@@ -12,7 +12,7 @@ from bandwidth.adaptive_log import AGAIN, EARLY, NEW, REFINING, UNREFINED, sum_f
 from dbc.adaptive import FIRST_COB_ID, TPDOS, SendingRule
 from dbc.contract import Contract
 from dbc.frame import FRAME, Frames, frame_bytes, frames
-from evaluation.schemes.adaptive_bus import ENDED, Record, run_bus
+from evaluation.schemes.adaptive_bus import ENDED, Record, line_of, run_bus
 from nodes.adaptive.sending import new_groups
 from skin.layout import load_layout
 
@@ -42,7 +42,18 @@ def arbitrated(seed: int) -> Frames:
     record, groups = Record(rows, np.empty((len(sent), 7), np.int64)), new_groups(NODES)
     beats = np.arange(NODES, dtype=np.int64) * 30 * MS
     threshold = np.full((TICKS, NODES), 1e-5)
-    count = run_bus(sums_n, np.zeros_like(sums_n), threshold, SendingRule(), contract.law, groups, beats, 1000, record)
+    line = line_of(contract.layout.bus[0])
+    count = run_bus(
+        sums_n,
+        np.zeros_like(sums_n),
+        threshold,
+        SendingRule(),
+        contract.law,
+        groups,
+        beats,
+        line,
+        record,
+    )
     sent["time_ns"][:count] = record.log[:count, ENDED] + 10**12
     return sent[:count]
 

@@ -17,7 +17,7 @@ from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule, coarse_value
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FRAME, frame_bytes, frames
-from evaluation.schemes.adaptive_bus import ASKED, ENDED, GROUP, NODE, REASON, SYNC_MS, Record, run_bus
+from evaluation.schemes.adaptive_bus import ASKED, ENDED, GROUP, NODE, REASON, SYNC_MS, Record, line_of, run_bus
 from nodes.adaptive.sending import DETAIL, NEWS, Groups, new_groups
 from skin.layout import load_layout
 from skin.walsh import GROUPS
@@ -51,7 +51,8 @@ def arbitrated(
     sent = frames(capacity)
     rows = frame_bytes(sent)[:, FIRST_BYTE:]
     record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(NODES)
-    count = run_bus(sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, 1000, record)
+    line = line_of(adaptive().layout.bus[0])
+    count = run_bus(sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, line, record)
     return record.log[:count], groups
 
 

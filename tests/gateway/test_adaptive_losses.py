@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc.adaptive import GROUP_SUMS, SendingRule, coarse_code, coarse_value, cob_id, companding
+from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, coarse_code, coarse_value, cob_id, companding
 from dbc.frame import Frames, frame_bytes, frames
-from gateway.adaptive_state import NO_CHECK, UNREFINED, USED, BusSums, new_sums, take_all
+from gateway.adaptive_state import UNREFINED, USED, BusSums, new_sums, take_all
 from nodes.adaptive.sending import NEWS, SILENT, frame_level, look, new_groups
 from skin.walsh import GROUPS
 from tests.bus.harness import frame
