@@ -133,7 +133,7 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
                 address(row, HEARTBEAT_BASE + node + 1, 1)
             else:
                 log[REASON] = groups.reason[node, group]
-                since = groups.since[node, group]
+                since = _oldest(node, group, groups)
                 log[ASKED] = (since if since >= 0 else tick - 1) * TICK_NS
                 identifier, payload = identifier_of(node, group, groups), row[DATA:]
                 length = make_payload(node, group, sums_n[tick - 1, node], law, groups, payload)
@@ -149,6 +149,18 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
 
 
 @njit(cache=True, nogil=True)
+def _oldest(node: int, group: int, groups: Groups) -> int:
+    """Return since when there is the oldest news that a group's frame tells, -1 for none."""
+    since = groups.since[node, group]
+    if groups.is_fd[node]:
+        for each in range(GROUPS):
+            other = groups.since[node, each]
+            if other >= 0 and (since < 0 or other < since):
+                since = other
+    return int(since)
+
+
+@njit(cache=True, nogil=True)
 def _took_ns(row: Any, line: Line) -> int:
     """Return the time of a frame on the bus, with exact stuff bits and intermission."""
     if row[_FLAGS] & FD == 0:
@@ -156,7 +168,8 @@ def _took_ns(row: Any, line: Line) -> int:
     kind = int(row[_LENGTH] == payload_bytes(True, True))
     nominal, data = count_fd(row, line.dlc[kind], row[_LENGTH])
     nominal, data = nominal + line.fixed_bits[kind, 0], data + line.fixed_bits[kind, 1]
-    return round(nominal * line.bit_ns + data * line.data_bit_ns)
+    took_ns: float = nominal * line.bit_ns + data * line.data_bit_ns
+    return round(took_ns)
 
 
 @njit(cache=True, nogil=True)

@@ -182,7 +182,9 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
         groups.since[node, group] = -1
         if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
             level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
-            may_be_fine = groups.fine_turn[node, group] == 1 and groups.is_wanted[node, group] == 0
+            # On CAN FD a fine frame has the coarse codes, too: there is no turn to take.
+            is_turn = groups.fine_turn[node, group] == 1 or groups.is_fd[node]
+            may_be_fine = is_turn and groups.is_wanted[node, group] == 0
             # A fine frame knows no higher level: a refresh that waits longer is coarse, whoever's turn it is.
             may_be_fine = may_be_fine and level < FINE_LEVELS
             reason, is_fine = REFRESH, int(may_be_fine and _is_in_reach(node, group, sums_n, law, groups))

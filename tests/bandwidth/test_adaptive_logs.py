@@ -11,7 +11,7 @@ import pytest
 from bandwidth.adaptive_log import AGAIN, EARLY, NEW, REFINING, UNREFINED, sum_frames
 from dbc.adaptive import FIRST_COB_ID, TPDOS, SendingRule
 from dbc.contract import Contract
-from dbc.frame import FRAME, Frames, frame_bytes, frames
+from dbc.frame import BRS, FD, FRAME, Frames, frame_bytes, frames
 from evaluation.schemes.adaptive_bus import ENDED, Record, line_of, run_bus
 from nodes.adaptive.sending import new_groups
 from skin.layout import load_layout
@@ -29,20 +29,21 @@ def _brief(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bandwidth.adaptive_plan.TOUCHED_S", 2.0)
 
 
-def arbitrated(seed: int) -> Frames:
+def arbitrated(seed: int, layout: str = "adaptive") -> Frames:
     """Return three seconds of a bus: a touch moves under two nodes, then rests."""
-    contract, rng = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True)), np.random.default_rng(seed)
-    sums_n = np.zeros((TICKS, NODES, 32), np.float32)
+    contract, rng = Contract.from_layout(load_layout(Path(layout), adaptive=True)), np.random.default_rng(seed)
+    line = contract.layout.bus[0]
+    nodes = line.nodes
+    sums_n = np.zeros((TICKS, nodes, 32), np.float32)
     sums_n[200:, 3:5] = rng.uniform(0.01, 0.06, (2, 32))
     sums_n[200:800, 3:5] += np.cumsum(rng.normal(0, 0.002, (600, 2, 32)), axis=0)
     sums_n[800:, 3:5] = sums_n[799, 3:5]
     sums_n[:, :, 0] = np.abs(sums_n[:, :, 0])
     sent = frames(10 * TICKS)
     rows = frame_bytes(sent)[:, FIRST_BYTE:]
-    record, groups = Record(rows, np.empty((len(sent), 7), np.int64)), new_groups(NODES)
-    beats = np.arange(NODES, dtype=np.int64) * 30 * MS
-    threshold = np.full((TICKS, NODES), 1e-5)
-    line = line_of(contract.layout.bus[0])
+    record, groups = Record(rows, np.empty((len(sent), 7), np.int64)), new_groups(nodes, line.fd)
+    beats = np.arange(nodes, dtype=np.int64) * 1000 // nodes * MS
+    threshold = np.full((TICKS, nodes), 1e-5)
     count = run_bus(
         sums_n,
         np.zeros_like(sums_n),
@@ -51,7 +52,7 @@ def arbitrated(seed: int) -> Frames:
         contract.law,
         groups,
         beats,
-        line,
+        line_of(line),
         record,
     )
     sent["time_ns"][:count] = record.log[:count, ENDED] + 10**12
@@ -75,6 +76,7 @@ def written(path: Path, buses: list[Frames]) -> Path:
             each = buses[bus][place]
             data = each["data"][: each["length"]].tobytes()
             message = can.Message(time_ns * 1e-9, int(each["can_id"]), is_extended_id=False, data=data)
+            message.is_fd, message.bitrate_switch = bool(each["flags"] & FD), bool(each["flags"] & BRS)
             message.channel = f"bus{bus}"
             logger(message)
     return path
@@ -229,3 +231,50 @@ def test_a_log_of_a_skin_that_sends_in_cycles_is_noticed(skin: Run, tmp_path: Pa
     status, out, _ = skin("plan", "adaptive", "--check", written(tmp_path / "cycles.log", buses))
     assert status == 1
     assert "SYNC every 10.000 ms, 100.000 ms were planned" in out
+
+
+@pytest.fixture(scope="module")
+def fd_buses() -> list[Frames]:
+    return [arbitrated(seed, "adaptive-fd") for seed in range(2)]
+
+
+def test_plan_load_and_check_of_can_fd(skin: Run, fd_buses: list[Frames], tmp_path: Path) -> None:
+    status, out, _ = skin("plan", "adaptive-fd", "--json", "--node-budget", 10_000)
+    bus = json.loads(out)["buses"][0]
+    assert (status, bus["nodes"], bus["budget"]["full_ms"] is not None) == (0, 64, True)
+    assert bus["coarse_ms"] == pytest.approx(33.1, abs=0.1)
+    assert bus["load_idle"] < bus["load_touched"] < 0.1
+    path = written(tmp_path / "fd.log", fd_buses)
+    status, out, said = skin("load", path, "--layout", "adaptive-fd", "--json")
+    assert (status, said) == (0, "")
+    for each in json.loads(out)["buses"]:
+        moved = [node for node in each["nodes"] if node["news"]]
+        assert [node["node_id"] for node in moved] == [4, 5]
+        assert all(node["fine"] and not node["unrefined"] for node in moved)
+        assert sum(level["frames"] for level in each["levels"]) > 50
+    assert skin("plan", "adaptive-fd", "--check", path)[:2] == (0, "")
+
+
+def test_check_names_differences_on_can_fd(skin: Run, fd_buses: list[Frames], tmp_path: Path) -> None:
+    def checked(change: Callable[[Frames], Frames]) -> str:
+        path = written(tmp_path / "broken.log", [fd_buses[0], change(fd_buses[1].copy())])
+        status, out, _ = skin("plan", "adaptive-fd", "--check", path)
+        assert status == 1
+        return out
+
+    def unchecked(sent: Frames) -> Frames:
+        sent["data"][sent["length"] == 64, 63] ^= 0xFF
+        return sent
+
+    def short(sent: Frames) -> Frames:
+        sent["length"][sent["length"] == 32] = 24
+        return sent
+
+    def silent(sent: Frames) -> Frames:
+        is_gone = (sent["time_ns"] > 10**12 + 1000 * MS) & ((sent["can_id"] - 0x181) % 128 == 3)
+        kept: Frames = sent[~is_gone]
+        return kept
+
+    assert "do not refine" in checked(unchecked)
+    assert "have another length or format" in checked(short)
+    assert "node 4 was silent for" in checked(silent)

@@ -35,8 +35,14 @@ STUFFED = (0x0F, 0x1E, 0x3C, 0x78, 0xF0, 0xE1, 0xC3, 0x87)
 
 
 @cache
-def adaptive() -> Contract:
-    return Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+def adaptive(*, fd: bool = False) -> Contract:
+    """Return buses of 32 nodes; with `fd` slow ones, which 32 nodes can fill."""
+    layout = load_layout(Path("adaptive"), adaptive=True)
+    if fd:
+        rates = {"bitrate": 500_000, "data_bitrate": 600_000}
+        lines = [msgspec.structs.replace(line, fd=True, **rates) for line in layout.bus]
+        layout = msgspec.structs.replace(layout, bus=lines)
+    return Contract.from_layout(layout)
 
 
 def bounds(allowed: Disturbance = QUIET, contract: Contract | None = None) -> Urgency:
@@ -44,15 +50,23 @@ def bounds(allowed: Disturbance = QUIET, contract: Contract | None = None) -> Ur
 
 
 def arbitrated(
-    sums_n: npt.NDArray[np.float32], threshold_n2: npt.NDArray[np.float64], beats: npt.NDArray[np.int64]
+    sums_n: npt.NDArray[np.float32],
+    threshold_n2: npt.NDArray[np.float64],
+    beats: npt.NDArray[np.int64],
+    contract: Contract | None = None,
 ) -> tuple[npt.NDArray[np.int64], Groups]:
     """Run one bus; return the log of its frames and what the nodes then know. `beats`, due heartbeats, is changed."""
     capacity = 10 * len(sums_n)
     sent = frames(capacity)
-    rows = frame_bytes(sent)[:, FIRST_BYTE:]
-    record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(NODES)
-    line = line_of(adaptive().layout.bus[0])
-    count = run_bus(sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, line, record)
+    rows, bus = frame_bytes(sent)[:, FIRST_BYTE:], (contract or adaptive()).layout.bus[0]
+    record, groups = (
+        Record(rows, np.empty((capacity, 7), np.int64)),
+        new_groups(NODES, (contract or adaptive()).layout.bus[0].fd),
+    )
+    line = line_of((contract or adaptive()).layout.bus[0])
+    count = run_bus(
+        sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, line_of(bus), record
+    )
     return record.log[:count], groups
 
 
@@ -88,14 +102,14 @@ class Overload:
         threshold = np.where(loud, 1e-6, GROUP_SUMS * 10 ** rng.uniform(-6, -4.5))
         return sums_n.astype(np.float32), np.broadcast_to(threshold, (TICKS, NODES)).copy()
 
-    def run(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def run(self, contract: Contract) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Return how long news waited, shape (NODES, GROUPS), and heartbeats, shape (NODES,), at worst."""
         sums_n, threshold_n2 = self.sums()
         rng = np.random.default_rng(self.seed)
         beats = np.full(NODES, int(rng.integers(0, 120 * MS)), np.int64)
         if self.seed % 2:
             beats = rng.integers(0, HEARTBEAT_MS * MS, NODES)
-        log, groups = arbitrated(sums_n, threshold_n2, beats)
+        log, groups = arbitrated(sums_n, threshold_n2, beats, contract)
         waited = np.where(groups.since >= 0, (TICKS - groups.since) * MS, 0)
         news = log[log[:, REASON] == NEWS]
         np.maximum.at(waited, (news[:, NODE], news[:, GROUP]), news[:, ENDED] - news[:, ASKED])
@@ -105,13 +119,13 @@ class Overload:
         return waited, beaten
 
 
-def compare(seeds: range) -> tuple[float, float]:
+def compare(seeds: range, contract: Contract | None = None) -> tuple[float, float]:
     """Return how near news and heartbeats come to their bounds, which they must not exceed."""
-    limit = bounds()
+    limit = bounds(contract=contract)
     beats_ns = limit.service_ns[limit.streams.is_heartbeat]
     nearest = 0.0, 0.0
     for seed in seeds:
-        waited, beaten = Overload(seed).run()
+        waited, beaten = Overload(seed).run(contract or adaptive())
         assert (waited <= limit.news_ns).all(), seed
         assert (beaten <= beats_ns).all(), seed
         nearest = max(nearest[0], (waited / limit.news_ns).max()), max(nearest[1], (beaten / beats_ns).max())
@@ -122,6 +136,12 @@ def test_random_overloads_stay_below_the_bounds_and_reach_them() -> None:
     news, beat = compare(range(300))
     assert news > 0.9
     assert beat > 0.9
+
+
+def test_random_overloads_of_can_fd_stay_below_the_bounds() -> None:
+    news, beat = compare(range(60), adaptive(fd=True))
+    assert news > 0.7
+    assert beat > 0.7
 
 
 def test_a_group_at_rest_is_refreshed_while_all_others_move() -> None:

@@ -7,14 +7,24 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.link import State
-from dbc.adaptive import Companding, SendingRule, cob_id
+from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
-from dbc.contract import Contract, NodeContract
+from dbc.contract import Contract, NodeContract, frame_flags
 from dbc.frame import Frames, frames
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH, OD_SIGNATURE
 from gateway.loop import GatewayLoop
-from nodes.adaptive.sending import NEWS, SILENT, Groups, frame_level, look, make_payload, new_groups, note_sent
+from nodes.adaptive.sending import (
+    NEWS,
+    SILENT,
+    Groups,
+    identifier_of,
+    look,
+    make_payload,
+    most_urgent,
+    new_groups,
+    note_sent,
+)
 from skin.layout import parse_layout
 from skin.messages import BlockState, GatewayStatus, Measurement
 from skin.walsh import GROUPS, grouped_rows
@@ -53,16 +63,18 @@ STATES = {
 }
 
 
-def small_adaptive(top: str = "") -> Contract:
-    return Contract.from_layout(parse_layout((top + SMALL).encode(), "small"))
+def small_adaptive(top: str = "", *, fd: bool = False) -> Contract:
+    text = SMALL.replace("nodes = 2", "nodes = 2\nfd = true\ndata_bitrate = 5_000_000") if fd else SMALL
+    return Contract.from_layout(parse_layout((top + text).encode(), "small"))
 
 
 def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, law: Companding) -> np.ndarray:
     """Return the payload of a group's frame, which is sent at once."""
-    payload = np.zeros(8, np.uint8)
-    make_payload(0, group, sums_n, law, groups, payload)
-    note_sent(0, group, now, bool(groups.is_fine[0, group]), RULE, law, groups, payload)
-    return payload
+    payload, is_fd = np.zeros(64, np.uint8), bool(groups.is_fd[0])
+    kind, of_frame, _ = place_of(identifier_of(0, group, groups), is_fd)
+    length = make_payload(0, group, sums_n, law, groups, payload)
+    note_sent(0, of_frame, now, kind >= LEVELS, RULE, law, groups, payload)
+    return payload[:length]
 
 
 class Board:
@@ -71,6 +83,7 @@ class Board:
     def __init__(self, contract: Contract, node: NodeContract) -> None:
         settings = configuration(contract, node)
         self.contract, self.law = node, contract.law
+        self.line = contract.layout.bus[node.bus]
         self.objects = {(each.index, each.subindex): each.data for each in settings}
         self.objects[OD_SIGNATURE, 0] = expected_signature(settings).to_bytes(4, "little")
         self.objects[OD_NODE_NOISE, 0] = struct.pack("<f", 1e-4 * (node.block + 1))
@@ -85,7 +98,7 @@ class Board:
         self.boot()
 
     def boot(self) -> None:
-        self.groups: Groups = new_groups(1)
+        self.groups: Groups = new_groups(1, self.line.fd)
         self.forced = 0
         self.state, self.beat_s, self.is_up = NmtState.PRE_OPERATIONAL, 0.0, False
 
@@ -112,11 +125,10 @@ class Board:
         for group in range(GROUPS):
             if self.forced >> group & 1:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-            if groups.level[0, group] != SILENT:
-                is_fine = bool(groups.is_fine[0, group])
-                can_id = cob_id(self.contract.node_id - 1, frame_level(0, group, groups), group, is_fine)
-                payload = send(groups, group, now, self.sums_n, self.law)
-                out.append(frame(can_id, payload.tobytes()))
+        while (group := most_urgent(0, groups)) != SILENT:
+            can_id = identifier_of(0, group, groups) + self.contract.node_id - 1
+            payload = send(groups, group, now, self.sums_n, self.law)
+            out.append(frame(can_id, payload.tobytes(), flags=frame_flags(self.line)))
         self.forced = 0
         self.sent += len(out)
         return out

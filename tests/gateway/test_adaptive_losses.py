@@ -8,10 +8,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, coarse_code, coarse_value, cob_id, companding
-from dbc.frame import Frames, frame_bytes, frames
-from gateway.adaptive_state import UNREFINED, USED, BusSums, new_sums, take_all
-from nodes.adaptive.sending import NEWS, SILENT, frame_level, look, new_groups
+from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, coarse_code, coarse_value, companding
+from dbc.frame import FD, Frames, frame_bytes, frames
+from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, new_sums, take_all
+from nodes.adaptive.sending import NEWS, SILENT, identifier_of, look, most_urgent, new_groups
 from skin.walsh import GROUPS
 from tests.bus.harness import frame
 from tests.gateway.boards import send
@@ -30,8 +30,9 @@ STEPS = st.lists(
 class Sender:
     """A node, and all that it ever sent."""
 
-    def __init__(self) -> None:
-        self.groups, self.sums_n, self.now = new_groups(1), np.zeros(32, np.float32), 0
+    def __init__(self, *, is_fd: bool = False) -> None:
+        self.groups, self.sums_n, self.now = new_groups(1, is_fd), np.zeros(32, np.float32), 0
+        self._is_fd = is_fd
         self.ever: list[set[float]] = [set() for _ in range(32)]
         #: Number, kind and values of the newest frame of each group, as a receiver without losses holds them.
         self.newest: dict[int, tuple[int, bool, np.ndarray]] = {}
@@ -43,33 +44,35 @@ class Sender:
         self.sums_n[0] = abs(self.sums_n[0])
 
     def send(self, *, again: bool = False) -> list[tuple[int, Frames]]:
-        """Return the frames of a moment, with their groups."""
+        """Return the frames of a moment, with their groups; on CAN FD at most one, of all groups."""
         self.now += 5
         look(0, self.now, self.sums_n, VARIANCE_N2, 1e-9, RULE, LAW, self.groups)
         sent, groups = [], self.groups
         for group in range(GROUPS):
             if again:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-            if groups.level[0, group] == SILENT:
-                continue
-            is_fine = bool(groups.is_fine[0, group])
-            can_id = cob_id(0, frame_level(0, group, groups), group, is_fine)
+        while (group := most_urgent(0, groups)) != SILENT:
+            is_fine, can_id = bool(groups.is_fine[0, group]), identifier_of(0, group, groups)
             payload = send(groups, group, self.now, self.sums_n, LAW)
             self._number += 1
-            self.newest[group] = self._number, is_fine, groups.known_n[0, PLACES[group]].copy()
-            for place in range(32)[PLACES[group]]:
-                self.ever[place].add(float(groups.known_n[0, place]))
-                if not is_fine:
-                    self.ever[place].add(coarse_value(int(payload[place % GROUP_SUMS]), place == 0, LAW))
-            sent.append((group, frame(can_id, payload.tobytes(), time_ns=self._number)))
+            for each in range(GROUPS) if self._is_fd else (group,):
+                self.newest[each] = self._number, is_fine, groups.known_n[0, PLACES[each]].copy()
+                for place in range(32)[PLACES[each]]:
+                    self.ever[place].add(float(groups.known_n[0, place]))
+                    if self._is_fd or not is_fine:
+                        code = payload[place if self._is_fd else place % GROUP_SUMS]
+                        self.ever[place].add(coarse_value(int(code), place == 0, LAW))
+            flags = FD if self._is_fd else 0
+            sent.append((group, frame(can_id, payload.tobytes(), flags=flags, time_ns=self._number)))
         return sent
 
 
 class Receiver:
     """Reads what was not lost; a loss is noticed with the next frame that is read."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_fd: bool = False) -> None:
         self.sums: BusSums = new_sums(1)
+        self._is_fd = is_fd
         self._waiting: list[Frames] = []
         self._has_gap = False
         self._changed = np.zeros((1, GROUPS), np.bool_)
@@ -85,7 +88,7 @@ class Receiver:
         if self._waiting:
             batch = np.concatenate([*self._waiting, frames(0)])
             rows = frame_bytes(batch)
-            take_all(rows, self._has_gap, LAW, np.ones(1, np.bool_), self.sums, self._changed)
+            take_all(rows, self._has_gap, LAW, np.ones(1, np.bool_), self.sums, self._changed, self._is_fd)
             self._waiting, self._has_gap = [], False
         return not self._has_gap
 
@@ -112,10 +115,10 @@ def check(sums: BusSums, node: Sender) -> None:
             assert codes[0] == codes[1]
 
 
-@given(STEPS)
-@settings(max_examples=60, deadline=None)
-def test_no_frame_is_misread_and_a_refresh_makes_whole(steps: list[tuple[int, int, int, bool]]) -> None:
-    node, receiver = Sender(), Receiver()
+@given(STEPS, st.booleans())
+@settings(max_examples=120, deadline=None)
+def test_no_frame_is_misread_and_a_refresh_makes_whole(steps: list[tuple[int, int, int, bool]], is_fd: bool) -> None:
+    node, receiver = Sender(is_fd=is_fd), Receiver(is_fd=is_fd)
     for size, seed, lost, reads in steps:
         node.move(size, seed)
         for group, came in node.send():
@@ -154,3 +157,35 @@ def test_after_a_loss_that_nobody_noticed_no_frame_counts_that_has_another_check
                 assert sums.is_lost[0, group]
             else:
                 assert sums.counts[USED] == used + 1
+
+
+@given(STEPS)
+@settings(max_examples=60, deadline=None)
+def test_on_can_fd_any_frame_alone_makes_a_block_whole(steps: list[tuple[int, int, int, bool]]) -> None:
+    """Nobody notices a loss, and no frame is misread: each carries the coarse codes that it refines."""
+    node, sums = Sender(is_fd=True), new_sums(1)
+    changed = np.zeros((1, GROUPS), np.bool_)
+    for size, seed, lost, _ in steps:
+        node.move(size, seed)
+        for _, came in node.send():
+            if lost & 1:
+                continue
+            assert take_all(frame_bytes(came), False, LAW, np.ones(1, np.bool_), sums, changed, True) > 0
+            assert changed.all()
+            check(sums, node)
+    assert (sums.counts[MALFORMED], sums.counts[UNREFINED]) == (0, 0)
+
+
+def test_a_fine_frame_whose_parts_do_not_belong_together_is_malformed() -> None:
+    node, receiver = Sender(is_fd=True), Receiver(is_fd=True)
+    node.move(200, 1)
+    for number in range(60):
+        for _, came in node.send():
+            if came["length"][0] == 64:
+                came["data"][0, 39] ^= 1
+                receiver.arrive(came, is_lost=False)
+        if number % 20 == 0:
+            node.move(20, number)
+    receiver.read()
+    assert receiver.sums.counts[MALFORMED] > 0 == receiver.sums.counts[USED]
+    assert not receiver.sums.value_n.any()

@@ -6,7 +6,7 @@ import numpy as np
 
 from dbc.adaptive import FIRST_COB_ID, NODES, TPDOS, frame_of
 from dbc.contract import Contract
-from dbc.frame import Frames
+from dbc.frame import FD, Frames
 from gateway.adaptive_state import BusSums, new_sums, take
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.segment import AdaptiveSegment
@@ -48,6 +48,7 @@ class Bus:
         self.segment = AdaptiveSegment(contract, 0, IDS, self.link.send, self.boards, complain=self.complaints.append)
         self.now_s = 100.0
         self.received: BusSums = new_sums(NODES)
+        self.is_fd = contract.layout.bus[0].fd
         self.segment.boot(self.now_s)
         self.link.take_sent()
 
@@ -69,7 +70,7 @@ class Bus:
         self.segment.take(self.link.receive(), self.now_s)
         together = np.concatenate(sent)
         for one in together:
-            take(int(one["can_id"]), int(one["length"]), one["data"], 0, self.contract.law, self.received)
+            take(int(one["can_id"]), int(one["length"]), one["data"], 0, self.contract.law, self.received, self.is_fd)
         return together
 
     def start(self) -> None:
@@ -104,7 +105,7 @@ def sums_of(sent: Frames) -> Frames:
 
 
 def meanings(sent: Frames) -> list[tuple[int, int, int, bool]]:
-    return [frame_of(int(one["can_id"])) for one in sent]
+    return [frame_of(int(one["can_id"]), is_fd=bool(one["flags"] & FD)) for one in sent]
 
 
 def back(sent: Frames, flags: int) -> Frames:

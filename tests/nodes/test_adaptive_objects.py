@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, NODES
-from dbc.contract import Contract
+from dbc.contract import Contract, sum_frame_bits
 from gateway.adaptive_state import new_sums, take
-from nodes.adaptive.mailboxes import FRAME_BITS
 from skin.layout import load_layout
 from skin.walsh import GROUPS
 from tests.bus.harness import frame
@@ -139,7 +138,7 @@ def test_codes_are_those_that_frames_carry(bus: Bus) -> None:
 
 def test_a_node_keeps_its_budget(contract: Contract) -> None:
     bus = Bus(contract)
-    assert bus.write(0x2034, 0, struct.pack("<I", 20 * FRAME_BITS)) == 0
+    assert bus.write(0x2034, 0, struct.pack("<I", 20 * sum_frame_bits(bus.contract.layout.bus[0], is_fine=False))) == 0
     bus.start()
     bus.sync()
     sent = [each for each in meanings(bus.run(1100)) if each[0] in {1, 2}]

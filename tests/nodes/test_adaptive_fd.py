@@ -1,0 +1,162 @@
+"""Adaptive nodes on CAN FD: a frame carries all groups, and the urgency of the most urgent."""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbc.adaptive import BLOCK_SUMS, LEVELS, SAVED_FRAMES, SendingRule, companding
+from dbc.contract import Contract, frame_flags, sum_frame_bits
+from dbc.frame import ECHO, ERROR
+from nodes.adaptive.sending import SILENT, look, make_payload, most_urgent, new_groups, note_sent
+from skin.layout import load_layout
+from skin.walsh import walsh_matrix
+from tests.nodes.adaptive_bus import IDS, Bus, back, meanings
+
+LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3), SendingRule(), 1e-9
+
+
+@pytest.fixture(scope="module")
+def contract() -> Contract:
+    return Contract.from_layout(load_layout(Path("adaptive-fd"), adaptive=True))
+
+
+@pytest.fixture
+def bus(contract: Contract) -> Iterator[Bus]:
+    made = Bus(contract)
+    yield made
+    assert not made.complaints
+
+
+def test_a_node_that_is_started_sends_one_frame_and_then_again_ever_more_rarely(bus: Bus) -> None:
+    bus.start()
+    first = bus.run(2)
+    assert sorted(meanings(first)) == [(node, 0, 0, False) for node in IDS]
+    assert set(first["length"]) == {32}
+    assert set(first["flags"]) == {frame_flags(bus.contract.layout.bus[0])}
+    assert [len(bus.run(ticks)) for ticks in (50, 20, 100, 40)] == [0, len(IDS), 0, len(IDS)]
+
+
+def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
+    bus.start()
+    bus.run(5)
+    bus.sync()
+    sent = bus.run(600)
+    assert {32, 64} == set(sent["length"])
+    assert not sent["data"][sent["length"] == 32, 32:].any()
+    for row, node in enumerate(bus.contract.on_bus(0)[: len(IDS)]):
+        force_n = bus.source.force_n.ravel()[bus.contract.phi.taxels_of_blocks[node.block]]
+        true_n = walsh_matrix(32) @ np.clip(force_n, 0, 0.02)
+        assert np.abs(bus.received.value_n[row] - true_n)[1:].max() < 2 * bus.contract.law.fine_n
+        assert np.array_equal(bus.received.value_n[row], bus.boards._groups.known_n[row])
+    assert not bus.received.counts[1:].any()
+    assert bus.segment.frames_sent == bus.received.counts[0]
+
+
+def test_a_frame_that_found_no_room_or_lost_the_bus_frees_all_groups(bus: Bus) -> None:
+    bus.start()
+    bus.link.room = 0
+    bus.run(3)
+    assert bus.segment.frames_dropped > 0
+    assert not bus.boards.is_sending
+    bus.link.room = 1 << 30
+    sent = bus.run(1)
+    assert sorted(meanings(sent)) == [(node, 0, 0, False) for node in IDS]
+    held = bus.boards._groups.known_n.copy()
+    bus.boards._groups.under_way[:] = 1 << 60
+    bus.give(back(sent, ECHO | ERROR))
+    assert not bus.boards.is_sending
+    assert np.array_equal(bus.boards._groups.known_n, held)
+
+
+def test_a_request_for_one_group_is_answered_by_a_frame_of_all(bus: Bus) -> None:
+    bus.start()
+    bus.run(5)
+    assert bus.write(0x2030, 0, b"\x04") == 0
+    assert meanings(bus.run(2)) == [(1, 0, 0, False)]
+    assert bus.read(0x2030) == b"\0"
+
+
+def test_a_node_keeps_its_budget(contract: Contract) -> None:
+    bus, coarse = Bus(contract), sum_frame_bits(contract.layout.bus[0], is_fine=False)
+    assert bus.write(0x2034, 0, struct.pack("<I", 20 * coarse)) == 0
+    bus.start()
+    bus.sync()
+    sent = [each for each in meanings(bus.run(1100)) if each[0] in {1, 2}]
+    limited, free = ([each for each in sent if each[0] == node] for node in (1, 2))
+    assert len(limited) < SAVED_FRAMES + 22 + 2 * 5  # saved up, earned, refreshes
+    assert len(limited) <= len(free)
+
+
+class Node:
+    """The decisions of one node, whose frames go at once."""
+
+    def __init__(self) -> None:
+        self.groups, self.now, self.sums_n = new_groups(1, True), 0, np.zeros(BLOCK_SUMS, np.float32)
+
+    def step(self, ticks: int = 1) -> list[tuple[int, int, int]]:
+        """Return sample, level and bytes of each frame."""
+        sent, payload = [], np.zeros(64, np.uint8)
+        for _ in range(ticks):
+            self.now += 1
+            look(0, self.now, self.sums_n, np.zeros(BLOCK_SUMS, np.float32), NOISE_N2, RULE, LAW, self.groups)
+            while (group := most_urgent(0, self.groups)) != SILENT:
+                level = int(self.groups.level[0, group])
+                length = make_payload(0, group, self.sums_n, LAW, self.groups, payload)
+                note_sent(0, 0, self.now, length == 64, RULE, LAW, self.groups, payload)
+                sent.append((self.now, level, length))
+        return sent
+
+
+def test_the_frame_has_the_urgency_of_its_most_urgent_group() -> None:
+    node = Node()
+    node.groups.level[0] = [0, 3, 1, SILENT]
+    assert most_urgent(0, node.groups) == 1
+    node.groups.is_fine[0], node.groups.level[0] = [1, 0, 1, 0], [1, 0, 0, SILENT]
+    assert most_urgent(0, node.groups) == 1  # coarse before fine
+    node.groups.level[0, 1] = SILENT
+    assert most_urgent(0, node.groups) == 0
+
+
+def test_news_of_a_group_carries_the_others_and_does_not_begin_their_refreshes_anew() -> None:
+    node = Node()
+    node.sums_n[:] = 0.0213
+    ((_, _, first),) = node.step()
+    assert first == 32
+    node.step(600)
+    after = node.groups.refresh_after[0].copy()
+    node.sums_n[25] = 0.06
+    sent = node.step(3)
+    assert [length for _, _, length in sent] == [32]
+    assert sent[0][1] < LEVELS - 1
+    assert node.groups.refresh_after[0].tolist() == [*after[:3].tolist(), RULE.refresh]
+    assert (node.groups.refresh_at[0] == sent[0][0] + node.groups.refresh_after[0]).all()
+
+
+def test_details_come_in_one_frame_of_all_groups_and_then_silence() -> None:
+    node = Node()
+    node.sums_n[:] = np.random.default_rng(3).uniform(0.01, 0.05, BLOCK_SUMS)
+    sent = node.step(60)
+    assert [length for _, _, length in sent] == [32, 64]
+    assert np.abs(node.groups.known_n[0] - node.sums_n).max() <= 0.51 * LAW.fine_n
+    assert sent[1][0] - sent[0][0] == RULE.fine_wait
+    times = [now for now, _, _ in node.step(4000)]
+    assert max(np.diff(times)) <= RULE.refresh_max
+    assert len(times) < 10
+
+
+def test_sums_out_of_the_reach_of_their_codes_end_no_silence() -> None:
+    node = Node()
+    node.sums_n[:] = np.random.default_rng(4).uniform(0.28, 0.31, BLOCK_SUMS)
+    assert len(node.step(200)) < 8
+
+
+def test_a_block_at_zero_falls_silent() -> None:
+    node = Node()
+    node.sums_n[:] = 0.02
+    node.step(50)
+    node.sums_n[:] = 0
+    assert node.step(6000)
+    assert node.step(3000) == []
