@@ -59,11 +59,7 @@ def arbitrated(
     capacity = 10 * len(sums_n)
     sent = frames(capacity)
     rows, bus = frame_bytes(sent)[:, FIRST_BYTE:], (contract or adaptive()).layout.bus[0]
-    record, groups = (
-        Record(rows, np.empty((capacity, 7), np.int64)),
-        new_groups(NODES, (contract or adaptive()).layout.bus[0].fd),
-    )
-    line = line_of((contract or adaptive()).layout.bus[0])
+    record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(NODES, bus.fd)
     count = run_bus(
         sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, line_of(bus), record
     )
