@@ -26,12 +26,14 @@ from gateway.block_states import judge, new_states
 from gateway.errands import Errands
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
+from skin.errors import InputError
 from skin.messages import FrameCounts, Measurement
 from skin.walsh import GROUPS
 
-#: Shortest and longest time between two measurements.
-SHORTEST_S: Final = 0.001
-LONGEST_S: Final = 0.1
+#: Measurements in a second, with news and at least; the limits of other rates.
+RATES_HZ: Final = (1000.0, 10.0)
+RATE_MAX_HZ: Final = 1000.0
+RATE_MIN_HZ: Final = 1.0
 
 
 @dataclass
@@ -50,6 +52,23 @@ class _Bus:
     is_down: bool = False
 
 
+def publishing_rates(max_hz: float | None, min_hz: float | None) -> tuple[float, float]:
+    """Return the most and the least measurements in a second; None stands for the default of `RATES_HZ`.
+
+    Raises
+    ------
+    InputError
+        If a rate is out of range, or the least exceeds the most.
+    """
+    most_hz = RATES_HZ[0] if max_hz is None else max_hz
+    least_hz = min(RATES_HZ[1], most_hz) if min_hz is None else min_hz
+    if not RATE_MIN_HZ <= most_hz <= RATE_MAX_HZ:
+        raise InputError(f"--max-rate: expected {RATE_MIN_HZ:g} to {RATE_MAX_HZ:g} Hz, got {most_hz:g}")
+    if not RATE_MIN_HZ <= least_hz <= most_hz:
+        raise InputError(f"--min-rate: expected {RATE_MIN_HZ:g} to {most_hz:g} Hz (the highest rate), got {least_hz:g}")
+    return most_hz, least_hz
+
+
 class AdaptiveGathering:
     """Holds the newest value of every sum, and says how each block stands.
 
@@ -61,13 +80,22 @@ class AdaptiveGathering:
     masters : mapping of int to NmtMaster
         By number of the bus: they ask nodes for groups that are missing.
     now_s : float
+    rates_hz : tuple of float
+        Most measurements in a second, when there is news, and least, see `publishing_rates`.
     """
 
     #: See `gateway.gathering.Gathering`.
     in_flight = 0
     disturbance = f"no sums start in the {PAUSE_MS} ms after each SYNC"
 
-    def __init__(self, contract: Contract, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+    def __init__(
+        self,
+        contract: Contract,
+        masters: Mapping[int, NmtMaster],
+        now_s: float,
+        rates_hz: tuple[float, float] = RATES_HZ,
+    ) -> None:
+        self._shortest_s, self._longest_s = (1 / rate_hz for rate_hz in rates_hz)
         self.published = self.complete = 0
         self._law = contract.law
         self._newton_per_count = contract.layout.taxels.newton_per_count
@@ -101,12 +129,12 @@ class AdaptiveGathering:
     @property
     def due_s(self) -> float:
         """When the next measurement is due: soon after news, else at the least rate."""
-        return self._published_s + (SHORTEST_S if self._has_news else LONGEST_S)
+        return self._published_s + (self._shortest_s if self._has_news else self._longest_s)
 
     @property
     def rests_until_s(self) -> float:
-        """Until when frames may wait unread: no measurement is made before."""
-        return self._published_s + SHORTEST_S
+        """Until when frames may wait unread: no measurement is made before, whatever the rates."""
+        return self._published_s + 1 / RATE_MAX_HZ
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use a node's frames that come from now on if `proven`; else forget its sums at once."""

@@ -4,7 +4,9 @@ from pathlib import Path
 
 from bus.options import BusOptions, open_links
 from dbc.contract import Contract
+from gateway.adaptive_gathering import publishing_rates
 from gateway.service import GatewayService
+from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import load_layout
 from skin.service import StopSignal, say
@@ -16,6 +18,8 @@ def gateway(
     bus: BusOptions | None = None,
     listen: str = DEFAULT_ENDPOINT,
     connect: str | None = None,
+    max_rate: float | None = None,
+    min_rate: float | None = None,
 ) -> None:
     """Boot the nodes, produce SYNC, and publish the sums: those of each cycle, or the newest of adaptive nodes.
 
@@ -29,22 +33,29 @@ def gateway(
         Endpoint of the fabric's hub, which the gateway runs; the other services connect to this endpoint.
     connect
         Endpoint of another hub; the gateway then runs none.
+    max_rate
+        Adaptive sending: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
+    min_rate
+        Adaptive sending: measurements in a second without news; 1 Hz to `max_rate`, by default 10.
 
     Examples
     --------
     skin gateway
-    skin gateway --layout adaptive
+    skin gateway --layout adaptive --max-rate 200
     skin gateway -i socketcan -c can0 --layout palm.toml
     """
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
+    rates_hz = publishing_rates(max_rate, min_rate)
+    if skin.sending != "adaptive" and (max_rate, min_rate) != (None, None):
+        raise InputError("--max-rate and --min-rate are for adaptive sending: this layout has a measurement per cycle")
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     contract = Contract.from_layout(skin)
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
-        GatewayService(contract, links, fabric).run(stop)
+        GatewayService(contract, links, fabric, rates_hz=rates_hz).run(stop)
     finally:
         for link in links.values():
             link.close()

@@ -9,7 +9,7 @@ from bus.link import Send, State
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, one_frame
-from gateway.adaptive_gathering import AdaptiveGathering
+from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Gathering, Health, Sync
@@ -56,6 +56,8 @@ class GatewayLoop:
         Monotonic time.
     say, complain : callable
         Write a line to the log: `say` for a change, `complain` for a line that may come many times.
+    rates_hz : tuple of float
+        Of adaptive sums: most and least measurements in a second.
 
     Attributes
     ----------
@@ -74,6 +76,7 @@ class GatewayLoop:
         *,
         say: Callable[[str], None],
         complain: Callable[[str], None],
+        rates_hz: tuple[float, float] = RATES_HZ,
     ) -> None:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
@@ -83,7 +86,7 @@ class GatewayLoop:
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering: Gathering = (
-            AdaptiveGathering(contract, self.masters, now_s)
+            AdaptiveGathering(contract, self.masters, now_s, rates_hz)
             if contract.layout.sending == "adaptive"
             else CycleGathering(contract)
         )

@@ -10,6 +10,7 @@ import msgspec
 from bus.link import Link
 from dbc.contract import Contract
 from dbc.frame import frames
+from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
 from skin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
 from skin.service import RateLimitedLog, StopSignal, request_real_time, say
@@ -37,6 +38,8 @@ class GatewayService:
     links : mapping of int to Link
         By number of the bus.
     fabric : Publisher
+    rates_hz : tuple of float
+        See `GatewayLoop`.
     clock : callable, optional
         Monotonic time in seconds.
     """
@@ -47,6 +50,7 @@ class GatewayService:
         links: Mapping[int, Link],
         fabric: Publisher,
         *,
+        rates_hz: tuple[float, float] = RATES_HZ,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.loop = GatewayLoop(
@@ -55,6 +59,7 @@ class GatewayService:
             clock(),
             say=lambda text: say("gateway", text),
             complain=RateLimitedLog("gateway").say,
+            rates_hz=rates_hz,
         )
         self._links = dict(links)
         self._fabric = fabric

@@ -13,6 +13,7 @@ from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract, frame_flags
 from dbc.frame import Frames, frames
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH, OD_SIGNATURE
+from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
 from nodes.adaptive.sending import (
     NEWS,
@@ -180,6 +181,7 @@ class BoardWorld:
 
     contract: Contract
     now_s: float = 100.0
+    rates_hz: tuple[float, float] = RATES_HZ
     lines: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     measured: list[Measurement] = field(default_factory=list)
@@ -200,6 +202,7 @@ class BoardWorld:
             self.now_s,
             say=self.lines.append,
             complain=self.complaints.append,
+            rates_hz=self.rates_hz,
         )
 
     def step(self) -> list[Measurement]:

@@ -11,8 +11,10 @@ from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ERROR
 from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
+from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
 from gateway.nmt_master import SILENT_AFTER_S
+from skin.errors import InputError
 from skin.messages import BlockState
 from tests.bus.harness import frame
 from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
@@ -51,6 +53,31 @@ def test_something_is_published_ten_times_a_second_before_any_node_is_there(adap
     assert [each.cycle for each in came] == list(range(1, len(came) + 1))
     assert all(states(each) == [DEAD] * 4 and not any(each.valid) and not any(each.known) for each in came)
     assert came[-1].noise_n == 0
+
+
+def test_measurements_come_at_the_rates_that_were_asked_for(adaptive: Contract) -> None:
+    world = BoardWorld(adaptive, rates_hz=publishing_rates(50.0, 2.0))
+    world.until_whole(1.0)
+    at_rest(world)
+    assert len(world.run(5.0)) in {9, 10, 11}
+    count = 0
+    for seed in range(100):
+        world.touch(0, seed)
+        count += len(world.run(0.01))
+    assert 40 <= count <= 50
+    held = sums_of(world.run(0.3)[-1], 0)
+    assert np.array_equal(held, world.known_counts(0))
+
+
+@pytest.mark.parametrize(
+    ("rates_hz", "said"),
+    [((0.5, None), "--max-rate"), ((2000, None), "--max-rate"), ((100, 200), "--min-rate"), ((None, 0), "--min-rate")],
+)
+def test_rates_out_of_range_are_refused(rates_hz: tuple[float | None, float | None], said: str) -> None:
+    assert publishing_rates(None, None) == (1000, 10)
+    assert publishing_rates(5, None) == (5, 5)
+    with pytest.raises(InputError, match=said):
+        publishing_rates(*rates_hz)
 
 
 def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
