@@ -127,7 +127,7 @@ def test_offsets_are_followed_noted_and_given_back_as_documented() -> None:
     noise_n = rng.uniform(0.5e-3, 1.5e-3, (2, high, wide)).astype(np.float32)
     offsets, slow = Offsets(2, high, wide), [SlowOffsets(high, wide) for _ in range(2)]
     drift_n = rng.uniform(-6e-6, 2e-6, (2, high, wide))
-    touched = np.zeros((high, wide))
+    touched, shown, expected = np.zeros((high, wide)), [], []
     for tick in range(1500):
         if tick % 170 == 150 and tick < 700:
             touched[:] = 0
@@ -137,9 +137,9 @@ def test_offsets_are_followed_noted_and_given_back_as_documented() -> None:
         force_n = (tick * drift_n + touched + rng.normal(0, 0.05e-3, drift_n.shape)).astype(np.float32)
         given = force_n.reshape(2, -1).copy()
         offsets.take(given, noise_n.reshape(2, -1))
-        for node in range(2):
-            expected = slow[node].take(force_n[node].astype(np.float64), noise_n[node])
-            np.testing.assert_allclose(given[node].reshape(high, wide), expected, atol=2e-7)
+        shown.append(given.reshape(force_n.shape))
+        expected.append([slow[node].take(force_n[node].astype(np.float64), noise_n[node]) for node in range(2)])
+    np.testing.assert_allclose(shown, expected, atol=2e-7)
     lowest = [each.offset / each_n for each, each_n in zip(slow, noise_n, strict=True)]
     assert np.min(lowest) == pytest.approx(-1.5)
 
