@@ -86,6 +86,8 @@ def test_a_step_is_that_of_interacting_multiple_models(horizon: float) -> None:
         expected = np.array([each.step(float(value)) for each, value in zip(slow, sample, strict=True)])
         np.testing.assert_allclose(forecast, expected[:, 0], rtol=2e-4, atol=2e-3)
         np.testing.assert_allclose(variance, expected[:, 1], rtol=5e-3)
-        np.testing.assert_allclose(tracks.weight, np.stack([each.weight for each in slow], axis=1), rtol=0.02, atol=1e-6)
+        np.testing.assert_allclose(
+            tracks.weight, np.stack([each.weight for each in slow], axis=1), rtol=0.02, atol=1e-6
+        )
         least = min(least, tracks.weight.min())
     assert least == pytest.approx(LEAST)
