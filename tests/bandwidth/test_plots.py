@@ -56,8 +56,9 @@ def test_a_cycle_shows_frames_one_after_another_and_the_window(contract: Contrac
         assert colours[0, :3].tolist() == [0.2, 0.2, 0.2]
         of_nodes = colours[node > 0]
         assert len(np.unique(of_nodes, axis=0)) == len(np.unique(node[node > 0]))
-        assert (of_nodes[0, 2] > of_nodes[0, 1]) and (of_nodes[-1, 1] > of_nodes[-1, 2])
-        assert (colours >= 0).all() and (colours <= 1).all()
+        assert of_nodes[0, 2] > of_nodes[0, 1]
+        assert of_nodes[-1, 1] > of_nodes[-1, 2]
+        assert ((colours >= 0) & (colours <= 1)).all()
     lines = {str(line.get_label()): line.get_xdata()[0] for line in panel.get_lines()}
     # 1007h is 98 % of the period.
     assert lines == {"next SYNC": 10.0, "window (1007h)": pytest.approx(9.8)}

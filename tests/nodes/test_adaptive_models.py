@@ -19,7 +19,7 @@ Numbers = npt.NDArray[np.float64]
 
 
 def variances(gain: float, slope_gain: float, horizon: float) -> tuple[float, float]:
-    """Return the variances of innovation and forecast of a g-h filter on noise of variance 1, from its error's motion."""
+    """Return the variances of innovation and forecast of a g-h filter on noise of variance 1."""
     motion = np.array([[1 - gain, 1 - gain], [-slope_gain, 1 - slope_gain]])
     gains = np.array([[gain], [slope_gain]])
     spread = solve_discrete_lyapunov(motion, gains @ gains.T)
