@@ -158,7 +158,7 @@ CSV_LINES = st.builds(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=100)
 @given(
     lines=st.lists(st.text(max_size=60) | FRAME_LINES | ASC_LINES | CSV_LINES, max_size=8),
     suffix=st.sampled_from([".log", ".csv", ".asc", ".trc"]),

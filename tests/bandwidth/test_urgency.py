@@ -129,7 +129,7 @@ def compare(seeds: range, contract: Contract | None = None) -> tuple[float, floa
 
 
 def test_random_overloads_stay_below_the_bounds_and_reach_them() -> None:
-    news, beat = compare(range(300))
+    news, beat = compare(range(100))
     assert news > 0.9
     assert beat > 0.9
 
@@ -209,6 +209,6 @@ def test_a_budget_bounds_the_load_and_lengthens_coarse_waits() -> None:
 
 @pytest.mark.slow
 def test_many_overloads() -> None:
-    news, beat = compare(range(300, 300 + OVERLOADS))
+    news, beat = compare(range(100, 100 + OVERLOADS))
     assert news > 0.9
     assert beat > 0.9

@@ -16,7 +16,7 @@ from tests.bus.harness import burst, frame
 ratios = st.floats(0, 0.4)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(ratios, ratios, ratios, st.sampled_from([0.0, 1e-4, 1e-3]), st.integers(0, 9))
 def test_sent_is_delivered_plus_lost(loss: float, again: float, delay: float, bit_error: float, seed: int) -> None:
     rule = Fault(loss_ratio=loss, duplicate_ratio=again, delay_ratio=delay, delay_s=2e-3, bit_error_rate=bit_error)

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.adaptive import (
+    BLOCK_SUMS,
+    FINE_LEVELS,
     FINE_LIMIT,
     FINE_REACH,
     FIRST_COB_ID,
@@ -16,7 +18,11 @@ from dbc.adaptive import (
     MEAN_CODES,
     NODES,
     OTHER_CODES,
+    PAUSE_MS,
+    SAVED_FRAMES,
+    SAVING_S,
     TPDOS,
+    SendingRule,
     check_of,
     coarse_code,
     coarse_step,
@@ -118,3 +124,44 @@ def test_identifiers_belong_to_one_frame_and_go_from_urgent_to_fine() -> None:
     assert cob_id(31, 0, 3, False) < cob_id(0, 1, 0, True) < cob_id(0, 0, 0, True)
     assert cob_id(0, 5, 0, False) == FIRST_COB_ID
     assert cob_id(0, 0, 3, True) == FIRST_COB_ID + NODES * (TPDOS - 1)
+
+
+def test_numbers_are_those_of_the_document() -> None:
+    """Whoever builds a board takes them from docs/adaptive.md and the dictionary."""
+    assert SendingRule()._asdict() == {
+        "noise_ratio": 0.15,
+        "variance_ratio": 4,
+        "rounding": 0.75,
+        "level_ratio": 1.25,
+        "doubling": 8,
+        "inhibit": 1,
+        "fine_ratio": 0.3,
+        "fine_wait": 4,
+        "refresh": 64,
+        "refresh_max": 1024,
+        "overdue": 100,
+        "zero_refreshes": 6,
+        "patience": 24,
+    }
+    assert (BLOCK_SUMS, GROUP_SUMS, LEVELS, FINE_LEVELS, TPDOS, NODES) == (32, 8, 6, 2, 32, 32)
+    assert (PAUSE_MS, SAVING_S, SAVED_FRAMES) == (2, 0.25, 8)
+    assert (FINE_REACH, FINE_LIMIT, LAW.fine_n) == (64, 62, 0.5e-3 / 8)
+
+
+def test_the_check_is_the_crc_8_of_autosar() -> None:
+    # The check value of "123456789" is DFh, complemented at the end; eight bytes here, so a value computed by division.
+    def slow(payload: bytes) -> int:
+        bits = [int(bit) for byte in payload for bit in f"{byte:08b}"] + [0] * 8
+        for place in range(8):
+            bits[place] ^= 1  # begins with FFh
+        for place in range(len(bits) - 8):
+            if bits[place]:
+                for offset, bit in enumerate("100101111"):
+                    bits[place + offset] ^= int(bit)
+        return int("".join(map(str, bits[-8:])), 2)
+
+    assert slow(b"123456789") ^ 0xFF == 0xDF
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        payload = rng.integers(0, 256, 8).astype(np.uint8)
+        assert check_of(payload) == slow(payload.tobytes())

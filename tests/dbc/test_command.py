@@ -14,6 +14,14 @@ from skin.command import main
 pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
 
 
+PALM = """
+taxels = { rows = 8, columns = 16 }
+measurement = { sums = 32 }
+encoding = { sum_bits = 12, offset_binary = true }
+bus = [{ name = "bus0", nodes = 4 }]
+"""
+
+
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     monkeypatch.setattr(sys, "argv", ["skin", *arguments])
     with pytest.raises(SystemExit) as ended:
@@ -32,16 +40,17 @@ def test_committed_files_are_those_of_the_default_skin(
 def test_check_names_the_files_that_drifted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    folder = tmp_path / "made" / "here"
-    assert run(monkeypatch, "dbc", "one-bus-12bit", "--out", str(folder), "--json") == 0
+    folder, palm = tmp_path / "made" / "here", tmp_path / "palm.toml"
+    palm.write_text(PALM)
+    assert run(monkeypatch, "dbc", str(palm), "--out", str(folder), "--json") == 0
     assert json.loads(capsys.readouterr().out) == [str(folder / "bus0.dbc"), str(folder / "skin.eds")]
-    assert run(monkeypatch, "dbc-check", "one-bus-12bit", "--files", str(folder)) == 0
+    assert run(monkeypatch, "dbc-check", str(palm), "--files", str(folder)) == 0
     text = (folder / "bus0.dbc").read_text()
     (folder / "bus0.dbc").write_text(text.replace("(16,-21840)", "(16,0)", 1))
     (folder / "skin.eds").unlink()
     (folder / "old.eds").write_text("")
     (folder / "notes.txt").write_text("mine")
-    assert run(monkeypatch, "dbc-check", "one-bus-12bit", "--files", str(folder)) == 1
+    assert run(monkeypatch, "dbc-check", str(palm), "--files", str(folder)) == 1
     lines = capsys.readouterr().out.splitlines()
     assert [Path(line.split()[0]).name for line in lines] == ["bus0.dbc", "old.eds", "skin.eds"]
 

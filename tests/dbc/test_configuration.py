@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from dbc.configuration import configuration, expected_signature, signature
+from dbc.configuration import Setting, configuration, expected_signature, proof_period_s, signature
 from dbc.contract import Contract
-from skin.layout import load_layout
+from skin.layout import load_layout, parse_layout
 
 #: Objects of the whole node, as docs/bus.md lists them: index and sub-index.
 OF_THE_NODE = [
@@ -35,3 +35,32 @@ def test_signatures_of_all_nodes_of_a_bus_differ() -> None:
     contract = Contract.from_layout(load_layout())
     nodes = contract.on_bus(0)
     assert len({expected_signature(configuration(contract, node)) for node in nodes}) == len(nodes)
+
+
+def setting(data: bytes, *, is_text: bool = False) -> Setting:
+    return Setting(0x1A00, 3, "TPDO mapping", data, is_text=is_text, is_writable=True)
+
+
+def test_leading_zeros_of_numbers_do_not_matter_and_texts_are_compared_byte_by_byte() -> None:
+    assert setting(b"\x10\x27").matches(b"\x10\x27\0\0")
+    assert setting(b"\x10\x27\0\0").matches(b"\x10\x27")
+    assert not setting(b"\x10\x27").matches(b"\x27\x10")
+    assert setting(b"abcd", is_text=True).matches(b"abcd")
+    assert not setting(b"abcd", is_text=True).matches(b"abcd\0")
+
+
+def test_values_are_shown_as_people_write_them() -> None:
+    assert str(setting(b"\x10")) == "1A00h:3 (TPDO mapping)"
+    assert setting(b"\x10\x27").text() == "2710h"
+    assert setting(b"\x10\x27").text(b"\xab\0") == "ABh"
+    assert setting(b"abcd", is_text=True).text(b"ab\xff") == "ab\ufffd"
+
+
+@pytest.mark.parametrize(("bitrate", "period_s"), [(1_000_000, 2.0), (500_000, 3.456), (250_000, 6.912)])
+def test_signatures_take_half_a_percent_of_a_bus_at_most(bitrate: int, period_s: float) -> None:
+    """32 nodes, each a request and an answer of 135 bits."""
+    text = 'rate_hz = 20.0\n[[bus]]\nname = "slow"\nnodes = 32\nbitrate = '
+    layout = parse_layout(
+        f"[taxels]\nrows = 32\ncolumns = 32\n[measurement]\n[sync]\n{text}{bitrate}\n".encode(), "slow"
+    )
+    assert proof_period_s(Contract.from_layout(layout), 0) == pytest.approx(period_s)

@@ -78,7 +78,7 @@ identifiers = st.one_of(
 octets = st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0xFF, 0x0F, 0xF0, 0x1F, 0x83, 0x7C, 0x3E]))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(identifiers, st.lists(octets, max_size=8).map(bytes), st.booleans())
 def test_exact_classic_agrees_with_the_bit_string(identifier: tuple[int, int], data: bytes, remote: bool) -> None:
     flags, can_id = identifier
@@ -87,7 +87,7 @@ def test_exact_classic_agrees_with_the_bit_string(identifier: tuple[int, int], d
     assert (nominal[0], fast[0]) == (slow, 0)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(identifiers, st.data(), st.sampled_from(FD_LENGTHS), st.booleans(), st.booleans())
 def test_exact_fd_agrees_with_the_bit_string(
     identifier: tuple[int, int], draw: st.DataObject, length: int, brs: bool, esi: bool
@@ -99,7 +99,7 @@ def test_exact_fd_agrees_with_the_bit_string(
     assert (nominal[0], fast[0]) == slow_fd(can_id, data, extended=bool(flags), brs=brs, esi=esi)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(identifiers, st.lists(octets, max_size=64).map(bytes), st.sampled_from([0, REMOTE, FD, FD | BRS]))
 def test_exact_lies_between_none_and_worst(identifier: tuple[int, int], data: bytes, kind: int) -> None:
     one = frame(identifier[1], data if kind & FD else data[:8], identifier[0] | kind)

@@ -55,7 +55,7 @@ def right(sums: BusSums, group: int, sums_n: np.ndarray, payload: np.ndarray, is
 
 
 @given(STEPS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_while_losses_are_known_no_frame_is_misread(steps: list[tuple[int, int, int]]) -> None:
     groups, sums, sums_n = new_groups(1), new_sums(1), np.zeros(32, np.float32)
     for number, (size, seed, lost) in enumerate(steps):
@@ -72,7 +72,7 @@ def test_while_losses_are_known_no_frame_is_misread(steps: list[tuple[int, int, 
 
 
 @given(STEPS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_a_silent_loss_is_misread_only_where_the_check_collides(steps: list[tuple[int, int, int]]) -> None:
     groups, sums, sums_n = new_groups(1), new_sums(1), np.zeros(32, np.float32)
     held, refined = {}, {}

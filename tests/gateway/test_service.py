@@ -1,6 +1,7 @@
 """The gateway's turn of input and output, with a clock that stalls where a process may."""
 
 import socket
+from collections.abc import Callable
 
 import msgspec
 import numpy as np
@@ -10,7 +11,7 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from gateway.service import GatewayService
-from skin.messages import GATEWAY, GatewayStatus, Topic
+from skin.messages import GATEWAY, GatewayStatus, Measurement, Topic
 
 
 class Clock:
@@ -120,5 +121,76 @@ def test_bus_that_takes_no_sync_says_why_once(small: Contract, capsys: object) -
         " is any node powered, wired and at the same bit rate?"
     )
     assert about[1].startswith("gateway: bus1 takes SYNC again, after ")
+    for link in links:
+        link.close()
+
+
+class StopAfter:
+    """A signal that comes after so many turns."""
+
+    def __init__(self, turns: int) -> None:
+        self._left = turns
+
+    def is_set(self) -> bool:
+        self._left -= 1
+        return self._left < 0
+
+
+class Keeping(Fabric):
+    """A fabric that keeps measurements, too."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__(clock)
+        self.measurements: list[Measurement] = []
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        super().publish(topic, message)
+        if isinstance(message, Measurement):
+            self.measurements.append(message)
+
+
+class Quick(Clock):
+    """A clock that goes on by a millisecond whenever somebody looks."""
+
+    def __call__(self) -> float:
+        self.now_s += 1e-3
+        return self.now_s
+
+
+def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(small: Contract) -> None:
+    clock = Quick()
+    fabric, links = Keeping(clock), [Echoing(clock) for _ in small.layout.bus]
+    sent: list[tuple[int, bytes]] = []
+
+    def noting(link: Echoing) -> Callable[[Frames], int]:
+        def send(burst: Frames) -> int:
+            sent.extend((int(each["can_id"]), each["data"][: each["length"]].tobytes()) for each in burst)
+            return Echoing.send(link, burst)
+
+        return send
+
+    for link in links:
+        link.send = noting(link)  # type: ignore[method-assign]
+    service = GatewayService(small, dict(enumerate(links)), fabric, clock=clock)
+    service.run(StopAfter(0))  # type: ignore[arg-type]
+    assert not links[0].syncs_s
+    assert len(fabric.statuses) == 1
+    assert sent == [(0, b"\x80\0")] * 2
+    service.run(StopAfter(700))  # type: ignore[arg-type]
+    assert service.loop.in_flight == 0
+    assert len(fabric.measurements) == service.loop.sync.sent > 3
+    assert fabric.statuses[-1].cycles == len(fabric.measurements)
+    assert sent[-2:] == [(0, b"\x80\0")] * 2
+    for link in links:
+        link.close()
+
+
+def test_status_is_published_five_times_a_second(small: Contract) -> None:
+    service, clock, fabric, links = running(small)
+    first, began_s = len(fabric.statuses), clock.now_s
+    while clock.now_s < began_s + 2.0:
+        service.turn()
+        clock.now_s += 0.002
+    assert len(fabric.statuses) - first in {9, 10}
     for link in links:
         link.close()

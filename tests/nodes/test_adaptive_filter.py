@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
-from nodes.adaptive.filtering import HORIZON, ForceFilter, PatchFilter
+from nodes.adaptive.filtering import HORIZON, ForceFilter, PatchFilter, _silence, _unclip, _unclip_table
 from nodes.adaptive.models import make_models, new_tracks, step
 from nodes.adaptive.noise import IdleStatistics, Noise, haar_matrix
 from skin.walsh import walsh_matrix
@@ -122,3 +123,18 @@ def test_taxels_on_their_own_are_patches_of_one() -> None:
     for _ in range(300):
         taxel_filter.take(np.array([[0.01], [0.0], [0.005], [0.02]], np.float32))
     np.testing.assert_allclose(taxel_filter.force_n[:, 0], [0.01, 0, 0.005, 0.02], atol=1e-5)
+
+
+def test_the_bias_of_clipping_is_undone_and_what_is_left_of_noise_is_shown_as_zero() -> None:
+    force = np.linspace(-1.0, 5.9, 60)
+    noise_n = np.linspace(0.5e-3, 2e-3, 60).astype(np.float32)
+    # The mean of N(x, 1) that is clipped at 0.
+    shown_n = ((force * norm.cdf(force) + norm.pdf(force)) * noise_n).astype(np.float32)
+    _unclip(shown_n, noise_n, _unclip_table())
+    np.testing.assert_allclose(shown_n / noise_n, force, atol=0.01)
+    ends_n = np.array([-1.0, 0.0, 6.5, 9.0], np.float32)
+    _unclip(ends_n, np.ones(4, np.float32), _unclip_table())
+    np.testing.assert_allclose(ends_n, [-2, -2, 6.5, 9], atol=1e-6)
+    left_n = np.array([-1.0, 0.0, 0.79, 0.81, 5.0], np.float32)
+    _silence(left_n, np.full(5, 2.0, np.float32))
+    np.testing.assert_allclose(left_n, [0, 0, 0, 0.81, 5], rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
-from nodes.adaptive.following import BELIEF, WINDOW, NoiseScale
+from nodes.adaptive.following import BELIEF, WINDOW, NoiseScale, Offsets
 from nodes.adaptive.noise import Noise
 
 NODES, TAXELS, NOISE_N = 4, 32, 1e-3
@@ -93,3 +93,73 @@ def test_a_touch_that_comes_and_goes_is_no_noise() -> None:
     found = [scale.take(noisy(0.006 if tick % 150 < 50 else 0.0, rng), EVEN) for tick in range(WINDOW)][-1]
     assert found is not None
     assert (found == 1).all()
+
+
+class SlowOffsets:
+    """Offsets of one patch as docs/adaptive.md has them, taxel by taxel."""
+
+    def __init__(self, high: int, wide: int) -> None:
+        self.offset, self.noted, self.older = np.zeros((3, high, wide))
+        self.was_followed = np.ones((high, wide), np.bool_)
+        self.samples = 0
+
+    def take(self, force_n: np.ndarray, noise_n: np.ndarray) -> np.ndarray:
+        shown = force_n - self.offset
+        quiet = np.pad(shown < 0.6 * noise_n, 1, constant_values=True)
+        for row, column in np.ndindex(shown.shape):
+            if quiet[row : row + 3, column : column + 3].all():
+                change = np.clip(shown[row, column] / 128, -3e-6, 3e-6)
+                lowest = -1.5 * noise_n[row, column]
+                self.offset[row, column] = max(lowest, self.offset[row, column] + change)
+                self.was_followed[row, column] = True
+            else:
+                if self.was_followed[row, column]:
+                    self.offset[row, column] = self.noted[row, column] = self.older[row, column]
+                self.was_followed[row, column] = False
+        self.samples += 1
+        if self.samples % 128 == 0:
+            self.older, self.noted = self.noted.copy(), self.offset.copy()
+        return shown
+
+
+def test_offsets_are_followed_noted_and_given_back_as_documented() -> None:
+    rng, high, wide = np.random.default_rng(7), 3, 5
+    noise_n = rng.uniform(0.5e-3, 1.5e-3, (2, high, wide)).astype(np.float32)
+    offsets, slow = Offsets(2, high, wide), [SlowOffsets(high, wide) for _ in range(2)]
+    drift_n = rng.uniform(-6e-6, 2e-6, (2, high, wide))
+    touched, shown, expected = np.zeros((high, wide)), [], []
+    for tick in range(1500):
+        if tick % 170 == 150 and tick < 700:
+            touched[:] = 0
+            touched[rng.integers(high), rng.integers(wide)] = 0.01
+        elif tick % 170 == 0:
+            touched[:] = 0
+        force_n = (tick * drift_n + touched + rng.normal(0, 0.05e-3, drift_n.shape)).astype(np.float32)
+        given = force_n.reshape(2, -1).copy()
+        offsets.take(given, noise_n.reshape(2, -1))
+        shown.append(given.reshape(force_n.shape))
+        expected.append([slow[node].take(force_n[node].astype(np.float64), noise_n[node]) for node in range(2)])
+    np.testing.assert_allclose(shown, expected, atol=2e-7)
+    lowest = [each.offset / each_n for each, each_n in zip(slow, noise_n, strict=True)]
+    assert np.min(lowest) == pytest.approx(-1.5)
+
+
+def test_the_size_of_noise_is_the_median_of_idle_taxels() -> None:
+    """Exactly half of a patch is idle; a taxel fewer says nothing."""
+    rng, scale = np.random.default_rng(8), NoiseScale(2, 8)
+    true_n = np.full((2, 8), 1e-3)
+    samples = np.maximum(rng.normal(0, true_n, (WINDOW, 2, 8)), 0).astype(np.float32)
+    samples[:, 0, 4:] += np.float32(0.01)
+    samples[:, 1, 3:] += np.float32(0.01)
+    taken_n = np.linspace(0.5e-3, 2e-3, 16).reshape(2, 8).astype(np.float32)
+    found = [scale.take(each, taken_n) for each in samples][-1]
+    assert found is not None
+    # Noise that is clipped at 0 has a standard deviation of sqrt(1/2 - 1/2π); two samples differ by twice the variance.
+    square = (np.diff(samples.astype(np.float64), axis=0, prepend=0) ** 2).sum(axis=0)
+    size_n = np.sqrt(square / (2 * WINDOW)) / np.sqrt(0.5 - 0.5 / np.pi)
+    assert found[0, 0] == pytest.approx(np.median(size_n[0, :4] / taken_n[0, :4]) ** 0.25, rel=1e-4)
+    assert found[1, 0] == 1
+    again = [scale.take(each, taken_n) for each in samples]
+    assert again[:-1] == [None] * (WINDOW - 1)
+    assert again[-1] is not None
+    assert again[-1][0, 0] == pytest.approx(found[0, 0], rel=0.02)

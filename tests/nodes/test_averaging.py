@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from nodes.adaptive.models import Models, make_models, new_tracks, step
 from nodes.averaging import SampleFilter
 
 BLOCKS, SIZE = 16, 32
@@ -136,3 +137,92 @@ def test_a_restart_forgets_one_block_and_no_other() -> None:
     np.testing.assert_allclose(made.counts[taxels], 300, atol=1e-3)
     others = np.setdiff1d(np.arange(TAXELS), taxels)
     np.testing.assert_array_equal(made.counts[others], like.counts[others])
+
+
+class SlowTaxel:
+    """One taxel as the module's text has it: means of second differences, and models on samples in units of noise."""
+
+    def __init__(self) -> None:
+        self.models = Models(*(each[[0, 2, 3, 5, 7]] for each in make_models(0.0)))
+        self.samples: list[float] = []
+        self.square = self.size = 0.0
+        self.scale = 1.0
+
+    def take(self, samples: npt.NDArray[np.float64], sigma: float) -> tuple[float, float, float]:
+        """Return average, variance in units of the scale, and scale."""
+        begins = not self.samples
+        for each in samples:
+            self.samples.append(each)
+            seen = len(self.samples) - 2
+            if seen > 0:
+                found = abs(each - 2 * self.samples[-2] + self.samples[-3])
+                if seen > 255:
+                    found = min(found, 4 * np.sqrt(max(self.square, 0.5)))
+                gain = max(1 / seen, 1 / 256)
+                self.square += gain * (found**2 - self.square)
+                self.size += gain * (found - self.size)
+        deviation = np.sqrt(max(self.square / 6, 1 / 12))
+        scale = max(sigma, deviation) if sigma > 0 else deviation / np.sqrt(0.5 - 0.5 / np.pi)
+        if begins:
+            self.tracks = new_tracks(self.models, 1)
+            self.tracks.level[:] = samples[0] / scale
+        else:
+            self.tracks.level[:] *= self.scale / scale
+            self.tracks.slope[:] *= self.scale / scale
+        self.scale = scale
+        average, variance = np.zeros((2, 1), np.float32)
+        for each in samples:
+            step(np.array([each / scale], np.float32), self.models, self.tracks, np.float32(0), average, variance)
+        return float(average[0]) * scale, float(variance[0]), scale
+
+
+def test_averages_are_those_of_a_slow_computation_taxel_by_taxel() -> None:
+    blocks = np.arange(8).reshape(2, 4)
+    made, slow = SampleFilter(blocks), [SlowTaxel() for _ in range(8)]
+    rng = np.random.default_rng(11)
+    force = np.zeros((600, 8))
+    force[:, 5] = 300
+    force[300:, 6] = 500
+    force[:, 7] = np.arange(600)
+    read = np.rint(np.clip(force + rng.normal(0, 20, force.shape), 0, TOP)).astype(np.float32)
+    for begin in range(0, 600, 10):
+        noise = made.noise.copy()
+        samples = read[begin : begin + 10]
+        made.take(samples)
+        of_taxels = np.repeat(noise, 4)
+        expected = np.array(
+            [each.take(samples[:, c].astype(np.float64), float(of_taxels[c])) for c, each in enumerate(slow)]
+        )
+        np.testing.assert_allclose(made._average, expected[:, 0], rtol=1e-3, atol=0.02)
+        np.testing.assert_allclose(made._variance, expected[:, 1], rtol=1e-2)
+        np.testing.assert_allclose(made._scale, expected[:, 2], rtol=1e-4)
+        np.testing.assert_allclose(made._difference[0], [each.square for each in slow], rtol=1e-4)
+        np.testing.assert_allclose(made._difference[1], [each.size for each in slow], rtol=1e-4)
+        unknown = np.repeat(made.noise == 0, 4)
+        np.testing.assert_allclose(made.counts[unknown], expected[unknown, 0], rtol=1e-3, atol=0.02)
+    assert made.noise[0] > 0
+    # What is left of noise on an idle taxel is shown as 0, a force as it is.
+    assert made.counts[:4].tolist() == [0, 0, 0, 0]
+    assert made.counts[5] == pytest.approx(300, abs=10)
+
+
+def test_the_noise_of_a_block_moves_to_the_median_of_its_idle_taxels_a_part_in_each_cycle() -> None:
+    made = idle()
+    known = made.noise.copy()
+    force = np.zeros(TAXELS)
+    force[made._blocks[0, :28]] = 600  # four taxels are left, an eighth of the block
+    force[made._blocks[1, :29]] = 600  # three: too few
+    fed(made, sense(force, 10, 1.3 * NOISE, seed=12))
+    square, size = made._difference
+    clean = np.maximum(square / 6 - 1 / 12, 0)
+    # The mean of clipped noise is 0.40 σ, its deviation 0.58 σ.
+    mean = np.sqrt(clean) / np.sqrt(2 * np.pi) / np.sqrt(0.5 - 0.5 / np.pi)
+    is_idle = (np.abs(made._average - mean) < 0.25 * mean) & (size**2 > 0.4 * square)
+    for block, taxels in enumerate(made._blocks):
+        chosen = clean[taxels][is_idle[taxels]]
+        moved = known[block]
+        if len(chosen) >= 4:
+            moved += 0.005 * (np.sqrt(np.median(chosen)) / np.sqrt(0.5 - 0.5 / np.pi) - moved)
+        assert made.noise[block] == pytest.approx(moved, rel=1e-6)
+    assert made.noise[1] == known[1]
+    assert np.count_nonzero(made.noise != known) > BLOCKS / 2

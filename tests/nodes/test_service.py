@@ -134,3 +134,58 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
     now_s += 1e-6
     service.turn()
     assert not boards.is_sending
+
+
+class StopAfter:
+    """A signal that comes after so many turns."""
+
+    def __init__(self, turns: int) -> None:
+        self._left = turns
+
+    def is_set(self) -> bool:
+        self._left -= 1
+        return self._left < 0
+
+
+def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]) -> None:
+    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    now_s, published = 100.0, Published()
+    block = contract.on_bus(0)[0].block
+    boards = AdaptiveBoards(contract, [block], Still(contract))
+    service = NodesService(contract, {0: links[0]}, {0: {1}}, boards, published, clock=lambda: now_s)
+    service.run(StopAfter(0))  # type: ignore[arg-type]
+    assert links[0].take_sent()["can_id"].tolist() == [0x701]
+    assert [status.frames_sent for status in published.statuses] == [0]
+    links[0].waiting.clear()
+    service.segments[0].take(frame(0, bytes((START, 0))), now_s)
+    service.turn()
+    assert boards.is_sending
+    links[0].put()
+    service._await_frames()
+    assert not boards.is_sending
+    service.publish_status()
+    assert published.statuses[-1].frames_sent == 4
+
+
+def test_the_next_cycle_is_sampled_ahead_when_all_buses_have_had_their_answers(
+    contract: Contract, links: dict[int, ReadyLink]
+) -> None:
+    now_s, prepared = 100.0, []
+    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
+    service = NodesService(contract, links, {0: {1}, 1: {1}}, sampler, clock=lambda: now_s)
+    for segment in service.segments.values():
+        segment.boot(now_s)
+        segment.take(frame(0, bytes((START, 0))), now_s)
+    links[0].put(sync(1))
+    service.turn()
+    prepared.clear()
+    now_s += 0.0029  # of 10 ms
+    links[1].put(sync(1))
+    service.turn()
+    now_s += 0.0029
+    service.turn()
+    assert not prepared
+    now_s += 0.0002
+    service.turn()
+    assert prepared == [now_s]

@@ -1,0 +1,68 @@
+"""Channels of the command line, and which bus each belongs to."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from bus import options
+from bus.options import BusOptions, channels, open_links
+from skin.errors import InputError
+from skin.layout import Layout, parse_layout
+
+
+def layout_of(*buses: str) -> Layout:
+    taxels = f"[taxels]\nrows = 8\ncolumns = {16 * len(buses)}\n[measurement]\nblock_size = 32\n"
+    taxels += f"sums = {16 * len(buses)}\n"
+    return parse_layout((taxels + "".join(f'[[bus]]\nname = "{bus}"\nnodes = 4\n' for bus in buses)).encode(), "palm")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ([], ["left", "right"]),
+        (["can0"], ["can0", "can1"]),
+        (["vcan12"], ["vcan12", "vcan13"]),
+        (["can9"], ["can9", "can10"]),
+        (["a1b2"], ["a1b2", "a1b3"]),
+        (["can3", "can1"], ["can3", "can1"]),
+    ],
+)
+def test_every_bus_has_a_channel(given: list[str], expected: list[str]) -> None:
+    assert channels(layout_of("left", "right"), BusOptions(channel=given)) == expected
+
+
+def test_the_channel_of_a_single_bus_is_taken_as_it_is() -> None:
+    assert channels(layout_of("only"), BusOptions(channel=["can7"])) == ["can7"]
+    assert channels(layout_of("only"), BusOptions()) == ["only"]
+
+
+@pytest.mark.parametrize("given", [["can"], ["can0", "can1", "can2"]])
+def test_another_number_of_channels_is_refused(given: list[str]) -> None:
+    with pytest.raises(InputError, match=rf"expected 2 channels.*got {len(given)}"):
+        channels(layout_of("left", "right"), BusOptions(channel=given))
+
+
+@dataclass
+class Opened:
+    """A link that tells how it was opened."""
+
+    interface: str
+    channel: str
+    bitrate: int
+    rest: dict[str, Any]
+
+
+def test_wanted_buses_are_opened_on_their_channels_for_half_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(options, "open_link", lambda *place, **rest: Opened(*place, rest))
+    layout = layout_of("left", "right")
+    every: dict[int, Any] = open_links(layout, BusOptions("socketcan", ["can4"]), name="gateway")
+    assert {number: (link.interface, link.channel) for number, link in every.items()} == {
+        0: ("socketcan", "can4"),
+        1: ("socketcan", "can5"),
+    }
+    assert every[0].bitrate == layout.bus[0].bitrate
+    expected = {"fd": False, "data_bitrate": layout.bus[0].data_bitrate, "name": "gateway", "wait_s": 30, "stop": None}
+    assert every[0].rest == expected
+    some: dict[int, Any] = open_links(layout, BusOptions(), {1})
+    assert {number: (link.interface, link.channel) for number, link in some.items()} == {1: ("canskin", "right")}

@@ -1,0 +1,208 @@
+"""The SocketCAN link on sockets of a test's own: how it sets them up, what it does when they fail."""
+
+import errno
+import os
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bus import socketcan
+from bus.link import Filter, State
+from bus.socketcan import SocketCanLink
+from dbc.frame import ECHO, ERROR, FD
+from skin.errors import BusError, InputError
+from tests.bus.harness import burst, frame
+
+# Numbers of the kernel, from its headers.
+AF_CAN, SOCK_RAW, CAN_RAW, SOL_CAN_RAW = 29, 3, 1, 101
+CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
+SO_RCVBUF, SO_RCVBUFFORCE, SO_TIMESTAMPNS, SO_RXQ_OVFL = 8, 33, 35, 40
+
+
+class Kernel:
+    """Hands out one end of a pair of datagram sockets for each CAN socket, and notes what is set on it."""
+
+    def __init__(self) -> None:
+        self.options: dict[tuple[int, int], Any] = {}
+        self.bound: list[Any] = []
+        self.opened: list[tuple[int, ...]] = []
+        self.refuses: OSError | None = None
+        self.may_force = True
+        self.far: list[socket.socket] = []
+
+    def open(self, *kind: int) -> socket.socket:
+        kernel = self
+
+        class Noted(socket.socket):
+            def setsockopt(self, level: int, name: int, value: Any) -> None:  # type: ignore[override]
+                if name == SO_RCVBUFFORCE and not kernel.may_force:
+                    raise PermissionError(errno.EPERM, "not permitted")
+                kernel.options[level, name] = value
+
+            def bind(self, address: Any) -> None:
+                if kernel.refuses is not None:
+                    raise kernel.refuses
+                kernel.bound.append(address)
+
+        self.opened.append(kind)
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.far.append(far)
+        return Noted(fileno=near.detach())
+
+    def put(self, can_id: int, data: bytes = b"") -> None:
+        self.far[-1].send(struct.pack("=IB3x8s", can_id, len(data), data))
+
+
+@pytest.fixture
+def kernel(monkeypatch: pytest.MonkeyPatch) -> Iterator[Kernel]:
+    made = Kernel()
+
+    class Module:
+        """The module `socket`, whose sockets are the test's."""
+
+        def __getattr__(self, name: str) -> Any:
+            return made.open if name == "socket" else getattr(socket, name)
+
+    monkeypatch.setattr(socketcan, "socket", Module())
+    yield made
+    for far in made.far:
+        far.close()
+
+
+@pytest.fixture
+def link(kernel: Kernel) -> Iterator[SocketCanLink]:
+    made = SocketCanLink("can7")
+    yield made
+    made.close()
+
+
+def test_socket_is_raw_reports_errors_and_own_frames_and_has_stamps_and_room(
+    kernel: Kernel, link: SocketCanLink
+) -> None:
+    assert kernel.opened == [(AF_CAN, SOCK_RAW, CAN_RAW)]
+    assert kernel.bound == [("can7",)]
+    assert kernel.options == {
+        (SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS): 1,
+        (SOL_CAN_RAW, CAN_RAW_ERR_FILTER): 0x1FFFFFFF,
+        (socket.SOL_SOCKET, SO_TIMESTAMPNS): 1,
+        (socket.SOL_SOCKET, SO_RXQ_OVFL): 1,
+        (socket.SOL_SOCKET, SO_RCVBUF): socketcan.RECEIVE_BUFFER_BYTES,
+        (socket.SOL_SOCKET, SO_RCVBUFFORCE): socketcan.RECEIVE_BUFFER_BYTES,
+    }
+    assert link.receive().size == 0  # it does not wait
+
+
+def test_fd_and_filters_are_asked_for(kernel: Kernel) -> None:
+    kernel.may_force = False
+    made = SocketCanLink("can7", fd=True, filters=[Filter(0x80, 0x7FF)])
+    assert kernel.options[SOL_CAN_RAW, CAN_RAW_FD_FRAMES] == 1
+    assert kernel.options[SOL_CAN_RAW, CAN_RAW_FILTER] == struct.pack("=II", 0x80, 0x7FF)
+    assert made.send(frame(0x181, bytes(13), FD)) == 1
+    sent = kernel.far[0].recv(100)
+    assert (len(sent), sent[4]) == (72, 16)  # the next length that CAN FD has
+    made.close()
+
+
+def test_frames_go_out_and_come_in(kernel: Kernel, link: SocketCanLink) -> None:
+    assert link.send(burst(range(5))) == 5
+    assert [struct.unpack("=I", kernel.far[0].recv(100)[:4])[0] for _ in range(5)] == burst(range(5))["can_id"].tolist()
+    before_ns = time.monotonic_ns()
+    for number in range(3):
+        kernel.put(0x100 + number, bytes((number,)))
+    came = link.receive()
+    assert came["can_id"].tolist() == [0x100, 0x101, 0x102]
+    assert came["data"][:, 0].tolist() == [0, 1, 2]
+    assert (came["time_ns"] >= before_ns).all()
+    assert not came["flags"].any()
+    assert link.dropped == 0
+    with pytest.raises(InputError):
+        link.send(frame(0x181, bytes(12), FD))
+
+
+def test_full_queue_takes_what_fits(link: SocketCanLink) -> None:
+    many = np.concatenate([burst(range(100))] * 50)
+    taken = link.send(many)
+    assert 0 < taken < len(many)
+    assert link.send(many[taken:]) == 0
+
+
+@pytest.mark.parametrize(("control", "expected"), [(0x10, State.PASSIVE), (0x40, State.ACTIVE), (0x08, State.WARNING)])
+def test_reports_of_the_controller_tell_its_state(
+    kernel: Kernel, link: SocketCanLink, control: int, expected: State
+) -> None:
+    assert link.state is State.ACTIVE
+    kernel.put(0x20000004, bytes((0, control, 0, 0, 0, 0, 0, 0)))
+    (report,) = link.receive()
+    assert report["flags"] & (ERROR | ECHO) == ERROR
+    assert link.state is expected
+    kernel.put(0x20000040)
+    link.receive()
+    assert link.state is State.BUS_OFF
+
+
+def test_lost_interface_is_opened_again(kernel: Kernel, link: SocketCanLink) -> None:
+    kernel.far[0].close()
+    assert link.send(burst(range(3))) == 0
+    assert link.state is State.LOST
+    assert link.receive().size == 0
+    kernel.refuses = OSError(errno.ENETDOWN, "down")
+    link._backoff._next_s = 0.0
+    assert link.send(burst(range(3))) == 0
+    kernel.refuses = None
+    link._backoff._next_s = 0.0
+    assert link.send(burst(range(3))) == 3
+    assert link.state is State.ACTIVE
+    assert len(kernel.far[-1].recv(100)) == 16
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ENODEV, "cannot open can7: no such interface; 'ip link' lists them"),
+        (errno.ENETDOWN, "cannot open can7: it is down; 'ip link set can7 up' with its bit rate"),
+        (errno.EMSGSIZE, "cannot open can7: it carries no CAN FD; 'ip link set can7 mtu 72' while it is down"),
+        (errno.EAFNOSUPPORT, "cannot open can7: this system has no CAN sockets; load can_raw, or use"),
+        (errno.EPROTONOSUPPORT, "cannot open can7: this system has no CAN sockets; load can_raw, or use"),
+        (errno.EACCES, "cannot open can7: Permission denied"),
+    ],
+)
+def test_socket_that_cannot_be_bound_is_closed_and_says_what_to_do(kernel: Kernel, number: int, words: str) -> None:
+    kernel.refuses = OSError(number, os.strerror(number))
+    with pytest.raises(BusError) as caught:
+        SocketCanLink("can7")
+    assert str(caught.value).startswith(words)
+    with pytest.raises(ConnectionRefusedError):
+        kernel.far[0].send(b"1")
+
+
+@pytest.mark.parametrize(
+    ("flags", "mtu", "fd", "number"),
+    [
+        ("0x40080", "16", False, errno.ENETDOWN),
+        ("0x40081", "16", True, errno.EMSGSIZE),
+        ("0x40081", "16", False, None),
+        ("0x40081", "72", True, None),
+        ("0x40080", "72", True, errno.ENETDOWN),
+    ],
+)
+def test_interface_that_is_down_or_without_fd_is_found(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flags: str, mtu: str, fd: bool, number: int | None
+) -> None:
+    about = tmp_path / "can7"
+    about.mkdir()
+    (about / "flags").write_text(flags + "\n")
+    (about / "mtu").write_text(mtu + "\n")
+    monkeypatch.setattr(socketcan, "Path", lambda folder, name: tmp_path / name if folder == "/sys/class/net" else None)
+    socketcan._require("none", fd=fd)  # binding will tell
+    if number is None:
+        socketcan._require("can7", fd=fd)
+        return
+    with pytest.raises(OSError, match=r"interface") as caught:
+        socketcan._require("can7", fd=fd)
+    assert caught.value.errno == number

@@ -1,0 +1,69 @@
+"""``skin gateway``: whose hub it runs, what it opens, and that it closes all of it."""
+
+from typing import Any
+
+import pytest
+
+from bus.options import BusOptions
+from gateway import command
+from skin.service import StopSignal
+
+
+class Parts:
+    """Stand-ins for buses, fabric and service; they keep what they are given."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        parts = self
+        self.calls: list[tuple[str, Any, Any]] = []
+        self.closed: list[str] = []
+
+        class Closing:
+            def __init__(self, name: str) -> None:
+                self.name = name
+
+            def close(self) -> None:
+                parts.closed.append(self.name)
+
+        def open_links(*given: object, **named: object) -> dict[int, Closing]:
+            parts.calls.append(("links", given, named))
+            return {0: Closing("bus0"), 1: Closing("bus1")}
+
+        def fabric(*given: object, **named: object) -> Closing:
+            parts.calls.append(("fabric", given, named))
+            return Closing("fabric")
+
+        class Service:
+            def __init__(self, *given: object) -> None:
+                parts.calls.append(("service", given, {}))
+
+            def run(self, stop: StopSignal) -> None:
+                parts.calls.append(("run", (stop,), {}))
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(command, "open_links", open_links)
+        monkeypatch.setattr(command, "Fabric", fabric)
+        monkeypatch.setattr(command, "GatewayService", Service)
+
+
+@pytest.mark.parametrize(("connect", "hub"), [(None, "tcp/127.0.0.1:7447"), ("tcp/far:1", "tcp/far:1")])
+def test_it_runs_the_hub_unless_it_joins_another(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], connect: str | None, hub: str
+) -> None:
+    parts = Parts(monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        command.gateway(listen="tcp/127.0.0.1:7447", connect=connect)
+    (_, _, links), (_, place, options), (_, service, _), (_, (stop,), _) = parts.calls
+    assert links["name"] == "gateway"
+    assert place[1:] == ("gateway", hub)
+    assert options["hub"] is (connect is None)
+    assert options["fingerprint"] == service[0].phi.fingerprint
+    assert links["stop"] is options["stop"] is stop
+    assert capsys.readouterr().err == "gateway: 2 buses, SYNC 100 Hz\n"
+    assert sorted(parts.closed) == ["bus0", "bus1", "fabric"]
+
+
+def test_options_of_the_bus_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts, options = Parts(monkeypatch), BusOptions("socketcan", ["can0"])
+    with pytest.raises(KeyboardInterrupt):
+        command.gateway(bus=options)
+    assert parts.calls[0][1][1] is options

@@ -1,0 +1,208 @@
+"""Which frames go to the bus next, what a budget lets through, and what comes of echoes."""
+
+import numpy as np
+import pytest
+
+from dbc.adaptive import SendingRule, cob_id, companding
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, frame_bytes
+from nodes.adaptive.mailboxes import (
+    NO_COB_ID,
+    choose,
+    give_back,
+    look_at_all,
+    new_mailboxes,
+    room_for,
+    rule_of,
+    take_echoes,
+)
+from nodes.adaptive.sending import DETAIL, NEWS, REFRESH, SILENT, new_groups
+from tests.bus.harness import frame
+
+LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
+NODES, GROUPS, MS = 3, 4, 1_000_000
+#: A classic frame of 8 bytes with the most stuff bits, and intermission.
+FRAME_BITS = 135
+RULES = np.array([RULE] * NODES, np.float64)
+
+
+class Controllers:
+    """Some nodes, whose frames the test decides."""
+
+    def __init__(self) -> None:
+        self.groups, self.boxes = new_groups(NODES), new_mailboxes(NODES)
+        self.sums_n = np.full((NODES, 32), 0.01, np.float32)
+        self.has_due, self.room = np.zeros(NODES, np.bool_), room_for(16)
+        for node in range(NODES):
+            for group in range(GROUPS):
+                for level in range(6):
+                    self.boxes.cob_id[node, 4 * (5 - level) + group] = cob_id(node, level, group, False)
+                for level in range(2):
+                    self.boxes.cob_id[node, 24 + 4 * (1 - level) + group] = cob_id(node, level, group, True)
+
+    def want(self, node: int, group: int, level: int, reason: int = NEWS, is_fine: int = 0) -> None:
+        self.has_due[node] = True
+        self.groups.level[node, group], self.groups.reason[node, group] = level, reason
+        self.groups.is_fine[node, group] = is_fine
+
+    def choose(self, now: int = 100, first: int = 0, last: int = NODES, most: int = 16) -> list[int]:
+        parts = self.sums_n, LAW, self.groups, self.boxes, self.has_due, self.room
+        count = choose(first, last, now, 5 * MS, most, *parts)
+        return self.room.can_id[:count].tolist()
+
+    def look(self, passed_s: float, now: int = 1, now_ns: int = 1, is_operational: bool = True) -> list[bool]:
+        running = np.full(NODES, is_operational)
+        variance_n2, noise_n2 = np.zeros((NODES, 32), np.float32), np.full(NODES, 1e-9)
+        parts = self.sums_n, variance_n2, noise_n2, RULES, LAW, self.groups, self.boxes, self.has_due
+        look_at_all(now, now_ns, passed_s, running, *parts)
+        return self.has_due.tolist()
+
+
+@pytest.fixture
+def made() -> Controllers:
+    return Controllers()
+
+
+def test_a_rule_comes_back_from_its_row() -> None:
+    numbers = np.arange(1.0, 14.0)[None]
+    assert rule_of(numbers, 0) == SendingRule(*range(1, 14))
+
+
+def test_the_most_urgent_frames_of_all_nodes_go_first(made: Controllers) -> None:
+    made.want(0, 1, 0)
+    made.want(2, 0, 5)
+    made.want(1, 3, 5)
+    made.want(1, 2, 4)
+    expected = [cob_id(2, 5, 0, False), cob_id(1, 5, 3, False), cob_id(1, 4, 2, False), cob_id(0, 0, 1, False)]
+    assert made.choose(most=3) == expected[:3]
+    assert made.room.node[:3].tolist() == [2, 1, 1]
+    assert made.room.group[:3].tolist() == [0, 3, 2]
+    # What is under way is not sent twice; a frame is given up 500 ms after it has expired.
+    assert made.groups.under_way[2, 0] == 505 * MS
+    assert made.choose() == expected[3:]
+    assert made.choose() == []
+
+
+def test_frames_of_one_bus_only_are_chosen(made: Controllers) -> None:
+    for node in range(NODES):
+        made.want(node, 0, 3)
+    assert made.choose(first=1, last=2) == [cob_id(1, 3, 0, False)]
+    assert made.choose() == [cob_id(0, 3, 0, False), cob_id(2, 3, 0, False)]
+
+
+def test_inhibit_time_counts_from_the_newest_frame_of_the_tpdo(made: Controllers) -> None:
+    made.boxes.inhibit[:] = 20
+    made.want(0, 0, 3)
+    assert made.choose(now=100) == [cob_id(0, 3, 0, False)]
+    made.groups.under_way[:] = 0
+    assert made.choose(now=119) == []
+    made.want(0, 0, 4)  # another TPDO
+    assert made.choose(now=119) == [cob_id(0, 4, 0, False)]
+    made.groups.under_way[:] = 0
+    made.want(0, 0, 3)
+    assert made.choose(now=120) == [cob_id(0, 3, 0, False)]
+    # A frame that was not sent does not count.
+    give_back(0, 0, made.groups, made.boxes)
+    assert made.choose(now=121) == [cob_id(0, 3, 0, False)]
+
+
+def test_a_tpdo_without_identifier_and_a_silent_group_send_nothing(made: Controllers) -> None:
+    made.want(0, 0, 3)
+    made.want(0, 1, SILENT)
+    made.boxes.cob_id[0, 8] = NO_COB_ID
+    assert made.choose() == []
+
+
+@pytest.mark.parametrize(
+    ("saved", "reason", "goes"),
+    [
+        (FRAME_BITS - 1, NEWS, False),
+        (FRAME_BITS, NEWS, True),
+        (5 * FRAME_BITS - 1, DETAIL, False),  # four coarse frames are kept for news
+        (5 * FRAME_BITS, DETAIL, True),
+        (-1000, REFRESH, True),
+    ],
+)
+def test_a_budget_lets_refreshes_through_and_keeps_room_for_news(
+    made: Controllers, saved: int, reason: int, goes: bool
+) -> None:
+    made.boxes.budget[0], made.boxes.saved[0] = 1000, saved
+    made.want(0, 0, 1, reason, is_fine=int(reason == DETAIL))
+    assert len(made.choose()) == goes
+    assert made.boxes.saved[0] == saved - FRAME_BITS * goes
+    give_back(0, 0, made.groups, made.boxes)
+    assert made.boxes.saved[0] == saved
+    give_back(0, 0, made.groups, made.boxes)  # nothing is under way any more
+    assert made.boxes.saved[0] == saved
+
+
+def test_without_a_budget_everything_goes(made: Controllers) -> None:
+    made.boxes.saved[0] = -9999
+    made.want(0, 0, 1, DETAIL, is_fine=1)
+    assert len(made.choose()) == 1
+
+
+def test_budgets_are_saved_up_to_eight_frames_or_a_quarter_of_a_second(made: Controllers) -> None:
+    made.boxes.budget[:] = 1000, 24_000, 0
+    made.look(0.1)
+    assert made.boxes.saved.tolist() == [100, 2400, 0]
+    made.look(9.0, is_operational=False)
+    assert made.boxes.saved.tolist() == [8 * FRAME_BITS, 6000, 0]
+    made.boxes.saved[:] = -8 * FRAME_BITS - 500, -200, -200
+    made.look(0.1)  # what refreshes owe has a limit, too
+    assert made.boxes.saved.tolist() == [-8 * FRAME_BITS + 100, 2200, -200]
+
+
+def test_nodes_that_run_and_have_news_are_due_and_others_not(made: Controllers) -> None:
+    made.sums_n[1] = 0
+    assert made.look(0.0) == [True, False, True]
+    assert (made.groups.level[1] == SILENT).all()
+    assert (made.groups.level[[0, 2]] > SILENT).all()
+    assert made.look(0.0, is_operational=False) == [False] * NODES
+    made.groups.refreshes[1, 2], made.groups.refresh_at[1, 2] = 1, 50
+    assert made.look(0.0, now=49)[1] is False
+    assert made.look(0.0, now=50)[1] is True
+    assert made.groups.level[1].tolist() == [SILENT, SILENT, 0, SILENT]
+    assert made.groups.reason[1, 2] == REFRESH
+
+
+def test_a_frame_that_is_under_way_is_waited_for_until_it_is_given_up(made: Controllers) -> None:
+    made.sums_n[1:] = 0
+    made.groups.under_way[0] = 100
+    assert made.look(0.0, now_ns=100) == [False] * NODES
+    assert (made.groups.under_way[0] == 100).all()
+    assert made.look(0.0, now_ns=101) == [True, False, False]
+    assert not made.groups.under_way.any()
+
+
+def test_only_own_frames_are_taken_as_echoes(made: Controllers) -> None:
+    places = np.full(0x800, -1, np.int64)
+    identifier = cob_id(1, 3, 2, False)
+    places[identifier] = 32 * 1 + 4 * (5 - 3) + 2
+    made.groups.under_way[1, 2], made.groups.since[1, 2] = 999, 5
+    made.boxes.saved[1] = 10
+    rows = frame_bytes(
+        np.concatenate(
+            [
+                frame(identifier, bytes(8)),
+                frame(identifier, bytes(7), ECHO),
+                frame(identifier, bytes(8), ECHO | EXTENDED),
+                frame(identifier, bytes(8), ECHO | REMOTE),
+                frame(identifier | 0x10000, bytes(8), ECHO | EXTENDED),
+                frame(identifier + 1, bytes(8), ECHO),
+                frame(0x7FF, bytes(8), ECHO),
+            ]
+        )
+    )
+    assert take_echoes(rows, places, 7, RULES, LAW, made.groups, made.boxes) == (0, 7)
+    assert made.groups.under_way[1, 2] == 999
+    refused = frame_bytes(frame(identifier, bytes(8), ECHO | ERROR))
+    assert take_echoes(refused, places, 7, RULES, LAW, made.groups, made.boxes) == (0, 0)
+    assert (made.groups.under_way[1, 2], made.boxes.saved[1]) == (0, 10 + FRAME_BITS)
+    made.groups.under_way[1, 2] = 999
+    payload = bytes((200, *[128] * 7))
+    sent = frame_bytes(frame(identifier, payload, ECHO))
+    assert take_echoes(sent, places, 7, RULES, LAW, made.groups, made.boxes) == (1, 0)
+    assert made.boxes.counts.tolist() == [[0, 0], [1, 0], [0, 0]]
+    assert (made.groups.under_way[1, 2], made.groups.since[1, 2], made.groups.sent_at[1, 2]) == (0, -1, 7)
+    assert made.groups.known_n[1, 16] > 0
+    assert not made.groups.known_n[[0, 2]].any()

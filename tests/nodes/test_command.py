@@ -1,0 +1,162 @@
+"""``skin nodes``: which nodes it runs, what touches them, and that it closes what it opened."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dbc.contract import Contract
+from nodes import command
+from nodes.adaptive.boards import AdaptiveBoards
+from nodes.command import choose_nodes
+from nodes.sampler import Sampler
+from skin.errors import InputError
+from skin.service import StopSignal
+
+
+def test_all_nodes_run_unless_some_are_chosen(contract: Contract) -> None:
+    assert choose_nodes(contract, [], []) == {bus: set(range(1, 33)) for bus in range(4)}
+
+
+@pytest.mark.parametrize(
+    ("only", "without", "expected"),
+    [
+        (["bus0:5"], [], {0: {5}}),
+        (["bus2:3-6"], [], {2: {3, 4, 5, 6}}),
+        (["bus0:1", "bus3:31-32"], [], {0: {1}, 3: {31, 32}}),
+        (["bus1:1-4"], ["bus1:2-3", "bus0:1"], {1: {1, 4}}),
+        ([], ["bus0:1-32", "bus1:1-32", "bus2:1-31"], {2: {32}, 3: set(range(1, 33))}),
+    ],
+)
+def test_nodes_are_chosen_by_bus_and_range(
+    contract: Contract, only: list[str], without: list[str], expected: dict[int, set[int]]
+) -> None:
+    assert choose_nodes(contract, only, without) == expected
+
+
+@pytest.mark.parametrize("text", ["bus0", "bus9:1", "bus0:a", "bus0:1-2-3", "0:1"])
+def test_what_names_no_node_is_refused_with_the_form(contract: Contract, text: str) -> None:
+    with pytest.raises(InputError, match=f"expected BUS:NODE or BUS:FIRST-LAST with BUS of bus0, bus1, .*'{text}'"):
+        choose_nodes(contract, [text], [])
+
+
+@pytest.mark.parametrize("text", ["bus0:0", "bus0:33", "bus0:30-33", "bus0:5-4"])
+def test_nodes_that_a_bus_does_not_have_are_refused(contract: Contract, text: str) -> None:
+    with pytest.raises(InputError, match=f"'{text}' names nodes that bus0 does not have"):
+        choose_nodes(contract, [], [text])
+
+
+def test_a_choice_that_leaves_nothing_is_refused(contract: Contract) -> None:
+    with pytest.raises(InputError, match="no node is left"):
+        choose_nodes(contract, ["bus0:1"], ["bus0:1-4"])
+
+
+class Parts:
+    """Stand-ins for links, fabric and service; they keep what they are given."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        parts = self
+        self.links: Any = None
+        self.fabric: Any = None
+        self.service: Any = None
+        self.named: dict[str, Any] = {}
+        self.closed: list[str] = []
+
+        class Closing:
+            def __init__(self, name: str) -> None:
+                self.name = name
+
+            def close(self) -> None:
+                parts.closed.append(self.name)
+
+        def open_links(*given: Any, **named: Any) -> dict[int, Closing]:
+            parts.links = (given, named)
+            return {bus: Closing(f"bus{bus}") for bus in given[2]}
+
+        def fabric(*given: Any, **named: Any) -> Closing:
+            parts.fabric = (given, named)
+            return Closing("fabric")
+
+        class Service:
+            def __init__(self, *given: Any, **named: Any) -> None:
+                parts.service, parts.named = given, named
+
+            def run(self, stop: StopSignal) -> None:
+                assert stop is parts.links[1]["stop"]
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(command, "open_links", open_links)
+        monkeypatch.setattr(command, "Fabric", fabric)
+        monkeypatch.setattr(command, "NodesService", Service)
+
+    def run(self, **options: Any) -> Any:
+        """Run the command; return the boards that it made."""
+        with pytest.raises(KeyboardInterrupt):
+            command.nodes(**options)
+        return self.service[3]
+
+
+@pytest.fixture
+def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
+    return Parts(monkeypatch)
+
+
+def test_chosen_nodes_join_their_buses_and_the_fabric(
+    parts: Parts, contract: Contract, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "flash" / "memory"
+    boards = parts.run(only=["bus1:2", "bus3:1-2"], connect="tcp/far:7", store=store)
+    assert isinstance(boards, Sampler)
+    assert parts.links[0][2] == {1: {2}, 3: {1, 2}}
+    assert parts.links[1]["name"] == "nodes"
+    assert parts.fabric[0] == (contract.layout.name, "nodes", "tcp/far:7")
+    assert parts.fabric[1]["fingerprint"] == contract.phi.fingerprint
+    assert parts.service[2] == {1: {2}, 3: {1, 2}}
+    assert parts.named == {"store": store}
+    assert store.is_dir()
+    assert sorted(parts.closed) == ["bus1", "bus3", "fabric"]
+    assert capsys.readouterr().err == "nodes: 3 nodes on 2 buses\n"
+
+
+def test_without_the_fabric_only_the_bus_is_used(parts: Parts, capsys: pytest.CaptureFixture[str]) -> None:
+    parts.run(only=["bus0:7"], fabric=False)
+    assert parts.fabric is None
+    assert parts.service[4] is None
+    assert parts.closed == ["bus0"]
+    assert capsys.readouterr().err == "nodes: 1 node on 1 bus\n"
+
+
+def test_simulated_touch_gets_noise_and_a_recording_none(parts: Parts, tmp_path: Path) -> None:
+    np.save(tmp_path / "still.npy", np.full((4, 64, 64), 0.5))
+    still = parts.run(only=["bus0:1"], input=tmp_path / "still.npy", full_scale=1.0, noise_n=0.001)
+    sums = [still.sample(counter, counter).copy() for counter in (1, 2, 3)]
+    assert sums[0].any()
+    np.testing.assert_array_equal(sums[1], sums[2])
+    touched = parts.run(only=["bus0:1"], objects="golf-ball", noise_n=0.001)
+    assert not np.array_equal(*(touched.sample(counter, counter).copy() for counter in (1, 2)))
+    calm = parts.run(only=["bus0:1"], objects="golf-ball, cup", noise_n=0.0)
+    assert not calm.sample(1, 1).any()  # the first touch has not begun
+
+
+def test_adaptive_boards_are_those_of_the_chosen_nodes(parts: Parts) -> None:
+    boards = parts.run(layout=Path("adaptive"), only=["bus0:3", "bus1:1"])
+    assert isinstance(boards, AdaptiveBoards)
+    contract = parts.service[0]
+    blocks = [node.block for node in contract.nodes if (node.bus, node.node_id) in {(0, 3), (1, 1)}]
+    assert [boards.row(block) for block in blocks] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"seed": -1}, "expected 0 or more.*--seed -1"),
+        ({"noise_n": -0.1}, "expected 0 or more.*--noise-n -0.1"),
+        ({"noise_n": float("inf")}, "expected 0 or more.*--noise-n inf"),
+        ({"rate": 50.0}, "--rate is for a recording"),
+        ({"store": Path("/proc/none")}, "--store /proc/none: expected a folder that can be written"),
+    ],
+)
+def test_bad_options_are_one_clear_error(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        command.nodes(**options)
