@@ -18,7 +18,7 @@ from bandwidth.measured import (
 )
 from bandwidth.plan import BusPlan
 from dbc.canopen import HEARTBEAT_BASE
-from dbc.contract import Contract, next_counter, phase_of
+from dbc.contract import Contract, next_counter
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ERROR, Frames
 
@@ -77,11 +77,21 @@ def errors(seen: Frames) -> Iterator[str]:
 
 
 def sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
-    """Compare period and counters of SYNC with the layout."""
+    """Compare period, length and counters of SYNC with the layout."""
     syncs = taken[is_sync(taken)]
     period_s = seconds / len(syncs)
     if abs(period_s / contract.layout.sync.period_s - 1) > PERIOD_TOLERANCE:
         yield f"SYNC every {period_s * 1e3:.3f} ms, {contract.layout.sync.period_s * 1e3:.3f} ms were planned"
+    length = int(contract.sync(0)["length"][0])
+    others = int((syncs["length"] != length).sum())
+    if others:
+        yield f"{others} SYNCs have another length than the planned {length} bytes"
+    if not contract.sync_overflow:
+        gaps = np.rint(np.diff(syncs["time_ns"]) * 1e-9 / contract.layout.sync.period_s) - 1
+        skipped = int(gaps[gaps > 0].sum())
+        if skipped:
+            yield f"{skipped} periods without SYNC"
+        return
     counters = syncs["data"][:, 0].tolist()
     skips = sum(after != next_counter(before) for before, after in pairwise(counters))
     if skips:
@@ -93,7 +103,7 @@ def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     table = contract.table
     row = tpdo_rows(contract, bus, taken)
     counters = taken["data"][is_sync(taken), 0]
-    phases = np.array([phase_of(int(counter)) for counter in counters])
+    phases = np.array([contract.phase_of(int(counter)) for counter in counters])
     is_tpdo = row >= 0
     rows, cycle = row[is_tpdo], cycles_of(taken)[is_tpdo]
     right = table.phase[rows] == phases[cycle]

@@ -7,7 +7,7 @@ import msgspec
 from bandwidth.plan import bus_time
 from bandwidth.traffic import Disturbance, traffic
 from dbc.contract import Contract
-from dbc.dictionary import WINDOW_RATIO
+from dbc.dictionary import window_s
 from skin.layout import RATE_MAX_HZ, Layout, validated
 
 #: Resolution of the search.
@@ -53,7 +53,7 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
 def _keeps_window(contract: Contract, bus: int, allowed: Disturbance) -> bool:
     streams = traffic(contract, bus, allowed=allowed)
     needed_ns = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
-    return needed_ns <= WINDOW_RATIO * contract.layout.sync.period_s * 1e9
+    return needed_ns <= window_s(contract.layout) * 1e9
 
 
 def _at_rate(contract: Contract, rate_hz: float) -> Contract:

@@ -12,9 +12,9 @@ from bandwidth.response import UNBOUNDED
 from bandwidth.touched_bits import touched_bits
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import PHASES, SYNC_OVERFLOW, Contract
-from dbc.dictionary import WINDOW_RATIO
-from dbc.frame import Frames, frames
+from dbc.contract import SYNC_OVERFLOW, Contract
+from dbc.dictionary import window_s
+from dbc.frame import frames
 from dbc.frame_bits import Stuffing, wire_bits
 from skin.layout import Bus
 
@@ -105,7 +105,7 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusP
 def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | None, allowed: Disturbance) -> BusPlan:
     """Plan one bus; `touched` holds the mean nominal and data bits of the TPDOs of a simulated touched skin."""
     layout, line = contract.layout, contract.layout.bus[bus]
-    phases = [traffic(contract, bus, phase, allowed) for phase in range(PHASES)]
+    phases = [traffic(contract, bus, phase, allowed) for phase in range(contract.phases)]
     random = [random_bus_time(each) for each in phases]
     worst = bus_time(phases[0], "worst")
     felt = None if touched is None else _mean_bus_time(phases[0], touched)
@@ -113,7 +113,7 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     responses = np.max([each.responses_ns(allowed.errors_per_s) for each in phases], axis=0)
     nodes = _node_plans(phases[0], responses)
     last = phases[0]
-    window_s = WINDOW_RATIO * layout.sync.period_s
+    window_ms = window_s(layout) * 1e3
     per_cycle = int(last.is_cyclic.sum())
     buffered = CYCLES_BUFFERED * per_cycle + line.nodes
     needed = _milliseconds(responses[last.is_tpdo])
@@ -134,14 +134,14 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
         max_rate_hz_worst=worst.rate_hz(),
         max_rate_hz_random_80=_mean([each.rate_hz(CAUTION) for each in random]),
         max_rate_hz_worst_80=worst.rate_hz(CAUTION),
-        window_ms=window_s * 1e3,
+        window_ms=window_ms,
         window_needed_ms=needed,
         sdo_response_ms=_milliseconds(responses[last.is_sdo_response]),
         heartbeat_response_ms=_milliseconds(responses[last.is_heartbeat]),
         receive_buffer_frames=buffered,
         receive_buffer_bytes=buffered * RECEIVED_FRAME_BYTES,
         node_plans=nodes,
-        problems=_problems(line, worst, rate_hz, needed, window_s * 1e3),
+        problems=_problems(line, worst, rate_hz, needed, window_ms),
     )
 
 
@@ -160,17 +160,18 @@ def random_bus_time(streams: Traffic) -> BusTime:
     return _mean_bus_time(streams, bits)
 
 
-def sync_frames() -> Frames:
-    """Return the SYNC frames of all counter values."""
+def sync_bits(length: int) -> float:
+    """Return the bits of a SYNC frame of `length` bytes, with a counter (1) as the mean of all counter values."""
     syncs = frames(SYNC_OVERFLOW)
-    syncs["can_id"], syncs["length"] = SYNC_COB_ID, 1
-    syncs["data"][:, 0] = np.arange(1, SYNC_OVERFLOW + 1)
-    return syncs
+    syncs["can_id"], syncs["length"] = SYNC_COB_ID, length
+    if length:
+        syncs["data"][:, 0] = np.arange(1, SYNC_OVERFLOW + 1)
+    return float(wire_bits(syncs)[0].mean())
 
 
 def _mean_bus_time(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> BusTime:
-    """Add SYNC (mean over all counter values) and heartbeats to the mean bits of the TPDOs."""
-    sync = float(wire_bits(sync_frames())[0].mean())
+    """Add SYNC and heartbeats to the mean bits of the TPDOs."""
+    sync = sync_bits(int(streams.frames["length"][streams.frames["can_id"] == SYNC_COB_ID][0]))
     return _bus_time(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
 
 

@@ -54,8 +54,8 @@ def plan(
     skin plan palm.toml --check candump-2026-11-20_120000.log
     skin plan adaptive --node-budget 24000
     """
-    allowed = disturbance or Disturbance()
     contract = Contract.from_layout(load_layout(layout, adaptive=True))
+    allowed = (disturbance or Disturbance()).of(contract.layout)
     if contract.layout.sending == "adaptive":
         if plot is not None:
             raise InputError("--plot draws cycles, and adaptive nodes send none: leave the option out")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import traffic
 from dbc.contract import Contract
-from dbc.dictionary import WINDOW_RATIO
+from dbc.dictionary import window_s
 from skin.errors import InputError
 from skin.layout import Layout
 from skin.output import save_figure
@@ -76,7 +76,7 @@ def cycle_figure(contract: Contract) -> Figure:
             list(zip(starts, took_ms, strict=True)), (number - 0.35, 0.7), facecolors=colours, edgecolor="white", lw=0.3
         )
     panel.axvline(period_ms, color="black", label="next SYNC")
-    panel.axvline(WINDOW_RATIO * period_ms, color="red", linestyle="--", label="window (1007h)")
+    panel.axvline(window_s(contract.layout) * 1e3, color="red", linestyle="--", label="window (1007h)")
     panel.set(xlabel="ms after SYNC, frames with the most stuff bits, node 1 first", xlim=(0, None))
     panel.set_yticks(range(len(buses)), [bus.name for bus in buses])
     panel.invert_yaxis()

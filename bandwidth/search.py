@@ -14,7 +14,7 @@ from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance, traffic
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
-from dbc.dictionary import WINDOW_RATIO
+from dbc.dictionary import window_s
 from skin.errors import InputError, LayoutError
 from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, Measuring, Sync, Taxels, validated
 
@@ -195,7 +195,7 @@ def _denser(least: Layout) -> Iterator[Layout]:
 
 def _judge(layout: Layout, required: Requirement, allowed: Disturbance) -> Candidate:
     first = layout.bus[0]  # no other bus has more nodes
-    window_ms = WINDOW_RATIO * layout.sync.period_s * 1e3
+    window_ms = window_s(layout) * 1e3
     load = needed_ms = missing_bits = missing_ms = None
     missing_ids = max(0, first.nodes - HIGHEST_NODE_ID)
     problems = []

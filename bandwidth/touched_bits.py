@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.codec import encode
-from dbc.contract import PHASES, Contract
+from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.frame_bits import wire_bits
 from skin.layout import Layout
@@ -25,7 +25,7 @@ STRIDE_S: Final = 0.137
 
 
 def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -> npt.NDArray[np.float64]:
-    """Return the mean bits of all TPDOs of one cycle, shape (buses, PHASES, 2): nominal and data.
+    """Return the mean bits of all TPDOs of one cycle, shape (buses, phases, 2): nominal and data.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
     random = np.random.default_rng(seed)
     burst = frames(len(table.cob_id))
     burst["can_id"], burst["length"], burst["flags"] = table.cob_id, table.length, table.flags
-    total = np.zeros((len(layout.bus), PHASES, 2))
+    total = np.zeros((len(layout.bus), contract.phases, 2))
     stride = max(1, round(STRIDE_S * layout.sync.rate_hz))
     for sample in range(samples):
         counts = _counts(layout, source, sample * stride, random)

@@ -1,6 +1,6 @@
 """All frames of one bus as streams by falling priority, the input of loads and response times."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,10 +14,13 @@ from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from dbc.frame_bits import frame_time_ns, nominal_ns
 from skin.errors import InputError
-from skin.layout import Bus
+from skin.layout import Bus, Layout
 
 #: Upper limit of both rates: more than the frames per second of a classic bus.
 PER_SECOND_MAX: Final = 20_000.0
+#: Default of the jitter: a stock CANopen stack handles SYNC in a timer of 1 ms; firmware of one's own answers at once.
+STOCK_JITTER_S: Final = 1e-3
+OWN_JITTER_S: Final = 100e-6
 #: Upper limit of the jitter: a later answer is no answer to this SYNC.
 JITTER_MAX_S: Final = 1.0
 
@@ -30,7 +33,8 @@ class Disturbance:
     Parameters
     ----------
     jitter_s : float
-        Response times: time from SYNC until the slowest node has queued its TPDOs, seconds.
+        Response times: time from SYNC until the slowest node has queued its TPDOs, seconds. Default: 0.001 where stock
+        boards can keep the contract (`sync.identity = "window"`), whose stacks run in a timer of 1 ms; else 0.0001.
     sdo_per_s : float
         Response times: SDO transfers per second, each a request and a response of 8 bytes.
     errors_per_s : float
@@ -42,23 +46,29 @@ class Disturbance:
         If a number is below 0 or impossibly large.
     """
 
-    jitter_s: float = 100e-6
+    jitter_s: float | None = None
     sdo_per_s: float = 20.0
     errors_per_s: float = 0.0
 
     def __post_init__(self) -> None:
         for what, value, most, unit in (
-            ("a jitter", self.jitter_s, JITTER_MAX_S, "s"),
+            ("a jitter", self.jitter_s or 0.0, JITTER_MAX_S, "s"),
             ("SDO transfers", self.sdo_per_s, PER_SECOND_MAX, "a second"),
             ("errors", self.errors_per_s, PER_SECOND_MAX, "a second"),
         ):
             if not 0 <= value <= most:
                 raise InputError(f"expected {what} of 0 to {most:g} {unit}, got {value:g}")
 
+    def of(self, layout: Layout) -> "Disturbance":
+        """Return these disturbances with the jitter that the boards of `layout` have by default, where none is set."""
+        if self.jitter_s is not None:
+            return self
+        return replace(self, jitter_s=STOCK_JITTER_S if layout.is_stock else OWN_JITTER_S)
+
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """The frames of one bus in cycles of one phase; frames of the other phase have the same lengths.
+    """The frames of one bus in cycles of one phase; frames of another phase have the same lengths.
 
     Attributes
     ----------
@@ -98,7 +108,7 @@ class Traffic:
     def responses_ns(self, errors_per_s: float = 0.0) -> npt.NDArray[np.int64]:
         """Return an upper bound of the response time of each stream, see `response_times_ns`.
 
-        One TPDO of the other phase, begun at the end of its window, may block TPDOs, whatever its priority.
+        One TPDO of the cycle before, begun at the end of its window, may block TPDOs, whatever its priority.
         """
         worst = self.worst_ns
         blocked = blocking_ns(worst)
@@ -115,7 +125,7 @@ class Traffic:
 
 def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance | None = None) -> Traffic:
     """Return the streams of bus number `bus` in cycles of `phase`; SDO transfers are with the highest node-ID."""
-    allowed = allowed or Disturbance()
+    allowed = (allowed or Disturbance()).of(contract.layout)
     nodes = contract.on_bus(bus)
     cycle = contract.cycle(bus, phase)
     owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
@@ -138,7 +148,7 @@ def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance |
         bus=contract.layout.bus[bus],
         frames=streams[order],
         period_s=np.repeat(periods, sizes)[order],
-        jitter_s=np.where(is_tpdo, allowed.jitter_s, 0.0)[order],
+        jitter_s=np.where(is_tpdo, allowed.jitter_s or 0.0, 0.0)[order],
         node=node[order],
         is_cyclic=cyclic[order],
         is_tpdo=is_tpdo[order],

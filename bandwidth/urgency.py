@@ -52,7 +52,7 @@ class Urgency:
     @classmethod
     def of(cls, contract: Contract, bus: int, allowed: Disturbance) -> "Urgency":
         """Return the waiting times of bus number `bus`."""
-        return cls(traffic(contract, bus, allowed=allowed), allowed, len(contract.on_bus(bus)))
+        return cls(traffic(contract, bus, allowed=allowed), allowed.of(contract.layout), len(contract.on_bus(bus)))
 
     @cached_property
     def frame_ns(self) -> int:
@@ -86,7 +86,7 @@ class Urgency:
     @property
     def jitter_ns(self) -> int:
         """Longest time from a sample until its frame is queued."""
-        return round(self.allowed.jitter_s * 1e9)
+        return round((self.allowed.jitter_s or 0.0) * 1e9)
 
     @cached_property
     def above(self) -> list[tuple[int, int, int]]:

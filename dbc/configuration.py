@@ -38,8 +38,10 @@ from dbc.indices import (
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
 _COMPARED: Final = {OD_IDENTITY: (1, 2)}
-#: COB-ID, transmission type, SYNC start value; the other sub-indices concern event-driven PDOs only.
-_COMPARED_OF_TPDO: Final = (1, 2, 6)
+#: COB-ID, transmission type, and the SYNC start value where SYNC has a counter; the other sub-indices concern
+#: event-driven PDOs only.
+_COMPARED_OF_TPDO: Final = (1, 2)
+_SYNC_START: Final = 6
 _WHOLE: Final = (
     OD_SYNC_COB_ID,
     OD_CYCLE_PERIOD_US,
@@ -93,7 +95,8 @@ def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]
     """Return the objects that a master compares and that the signature covers, in ascending order."""
     objects = dictionary(contract, node)
     mapped = {each.index: int(each.value) for each in objects if each.subindex == 0 and _is_mapping(each.index)}
-    return tuple(_setting(each) for each in objects if _is_compared(each, mapped))
+    of_tpdo = (*_COMPARED_OF_TPDO, _SYNC_START) if contract.sync_overflow else _COMPARED_OF_TPDO
+    return tuple(_setting(each) for each in objects if _is_compared(each, mapped, of_tpdo))
 
 
 def signature(values: Iterable[tuple[int, int, bytes]]) -> int:
@@ -126,10 +129,10 @@ def _is_mapping(index: int) -> bool:
     return OD_TPDO_MAPPING <= index < OD_MANUFACTURER
 
 
-def _is_compared(each: Object, mapped: Mapping[int, int]) -> bool:
+def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ...]) -> bool:
     subindex = each.subindex or 0
     if OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING:
-        return subindex in _COMPARED_OF_TPDO
+        return subindex in of_tpdo
     if _is_mapping(each.index):
         return subindex <= mapped[each.index]
     if each.index in _COMPARED:

@@ -1,9 +1,12 @@
 """The bus contract: which node sends which sums in which frame of which SYNC cycle.
 
-A TPDO contains no cycle number, so a frame that is one cycle late would look like a frame of the new cycle. Therefore
-every node has one set of TPDOs per *phase*: with two phases, frames of odd and of even SYNC counters have different
-COB-IDs. This is CiA 301, transmission type `PHASES` with SYNC start value `phase + 1`, and needs no payload bit. A
-frame that is one SYNC late has the wrong COB-ID and is not used in the new cycle.
+A TPDO contains no cycle number. The layout's `sync.identity` tells how the gateway knows the cycle of a frame:
+
+- ``window``: a frame belongs to the SYNC before it on the bus, because a node gives up what has not gone within 1007h.
+  Transmission type 1, SYNC without counter: CiA 301 as every stack has it.
+- ``alternating``: every node has one set of TPDOs per *phase*. With two phases, frames of odd and of even SYNC counters
+  have different COB-IDs. This is transmission type 2 with SYNC start value `phase + 1`, and needs no payload bit. A
+  frame that is one SYNC late has the wrong COB-ID and is not used in the new cycle.
 """
 
 import math
@@ -16,7 +19,7 @@ import numpy.typing as npt
 
 from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, NODES, TPDOS, Companding, companding, frame_of, payload_bytes
 from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
-from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
+from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import wire_bits
 from dbc.packing import Packing, packing
 from skin.errors import LayoutError
@@ -26,9 +29,10 @@ from skin.walsh import GROUPS
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
-#: Number of sets of TPDOs, see the module's docstring.
-PHASES: Final = 2
-#: Synchronous counter overflow value (1019h): a multiple of `PHASES`, so phases alternate across the overflow, too.
+#: Number of sets of TPDOs by `sync.identity`, see the module's docstring.
+PHASES: Final = {"window": 1, "alternating": 2}
+#: Largest SYNC counter, and synchronous counter overflow value (1019h) where SYNC has a counter: a multiple of two, so
+#: phases alternate across the overflow, too.
 SYNC_OVERFLOW: Final = 240
 #: Coarse step of adaptive sums near 0, in parts of a taxel's full scale: 0.5 mN of 20 mN.
 COARSE_STEP_RATIO: Final = 1 / 40
@@ -43,7 +47,7 @@ FD_BYTES: Final = 64
 class Tpdo:
     """One transmit PDO: `sums` consecutive sums from `first_sum` on, when the SYNC counter is in `phase`.
 
-    `length` is the payload in bytes, with the padding of CAN FD.
+    With one phase `phase` is 0. `length` is the payload in bytes, with the padding of CAN FD.
     """
 
     number: int
@@ -141,7 +145,10 @@ class Contract:
                 first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
                 is_adaptive = layout.sending == "adaptive"
                 adaptive = _adaptive_tpdos(node_id, is_fd=bus.fd) if is_adaptive else ()
-                tpdos = () if is_adaptive else _tpdos(bus, number, node_id, range(first, last), pack.bits)
+                phases = PHASES[layout.sync.identity]
+                tpdos = (
+                    () if is_adaptive else _tpdos(bus, number, node_id, range(first, last), pack.bits, phases=phases)
+                )
                 nodes.append(
                     NodeContract(
                         number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive
@@ -155,6 +162,25 @@ class Contract:
         taxels = self.layout.taxels
         return companding(taxels.force_max_n, COARSE_STEP_RATIO * taxels.force_max_n, self.phi.block_size)
 
+    @property
+    def phases(self) -> int:
+        """Number of sets of TPDOs of each node: cycles in which a set is sent once."""
+        return PHASES[self.layout.sync.identity]
+
+    @property
+    def sync_overflow(self) -> int:
+        """Synchronous counter overflow value (1019h): 0 for SYNC without counter."""
+        is_counted = self.phases > 1 or self.layout.sending == "adaptive"
+        return SYNC_OVERFLOW if is_counted else 0
+
+    def phase_of(self, sync_counter: int) -> int:
+        """Return the phase of a SYNC counter value (1 to 240)."""
+        return (sync_counter - 1) % self.phases
+
+    def sync(self, sync_counter: int) -> Frames:
+        """Return the SYNC frame of a counter value, in one byte or, where SYNC has no counter, without data."""
+        return one_frame(SYNC_COB_ID, bytes((sync_counter,)) if self.sync_overflow else b"")
+
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
         return tuple(node for node in self.nodes if node.bus == bus)
@@ -163,10 +189,11 @@ class Contract:
         """Return the frames of one cycle on a bus, SYNC first, then the TPDOs by identifier; all data 0."""
         sent = [(tpdo, node.flags) for node in self.on_bus(bus) for tpdo in node.tpdos if tpdo.phase == phase]
         sent.sort(key=lambda pair: pair[0].cob_id)
-        cycle = frames(1 + len(sent))
-        cycle["can_id"] = [SYNC_COB_ID, *(tpdo.cob_id for tpdo, _ in sent)]
-        cycle["length"] = [1, *(tpdo.length for tpdo, _ in sent)]
-        cycle["flags"] = [0, *(flags for _, flags in sent)]
+        tpdos = frames(len(sent))
+        tpdos["can_id"] = [tpdo.cob_id for tpdo, _ in sent]
+        tpdos["length"] = [tpdo.length for tpdo, _ in sent]
+        tpdos["flags"] = [flags for _, flags in sent]
+        cycle: Frames = np.concatenate([self.sync(0), tpdos])
         return cycle
 
     @cached_property
@@ -217,11 +244,6 @@ def sum_frame_bits(line: Bus, *, is_fine: bool) -> int:
     return int(nominal[0]) + math.ceil(int(data[0]) * line.bitrate / (line.data_bitrate or line.bitrate))
 
 
-def phase_of(sync_counter: int) -> int:
-    """Return the phase of a SYNC counter value (1 to 240)."""
-    return (sync_counter - 1) % PHASES
-
-
 def next_counter(sync_counter: int) -> int:
     """Return the SYNC counter that follows (CiA 301, 7.2.5.1: 1 follows the overflow value)."""
     return sync_counter % SYNC_OVERFLOW + 1
@@ -237,11 +259,11 @@ def _adaptive_tpdos(node_id: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
     )
 
 
-def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int) -> tuple[Tpdo, ...]:
+def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int, *, phases: int) -> tuple[Tpdo, ...]:
     """Divide a node's sums into frames, once per phase."""
     parts = _spread(sums, bits, fd=bus.fd)
     tpdos = []
-    for index in range(PHASES * len(parts)):
+    for index in range(phases * len(parts)):
         phase, frame = divmod(index, len(parts))
         part = parts[frame]
         tpdos.append(

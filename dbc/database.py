@@ -22,7 +22,7 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.contract import PHASES, SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
+from dbc.contract import SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD
 from dbc.packing import rounding_error_n
@@ -177,16 +177,17 @@ def _message(
 def _network(contract: Contract) -> list["Message"]:
     """Return the messages that the gateway sends to all nodes."""
     command = _signal("Command", 0, 8, receiver=None, meanings=_in_words(NmtCommand))
-    node_id, counter = _signal("NodeId", 8, 8, receiver=None), _signal("Counter", 0, 8, receiver=None)
+    node_id = _signal("NodeId", 8, 8, receiver=None)
+    is_counted = contract.sync_overflow > 0
     return [
         _message("NMT", NMT_COB_ID, 2, GATEWAY, [command, node_id], comment="NMT command; node-ID 0 is all nodes"),
         _message(
             "SYNC",
             SYNC_COB_ID,
-            1,
+            int(is_counted),
             GATEWAY,
-            [counter],
-            comment=f"All blocks measure now; the counter goes from 1 to {SYNC_OVERFLOW}",
+            [_signal("Counter", 0, 8, receiver=None)] if is_counted else [],
+            comment="All blocks measure now" + (f"; the counter goes from 1 to {SYNC_OVERFLOW}" if is_counted else ""),
             cycle_ms=_milliseconds(contract.layout.sync.period_s),
         ),
     ]
@@ -225,8 +226,12 @@ def _transfer(receiver: str) -> list["Signal"]:
 def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
     """Return a TPDO with its sums."""
     pack, name, sums = contract.packing, _name(node), range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
-    counters = ", ".join(str(tpdo.phase + 1 + turn * PHASES) for turn in range(3))
-    when = f"phase {tpdo.phase + 1} of {PHASES}: after SYNC counters {counters}, ..."
+    if contract.phases > 1:
+        counters = ", ".join(str(tpdo.phase + 1 + turn * contract.phases) for turn in range(3))
+        when = f" in phase {tpdo.phase + 1} of {contract.phases}: after SYNC counters {counters}, ..."
+        suffix = f"_Phase{tpdo.phase + 1}"
+    else:
+        when, suffix = ", after every SYNC", ""
     signals = [
         _signal(
             signal_name(contract, number),
@@ -241,13 +246,13 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
         for place, number in enumerate(sums)
     ]
     return _message(
-        f"{name}_TPDO{tpdo.number}_Phase{tpdo.phase + 1}",
+        f"{name}_TPDO{tpdo.number}{suffix}",
         tpdo.cob_id,
         tpdo.length,
         name,
         signals,
-        comment=f"Sums {sums[0]} to {sums[-1]} in {when}",
-        cycle_ms=_milliseconds(PHASES * contract.layout.sync.period_s),
+        comment=f"Sums {sums[0]} to {sums[-1]}{when}",
+        cycle_ms=_milliseconds(contract.phases * contract.layout.sync.period_s),
         is_fd=bool(node.flags & FD),
     )
 

@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
 from dbc.canopen import COB_ID_NO_RTR, EMCY_BASE, EVENT_MANUFACTURER, SYNC_COB_ID
-from dbc.contract import PHASES, SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
+from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.indices import (
     INTEGER8,
     INTEGER16,
@@ -63,6 +63,7 @@ from dbc.indices import (
     VISIBLE_STRING,
     of_block,
 )
+from skin.layout import Layout
 from skin.walsh import GROUPS
 
 Access = Literal["ro", "rw", "const"]
@@ -73,8 +74,10 @@ VENDOR_ID: Final = 0
 PRODUCT_CODE: Final = 0x534B_494E
 REVISION: Final = 0x0001_0001
 HEARTBEAT_MS: Final = 1000
-#: Part of the cycle in which TPDOs may be sent; the bus is then free at the next SYNC.
+#: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC. The longer one leaves
+#: stock boards, which answer up to 1 ms late, the time that the default skin needs.
 WINDOW_RATIO: Final = 0.98
+STOCK_WINDOW_RATIO: Final = 0.99
 #: Data type of a sum's raw value, by width and sign; 12 bits are mapped from an object of 16 bits.
 SUM_TYPES: Final = {
     (16, True): INTEGER16,
@@ -110,11 +113,16 @@ class Object:
     array: bool = False
 
 
+def window_s(layout: Layout) -> float:
+    """Return the synchronous window (1007h): TPDOs that have not gone within it after SYNC are given up."""
+    return (STOCK_WINDOW_RATIO if layout.is_stock else WINDOW_RATIO) * layout.sync.period_s
+
+
 def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
     """Return all objects of `node` with their initial values, by index and sub-index."""
     return [
         *_communication(contract, node),
-        *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo.number, _synchronous(tpdo))),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo.number, _synchronous(contract, tpdo))),
         *(entry for tpdo in node.adaptive_tpdos for entry in _tpdo_communication(tpdo.number, _adaptive(tpdo))),
         *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(contract, node, tpdo)),
         *(entry for tpdo in node.adaptive_tpdos for entry in _adaptive_mapping(tpdo)),
@@ -133,7 +141,9 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
         *_array(OD_ERROR_FIELD, "Pre-defined error field", errors, UNSIGNED32, "ro")[1:],
         Object(OD_SYNC_COB_ID, None, "COB-ID SYNC message", UNSIGNED32, "rw", SYNC_COB_ID),
         Object(OD_CYCLE_PERIOD_US, None, "Communication cycle period", UNSIGNED32, "rw", period_us),
-        Object(OD_WINDOW_US, None, "Synchronous window length", UNSIGNED32, "rw", round(WINDOW_RATIO * period_us)),
+        Object(
+            OD_WINDOW_US, None, "Synchronous window length", UNSIGNED32, "rw", round(window_s(contract.layout) * 1e6)
+        ),
         Object(OD_DEVICE_NAME, None, "Manufacturer device name", VISIBLE_STRING, "const", "canskin SBHE block"),
         Object(OD_HARDWARE_VERSION, None, "Manufacturer hardware version", VISIBLE_STRING, "const", "virtual"),
         Object(OD_SOFTWARE_VERSION, None, "Manufacturer software version", VISIBLE_STRING, "const", "1.0"),
@@ -144,7 +154,7 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
         *_array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw"),
         Object(OD_HEARTBEAT_MS, None, "Producer heartbeat time", UNSIGNED16, "rw", HEARTBEAT_MS),
         *_identity(node),
-        Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", SYNC_OVERFLOW),
+        Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", contract.sync_overflow),
         *_array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw"),
     ]
 
@@ -174,8 +184,9 @@ class _Communication:
     is_fixed: bool = False
 
 
-def _synchronous(tpdo: Tpdo) -> _Communication:
-    return _Communication(tpdo.cob_id, PHASES, start=tpdo.phase + 1)
+def _synchronous(contract: Contract, tpdo: Tpdo) -> _Communication:
+    """Return type 1 for one phase, else the type that a set of `Contract.phases` has, with its SYNC start value."""
+    return _Communication(tpdo.cob_id, contract.phases, start=tpdo.phase + 1 if contract.phases > 1 else 0)
 
 
 def _adaptive(tpdo: AdaptiveTpdo) -> _Communication:

@@ -4,6 +4,7 @@ A frame is used when it comes from its own bus, has the length of its PDO, and b
 on that bus. Every other frame is counted by kind and not used.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,12 +13,15 @@ import numpy.typing as npt
 
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.codec import decode
-from dbc.contract import PHASES, Contract, next_counter, phase_of
+from dbc.contract import Contract, next_counter
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
+from gateway.outstanding import Outstanding
 from skin.messages import FrameCounts
 
 #: Two SYNCs whose ends are nearer than this part of a period are too close. The gateway itself keeps half a period.
 CLOSE: Final = 0.4
+#: Cycles that are gathered at once: frames of a cycle may be read after the next SYNC was sent.
+SLOTS: Final = 2
 #: A node whose phases are swapped for this many cycles in a row is reported.
 SWAPPED_CYCLES: Final = 5
 
@@ -36,10 +40,13 @@ class Gathered:
 
 
 class Collector:
-    """Gathers the sums of the open cycles, at most one per phase: `open` a cycle, `take` frames, `close` the cycle.
+    """Gathers the sums of the open cycles, `SLOTS` at most: `open` a cycle, `take` frames, `close` the cycle.
 
     On each bus the echo of the next SYNC ends a cycle. Frames before this echo belong to the old cycle, however late
     the host reads them. Frames after the echo do not.
+
+    Cycles have a counter here (1 to 240), also where SYNC has none on the bus: an echo without counter is that of the
+    newest SYNC that was due at its time.
     """
 
     def __init__(self, contract: Contract) -> None:
@@ -54,16 +61,21 @@ class Collector:
         self._table = contract.table
         self._phi = contract.phi
         rows = len(contract.table.cob_id)
+        self._contract = contract
         self._packing = contract.packing
-        self._payload = np.zeros((rows, int(contract.table.length.max())), np.uint8)
-        self._seen = np.zeros(rows, np.bool_)
-        self._spoilt = np.zeros(rows, np.bool_)
-        self._of_phase = [np.flatnonzero(contract.table.phase == phase) for phase in range(PHASES)]
+        #: By slot and row: data, whether it came, and whether its sums are not to be used.
+        self._payload = np.zeros((SLOTS, rows, int(contract.table.length.max())), np.uint8)
+        self._seen = np.zeros((SLOTS, rows), np.bool_)
+        self._spoilt = np.zeros((SLOTS, rows), np.bool_)
+        self._of_phase = [np.flatnonzero(contract.table.phase == phase) for phase in range(contract.phases)]
+        #: With one phase: frames of earlier cycles that may still come.
+        self._outstanding = Outstanding(contract) if contract.phases == 1 else None
         #: Frame format of the TPDOs on each bus: classic or CAN FD.
         self._kind = [FD if bus.fd else 0 for bus in contract.layout.bus]
-        #: Blocks whose node is proven now; blocks whose node was proven during the whole cycle of a phase.
+        #: Blocks whose node is proven now; blocks whose node was proven during the whole cycle of a slot.
         self._trusted = np.zeros(contract.phi.blocks, np.bool_)
-        self._proven = np.zeros((PHASES, contract.phi.blocks), np.bool_)
+        self._proven = np.zeros((SLOTS, contract.phi.blocks), np.bool_)
+        self._node_of_block = np.repeat(np.arange(len(contract.nodes)), [node.blocks for node in contract.nodes])
         #: Buses with a foreign SYNC since the newest cycle was opened.
         self._disturbed = np.zeros(len(contract.layout.bus), np.bool_)
         #: Cycles in a row in which a node sent PDOs of the wrong phase only.
@@ -71,11 +83,13 @@ class Collector:
         self._strayed = np.zeros(len(contract.nodes), np.bool_)
         #: Nodes that a cycle waits for, by place in the contract; other nodes' frames are used when in time.
         self.expected = np.ones(len(contract.nodes), np.bool_)
-        #: Counter of the SYNC whose cycle is open in a phase, 0 for none.
-        self._gathering = np.zeros(PHASES, np.intp)
-        self._awaited = np.zeros(rows, np.bool_)
-        #: Frames that the cycle of a phase still waits for, by bus.
-        self._waiting = np.zeros((PHASES, len(contract.layout.bus)), np.intp)
+        #: Counter of the SYNC whose cycle is open in a slot, 0 for none.
+        self._gathering = np.zeros(SLOTS, np.intp)
+        self._awaited = np.zeros((SLOTS, rows), np.bool_)
+        #: Frames that the cycle of a slot still waits for, by bus.
+        self._waiting = np.zeros((SLOTS, len(contract.layout.bus)), np.intp)
+        #: Counter and due time of the newest SYNCs, the oldest first.
+        self._due: deque[tuple[int, int]] = deque(maxlen=SLOTS)
         #: When the newest SYNC ended on each bus, 0 if unknown, and the shortest time allowed to the next.
         self._sync_ns = [0] * len(contract.layout.bus)
         self._too_close_ns = round(CLOSE * contract.layout.sync.period_s * 1e9)
@@ -87,6 +101,9 @@ class Collector:
         self._trusted[blocks] = proven
         if not proven:
             self._proven[:, blocks] = False
+        if self._outstanding is not None:
+            change = self._outstanding.prove if proven else self._outstanding.doubt
+            change(self._node_of_block[blocks])
 
     @property
     def trusted(self) -> npt.NDArray[np.bool_]:
@@ -104,66 +121,96 @@ class Collector:
         count, self._foreign_syncs[bus] = self._foreign_syncs[bus], 0
         return count
 
-    def open(self, counter: int) -> None:
-        """Begin the cycle of SYNC `counter`; call it before this SYNC is sent."""
-        phase = phase_of(counter)
-        rows = self._of_phase[phase]
+    def open(self, counter: int, due_ns: int = 0) -> None:
+        """Begin the cycle of SYNC `counter`, due at `due_ns`; call it before this SYNC is sent."""
+        slot, rows = _slot_of(counter), self._rows_of(counter)
         # A bus without SYNC since this counter was last used is not in this cycle.
         self._on_wire = [0 if now == counter else now for now in self._on_wire]
-        self._seen[rows] = False
-        self._spoilt[rows] = self._disturbed[self._table.bus[rows]]
+        self._due.append((counter, due_ns))
+        self._seen[slot] = False
+        self._spoilt[slot] = self._disturbed[self._table.bus]
         self._disturbed[:] = False
-        self._proven[phase] = self._trusted
-        self._gathering[phase] = counter
-        self._awaited[rows] = self.expected[self._table.node[rows]]
-        awaited = rows[self._awaited[rows]]
-        self._waiting[phase] = np.bincount(self._table.bus[awaited], minlength=self._waiting.shape[1])
+        self._proven[slot] = self._trusted
+        self._gathering[slot] = counter
+        self._awaited[slot] = False
+        self._awaited[slot, rows] = self.expected[self._table.node[rows]]
+        self._waiting[slot] = np.bincount(self._table.bus[self._awaited[slot]], minlength=self._waiting.shape[1])
 
     def is_settled(self, counter: int) -> bool:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or the next SYNC."""
         following = next_counter(counter)
-        waiting = self._waiting[phase_of(counter)]
+        waiting = self._waiting[_slot_of(counter)]
         return all(count == 0 or now == following for count, now in zip(waiting, self._on_wire, strict=True))
 
     def take(self, bus: int, arrived: Frames) -> None:
         """Use the frames that arrived on a bus, in bus order; the echo of a SYNC starts its cycle on the bus."""
         begin = 0
-        is_sync = arrived["can_id"] == SYNC_COB_ID
-        foreign = int((is_sync & (arrived["flags"] & (ERROR | ECHO | EXTENDED | REMOTE) == 0)).sum())
-        if foreign:
-            # A foreign SYNC: nodes have answered it outside the gateway's cycles.
-            self._foreign_syncs[bus] += foreign
-            self._spoil(bus)
-        sent = is_sync & (arrived["flags"] & (ECHO | ERROR) == ECHO)
-        for place in np.flatnonzero(sent):
+        is_sync = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0)
+        for place in np.flatnonzero(is_sync):
             self._take(bus, arrived[begin:place])
-            self._on_wire[bus] = int(arrived["data"][place, 0])
-            self._check_spacing(bus, int(arrived["time_ns"][place]))
-            begin = int(place) + 1
+            time_ns = int(arrived["time_ns"][place])
+            begin = int(place)
+            if arrived["flags"][place] & ECHO:
+                self._begin(bus, int(arrived["data"][place, 0]), time_ns)
+                begin += 1
+            else:
+                # A foreign SYNC: nodes answer it outside the gateway's cycles.
+                self._foreign_syncs[bus] += 1
+                self._spoil(bus)
+                self._ask(bus, time_ns)
         self._take(bus, arrived[begin:])
 
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums."""
-        phase = phase_of(counter)
-        rows = self._of_phase[phase]
-        self._gathering[phase] = 0
-        missing = rows[~self._seen[rows]]
+        slot, rows = _slot_of(counter), self._rows_of(counter)
+        self._gathering[slot] = 0
+        missing = rows[~self._seen[slot, rows]]
         self.counts.missing += len(missing)
         np.add.at(self.missing_of_node, self._table.node[missing], 1)
-        whole = self._seen[rows] & ~self._spoilt[rows]
+        whole = self._seen[slot, rows] & ~self._spoilt[slot, rows]
         good, lost = rows[whole], self._table.gather[rows[~whole]]
-        self._judge_phases(rows)
-        valid = self._proven[phase].copy()
+        self._judge_phases(rows[self._seen[slot, rows]])
+        valid = self._proven[slot].copy()
         valid[self._phi.block_of_sum[lost[lost >= 0]]] = False
         sums = np.zeros(self._phi.shape[0], np.int32)
-        decode(self._payload[good], self._table.gather[good], self._packing, sums)
+        decode(self._payload[slot, good], self._table.gather[good], self._packing, sums)
         sums[~self._phi.sums_of_blocks(valid)] = 0
         return Gathered(sums, valid)
 
     def _spoil(self, bus: int) -> None:
         """Use no sums of a bus in the open cycles, nor in the next cycle."""
         self._disturbed[bus] = True
-        self._spoilt[self._table.bus == bus] = True
+        self._spoilt[:, self._table.bus == bus] = True
+
+    def _rows_of(self, counter: int) -> npt.NDArray[np.intp]:
+        """Return the rows that are sent in the cycle of a SYNC."""
+        return self._of_phase[self._contract.phase_of(counter)]
+
+    def _begin(self, bus: int, counter: int, time_ns: int) -> None:
+        """Begin a cycle on a bus, at the echo of its SYNC; `counter` is 0 in a SYNC without counter."""
+        before = self._on_wire[bus]
+        counter = counter or self._counter_at(time_ns)
+        if counter == before:
+            self._spoil(bus)  # its SYNC was on the bus already
+        self._on_wire[bus] = counter
+        self._check_spacing(bus, time_ns)
+        self._ask(bus, time_ns)
+
+    def _counter_at(self, time_ns: int) -> int:
+        """Return the counter of the newest SYNC that was due at a time, 0 before the first."""
+        newest = self._due[0][0] if self._due else 0
+        for counter, due_ns in self._due:
+            if not time_ns or due_ns <= time_ns:
+                newest = counter
+        return newest
+
+    def _ask(self, bus: int, time_ns: int) -> None:
+        """With one phase: use no frame in the new cycle that may be of an earlier one."""
+        if self._outstanding is not None:
+            doubtful = self._outstanding.ask(bus, time_ns)
+            slot = _slot_of(self._on_wire[bus])
+            if self._on_wire[bus] and self._gathering[slot] == self._on_wire[bus]:
+                self._spoilt[slot, doubtful] = True
 
     def _check_spacing(self, bus: int, time_ns: int) -> None:
         """Spoil a bus whose SYNCs waited in the controller and end too close: sums may answer either SYNC."""
@@ -171,10 +218,10 @@ class Collector:
         if time_ns and last_ns and time_ns - last_ns < self._too_close_ns:
             self._spoil(bus)
 
-    def _judge_phases(self, rows: npt.NDArray[np.intp]) -> None:
-        """Count, for each node, the cycles in a row with PDOs of the wrong phase only."""
+    def _judge_phases(self, came: npt.NDArray[np.intp]) -> None:
+        """Count, for each node, the cycles in a row with PDOs of the wrong phase only; `came` are the right ones."""
         is_right = np.zeros(len(self._strayed), np.bool_)
-        is_right[self._table.node[rows[self._seen[rows]]]] = True
+        is_right[self._table.node[came]] = True
         self._swapped = np.where(self._strayed & ~is_right, self._swapped + 1, 0)
         self._strayed[:] = False
 
@@ -190,33 +237,40 @@ class Collector:
         row, arrived = row[ours], arrived[ours]
         whole = arrived["length"] == self._table.length[row]
         self.counts.malformed += int(len(row) - whole.sum())
-        self._accept(bus, row[whole], arrived["data"][whole, : self._payload.shape[1]])
+        self._accept(bus, row[whole], arrived["data"][whole, : self._payload.shape[2]])
 
     def _accept(self, bus: int, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
         self.heard[self._table.node[row]] = True
-        cycle = self._gathering[self._table.phase[row]]
-        in_time = (cycle != 0) & (cycle == self._on_wire[bus])
+        if self._outstanding is not None:
+            self._outstanding.came(row)
+        counter = self._on_wire[bus]
+        slot, right = _slot_of(counter), self._table.phase[row] == self._contract.phase_of(counter)
+        in_time = right & (counter != 0 and self._gathering[slot] == counter)
         self.counts.late += int(len(row) - in_time.sum())
         np.add.at(self.late_of_node, self._table.node[row[~in_time]], 1)
-        if self._on_wire[bus]:
-            other = self._table.phase[row] != phase_of(self._on_wire[bus])
-            self._strayed[self._table.node[row[other]]] = True
+        if counter:
+            self._strayed[self._table.node[row[~right]]] = True
         row, payload = row[in_time], payload[in_time]
         if not len(row):
             return
         first = np.zeros(len(row), np.bool_)
         first[np.unique(row, return_index=True)[1]] = True
-        first &= ~self._seen[row]
+        first &= ~self._seen[slot, row]
         fresh = row[first]
-        self._payload[fresh] = payload[first]
-        self._seen[fresh] = True
-        self._waiting[self._table.phase[row[0]], bus] -= self._awaited[fresh].sum()
+        self._payload[slot, fresh] = payload[first]
+        self._seen[slot, fresh] = True
+        self._waiting[slot, bus] -= self._awaited[slot, fresh].sum()
         self.counts.accepted += len(fresh)
         if len(fresh) < len(row):
-            self._again(row[~first], payload[~first])
+            self._again(slot, row[~first], payload[~first])
 
-    def _again(self, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
+    def _again(self, slot: int, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
         """Count repeated frames; a repeated frame with other data (two nodes share a node-ID) spoils the block."""
         self.counts.duplicate += len(row)
-        differs = (self._payload[row] != payload).any(axis=1)
-        self._spoilt[row[differs]] = True
+        differs = (self._payload[slot, row] != payload).any(axis=1)
+        self._spoilt[slot, row[differs]] = True
+
+
+def _slot_of(counter: int) -> int:
+    """Return the slot of a cycle; with two phases it is the phase."""
+    return (counter - 1) % SLOTS

@@ -67,7 +67,7 @@ class CycleGathering:
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles that were closed for it."""
         closed = [self._close(self._open_cycles.popleft()) for _ in range(len(self._open_cycles) - 1)]
-        self.collector.open(sync.counter)
+        self.collector.open(sync.counter, sync.mono_ns)
         self._open_cycles.append(sync)
         return closed
 

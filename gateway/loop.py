@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from bus.link import Send, State
-from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, one_frame
 from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
@@ -161,7 +160,7 @@ class GatewayLoop:
             return []
         sync_ns = round(due_s * 1e9)
         closed = self.gathering.begin(Sync(self.sync.sent, self.sync.counter, due_s, sync_ns, sync_ns + wall_offset_ns))
-        sync = one_frame(SYNC_COB_ID, bytes((self.sync.counter,)))
+        sync = self._contract.sync(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
         sync["expires_ns"] = sync_ns + round(LATEST * self._period_s * 1e9)

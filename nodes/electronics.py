@@ -59,7 +59,7 @@ class Electronics(Calibration):
     defects : mapping
         Defects of the taxels, as `skin.defects.parse_defects` returns them.
     period_s : float
-        Time between two steps of the touch; drift and damper need it.
+        Time between two steps of the touch, the period of SYNC; drift, damper and SYNCs without counter need it.
     samples : int
         Samples of every taxel in one step, the last one at the step's instant. Between two steps the force is
         interpolated. More than one are averaged (`nodes.averaging`).
@@ -89,7 +89,7 @@ class Electronics(Calibration):
         self.sampled = np.zeros(taxels.count, np.int32)
         self._model = TaxelModel(noise_n, taxels.force_max_n, **(defects or {}))
         self._random = np.random.Generator(np.random.SFC64(seed))
-        self._period_s = period_s
+        self.period_s = period_s
         self._last: tuple[int, npt.NDArray[np.float32]] | None = None
         self._samples = samples
         self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
@@ -107,7 +107,7 @@ class Electronics(Calibration):
             return
         moments_n = self._moments_n(force_n, step)
         count = len(moments_n)
-        time_s = self._period_s * (step - 1 + np.arange(1, count + 1) / count)
+        time_s = self.period_s * (step - 1 + np.arange(1, count + 1) / count)
         signal = self._model.signal_of_moments(moments_n, self._random, time_s)
         counts = to_counts(signal.reshape(count, -1), self.taxels)
         self._felt, self.sampled_ahead = counts[-1], step
@@ -151,6 +151,6 @@ class Electronics(Calibration):
         parts = (np.arange(1, self._samples, dtype=np.float32) / self._samples)[:, None, None]
         moments_n = np.concatenate([last_n[None], last_n + parts * (force_n - last_n), force_n[None]])
         if self._model.damper is not None:
-            moments_n = self._model.damper(moments_n, (step - last_step) * self._period_s / self._samples)
+            moments_n = self._model.damper(moments_n, (step - last_step) * self.period_s / self._samples)
         felt_n: npt.NDArray[np.float32] = moments_n[1:]
         return felt_n

@@ -14,19 +14,23 @@ from skin.messages import Truth
 from skin.sources import TaxelSource
 from skin.taxel import to_newtons
 
-#: Longest time between the SYNC frames of one cycle on different buses: frames without counter, and frames with the
-#: same counter. A busy master delays frames. A counter returns after 240 periods, 120 ms or more.
-UNNUMBERED_SYNC_SPREAD_NS: Final = 2_000_000
+#: Longest time between the SYNC frames of one cycle, with the same counter, on different buses. A busy master delays
+#: frames. A counter returns after 240 periods, 120 ms or more.
 NUMBERED_SYNC_SPREAD_NS: Final = 100_000_000
+#: SYNC without counter: part of a period by which it may come early, measured from the first SYNC. A master delays SYNC
+#: by half a period at most.
+EARLY: Final = 0.25
+#: After this number of periods without SYNC, the master has begun anew.
+ANEW_AFTER: Final = 2.5
 #: Cycles whose sums are kept, because some buses are read later than others.
 KEPT_CYCLES: Final = 8
 
 
 class Sampler(Boards):
-    """Turns SYNC counters into sums, once per cycle for all buses.
+    """Turns SYNCs into sums, once per cycle for all buses.
 
-    The step of the taxel source follows the SYNC counter. So all processes of nodes that were started before the
-    first SYNC measure the same touch, even if one process misses a SYNC.
+    The step of the taxel source follows the SYNC counter or, without counter, the time of SYNC in periods. So all
+    processes of nodes that were started before the first SYNC measure the same touch, even if one misses a SYNC.
     """
 
     def __init__(self, phi: Sbhe, source: TaxelSource, electronics: Electronics) -> None:
@@ -36,6 +40,10 @@ class Sampler(Boards):
         self._electronics = electronics
         self._step = -1
         self._counter = 0
+        self._period_ns = electronics.period_s * 1e9
+        #: Time of step 0, by the SYNCs without counter since the master began.
+        self._zero_ns = 0.0
+        self._sync_ns = 0
         self._kept: deque[tuple[int, int, npt.NDArray[np.int32]]] = deque(maxlen=KEPT_CYCLES)
         self._truth: Truth | None = None
 
@@ -55,22 +63,24 @@ class Sampler(Boards):
 
     def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen at `time_ns`."""
-        within_ns = NUMBERED_SYNC_SPREAD_NS if counter else UNNUMBERED_SYNC_SPREAD_NS
+        # Cycles without counter are known by their step, which no counter equals.
+        cycle = counter or -1 - self._step_at(time_ns)
         for known, seen_ns, sums in self._kept:
-            if known == counter and abs(time_ns - seen_ns) < within_ns:
+            if known == cycle and abs(time_ns - seen_ns) < NUMBERED_SYNC_SPREAD_NS:
                 return sums
-        if self._step < 0:
-            self._step = max(0, counter - 1)
+        if not counter:
+            step = -1 - cycle
+        elif self._step < 0:
+            step = counter - 1
         else:
-            missed = (counter - self._counter) % SYNC_OVERFLOW or 1
-            self._step += missed
-            if missed > 1 and self._electronics.averages:
-                self._electronics.prepare(self._source.frame(self._step - 1).force_n, self._step - 1)
-        self._counter = counter
+            step = self._step + ((counter - self._counter) % SYNC_OVERFLOW or 1)
+        if 0 <= self._step < step - 1 and self._electronics.averages:
+            self._electronics.prepare(self._source.frame(step - 1).force_n, step - 1)
+        self._step, self._counter = step, counter
         frame = self._source.frame(self._step)
         exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(frame.force_n, self._step))
         self._sums = np.rint(exact).astype(np.int32)
-        self._kept.append((counter, time_ns, self._sums))
+        self._kept.append((cycle, time_ns, self._sums))
         self._truth = Truth(
             step=self._step,
             sync_counter=counter,
@@ -80,6 +90,13 @@ class Sampler(Boards):
             label=frame.label,
         )
         return self._sums
+
+    def _step_at(self, time_ns: int) -> int:
+        """Return the step of the taxel source at a SYNC without counter."""
+        if self._step < 0 or time_ns - self._sync_ns > ANEW_AFTER * self._period_ns:
+            self._zero_ns = time_ns - (self._step + 1) * self._period_ns
+        self._sync_ns = max(self._sync_ns, time_ns)
+        return max(0, int((time_ns - self._zero_ns) / self._period_ns + EARLY))
 
     def prepare(self) -> None:
         """Sample ahead what the next SYNC will most likely ask for."""

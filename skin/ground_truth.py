@@ -30,7 +30,6 @@ TRUTHS_KEPT: Final = 64
 NEAR_NS: Final = 10_000_000
 
 Made = TypeVar("Made", Image, Label)
-Kept = TypeVar("Kept", Image, Label, Truth)
 
 
 class Pairs(Protocol[Made]):
@@ -50,32 +49,46 @@ class Pairs(Protocol[Made]):
 
 
 class Pairing(Generic[Made]):
-    """Synchronous sending: pairs of truth and image or label of one cycle."""
+    """Synchronous sending: pairs of truth and image or label of one cycle.
 
-    def __init__(self) -> None:
-        self._truths: dict[int, Truth] = {}
-        self._waiting: dict[int, Made] = {}
+    Parameters
+    ----------
+    period_s : float
+        Period of SYNC. Nodes read no counter in a SYNC without one; the time of SYNC then tells the cycle.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_ns = period_s * 1e9
+        self._truths: deque[Truth] = deque(maxlen=REMEMBERED)
+        self._waiting: deque[Made] = deque(maxlen=REMEMBERED)
 
     def take_truth(self, truth: Truth) -> list[tuple[Made, Truth]]:
         """Keep `truth`; return its pair with the waiting message of its cycle, if any."""
-        _remember(self._truths, truth)
-        message = self._waiting.get(truth.sync_counter)
-        if message is None or not _near(message, truth):
+        self._truths.append(truth)
+        message = next((each for each in reversed(self._waiting) if self._is_pair(each, truth)), None)
+        if message is None:
             return []
-        return [(self._waiting.pop(truth.sync_counter), truth)]
+        self._waiting.remove(message)
+        return [(message, truth)]
 
     def take(self, message: Made) -> list[tuple[Made, Truth]]:
         """Return the pair of the message and its cycle's truth, or keep the message until this truth comes."""
         truth = self.truth_of(message)
         if truth is None:
-            _remember(self._waiting, message)
+            self._waiting.append(message)
             return []
         return [(message, truth)]
 
     def truth_of(self, message: Made) -> Truth | None:
         """Return the truth of the message's cycle, None if it has not come."""
-        truth = self._truths.get(message.sync_counter)
-        return truth if truth is not None and _near(message, truth) else None
+        return next((truth for truth in reversed(self._truths) if self._is_pair(message, truth)), None)
+
+    def _is_pair(self, message: Made, truth: Truth) -> bool:
+        later_ns = truth.sync_mono_ns - message.sync_mono_ns
+        if truth.sync_counter:
+            return truth.sync_counter == message.sync_counter and abs(later_ns) < PAIRED_WITHIN_NS
+        # A SYNC comes when it is due, or up to half a period later.
+        return -self._period_ns / 4 <= later_ns < 3 * self._period_ns / 4
 
 
 class ShownImages:
@@ -149,12 +162,12 @@ class NearestTruths:
 
 def image_pairs(layout: Layout) -> Pairs[Image]:
     """Return what finds the pairs of images and truths of a skin."""
-    return ShownImages() if layout.sending == "adaptive" else Pairing()
+    return ShownImages() if layout.sending == "adaptive" else Pairing(layout.sync.period_s)
 
 
 def label_pairs(layout: Layout) -> Pairs[Label]:
     """Return what finds the pairs of labels and truths of a skin."""
-    return NearestTruths() if layout.sending == "adaptive" else Pairing()
+    return NearestTruths() if layout.sending == "adaptive" else Pairing(layout.sync.period_s)
 
 
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:
@@ -162,19 +175,7 @@ def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:
     return float(true.max()) >= CONTACT_RATIO * peak_n
 
 
-def _near(message: Image | Label, truth: Truth) -> bool:
-    return abs(message.sync_mono_ns - truth.sync_mono_ns) < PAIRED_WITHIN_NS
-
-
 def _nearest(truths: deque[Truth], time_ns: int) -> Truth | None:
     """Return the truth nearest to a time, None if there is none within `NEAR_NS`."""
     found = min(truths, key=lambda truth: abs(truth.sync_mono_ns - time_ns), default=None)
     return found if found is not None and abs(found.sync_mono_ns - time_ns) <= NEAR_NS else None
-
-
-def _remember(kept: dict[int, Kept], message: Kept) -> None:
-    """Keep the newest `REMEMBERED` messages, by counter."""
-    kept.pop(message.sync_counter, None)
-    kept[message.sync_counter] = message
-    while len(kept) > REMEMBERED:
-        del kept[next(iter(kept))]

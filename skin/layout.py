@@ -85,10 +85,15 @@ class Measuring(_Table, frozen=True, kw_only=True):
 
 
 class Sync(_Table, frozen=True, kw_only=True):
-    """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h)."""
+    """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h).
+
+    `identity` tells how the gateway knows the cycle of a frame: by the SYNC before it (``window``), or besides by the
+    identifiers of odd and even cycles (``alternating``). Adaptive sending has no cycles and does not use the key.
+    """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.
     rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=RATE_MAX_HZ)] = 100.0
+    identity: Literal["window", "alternating"] = "window"
 
     @property
     def period_s(self) -> float:
@@ -153,6 +158,11 @@ class Layout(_Table, frozen=True, kw_only=True):
     def samples_per_sync(self) -> int:
         """Samples of each taxel in one cycle, the last one at the SYNC; more than one are averaged."""
         return round((self.sampling.rate_hz or self.sync.rate_hz) / self.sync.rate_hz)
+
+    @property
+    def is_stock(self) -> bool:
+        """Whether boards with any CANopen stack can keep the bus protocol: sums in each cycle, one set of TPDOs."""
+        return self.sending == "synchronous" and self.sync.identity == "window"
 
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""

@@ -36,7 +36,8 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     cycle : int
         Number of the measurement since the gateway started, from 1.
     sync_counter : int
-        Counter byte of the SYNC, 1 to 240 (CiA 301, 7.2.5.1); adaptive: of the newest SYNC.
+        Counter of the SYNC, 1 to 240 (CiA 301, 7.2.5.1), also where SYNC has no counter on the bus; adaptive: of the
+        newest SYNC.
     sync_mono_ns, time_ns : int
         When the SYNC was sent; adaptive: when the newest frame ended that is in the sums.
     sums : bytes
@@ -213,8 +214,8 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     step : int
         Position in the taxel source.
     sync_counter, sync_mono_ns : int
-        Of the SYNC. With adaptive sending the counter is 0, and the time is that of the step: between two steps forces
-        are interpolated.
+        Of the SYNC as the nodes read it; the counter is 0 where SYNC has none. With adaptive sending the counter is 0,
+        and the time is that of the step: between two steps forces are interpolated.
     true, sensor : bytes
         float32, shape (rows, columns), newtons: before and after noise, clipping and ADC.
     label : str

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.codec import decode, encode
-from dbc.contract import PHASES, Contract
-from dbc.dictionary import WINDOW_RATIO
+from dbc.contract import Contract
+from dbc.dictionary import window_s
 from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Images
 from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
@@ -81,15 +81,15 @@ def run_sums(
     sampled = np.minimum(np.rint(sync_ns / TICK_NS).astype(np.int64), len(counts) - 1)
     sums = _sums(contract, counts, sampled, idle_counts)
     table = contract.table
-    rows = [np.flatnonzero(table.phase == phase) for phase in range(PHASES)]
-    bursts = [_burst(contract, each, rows[cycle % PHASES]) for cycle, each in enumerate(sums)]
-    due = np.stack([rows[cycle % PHASES] for cycle in range(cycles)])
+    rows = [np.flatnonzero(table.phase == phase) for phase in range(contract.phases)]
+    bursts = [_burst(contract, each, rows[cycle % contract.phases]) for cycle, each in enumerate(sums)]
+    due = np.stack([rows[cycle % contract.phases] for cycle in range(cycles)])
     times = np.repeat(sync_ns, due.shape[1])
     asked = Asked(np.concatenate(bursts), table.bus[due].ravel(), times)
     sent = carry([asked, syncs(sync_ns, contract.layout.bus)], contract.layout.bus, len(counts))
     arrived = sent.arrived_ns[: due.size].reshape(due.shape)
     lost = np.random.default_rng(seed).random(due.shape) < loss_ratio
-    closed = np.where(lost.any(axis=1), sync_ns + round(WINDOW_RATIO * period_ns), arrived.max(axis=1))
+    closed = np.where(lost.any(axis=1), sync_ns + round(window_s(contract.layout) * 1e9), arrived.max(axis=1))
     valid = np.stack([_valid(contract, row[gone]) for row, gone in zip(due, lost, strict=True)])
     received = _decoded(contract, sent.asked.frames[: due.size].reshape(due.shape), due)
     sums_n = (received * contract.layout.taxels.newton_per_count).astype(np.float32)

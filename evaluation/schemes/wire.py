@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
-from dbc.contract import SYNC_OVERFLOW
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, wire_bits
@@ -134,10 +133,9 @@ def heartbeats(lines: Sequence[Bus], ticks: int) -> Asked:
 
 
 def syncs(times_ns: Nanoseconds, lines: Sequence[Bus]) -> Asked:
-    """Return a SYNC with counter on every bus at each time."""
+    """Return a SYNC without counter on every bus at each time."""
     calls = frames(len(times_ns))
-    calls["can_id"], calls["length"] = SYNC_COB_ID, 1
-    calls["data"][:, 0] = np.arange(len(times_ns)) % SYNC_OVERFLOW + 1
+    calls["can_id"] = SYNC_COB_ID
     buses = len(lines)
     return Asked(np.tile(calls, buses), np.repeat(np.arange(buses), len(times_ns)), np.tile(times_ns, buses))
 

@@ -10,14 +10,16 @@ from hypothesis import strategies as st
 
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
-from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, _length, _spread, next_counter, phase_of
+from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, _length, _spread, next_counter
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
 from skin.errors import LayoutError
 from skin.layout import Bus, Encoding, Layout, Measuring, Taxels, load_layout
+from tests.identity import IDENTITIES, alternating, with_identity
 
 CONTRACT = Contract.from_layout(load_layout())
+ALTERNATING = Contract.from_layout(alternating(load_layout()))
 
 
 def changed(**measurement: object) -> Layout:
@@ -28,32 +30,58 @@ def changed(**measurement: object) -> Layout:
 def test_default_skin_uses_the_predefined_connection_set() -> None:
     node = CONTRACT.on_bus(1)[5]
     assert (node.node_id, node.block, node.sums) == (6, 37, 8)
-    assert [tpdo.cob_id for tpdo in node.tpdos] == [0x186, 0x286, 0x386, 0x486]
-    assert [tpdo.phase for tpdo in node.tpdos] == [0, 0, 1, 1]
+    assert [tpdo.cob_id for tpdo in node.tpdos] == [0x186, 0x286]
+    assert [tpdo.phase for tpdo in node.tpdos] == [0, 0]
     assert {tpdo.length for tpdo in node.tpdos} == {8}
 
 
+def test_alternating_skin_has_a_set_of_tpdos_for_odd_and_one_for_even_cycles() -> None:
+    node = ALTERNATING.on_bus(1)[5]
+    assert [tpdo.cob_id for tpdo in node.tpdos] == [0x186, 0x286, 0x386, 0x486]
+    assert [tpdo.phase for tpdo in node.tpdos] == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("contract", "kind"),
+    [(CONTRACT, (0, 1, 0)), (ALTERNATING, (240, 2, 1))],
+    ids=IDENTITIES,
+)
+def test_stock_boards_need_no_counter_and_no_start_value(contract: Contract, kind: tuple[int, int, int]) -> None:
+    objects = {(each.index, each.subindex): each.value for each in dictionary(contract, contract.nodes[0])}
+    assert (objects[0x1019, None], objects[0x1800, 2], objects[0x1800, 6]) == kind
+    assert contract.sync(7)["length"].tolist() == [int(kind[0] > 0)]
+
+
+def test_adaptive_nodes_have_a_counter_whatever_the_identity() -> None:
+    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    assert (contract.sync_overflow, contract.layout.is_stock) == (SYNC_OVERFLOW, False)
+
+
 def test_one_cycle_is_256_frames() -> None:
-    for phase in range(PHASES):
-        assert (CONTRACT.table.phase == phase).sum() == 256
+    for contract in (CONTRACT, ALTERNATING):
+        for phase in range(contract.phases):
+            assert (contract.table.phase == phase).sum() == 256
 
 
 @pytest.mark.parametrize("seed", range(1, 12))
 def test_uniform_rows_find_identifiers(seed: int) -> None:
-    contract = Contract.from_layout(changed(selection="uniform", seed=seed))
+    contract = Contract.from_layout(alternating(changed(selection="uniform", seed=seed)))
     assert contract.phi.shape[0] == 1024
     for bus in range(4):
         ids = [tpdo.cob_id for node in contract.on_bus(bus) for tpdo in node.tpdos]
         assert len(ids) == len(set(ids))
         # Outside what CiA 301, table 38 restricts.
         assert all(0x181 <= cob_id < 0x580 for cob_id in ids)
-    for phase in range(PHASES):
+    for phase in range(contract.phases):
         gathered = contract.table.gather[contract.table.phase == phase]
         assert sorted(gathered[gathered >= 0]) == list(range(1024))
 
 
 def test_too_many_frames_for_one_bus_is_an_error() -> None:
-    text = '[measurement]\nsums = 2560\n[[bus]]\nname = "a"\nnodes = 127\n[[bus]]\nname = "b"\nnodes = 1\n'
+    text = (
+        '[sync]\nidentity = "alternating"\n[measurement]\nsums = 2560\n'
+        '[[bus]]\nname = "a"\nnodes = 127\n[[bus]]\nname = "b"\nnodes = 1\n'
+    )
     layout = msgspec.toml.decode(text, type=Layout)
     with pytest.raises(LayoutError, match=r"put fewer nodes on `\$\.bus\[0\]`"):
         Contract.from_layout(layout)
@@ -62,7 +90,7 @@ def test_too_many_frames_for_one_bus_is_an_error() -> None:
 def test_phases_take_turns_across_the_overflow() -> None:
     counter, seen = 1, []
     for _ in range(2 * SYNC_OVERFLOW):
-        seen.append(phase_of(counter))
+        seen.append(ALTERNATING.phase_of(counter))
         counter = next_counter(counter)
     assert seen == [0, 1] * SYNC_OVERFLOW
 
@@ -87,7 +115,7 @@ def test_dictionary_maps_each_sum_once_per_phase() -> None:
             if 0x1A00 <= index < 0x1C00 and subindex and each.value
         ]
         wanted = [OD_SUMS << 16 | place << 8 | 16 for place in range(1, node.sums + 1)]
-        assert sorted(mapped) == sorted(wanted * PHASES)
+        assert sorted(mapped) == sorted(wanted * contract.phases)
 
 
 @pytest.mark.parametrize(
@@ -117,14 +145,14 @@ def test_sums_go_in_few_frames_of_few_bytes(
 
 
 def test_cycle_of_a_bus_is_its_sync_and_its_frames_by_priority() -> None:
-    classic, fd = CONTRACT.cycle(2, 1), Contract.from_layout(load_layout(Path("fd"))).cycle(0)
+    classic, fd = ALTERNATING.cycle(2, 1), Contract.from_layout(load_layout(Path("fd"))).cycle(0)
     assert len(classic) == 65
     assert (classic["can_id"][0], classic["length"][0]) == (SYNC_COB_ID, 1)
     assert (np.diff(classic["can_id"].astype(int)) > 0).all()
     assert not classic["flags"].any()
     assert len(fd) == 33
     assert fd["flags"].tolist() == [0] + 32 * [FD | BRS]
-    assert fd["length"].tolist() == [1] + 32 * [64]
+    assert fd["length"].tolist() == [0] + 32 * [64]
 
 
 @pytest.mark.parametrize("name", ["fd", "one-bus-12bit"])
@@ -143,7 +171,7 @@ def test_nodes_of_several_blocks_map_every_sum_once_per_phase(name: str) -> None
             for place in range(node.blocks)
             for sum_ in range(1, len(contract.phi.rows_of(node.block + place)) + 1)
         ]
-        assert sorted(mapped) == sorted(wanted * PHASES)
+        assert sorted(mapped) == sorted(wanted * contract.phases)
         assert all(by_place[entry >> 16, entry >> 8 & 0xFF].pdo for entry in mapped)
 
 
@@ -166,9 +194,10 @@ def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
     fd=st.booleans(),
     sums=st.integers(8, 256),
     seed=st.integers(0, 99),
+    identity=st.sampled_from(IDENTITIES),
 )
 def test_any_skin_sends_every_sum_once_per_phase(
-    bits: int, blocks_per_node: int, fd: bool, sums: int, seed: int
+    bits: int, blocks_per_node: int, fd: bool, sums: int, seed: int, identity: str
 ) -> None:
     layout = Layout(
         taxels=Taxels(rows=16, columns=16),
@@ -176,10 +205,11 @@ def test_any_skin_sends_every_sum_once_per_phase(
         encoding=Encoding(sum_bits=bits),
         bus=[Bus(name="a", nodes=8 // blocks_per_node, blocks_per_node=blocks_per_node, fd=fd)],
     )
-    contract = Contract.from_layout(layout)
+    contract = Contract.from_layout(with_identity(layout, identity))
+    assert contract.phases == PHASES[identity]
     table = contract.table
     assert len(set(table.cob_id.tolist())) == len(table.cob_id)
-    for phase in range(PHASES):
+    for phase in range(contract.phases):
         gathered = table.gather[table.phase == phase]
         assert sorted(gathered[gathered >= 0]) == list(range(sums))
         lengths = table.length[table.phase == phase]

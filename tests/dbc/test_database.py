@@ -13,6 +13,7 @@ from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.database import database, signal_name
 from skin.layout import Encoding, load_layout
+from tests.identity import alternating
 
 CASES = [
     ("default", {}),
@@ -22,11 +23,12 @@ CASES = [
     ("fd", {}),
     ("fd", {"sum_bits": 12, "offset_binary": True}),
     ("one-bus-12bit", {}),
+    ("alternating", {}),
 ]
 
 
 def made_of(name: str, encoding: dict[str, object]) -> Contract:
-    layout = load_layout(Path(name))
+    layout = alternating(load_layout()) if name == "alternating" else load_layout(Path(name))
     return Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
 
 
@@ -51,12 +53,15 @@ def test_cantools_decodes_exactly_the_sums(name: str, encoding: dict[str, object
             payload = np.zeros(message.length, np.uint8)
             payload[: payloads.shape[1]] = payloads[row, : message.length]
             phase = int(contract.table.phase[row])
-            assert f"_Phase{phase + 1}" in message.name
-            assert f"in phase {phase + 1} of 2" in message.comment
+            if contract.phases > 1:
+                assert f"_Phase{phase + 1}" in message.name
+                assert f"in phase {phase + 1} of 2" in message.comment
+            else:
+                assert "after every SYNC" in message.comment
             for signal, value in message.decode(payload.tobytes()).items():
                 got[phase, names[signal]] = value
         there = [number for node in contract.on_bus(bus) for number in range(*sums_of(contract, node))]
-        assert got == {(phase, number): wanted[number] for phase in (0, 1) for number in there}
+        assert got == {(phase, number): wanted[number] for phase in range(contract.phases) for number in there}
 
 
 def sums_of(contract: Contract, node: Any) -> tuple[int, int]:
@@ -64,7 +69,7 @@ def sums_of(contract: Contract, node: Any) -> tuple[int, int]:
 
 
 def test_signals_say_what_they_are() -> None:
-    contract = made_of("default", {"sum_bits": 12, "offset_binary": True})
+    contract = Contract.from_layout(alternating(made_of("default", {"sum_bits": 12, "offset_binary": True}).layout))
     described = read(contract, 1)
     message = described.get_message_by_name("Node6_TPDO3_Phase2")
     assert (message.senders, message.cycle_time) == (["Node6"], 20)
@@ -83,12 +88,12 @@ def test_every_frame_on_a_bus_is_described() -> None:
     contract = made_of("default", {})
     described = read(contract, 3)
     ids = {message.frame_id for message in described.messages}
-    for phase in (0, 1):
-        assert set(contract.cycle(3, phase)["can_id"].tolist()) <= ids
+    assert set(contract.cycle(3)["can_id"].tolist()) <= ids
     for base in (0x80, 0x580, 0x600, HEARTBEAT_BASE):
         assert set(range(base + 1, base + 33)) <= ids
-    assert len(ids) == 2 + 32 * 4 + 4 * 32
-    assert described.get_message_by_frame_id(SYNC_COB_ID).cycle_time == 10
+    assert len(ids) == 2 + 32 * 2 + 4 * 32
+    sync = described.get_message_by_frame_id(SYNC_COB_ID)
+    assert (sync.cycle_time, sync.length) == (10, 0)
     assert described.decode_message("Node7_Heartbeat", b"\x05") == {"State": "Operational"}
     assert described.decode_message("NMT", b"\x81\x00") == {"Command": "Reset node", "NodeId": 0}
 

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
-from dbc.contract import Contract, next_counter, phase_of
+from dbc.contract import Contract, next_counter
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames, frames
 from gateway.collector import Collector, Gathered
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.identity import alternating
 
-CONTRACT = Contract.from_layout(load_layout())
+CONTRACT = Contract.from_layout(alternating(load_layout()))
 TABLE = CONTRACT.table
 RANDOM = np.random.default_rng(7)
 SUMS = RANDOM.integers(-16368, 16369, 1024).astype(np.int16)
@@ -32,7 +33,7 @@ def echo(counter: int) -> Frames:
 
 
 def burst(bus: int, counter: int, sums: np.ndarray = SUMS) -> Frames:
-    rows = np.flatnonzero((TABLE.bus == bus) & (TABLE.phase == phase_of(counter)))
+    rows = np.flatnonzero((TABLE.bus == bus) & (TABLE.phase == CONTRACT.phase_of(counter)))
     out = frames(len(rows))
     out["can_id"], out["length"] = TABLE.cob_id[rows], TABLE.length[rows]
     out["data"][:, :8] = encode(sums, TABLE.gather[rows], CONTRACT.packing)

@@ -8,7 +8,7 @@ import pytest
 from canopen import SdoAbortedError
 
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import CLASSIC_BYTES, FD_BYTES, Contract, NodeContract, phase_of
+from dbc.contract import CLASSIC_BYTES, FD_BYTES, Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO
 from dbc.indices import (
@@ -76,7 +76,7 @@ def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, obje
         collector.open(counter)
         for bus, each in enumerate(bursts):
             burst = each.frames(counter, sums, np.ones(len(contract.on_bus(bus)), np.bool_))
-            planned = contract.cycle(bus, counter - 1)[1:]
+            planned = contract.cycle(bus, contract.phase_of(counter))[1:]
             by_id = burst[np.argsort(burst["can_id"])]
             for key in ("can_id", "length", "flags"):
                 assert np.array_equal(by_id[key], planned[key])
@@ -133,7 +133,7 @@ def test_remapped_pdo_of_12_bits_packs_like_the_codec(offset_binary: bool) -> No
 
     local.on_read(read)
     burst = burst_of(contract, 0).frames(1, sums, np.ones(len(contract.on_bus(0)), np.bool_))
-    tpdos = read_tpdos(local, [each.number for each in node.tpdos if each.phase == phase_of(1)])
+    tpdos = read_tpdos(local, [each.number for each in node.tpdos if each.phase == contract.phase_of(1)])
     assert len(tpdos) == 2
     for tpdo in tpdos:
         sent = burst[burst["can_id"] == tpdo.cob_id][0]

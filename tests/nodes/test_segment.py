@@ -10,6 +10,7 @@ from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames
 from nodes.segment import Segment
 from nodes.synchronous_segment import REACTION_NS
 from tests.bus.harness import frame
+from tests.identity import alternating
 from tests.nodes.conftest import ArrayLink, new_segment
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
@@ -24,8 +25,12 @@ def give(segment: Segment, link: ArrayLink, *arrived: Frames, now_s: float = 0.0
     return [(int(one["can_id"]), one["data"][: one["length"]].tobytes()) for one in link.take_sent()]
 
 
-def sync(counter: int, cycle: int | None = None) -> Frames:
-    return frame(0x80, bytes((counter,)), time_ns=(counter if cycle is None else cycle) * 10 * MILLISECOND_NS)
+def sync(cycle: int) -> Frames:
+    return frame(0x80, b"", time_ns=cycle * 10 * MILLISECOND_NS)
+
+
+def numbered_sync(counter: int) -> Frames:
+    return frame(0x80, bytes((counter,)), time_ns=counter * 10 * MILLISECOND_NS)
 
 
 def sdo(segment: Segment, link: ArrayLink, node_id: int, request: bytes) -> bytes:
@@ -61,9 +66,20 @@ def test_pdos_in_operational_only(segment: Segment, link: ArrayLink) -> None:
     assert give(segment, link, frame(0, bytes((START, 0))), frame(0, bytes((PRE_OPERATIONAL, 0))), sync(5)) == []
 
 
-def test_phases_take_turns_and_carry_the_sums(segment: Segment, link: ArrayLink, contract: Contract) -> None:
+def test_every_sync_is_answered_with_the_same_pdos(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))))
+    assert [[can_id for can_id, _ in give(segment, link, sync(cycle))] for cycle in (1, 2, 4)] == 3 * [[0x181, 0x281]]
+
+
+@pytest.fixture
+def alternating_segment(contract: Contract, link: ArrayLink) -> Segment:
+    return new_segment(Contract.from_layout(alternating(contract.layout)), link, {1, 2, 3, 4})
+
+
+def test_phases_take_turns_and_carry_the_sums(alternating_segment: Segment, link: ArrayLink) -> None:
+    segment = alternating_segment
     give(segment, link, frame(0, bytes((START, 0))))
-    odd, even = give(segment, link, sync(1)), give(segment, link, sync(2))
+    odd, even = give(segment, link, numbered_sync(1)), give(segment, link, numbered_sync(2))
     assert [can_id for can_id, _ in odd] == [0x181, 0x281, 0x182, 0x282, 0x183, 0x283, 0x184, 0x284]
     assert [can_id - 0x200 for can_id, _ in even] == [can_id for can_id, _ in odd]
     assert [payload for _, payload in odd] == [payload for _, payload in even]
@@ -71,9 +87,10 @@ def test_phases_take_turns_and_carry_the_sums(segment: Segment, link: ArrayLink,
     assert [read(segment, link, 1, 0x2100, place) for place in range(1, 5)] == [int(v) & 0xFFFF for v in first]
 
 
-def test_a_missed_sync_does_not_shift_the_turn(segment: Segment, link: ArrayLink) -> None:
+def test_a_missed_sync_does_not_shift_the_turn(alternating_segment: Segment, link: ArrayLink) -> None:
+    segment = alternating_segment
     give(segment, link, frame(0, bytes((START, 1))))
-    seen = {counter: give(segment, link, sync(counter))[0][0] for counter in (1, 2, 4, 5, 8, 239, 240)}
+    seen = {counter: give(segment, link, numbered_sync(counter))[0][0] for counter in (1, 2, 4, 5, 8, 239, 240)}
     assert seen == {1: 0x181, 2: 0x381, 4: 0x381, 5: 0x181, 8: 0x381, 239: 0x181, 240: 0x381}
 
 
@@ -84,24 +101,24 @@ def test_stopped_node_answers_no_sdo(segment: Segment, link: ArrayLink) -> None:
 
 def test_window_is_the_latest_start_of_a_frame(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))))
-    link.waiting.append(sync(1, cycle=7))
+    link.waiting.append(sync(7))
     segment.take(link.receive(), 0.0)
     sent = link.take_sent()
     window_ns = sent["expires_ns"] - 70 * MILLISECOND_NS
-    assert (window_ns == 9_800_000 - 135_000).all()
-    assert read(segment, link, 1, 0x1007) == 9800
+    assert (window_ns == 9_900_000 - 135_000).all()
+    assert read(segment, link, 1, 0x1007) == 9900
 
 
 def test_each_node_has_its_own_window(segment: Segment, link: ArrayLink) -> None:
     assert write(segment, link, 0x1007, 0, 5000, 4) == 0
     give(segment, link, frame(0, bytes((START, 0))))
-    link.waiting.append(sync(1, cycle=7))
+    link.waiting.append(sync(7))
     segment.take(link.receive(), 0.0)
     sent = link.take_sent()
     window_us = (sent["expires_ns"] - 70 * MILLISECOND_NS) / 1000
     assert dict(zip(sent["port"].tolist(), window_us.tolist(), strict=True)) == {
         1: 5000 - 135,
-        **dict.fromkeys((2, 3, 4), 9800 - 135),
+        **dict.fromkeys((2, 3, 4), 9900 - 135),
     }
 
 
@@ -115,7 +132,7 @@ def test_window_of_0_is_no_limit(segment: Segment, link: ArrayLink) -> None:
 
 def test_nodes_answer_after_the_reaction_time_of_a_microcontroller(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 0))))
-    link.waiting.append(sync(1, cycle=7))
+    link.waiting.append(sync(7))
     segment.take(link.receive(), 0.0)
     assert set(link.take_sent()["time_ns"].tolist()) == {70 * MILLISECOND_NS + REACTION_NS}
 
@@ -138,7 +155,8 @@ def test_pdos_without_room_are_counted_as_dropped_and_not_as_sent(segment: Segme
     assert [read(segment, link, node_id, 0x2020, 1) for node_id in (1, 2, 3)] == [1, 1, 0]
 
 
-def test_sync_of_two_bytes_has_no_counter(segment: Segment, link: ArrayLink) -> None:
+def test_sync_of_two_bytes_has_no_counter(alternating_segment: Segment, link: ArrayLink) -> None:
+    segment = alternating_segment
     give(segment, link, frame(0, bytes((START, 1))))
     assert give(segment, link, frame(0x80, b"\1\2")) == []
     assert segment.syncs_seen == 1
@@ -317,4 +335,4 @@ def test_a_million_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None
         link.sent.clear()
         link.waiting.clear()
     give(segment, link, frame(0, bytes((RESET_NODE, 0))), frame(0, bytes((START, 0))))
-    assert len(give(segment, link, sync(1, cycle=10**6))) == 8
+    assert len(give(segment, link, sync(10**6))) == 8

@@ -6,7 +6,7 @@ from nodes.segment import Segment
 from nodes.tpdo import Tpdo, is_turn
 from tests.bus.harness import frame
 from tests.nodes.conftest import ArrayLink
-from tests.nodes.test_segment import START, give, read, sync, write
+from tests.nodes.test_segment import START, give, numbered_sync, read, write
 
 COB_ID = 0x181
 
@@ -34,7 +34,7 @@ def change_sums(segment: Segment, by: int) -> None:
 
 def sent_at(segment: Segment, link: ArrayLink, *counters: int) -> list[int]:
     """Return those of the SYNC counters that the PDO answers."""
-    return [counter for counter in counters if COB_ID in dict(give(segment, link, sync(counter)))]
+    return [counter for counter in counters if COB_ID in dict(give(segment, link, numbered_sync(counter)))]
 
 
 def test_start_value_and_counter_decide_also_where_the_cycle_does_not_divide_240() -> None:

@@ -101,7 +101,7 @@ def test_psnr_of_equal_images_is_finite(messages: Any) -> None:
 
 @given(order=st.permutations([(kind, cycle) for kind in ("image", "truth") for cycle in range(1, 9)]))
 def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]) -> None:
-    pairing: Pairing[Image] = Pairing()
+    pairing: Pairing[Image] = Pairing(0.01)
     pairs: list[int] = []
     for kind, cycle in order:
         common: dict[str, Any] = {"sync_counter": cycle, "sync_mono_ns": cycle * 10_000_000}
@@ -122,7 +122,7 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
 
 
 def test_pairing_forgets_what_nobody_pairs(messages: Any) -> None:
-    pairing: Pairing[Image] = Pairing()
+    pairing: Pairing[Image] = Pairing(0.01)
     for counter in range(1000):  # counters no SYNC has
         pairing.take(msgspec.structs.replace(messages.image(), sync_counter=counter))
         pairing.take_truth(msgspec.structs.replace(messages.truth(), sync_counter=counter + 5000))
