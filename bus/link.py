@@ -39,6 +39,11 @@ class Link(Protocol):
         ...
 
     @property
+    def keeps_order(self) -> bool:
+        """Whether an echo comes when its frame has been on the bus, at its place among the received frames."""
+        ...
+
+    @property
     def dropped(self) -> int:
         """Number of frames lost on the receive side since the link was opened."""
         ...

@@ -6,6 +6,7 @@ client sends HELLO and receives WELCOME or REFUSED. After that both sides send F
 
 import os
 import tempfile
+import time
 from enum import IntEnum
 from pathlib import Path
 from struct import Struct
@@ -136,6 +137,12 @@ def unpack_frames(header: Header, payload: memoryview) -> Frames:
     if len(payload) != header.frames * FRAME.itemsize:
         raise ProtocolError(f"{len(payload)} bytes for {header.frames} frames")
     return np.frombuffer(payload, FRAME)
+
+
+def in_time(burst: Frames) -> Frames:
+    """Return the leading frames whose latest start (`expires_ns`) has not passed."""
+    over = np.flatnonzero((burst["expires_ns"] > 0) & (burst["expires_ns"] < time.monotonic_ns()))
+    return burst[: int(over[0])] if len(over) else burst
 
 
 def check_frames(burst: Frames, *, fd: bool) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from bus.error_frames import State
 from bus.messages import to_frame, to_message
-from bus.protocol import Filter, check_frames
+from bus.protocol import Filter, check_frames, in_time
 from dbc.frame import ECHO, Frames, frames
 from skin.errors import BusError
 
@@ -81,6 +81,11 @@ class PythonCanLink:
         return self._epoll.fileno()
 
     @property
+    def keeps_order(self) -> bool:
+        """False: an echo may come before the transmission of its frame."""
+        return False
+
+    @property
     def state(self) -> State:
         """State of the controller, from the interface; LOST if reading has failed."""
         if self._lost:
@@ -104,12 +109,15 @@ class PythonCanLink:
     def send(self, burst: Frames) -> int:
         """Pass frames to the interface; return the number of accepted frames, counted from the first.
 
+        A frame whose latest start has passed is not accepted; in the interface that time has no effect.
+
         Raises
         ------
         InputError
             If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
+        burst = in_time(burst)
         for place, record in enumerate(burst):
             message = to_message(record, self._channel, 0)
             try:

@@ -74,6 +74,11 @@ class ReconnectingLink(ABC):
         return State.LOST if self._socket is None else self._state
 
     @property
+    def keeps_order(self) -> bool:
+        """Whether an echo comes when its frame has been on the bus, at its place among the received frames."""
+        return True
+
+    @property
     def dropped(self) -> int:
         """Number of frames lost because `receive` was not called in time."""
         return self._dropped_before + self._dropped

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.error_frames import state_of_report
-from bus.protocol import Filter, check_frames, pad_lengths
+from bus.protocol import Filter, check_frames, in_time, pad_lengths
 from bus.reconnecting import ReconnectingLink
 from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
@@ -36,6 +36,7 @@ _MSG_CONFIRM: Final = 0x800
 _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
 _IFF_UP: Final = 1
+_IFF_ECHO: Final = 0x40000
 
 
 def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
@@ -100,6 +101,19 @@ class SocketCanLink(ReconnectingLink):
             self._epoll.close()
             raise BusError(_why(channel, error)) from error
 
+    @property
+    def keeps_order(self) -> bool:
+        """Whether the driver echoes a frame after its transmission, or the interface has no wire (vcan).
+
+        For other drivers the kernel echoes a frame when the frame is queued.
+        """
+        about = Path("/sys/class/net", self._channel)
+        try:
+            flags, queue = int((about / "flags").read_text(), 16), int((about / "tx_queue_len").read_text())
+        except (OSError, ValueError):
+            return False
+        return bool(flags & _IFF_ECHO) or queue == 0
+
     def receive(self) -> Frames:
         """Return all waiting frames, own frames as echoes."""
         arrived: list[Frames] = []
@@ -121,13 +135,15 @@ class SocketCanLink(ReconnectingLink):
     def send(self, burst: Frames) -> int:
         """Pass frames to the interface's queue; return the number of accepted frames, counted from the first.
 
+        A frame whose latest start has passed is not accepted; in the queue that time has no effect.
+
         Raises
         ------
         InputError
             If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
-        burst = burst.copy()
+        burst = in_time(burst).copy()
         pad_lengths(burst)
         rows, lengths = encode(burst)
         sent = 0

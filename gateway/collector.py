@@ -160,6 +160,11 @@ class Collector:
                 self._ask(bus, time_ns)
         self._take(bus, arrived[begin:])
 
+    def lost(self, bus: int) -> None:
+        """Take note that frames of a bus were lost; with one phase, the lost frame may be a SYNC between two cycles."""
+        if self._outstanding is not None:
+            self._spoil(bus)
+
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums."""
         slot, rows = _slot_of(counter), self._rows_of(counter)

@@ -1,14 +1,16 @@
 """``skin gateway``: bus master and collector."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
+from bus.link import Link
 from bus.options import BusOptions, open_links
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.service import GatewayService
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
-from skin.layout import load_layout
+from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 
 
@@ -50,6 +52,7 @@ def gateway(
     if skin.sending != "adaptive" and (max_rate, min_rate) != (None, None):
         raise InputError("--max-rate and --min-rate are for adaptive sending: this layout has a measurement per cycle")
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
+    require_order(skin, links)
     contract = Contract.from_layout(skin)
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
@@ -60,3 +63,21 @@ def gateway(
         for link in links.values():
             link.close()
         fabric.close()
+
+
+def require_order(layout: Layout, links: Mapping[int, Link]) -> None:
+    """Check that every link tells which frames came before a SYNC, where the identity of cycles depends on that.
+
+    Raises
+    ------
+    InputError
+        If a link does not; all links are closed then.
+    """
+    unordered = [layout.bus[number].name for number, link in links.items() if not link.keeps_order]
+    if layout.is_stock and unordered:
+        for link in links.values():
+            link.close()
+        raise InputError(
+            f"the interface of {', '.join(unordered)} may report a SYNC before it has been on the bus, so the cycle of a "
+            'frame cannot be known: expected `sync.identity = "alternating"` in the layout, or SocketCAN'
+        )

@@ -60,8 +60,10 @@ class CycleGathering:
         if proven:
             self.collector.expected[self._place[node.bus, node.node_id]] = True
 
-    def take(self, bus: int, arrived: Frames, _health: Health, _now_s: float) -> None:
+    def take(self, bus: int, arrived: Frames, health: Health, _now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order."""
+        if health.has_gap:
+            self.collector.lost(bus)
         self.collector.take(bus, arrived)
 
     def begin(self, sync: Sync) -> list[Measurement]:

@@ -15,12 +15,14 @@ from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STOR
 from gateway.nmt_master import LATER_S, PAUSES_S
 from tests.gateway.test_proof import little, swap_mapping
 from tests.gateway.world import STEP_S, EndOfWire, Wire, World, small_contract
+from tests.identity import IDENTITIES
 
 EXAMPLES, STEPS = 50, 200  # 10,000 steps
 #: After the last disturbance and the pause of a node that is out: a heartbeat, another pause, a proof that runs out.
 BOUND_S = 1.0 + max(PAUSES_S) + 5.0
 
 SMALL = small_contract()
+CONTRACTS = {identity: small_contract(identity=identity) for identity in IDENTITIES}
 PLACES = sorted(
     {
         (each.index, each.subindex, len(each.data))
@@ -74,7 +76,7 @@ def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
         case ("request", (bus, node_id), command, (index, subindex, _), data):
             world.request(bus, node_id, command, index, subindex, data)
         case ("swap", (bus, node_id), tpdo):
-            swap_mapping(world, bus, node_id, tpdo)
+            swap_mapping(world, bus, node_id, tpdo % len(world.contract.nodes[0].tpdos))
         case ("pattern", (bus, node_id), pattern):
             world.write(bus, node_id, 0x2021, 0, bytes((pattern,)))
         case ("nmt", bus, command, node_id):
@@ -125,18 +127,20 @@ def skip_pauses(world: World) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("identity", IDENTITIES)
 @pytest.mark.parametrize("gateway_loses", [False, True], ids=["nodes lose", "gateway loses"])
-def test_ten_thousand_steps(gateway_loses: bool) -> None:
+def test_ten_thousand_steps(gateway_loses: bool, identity: str) -> None:
     @settings(max_examples=EXAMPLES // 2, deadline=None, suppress_health_check=list(HealthCheck))
     @given(st.lists(action, min_size=STEPS, max_size=STEPS))
     def run(actions: list[tuple]) -> None:
         with TemporaryDirectory() as folder:
-            drive(World(SMALL, Path(folder)), actions, gateway_loses=gateway_loses)
+            drive(World(CONTRACTS[identity], Path(folder)), actions, gateway_loses=gateway_loses)
 
     run()
 
 
-def test_a_short_while_of_disturbances(tmp_path: Path) -> None:
+@pytest.mark.parametrize("identity", IDENTITIES)
+def test_a_short_while_of_disturbances(tmp_path: Path, identity: str) -> None:
     """The same in little, for the quick loop: one fixed draw."""
     actions = [
         ("pattern", (0, 1), 2),
@@ -151,4 +155,4 @@ def test_a_short_while_of_disturbances(tmp_path: Path) -> None:
     for gateway_loses in (False, True):
         folder = tmp_path / str(gateway_loses)
         folder.mkdir()
-        drive(World(SMALL, folder), actions, gateway_loses=gateway_loses)
+        drive(World(CONTRACTS[identity], folder), actions, gateway_loses=gateway_loses)

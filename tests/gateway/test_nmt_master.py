@@ -26,7 +26,7 @@ from gateway.sdo import TIMEOUT_S
 from skin.layout import parse_layout
 from skin.messages import SILENT
 from tests.bus.harness import frame
-from tests.gateway.world import PERIOD_S, EndOfWire, World, valid
+from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract, valid
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
@@ -205,7 +205,7 @@ def test_absent_nodes_do_not_keep_sync_waiting(small: Contract) -> None:
 
 
 def test_other_syncs_spoil_the_cycles_of_their_bus(world: World) -> None:
-    world.wires[1].put(SYNC_COB_ID, b"\7")
+    world.wires[1].put(SYNC_COB_ID, b"")
     came = world.run(4 * PERIOD_S)
     assert any(not valid(each)[2:].any() for each in came)
     assert all(valid(each)[:2].all() for each in came)
@@ -255,7 +255,16 @@ class CountsSyncs:
         return False
 
 
-def test_node_with_swapped_phases_is_named_and_set_right(world: World) -> None:
+@pytest.fixture
+def alternating_world() -> World:
+    """Return a skin of two phases all of whose blocks are valid."""
+    built = World(small_contract(identity="alternating"))
+    built.until_whole(2.0)
+    return built
+
+
+def test_node_with_swapped_phases_is_named_and_set_right(alternating_world: World) -> None:
+    world = alternating_world
     board = CountsSyncs(world)
     came = world.run((SWAPPED_CYCLES + 3) * PERIOD_S + LOOK_PERIOD_S)
     assert board.resets == 1
@@ -270,7 +279,8 @@ def test_node_with_swapped_phases_is_named_and_set_right(world: World) -> None:
     assert board.resets == 1
 
 
-def test_node_whose_phases_stay_swapped_is_not_reset_for_ever(world: World) -> None:
+def test_node_whose_phases_stay_swapped_is_not_reset_for_ever(alternating_world: World) -> None:
+    world = alternating_world
     board = CountsSyncs(world)
     world.wires[0].loses = lambda end, each: (setattr(board, "is_swapped", True), board(end, each))[1]
     world.run(12)

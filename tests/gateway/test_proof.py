@@ -158,7 +158,7 @@ def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
     check(world, 2.0)
     assert valid(world.measured[-1]).all()
     node = world.segments[0].nodes[1]
-    assert node.local.unsigned(OD_SYNC_OVERFLOW) == 240
+    assert node.local.unsigned(OD_SYNC_OVERFLOW) == 0
     assert node.local.unsigned(0x1006) == 50_000
 
 
@@ -241,7 +241,9 @@ def test_another_device_is_refused_by_name(small: Contract, index: int, answer: 
 def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
     small: Contract, change: tuple[str, str], words: str
 ) -> None:
-    other = Contract.from_layout(parse_layout(SMALL.format(top="", bus="nodes = 2").replace(*change).encode(), "other"))
+    other = Contract.from_layout(
+        parse_layout(SMALL.format(top="", bus="nodes = 2", identity="window").replace(*change).encode(), "other")
+    )
     world = World(small, built=other)
     world.segments[1] = world.new_segment(1, small)
     world.segments[1].boot(world.now_s)

@@ -34,6 +34,7 @@ columns = 16
 sums = 32
 [sync]
 rate_hz = 20.0
+identity = "{identity}"
 [[bus]]
 name = "bus0"
 {bus}
@@ -46,9 +47,9 @@ PERIOD_S = 0.05
 STEP_S = PERIOD_S / 2
 
 
-def small_contract(top: str = "", bus: str = "nodes = 2") -> Contract:
+def small_contract(top: str = "", bus: str = "nodes = 2", identity: str = "window") -> Contract:
     """Return the contract of the small skin, with more lines at the `top` of its layout or other lines for each bus."""
-    return Contract.from_layout(parse_layout(SMALL.format(top=top, bus=bus).encode(), "small"))
+    return Contract.from_layout(parse_layout(SMALL.format(top=top, bus=bus, identity=identity).encode(), "small"))
 
 
 class Shaking:
@@ -75,19 +76,28 @@ class Witness(Electronics):
 
 
 class WitnessSampler(Sampler):
-    """A sampler that remembers the sums of these counts by SYNC counter; newest wins."""
+    """A sampler that remembers the sums of these counts by SYNC counter and by the time of SYNC; newest wins."""
 
     def __init__(self, phi: Sbhe, electronics: Witness) -> None:
         super().__init__(phi, Shaking(), electronics)
         self.truths: dict[int, npt.NDArray[np.int32]] = {}
+        self.truths_by_ns: dict[int, npt.NDArray[np.int32]] = {}
         self._witness = electronics
 
     def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
         before = self._witness.reads
         sums = super().sample(counter, time_ns)
         if self._witness.reads > before:
-            self.truths[counter] = self._phi.forward(self._witness.counts)
+            self.truths[counter] = self.truths_by_ns[time_ns] = self._phi.forward(self._witness.counts)
         return sums
+
+    def truth_of(self, measurement: Measurement) -> npt.NDArray[np.int32] | None:
+        """Return the sums of the cycle of a measurement, None if no node has sampled in it."""
+        if 0 not in self.truths:
+            return self.truths.get(measurement.sync_counter)
+        later = {time_ns - measurement.sync_mono_ns: sums for time_ns, sums in self.truths_by_ns.items()}
+        found = [each for each in later if -0.25 < each * 1e-9 / PERIOD_S < 0.75]
+        return later[max(found)] if found else None
 
 
 class EndOfWire:
@@ -177,7 +187,7 @@ class World:
     step_s: ClassVar[float] = STEP_S
 
     def __post_init__(self) -> None:
-        self.electronics = Witness(self.contract.layout.taxels, noise_n=0.0)
+        self.electronics = Witness(self.contract.layout.taxels, noise_n=0.0, period_s=PERIOD_S)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics)
         self.wires = [Wire() for _ in self.contract.layout.bus]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
@@ -266,7 +276,7 @@ class World:
         sums = np.frombuffer(measurement.sums, "<i4")
         phi = self.contract.phi
         differs = np.zeros(phi.blocks, np.bool_)
-        truth = self.sampler.truths.get(measurement.sync_counter)
+        truth = self.sampler.truth_of(measurement)
         if truth is None:  # no node has sampled in this cycle
             return np.flatnonzero(valid(measurement)).tolist()
         differs[phi.block_of_sum[sums != truth]] = True
