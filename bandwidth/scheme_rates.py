@@ -124,7 +124,7 @@ def _frame_bits(length: int, flags: int, *, is_worst: bool) -> tuple[float, floa
 
 @cache
 def _short_bits(*, is_worst: bool) -> tuple[float, float]:
-    """Return the bits of SYNC, without counter, and of a heartbeat, a classic frame of one byte."""
+    """Return the bits of SYNC, with counter, and of a heartbeat, each a classic frame of one byte."""
     if is_worst:
-        return _frame_bits(0, 0, is_worst=True)[0], _frame_bits(1, 0, is_worst=True)[0]
-    return sync_bits(0), mean_wire_bits(1)[0]
+        return (_frame_bits(1, 0, is_worst=True)[0],) * 2
+    return sync_bits(1), mean_wire_bits(1)[0]

@@ -78,6 +78,6 @@ def require_order(layout: Layout, links: Mapping[int, Link]) -> None:
         for link in links.values():
             link.close()
         raise InputError(
-            f"the interface of {', '.join(unordered)} may report a SYNC before it has been on the bus, so the cycle of a "
-            'frame cannot be known: expected `sync.identity = "alternating"` in the layout, or SocketCAN'
+            f"the interface of {', '.join(unordered)} may report a SYNC before it has been on the bus, so the cycle of "
+            'a frame cannot be known: expected `sync.identity = "alternating"` in the layout, or SocketCAN'
         )

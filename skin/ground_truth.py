@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.layout import Layout
-from skin.messages import Image, Label, Truth
+from skin.messages import Image, Label, Measurement, Truth
 
 #: Messages with equal SYNC counters belong to one cycle if their SYNCs are nearer than this: the counter repeats, after
 #: 2.4 s at 100 Hz.
@@ -58,14 +58,14 @@ class Pairing(Generic[Made]):
     """
 
     def __init__(self, period_s: float) -> None:
-        self._period_ns = period_s * 1e9
+        self._period_s = period_s
         self._truths: deque[Truth] = deque(maxlen=REMEMBERED)
         self._waiting: deque[Made] = deque(maxlen=REMEMBERED)
 
     def take_truth(self, truth: Truth) -> list[tuple[Made, Truth]]:
         """Keep `truth`; return its pair with the waiting message of its cycle, if any."""
         self._truths.append(truth)
-        message = next((each for each in reversed(self._waiting) if self._is_pair(each, truth)), None)
+        message = next((each for each in reversed(self._waiting) if of_one_cycle(each, truth, self._period_s)), None)
         if message is None:
             return []
         self._waiting.remove(message)
@@ -81,14 +81,8 @@ class Pairing(Generic[Made]):
 
     def truth_of(self, message: Made) -> Truth | None:
         """Return the truth of the message's cycle, None if it has not come."""
-        return next((truth for truth in reversed(self._truths) if self._is_pair(message, truth)), None)
-
-    def _is_pair(self, message: Made, truth: Truth) -> bool:
-        later_ns = truth.sync_mono_ns - message.sync_mono_ns
-        if truth.sync_counter:
-            return truth.sync_counter == message.sync_counter and abs(later_ns) < PAIRED_WITHIN_NS
-        # A SYNC comes when it is due, or up to half a period later.
-        return -self._period_ns / 4 <= later_ns < 3 * self._period_ns / 4
+        found = (truth for truth in reversed(self._truths) if of_one_cycle(message, truth, self._period_s))
+        return next(found, None)
 
 
 class ShownImages:
@@ -158,6 +152,15 @@ class NearestTruths:
             if truth is not None:
                 found.append((label, truth))
         return found
+
+
+def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: float) -> bool:
+    """Tell whether a message and a truth belong to the same SYNC: by its counter, or by its time if nodes read none."""
+    later_ns = truth.sync_mono_ns - message.sync_mono_ns
+    if truth.sync_counter:
+        return truth.sync_counter == message.sync_counter and abs(later_ns) < PAIRED_WITHIN_NS
+    # A SYNC comes when it is due, or up to half a period later.
+    return -period_s / 4 <= later_ns * 1e-9 < 3 * period_s / 4
 
 
 def image_pairs(layout: Layout) -> Pairs[Image]:

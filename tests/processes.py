@@ -18,7 +18,7 @@ import pytest
 PATIENCE_S: Final = 240.0
 
 
-def slow_layout(folder: Path, rate_hz: float) -> Path:
+def slow_layout(folder: Path, rate_hz: float, identity: str = "window") -> Path:
     """Write the default skin's layout at a rate that every machine keeps; return its path.
 
     Nodes take one sample a SYNC, so that sums are exactly those of the sensor's counts.
@@ -27,7 +27,8 @@ def slow_layout(folder: Path, rate_hz: float) -> Path:
     for default_hz, slow_hz in ((100.0, rate_hz), (1000.0, rate_hz)):
         assert f"rate_hz = {default_hz}" in text
         text = text.replace(f"rate_hz = {default_hz}", f"rate_hz = {slow_hz:.1f}")
-    path = folder / "slow.toml"
+    text = text.replace('identity = "window"', f'identity = "{identity}"')
+    path = folder / f"slow-{identity}.toml"
     path.write_text(text)
     return path
 
@@ -68,6 +69,10 @@ class Processes:
                 stderr=log,
                 env={**self._environment, **(environment or {})},
             )
+
+    def send_signal(self, name: str, number: int) -> None:
+        """Send a process a signal."""
+        self._running[name].send_signal(number)
 
     def stop(self, name: str, number: int = signal.SIGTERM) -> int:
         """End a process and return its exit status."""

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bandwidth.departures import departures
+from bandwidth.departures import departures, sync
 from bandwidth.measured import kind_of, measure, misfits, tpdo_rows, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
@@ -16,6 +16,7 @@ from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from skin.errors import InputError
 from skin.layout import load_layout, parse_layout
+from tests.identity import alternating
 
 CYCLES = 200
 PERIOD_NS = 10_000_000
@@ -23,7 +24,8 @@ PERIOD_NS = 10_000_000
 
 @pytest.fixture(scope="module")
 def contract() -> Contract:
-    return Contract.from_layout(load_layout())
+    """Return the default skin with two phases."""
+    return Contract.from_layout(alternating(load_layout()))
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +41,10 @@ def healthy(contract: Contract) -> Frames:
     random = np.random.default_rng(1)
     seen = []
     for cycle in range(CYCLES + 1):
-        burst = contract.cycle(1, cycle % 2)
+        burst = contract.cycle(1, cycle % contract.phases)
         burst["time_ns"] = 1 + cycle * PERIOD_NS
         burst["data"][1:, :8] = random.integers(0, 256, (len(burst) - 1, 8))
-        burst["data"][0, 0] = cycle % 240 + 1
+        burst["data"][0, 0] = cycle % 240 + 1 if contract.sync_overflow else 0
         burst["port"] = np.arange(len(burst))
         wire.submit(gateway, burst[:1])
         wire.submit(nodes, np.concatenate([burst[1:], beats(contract, cycle)]))
@@ -153,6 +155,18 @@ def test_a_missing_sync_is_named(contract: Contract, planned: BusPlan, healthy: 
     assert left(contract, planned, drop(0x80)(healthy)) == ["bus1: no SYNC: cycles cannot be told apart"]
     only = left(contract, planned, np.delete(healthy, places[1:]))
     assert only == ["bus1: one SYNC: cycles cannot be told apart"]
+
+
+def test_a_missing_sync_without_counter_is_named_by_its_period(contract: Contract, healthy: Frames) -> None:
+    window = Contract.from_layout(load_layout())
+    taken = healthy.copy()
+    taken["length"][healthy["can_id"] == 0x80] = 0
+    places = np.flatnonzero(healthy["can_id"] == 0x80)
+    assert list(sync(window, taken, CYCLES * 0.01)) == []
+    assert list(sync(window, np.delete(taken, places[20]), CYCLES * 0.01)) == ["1 periods without SYNC"]
+    assert list(sync(window, healthy, CYCLES * 0.01)) == [
+        f"{CYCLES + 1} SYNCs have another length than the planned 0 bytes"
+    ]
 
 
 def test_an_extended_identifier_is_no_sync(contract: Contract, planned: BusPlan, healthy: Frames) -> None:

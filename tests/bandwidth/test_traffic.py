@@ -7,7 +7,7 @@ import pytest
 
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from bus.simulated_bus import SimulatedBus
-from dbc.contract import PHASES, Contract
+from dbc.contract import Contract
 from dbc.frame import frames
 from skin.layout import load_layout, parse_layout
 
@@ -15,7 +15,10 @@ from skin.layout import load_layout, parse_layout
 def skin(nodes: list[int], rate_hz: float, bits: int) -> bytes:
     """One block of 8 sums per node; what the first bus leaves of 128 blocks is on a second."""
     buses = [f'[[bus]]\nname = "bus{i}"\nnodes = {each}\n' for i, each in enumerate(nodes)]
-    return f"[sync]\nrate_hz = {rate_hz}\n[encoding]\nsum_bits = {bits}\n".encode() + "".join(buses).encode()
+    return (
+        f'[sync]\nrate_hz = {rate_hz}\nidentity = "alternating"\n[encoding]\nsum_bits = {bits}\n'.encode()
+        + "".join(buses).encode()
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,13 +46,13 @@ def test_published_table(
 
 def test_streams_are_all_that_the_bus_carries() -> None:
     contract = Contract.from_layout(load_layout())
-    streams = traffic(contract, 3, 1)
+    streams = traffic(contract, 3)
     assert list(streams.frames["can_id"]) == sorted(streams.frames["can_id"])
     assert len(streams.frames) == 1 + 64 + 2 + 32
     assert streams.is_heartbeat.sum() == 32
     assert set(streams.node[streams.is_tpdo]) == set(range(1, 33))
     assert (streams.node[streams.is_sdo_response] == 32).all()
-    assert not traffic(contract, 3, 1, Disturbance(sdo_per_s=0)).is_sdo_response.any()
+    assert not traffic(contract, 3, 0, Disturbance(sdo_per_s=0)).is_sdo_response.any()
 
 
 @pytest.mark.parametrize("name", ["default", "fd", "one-bus-12bit"])
@@ -57,7 +60,7 @@ def test_a_simulated_bus_stays_below_every_bound(name: str) -> None:
     """Five cycles with every SDO and heartbeat at the first SYNC, random data, and the slowest nodes last."""
     layout = load_layout(Path(name))
     contract = Contract.from_layout(layout)
-    phases = [traffic(contract, 0, phase) for phase in range(PHASES)]
+    phases = [traffic(contract, 0, phase) for phase in range(contract.phases)]
     bound = {int(f["can_id"]): int(r) for each in phases for f, r in zip(each.frames, each.responses_ns(), strict=True)}
     random = np.random.default_rng(3)
     bus = SimulatedBus(layout.bus[0].bitrate, layout.bus[0].data_bitrate)
@@ -66,7 +69,7 @@ def test_a_simulated_bus_stays_below_every_bound(name: str) -> None:
     period_ns = round(layout.sync.period_s * 1e9)
     event: dict[int, list[int]] = {}
     for cycle in range(5):
-        burst = released(phases[cycle % PHASES], random, 1_000_000 + cycle * period_ns, first=cycle == 0)
+        burst = released(phases[cycle % contract.phases], random, 1_000_000 + cycle * period_ns, first=cycle == 0)
         for can_id in burst["can_id"].tolist():
             event.setdefault(can_id, []).append(1_000_000 + cycle * period_ns)
         assert bus.submit(sender, burst) == len(burst)

@@ -8,7 +8,7 @@ import pytest
 
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
-from dbc.contract import Contract, phase_of
+from dbc.contract import Contract
 from nodes.electronics import Electronics
 from skin.layout import parse_layout
 
@@ -20,6 +20,8 @@ columns = 16
 [measurement]
 block_size = 16
 sums = 128
+[sync]
+identity = "alternating"
 [[bus]]
 name = "left"
 nodes = 8
@@ -62,10 +64,11 @@ def messages(contract: Contract, sums: np.ndarray) -> list[can.Message]:
     table, sent = contract.table, []
     for cycle, each in enumerate(sums):
         counter, start_s = (237 + cycle) % 240 + 1, START_S + 0.01 * cycle
-        rows = np.flatnonzero(table.phase == phase_of(counter))
+        rows = np.flatnonzero(table.phase == contract.phase_of(counter))
+        sync = bytes([counter]) if contract.sync_overflow else b""
         payloads = encode(each, table.gather[rows], contract.packing)
         for number, bus in enumerate(contract.layout.bus):
-            sent.append(message(start_s + 1e-5 * number, SYNC_COB_ID, bytes([counter]), bus.name))
+            sent.append(message(start_s + 1e-5 * number, SYNC_COB_ID, sync, bus.name))
         for place, row in enumerate(rows):
             bus = contract.layout.bus[table.bus[row]]
             payload = payloads[place, : table.length[row]].tobytes()

@@ -17,7 +17,8 @@ from rebuild.command import rebuild
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from skin.errors import InputError, RunError
-from skin.layout import parse_layout
+from skin.layout import layout_text, parse_layout
+from tests.identity import with_identity
 from tests.rebuild.conftest import CYCLES, LAYOUT, START_S, message, messages, write_log
 from touch.sources import recording
 
@@ -252,6 +253,24 @@ def test_places_that_cannot_be_written_are_refused_before_the_work(
     assert there.read_bytes() == b"precious"
 
 
+def test_cycles_without_counter_are_told_by_the_time_of_their_sync(
+    contract: Contract, sums: np.ndarray, tmp_path: Path, out: Path
+) -> None:
+    """A block that missed a frame is not used in the next cycle either, as in the gateway."""
+    contract = Contract.from_layout(with_identity(contract.layout, "window"))
+    layout = tmp_path / "window.toml"
+    layout.write_text(layout_text(contract.layout))
+    sent = messages(contract, sums)
+    of_cycle = [sent[k : k + len(sent) // CYCLES] for k in range(0, len(sent), len(sent) // CYCLES)]
+    del of_cycle[1][len(contract.layout.bus)]
+    rebuild(write_log(tmp_path / "can.log", [each for cycle in of_cycle for each in cycle]), out=out, layout=layout)
+    _, valid, time_ns, _ = loaded(out)
+    expected = np.ones((CYCLES, 16), np.bool_)
+    expected[1:3, 0] = False
+    np.testing.assert_array_equal(valid, expected)
+    np.testing.assert_allclose(np.diff(time_ns), 10_000_000, atol=200)
+
+
 def test_what_cannot_be_used_is_named(
     contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path, out: Path
 ) -> None:
@@ -266,7 +285,7 @@ def test_what_cannot_be_used_is_named(
         ({"source": log, "full_scale": 1.0}, "leave out --array and --full-scale"),
         ({"source": log, "channel": ["a", "b", "c"]}, "up to 2 channels"),
         ({"source": log, "solver": SolverOptions("best")}, "unknown solver 'best'"),
-        ({"source": no_sync}, "no SYNC with a counter"),
+        ({"source": no_sync}, "no SYNC with a counter, 1 byte"),
     ):
         with pytest.raises(InputError, match=says):
             rebuild(**arguments, out=out, layout=layout_file)

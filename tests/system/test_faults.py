@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from skin.ground_truth import of_one_cycle
 from skin.messages import TRUTH, Measurement, Truth
 from tests.system.conftest import Chain, invalid_blocks
 
@@ -32,8 +33,8 @@ def check(chain: Chain, measurement: Measurement, truth: Truth) -> None:
 
 
 def test_valid_means_of_this_cycle(chain: Chain) -> None:
-    truths: dict[int, Truth] = {}
-    chain.fabric.subscribe(TRUTH, lambda truth: truths.update({truth.sync_counter: truth}))
+    truths: list[Truth] = []
+    chain.fabric.subscribe(TRUTH, truths.append)
     chain.start_bus("--seed", "5", *(part for fault in FAULTS for part in ("--fault", fault)))
     chain.start("nodes", "nodes", "--objects", "granola-box")
     chain.until_alive("nodes")
@@ -42,8 +43,9 @@ def test_valid_means_of_this_cycle(chain: Chain) -> None:
     measured = chain.next_measurements(CYCLES)
     compared = 0
     for measurement in measured:
-        truth = truths.get(measurement.sync_counter)
-        if truth is not None and abs(truth.sync_mono_ns - measurement.sync_mono_ns) < 1e9:
+        period_s = chain.layout.sync.period_s
+        truth = next((each for each in truths if of_one_cycle(measurement, each, period_s)), None)
+        if truth is not None:
             check(chain, measurement, truth)
             compared += 1
     assert compared > CYCLES / 2

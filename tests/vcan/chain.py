@@ -1,6 +1,7 @@
 """Nodes and gateway as two processes on vcan0 to vcan3, and what they publish."""
 
 import subprocess
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,15 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.fabric import Fabric
+from skin.ground_truth import of_one_cycle
 from skin.layout import Layout, load_layout
 from skin.messages import GATEWAY, MEASUREMENT, TRUTH, GatewayStatus, Measurement, Truth
 from tests.processes import Processes, free_endpoint, slow_layout
 
 #: A rate that a guest kernel on one slow processor carries.
 RATE_HZ: Final = 5
-#: The truth and the measurement of one cycle carry times of the same SYNC that are no further apart; its counter comes
-#: again after 48 s.
-SAME_SYNC_NS: Final = 1_000_000_000
 
 
 class Chain:
@@ -30,11 +29,11 @@ class Chain:
         self.phi = layout.phi()
         self.processes = processes
         self.measurements: list[Measurement] = []
-        self.truths: dict[int, Truth] = {}  # the newest of each SYNC counter
+        self.truths: deque[Truth] = deque(maxlen=200)
         self.statuses: list[GatewayStatus] = []
         fabric.subscribe(MEASUREMENT, self.measurements.append)
         fabric.subscribe(GATEWAY, self.statuses.append)
-        fabric.subscribe(TRUTH, lambda truth: self.truths.update({truth.sync_counter: truth}))
+        fabric.subscribe(TRUTH, self.truths.append)
 
     def await_cycles(self, count: int) -> list[Measurement]:
         """Return the next `count` measurements."""
@@ -50,7 +49,7 @@ class Chain:
         first = len(self.measurements)
 
         def known() -> list[Measurement]:
-            return [each for each in self.measurements[first:] if complete(each) and self._truth_of(each)]
+            return [each for each in self.measurements[first:] if complete(each) and self.truth_of(each)]
 
         self.processes.until(lambda: len(known()) >= count, f"{count} complete measurements with their truths")
         return known()
@@ -80,16 +79,15 @@ class Chain:
 
     def true_sums(self, measurement: Measurement) -> npt.NDArray[np.int16]:
         """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement."""
-        truth = self._truth_of(measurement)
+        truth = self.truth_of(measurement)
         assert truth is not None, f"no truth of cycle {measurement.cycle}"
         felt_n = np.frombuffer(truth.sensor, "<f4")
         return self.phi.block_sums(np.rint(felt_n / self.layout.taxels.newton_per_count).astype(np.int32))
 
-    def _truth_of(self, measurement: Measurement) -> Truth | None:
-        truth = self.truths.get(measurement.sync_counter)
-        if truth is None or abs(truth.sync_mono_ns - measurement.sync_mono_ns) > SAME_SYNC_NS:
-            return None
-        return truth
+    def truth_of(self, measurement: Measurement) -> Truth | None:
+        """Return the truth of the cycle of a measurement, None if it has not come."""
+        period_s = self.layout.sync.period_s
+        return next((each for each in reversed(self.truths.copy()) if of_one_cycle(measurement, each, period_s)), None)
 
 
 def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:
@@ -101,9 +99,9 @@ def complete(measurement: Measurement) -> bool:
 
 
 @contextmanager
-def running_chain(folder: Path) -> Iterator[Chain]:
+def running_chain(folder: Path, identity: str = "alternating") -> Iterator[Chain]:
     """Start the nodes, then the gateway, on vcan0 to vcan3; wait for the first complete measurements."""
-    path = slow_layout(folder, RATE_HZ)
+    path = slow_layout(folder, RATE_HZ, identity)
     layout = load_layout(path)
     endpoint = free_endpoint()
     fabric = Fabric(layout.name, "test", endpoint, hub=True)

@@ -1,6 +1,7 @@
-"""A master of our own on a real kernel: in its stream, a SYNC's echo stands before every answer to it."""
+"""Cycles on a real kernel: a SYNC's echo stands before every answer to it, and late answers are never used."""
 
 import select
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,10 +11,12 @@ import pytest
 
 from bus.link import Link, open_link
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
-from dbc.contract import Contract, phase_of
+from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from skin.layout import load_layout
-from tests.processes import PATIENCE_S, Processes
+from tests.identity import IDENTITIES
+from tests.processes import PATIENCE_S, Processes, slow_layout
+from tests.vcan.chain import RATE_HZ, running_chain, valid
 
 CYCLES = 60
 TPDO_FIRST, TPDO_LAST = 0x181, 0x57F
@@ -35,11 +38,13 @@ def links() -> Iterator[tuple[Link, Link]]:
         link.close()
 
 
-@pytest.fixture
-def bus0(tmp_path: Path, links: tuple[Link, Link]) -> Iterator[None]:
+@pytest.fixture(params=IDENTITIES)
+def bus0(request: pytest.FixtureRequest, tmp_path: Path, links: tuple[Link, Link]) -> Iterator[Contract]:
     """Run the 32 nodes of one bus; wait for their boot-up messages."""
+    path = slow_layout(tmp_path, 100, request.param)
     with Processes(tmp_path) as processes:
-        processes.skin("nodes", "nodes", "-i", "socketcan", "-c", "vcan0", "--only", "bus0:1-32", "--no-fabric")
+        common = ("-i", "socketcan", "-c", "vcan0", "--layout", str(path))
+        processes.skin("nodes", "nodes", *common, "--only", "bus0:1-32", "--no-fabric")
         booted: set[int] = set()
 
         def all_there() -> bool:
@@ -50,14 +55,14 @@ def bus0(tmp_path: Path, links: tuple[Link, Link]) -> Iterator[None]:
             return len(booted) == 32
 
         processes.until(all_there, "32 boot-up messages")
-        yield
+        yield Contract.from_layout(load_layout(path))
 
 
-def drive(master: Link, rows_of_phase: int) -> Frames:
+def drive(master: Link, contract: Contract, rows_of_phase: int) -> Frames:
     """Send SYNCs, each when all answers to the last have come; return the stream."""
     stream = [frames(0)]
     for counter in range(1, CYCLES + 1):
-        master.send(one(SYNC_COB_ID, bytes((counter,))))
+        master.send(contract.sync(counter))
         until_s = time.monotonic() + PATIENCE_S
         answers = 0
         while answers < rows_of_phase:
@@ -76,22 +81,23 @@ def since_start(stream: Frames) -> Frames:
     return stream[np.flatnonzero(stream["can_id"] == 0x000)[0] :]
 
 
-@pytest.mark.usefixtures("bus0")
-def test_the_echo_of_a_sync_stands_before_its_answers(links: tuple[Link, Link]) -> None:
+def test_the_echo_of_a_sync_stands_before_its_answers(bus0: Contract, links: tuple[Link, Link]) -> None:
     master, listener = links
-    table = Contract.from_layout(load_layout()).table
+    assert master.keeps_order
+    table = bus0.table
     of_bus = table.bus == 0
     master.send(one(0x000, bytes((1, 0))))  # start all nodes
-    stream = drive(master, int((of_bus & (table.phase == 0)).sum()))
+    stream = drive(master, bus0, int((of_bus & (table.phase == 0)).sum()))
 
     sent = stream["flags"] & ECHO != 0
     assert stream["can_id"][sent].tolist() == [0x000] + [SYNC_COB_ID] * CYCLES
     syncs = np.flatnonzero(sent & (stream["can_id"] == SYNC_COB_ID))
-    assert stream["data"][syncs, 0].tolist() == list(range(1, CYCLES + 1))
+    counters = list(range(1, CYCLES + 1))
+    assert stream["data"][syncs, 0].tolist() == (counters if bus0.sync_overflow else CYCLES * [0])
     assert not is_tpdo(stream[: syncs[0]]).any()
-    for place, end in zip(syncs, [*syncs[1:], len(stream)], strict=True):
+    for counter, place, end in zip(counters, syncs, [*syncs[1:], len(stream)], strict=True):
         answers = stream[place + 1 : end]
-        wanted = table.cob_id[of_bus & (table.phase == phase_of(int(stream["data"][place, 0])))]
+        wanted = table.cob_id[of_bus & (table.phase == bus0.phase_of(counter))]
         assert sorted(answers["can_id"][is_tpdo(answers)].tolist()) == sorted(wanted.tolist())
 
     heard = listener.receive()
@@ -100,3 +106,27 @@ def test_the_echo_of_a_sync_stands_before_its_answers(links: tuple[Link, Link]) 
     heard = heard[: len(stream)]
     for field in ("can_id", "length", "data"):
         assert np.array_equal(heard[field], stream[field]), "two sockets saw different orders"
+
+
+@pytest.mark.parametrize("identity", IDENTITIES)
+def test_whatever_nodes_answer_late_every_valid_block_is_of_its_cycle(tmp_path: Path, identity: str) -> None:
+    """The nodes' process stands still for a part of a cycle, for one and for several, and then answers every SYNC."""
+    compared = hurt = 0
+    with running_chain(tmp_path, identity) as chain:
+        first = len(chain.measurements)
+        for periods in (0.4, 0.8, 1.1, 1.5, 2.3):
+            chain.processes.send_signal("nodes", signal.SIGSTOP)
+            time.sleep(periods / RATE_HZ)
+            chain.processes.send_signal("nodes", signal.SIGCONT)
+            chain.await_complete()
+        for each in chain.measurements[first:]:
+            is_valid = valid(each)
+            hurt += not is_valid.all()
+            truth = chain.truth_of(each)
+            if truth is None:
+                continue  # the fabric had no room for it, or no node has sampled in this cycle
+            compared += 1
+            wanted = chain.phi.sums_of_blocks(is_valid)
+            assert np.array_equal(np.frombuffer(each.sums, "<i4")[wanted], chain.true_sums(each)[wanted])
+    assert compared >= 10
+    assert hurt >= 3
