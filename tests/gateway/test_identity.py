@@ -162,14 +162,32 @@ def test_sync_of_somebody_else_costs_its_cycle_and_the_next(identity: str) -> No
     assert bus.whole() == [True, True]
 
 
-def test_sync_of_the_gateway_that_comes_twice_costs_the_cycle() -> None:
+@both
+def test_sync_of_the_gateway_that_comes_twice_costs_its_cycle_and_the_next(identity: str) -> None:
     """Without counter, one of the two may have waited for a period in the controller."""
-    bus = Bus("window")
+    bus = Bus(identity)
     bus.whole()
     cycle = bus.begin()
     again = bus.sync(late_ns=PERIOD_NS // 2)
     bus.take(bus.sync(), bus.frames_of(cycle, 0, 1), again, bus.frames_of(cycle, 0, 1))
     assert bus.valid(cycle) == [False, False]
+    assert bus.whole() == [False, False]
+    assert bus.whole() == [True, True]
+
+
+@both
+def test_frames_held_back_for_two_cycles_are_not_detected_if_the_node_misses_that_sync(identity: str) -> None:
+    bus = Bus(identity)
+    bus.whole()
+    old = bus.begin()
+    bus.take(bus.sync(), bus.frames_of(old, 1))
+    assert bus.valid(old) == [False, True]
+    bus.whole()
+    cycle = bus.begin()
+    bus.take(bus.sync(), bus.frames_of(old, 0), bus.frames_of(cycle, 1))
+    gathered = bus.collector.close(cycle)
+    assert gathered.valid.all()
+    assert (gathered.sums[bus.contract.phi.block_of_sum == 0] == old).all()
 
 
 @both
