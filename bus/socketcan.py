@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import socket
+import struct
 import sys
 import time
 from collections.abc import Sequence
@@ -37,6 +38,7 @@ _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
 _IFF_UP: Final = 1
 _IFF_ECHO: Final = 0x40000
+_RTM_GETLINK, _NLM_F_REQUEST, _IFLA_LINKINFO, _IFLA_INFO_KIND, _NLA_TYPE_MASK = 18, 1, 18, 1, 0x3FFF
 
 
 def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
@@ -107,12 +109,11 @@ class SocketCanLink(ReconnectingLink):
 
         For other drivers the kernel echoes a frame when the frame is queued.
         """
-        about = Path("/sys/class/net", self._channel)
         try:
-            flags, queue = int((about / "flags").read_text(), 16), int((about / "tx_queue_len").read_text())
+            flags = int(Path("/sys/class/net", self._channel, "flags").read_text(), 16)
+            return bool(flags & _IFF_ECHO) or _kind(self._channel) == "vcan"
         except (OSError, ValueError):
             return False
-        return bool(flags & _IFF_ECHO) or queue == 0
 
     def receive(self) -> Frames:
         """Return all waiting frames, own frames as echoes."""
@@ -228,6 +229,36 @@ def _require(channel: str, *, fd: bool) -> None:
         raise OSError(errno.ENETDOWN, "the interface is down")
     if fd and mtu < FD_BYTES:
         raise OSError(errno.EMSGSIZE, "the interface carries no CAN FD")
+
+
+def _kind(channel: str) -> str:
+    """Return the kind of an interface, such as vcan, from the kernel (rtnetlink(7)); "" for one without kind.
+
+    Raises
+    ------
+    OSError
+        If the kernel does not answer.
+    """
+    asked = struct.pack(
+        "=IHHIIBxHiII", 32, _RTM_GETLINK, _NLM_F_REQUEST, 1, 0, 0, 0, socket.if_nametoindex(channel), 0, 0
+    )
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, 0) as route:
+        route.send(asked)
+        answer = route.recv(1 << 16)
+    about = _attributes(answer[len(asked) :]).get(_IFLA_LINKINFO, b"")
+    return _attributes(about).get(_IFLA_INFO_KIND, b"").rstrip(b"\0").decode("ascii", "replace")
+
+
+def _attributes(data: bytes) -> dict[int, bytes]:
+    """Return netlink attributes by type: each has a length, a type, and its data, padded to four bytes."""
+    found, place = {}, 0
+    while place + 4 <= len(data):
+        length, kind = struct.unpack_from("=HH", data, place)
+        if length < 4:
+            break
+        found[kind & _NLA_TYPE_MASK] = data[place + 4 : place + length]
+        place += -(-length // 4) * 4
+    return found
 
 
 def _why(channel: str, error: OSError) -> str:
