@@ -41,7 +41,7 @@ def links() -> Iterator[tuple[Link, Link]]:
 @pytest.fixture(params=IDENTITIES)
 def bus0(request: pytest.FixtureRequest, tmp_path: Path, links: tuple[Link, Link]) -> Iterator[Contract]:
     """Run the 32 nodes of one bus; wait for their boot-up messages."""
-    path = slow_layout(tmp_path, 100, request.param)
+    path = slow_layout(tmp_path, RATE_HZ, request.param)
     with Processes(tmp_path) as processes:
         common = ("-i", "socketcan", "-c", "vcan0", "--layout", str(path))
         processes.skin("nodes", "nodes", *common, "--only", "bus0:1-32", "--no-fabric")
