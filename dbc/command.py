@@ -1,10 +1,10 @@
-"""``skin dbc`` and ``skin dbc-check``: the contract files for bus analysers and CANopen masters."""
+"""``skin dbc``, ``skin contract`` and ``skin dbc-check``: the contract files for analysers, masters and boards."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from dbc.contract import Contract
-from dbc.generate import DEFAULT_FOLDER, drifted, write_files
+from dbc.generate import DEFAULT_FOLDER, contract_files, drifted, node_files, write_files
 from skin.errors import InputError
 from skin.layout import load_layout
 from skin.service import say
@@ -31,7 +31,31 @@ def dbc(layout: Path | None = None, *, out: Path, json: Json = False) -> None:
     skin dbc palm.toml --out palm-files
     """
     contract = Contract.from_layout(load_layout(layout, adaptive=True))
-    _show([str(path) for path in write_files(contract, out)], as_json=json)
+    _show([str(path) for path in write_files(contract_files(contract), out)], as_json=json)
+
+
+def contract(layout: Path | None = None, *, out: Path, json: Json = False) -> None:
+    """Write all that is needed to build the boards of a skin.
+
+    Beside the files of ``skin dbc``, for each node in the folder ``nodes``: a table of its constants as JSON. Prints
+    the path of every file.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    out
+        Folder for the files.
+    json
+        Print one JSON list.
+
+    Examples
+    --------
+    skin contract --out contract
+    skin contract palm.toml --out palm-files
+    """
+    skin = Contract.from_layout(load_layout(layout, adaptive=True))
+    _show([str(path) for path in write_files(contract_files(skin) | node_files(skin), out)], as_json=json)
 
 
 def dbc_check(layout: Path | None = None, *, files: Path | None = None, json: Json = False) -> int:

@@ -63,15 +63,12 @@ from dbc.indices import (
     VISIBLE_STRING,
     of_block,
 )
-from skin.layout import Layout
+from skin.layout import Device, Layout
 from skin.walsh import GROUPS
 
 Access = Literal["ro", "rw", "const"]
 Value = int | float | str
 
-#: Vendor-ID 0: CiA has assigned no number to this project.
-VENDOR_ID: Final = 0
-PRODUCT_CODE: Final = 0x534B_494E
 REVISION: Final = 0x0001_0001
 HEARTBEAT_MS: Final = 1000
 #: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC. The longer one leaves
@@ -153,19 +150,19 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_EMCY_INHIBIT_100US, None, "Inhibit time EMCY", UNSIGNED16, "rw", 0),
         *_array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw"),
         Object(OD_HEARTBEAT_MS, None, "Producer heartbeat time", UNSIGNED16, "rw", HEARTBEAT_MS),
-        *_identity(node),
+        *_identity(contract.layout.device, node),
         Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", contract.sync_overflow),
         *_array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw"),
     ]
 
 
-def _identity(node: NodeContract) -> list[Object]:
+def _identity(device: Device, node: NodeContract) -> list[Object]:
     entries = (
         (0, HIGHEST_SUBINDEX, UNSIGNED8, 4),
-        (1, "Vendor-ID", UNSIGNED32, VENDOR_ID),
-        (2, "Product code", UNSIGNED32, PRODUCT_CODE),
+        (1, "Vendor-ID", UNSIGNED32, device.vendor_id),
+        (2, "Product code", UNSIGNED32, device.product_code),
         (3, "Revision number", UNSIGNED32, REVISION),
-        (4, "Serial number", UNSIGNED32, node.block + 1),
+        (4, "Serial number", UNSIGNED32, device.first_serial + node.block),
     )
     return [Object(OD_IDENTITY, sub, name, kind, "ro", value, group="Identity") for sub, name, kind, value in entries]
 

@@ -10,7 +10,7 @@ from itertools import groupby
 from typing import Final
 
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import PRODUCT_CODE, REVISION, VENDOR_ID, Object, Value, dictionary
+from dbc.dictionary import REVISION, Object, Value, dictionary
 from dbc.indices import (
     OD_DEVICE_TYPE,
     OD_EMCY_COB_ID,
@@ -169,9 +169,9 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
     rates = {contract.layout.bus[node.bus].bitrate for node in kind.nodes}
     return {
         "VendorName": "canskin",
-        "VendorNumber": f"0x{VENDOR_ID:X}",
+        "VendorNumber": f"0x{contract.layout.device.vendor_id:X}",
         "ProductName": "canskin SBHE block",
-        "ProductNumber": f"0x{PRODUCT_CODE:X}",
+        "ProductNumber": f"0x{contract.layout.device.product_code:X}",
         "RevisionNumber": f"0x{REVISION:X}",
         "OrderCode": "0",
         **{f"BaudRate_{rate}": str(int(1000 * rate in rates)) for rate in _BITRATES},

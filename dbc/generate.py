@@ -1,9 +1,11 @@
 """The contract files of a skin: content, writing, and comparison with a folder."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from dbc.contract import Contract
+from dbc.board import board, board_text
+from dbc.contract import Contract, NodeContract
 from dbc.database import database
 from dbc.eds import eds, node_types
 from skin.errors import InputError
@@ -12,6 +14,8 @@ from skin.output import write_file
 #: The files of the default skin that come with the project.
 DEFAULT_FOLDER: Final = Path(__file__).parent / "files" / "default"
 SUFFIXES: Final = (".dbc", ".eds")
+#: Folder of the files of single nodes.
+NODE_FOLDER: Final = "nodes"
 
 
 def contract_files(contract: Contract) -> dict[str, str]:
@@ -20,8 +24,17 @@ def contract_files(contract: Contract) -> dict[str, str]:
     return buses | {kind.file: eds(contract, kind) for kind in node_types(contract)}
 
 
-def write_files(contract: Contract, folder: Path) -> list[Path]:
-    """Write the contract files and return their paths.
+def node_files(contract: Contract) -> dict[str, str]:
+    """Return the text of the files of single nodes by their path: a table of constants."""
+    return {f"{_stem(contract, node)}.json": board_text(board(contract, node)) for node in contract.nodes}
+
+
+def _stem(contract: Contract, node: NodeContract) -> str:
+    return f"{NODE_FOLDER}/{contract.layout.bus[node.bus].name}-{node.node_id:03}"
+
+
+def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
+    """Write contract files, given as text by path inside `folder`, and return their paths.
 
     Raises
     ------
@@ -30,9 +43,9 @@ def write_files(contract: Contract, folder: Path) -> list[Path]:
     """
     written = []
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in contract_files(contract).items():
+        for name, text in files.items():
             path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
             write_file(path, text.encode("ascii"))
             written.append(path)
     except OSError as error:

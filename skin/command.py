@@ -32,6 +32,7 @@ VERBS: Final = {
     "view": "viewer.command:view",
     "rebuild": "rebuild.command:rebuild",
     "dbc": "dbc.command:dbc",
+    "contract": "dbc.command:contract",
     "dbc-check": "dbc.command:dbc_check",
     "plan": "bandwidth.plan_command:plan",
     "design": "bandwidth.design_command:design",

@@ -33,6 +33,11 @@ ADAPTIVE_FD_NODES: Final = 127
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
+#: Product code of boards whose maker has no vendor number: the characters "SKIN".
+PRODUCT_CODE: Final = 0x534B_494E
+#: Largest value of an entry of the identity object (1018h).
+IDENTITY_MAX: Final = 2**32 - 1
+
 #: Default: one sum for this number of taxels; adaptive nodes send one sum for each taxel.
 SUMS_PART: Final = 4
 #: Default: the smallest number of buses with at most this number of nodes, each of one block.
@@ -114,6 +119,17 @@ class Encoding(_Table, frozen=True, kw_only=True):
     offset_binary: bool = False
 
 
+class Device(_Table, frozen=True, kw_only=True):
+    """Identity of the boards (CiA 301, 1018h): numbers of their maker, and serial number of the board of block 0.
+
+    The serial number of a board is `first_serial` + its first block. Vendor-ID 0 means that CiA has assigned none.
+    """
+
+    vendor_id: Annotated[int, msgspec.Meta(ge=0, le=IDENTITY_MAX)] = 0
+    product_code: Annotated[int, msgspec.Meta(ge=0, le=IDENTITY_MAX)] = PRODUCT_CODE
+    first_serial: Annotated[int, msgspec.Meta(ge=1, le=IDENTITY_MAX)] = 1
+
+
 class Bus(_Table, frozen=True, kw_only=True):
     """One CAN bus: node-IDs 1 to `nodes`, nominal `bitrate` in bit/s.
 
@@ -147,6 +163,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     sync: Sync = msgspec.field(default_factory=Sync)
     sampling: Sampling = msgspec.field(default_factory=Sampling)
     encoding: Encoding = msgspec.field(default_factory=Encoding)
+    device: Device = msgspec.field(default_factory=Device)
     bus: Annotated[list[Bus], msgspec.Meta(min_length=1)]
 
     @property
@@ -295,6 +312,12 @@ def _check(layout: Layout) -> None:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
         raise LayoutError(f"{limit}, got {sampled_hz:g} - at `$.sampling.rate_hz`")
     _check_buses(layout)
+    if layout.device.first_serial + layout.blocks - 1 > IDENTITY_MAX:
+        highest = IDENTITY_MAX - layout.blocks + 1
+        raise LayoutError(
+            f"expected {highest} or less, for serial numbers of 32 bits, got {layout.device.first_serial}"
+            " - at `$.device.first_serial`"
+        )
     if layout.sending == "adaptive":
         _check_adaptive(layout)
 

@@ -10,6 +10,7 @@ from skin.errors import LayoutError
 from skin.layout import (
     SHIPPED,
     Bus,
+    Device,
     Encoding,
     Layout,
     Measuring,
@@ -57,6 +58,9 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("force_max_n = 0.02", "force_max_n = 1e308", "$.taxels.force_max_n"),
         ("force_max_n = 0.02", "force_max_n = 1e-300", "$.taxels.force_max_n"),
         ("pitch_m = 0.004", "pitch_m = inf", "$.taxels.pitch_m"),
+        ("[sync]", "[device]\nvendor_id = 4294967296\n[sync]", "$.device.vendor_id"),
+        ("[sync]", "[device]\nfirst_serial = 0\n[sync]", "$.device.first_serial"),
+        ("[sync]", "[device]\nfirst_serial = 4294967295\n[sync]", "$.device.first_serial"),
         ("sum_bits = 16", "sum_bits = 15", "$.encoding.sum_bits"),
         ("sum_bits = 16", "sum_bits = 16\noffset_binary = 1", "$.encoding.offset_binary"),
         ("block_size = 32", "block_size = 256", "$.measurement.block_size"),
@@ -161,7 +165,14 @@ def test_a_wrong_file_is_told_what_to_write(text: str, says: str) -> None:
 
 def test_the_page_names_every_key() -> None:
     page = Path(__file__).parents[2].joinpath("docs/layout.md").read_text()
-    tables = {"taxels": Taxels, "measurement": Measuring, "sync": Sync, "encoding": Encoding, "bus": Bus}
+    tables = {
+        "taxels": Taxels,
+        "measurement": Measuring,
+        "sync": Sync,
+        "encoding": Encoding,
+        "device": Device,
+        "bus": Bus,
+    }
     for name, table in tables.items():
         for field in msgspec.structs.fields(table):
             assert f"`{name}.{field.name}`" in page

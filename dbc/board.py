@@ -1,0 +1,325 @@
+"""Everything that one board has to know: its place on the bus, its frames, and its part of Φ, as one table.
+
+The table is written as JSON for tools and people who make boards. Values that are objects of the node's dictionary are
+taken from there, so the table and the `.eds` and `.dcf` files cannot differ.
+"""
+
+import json
+from collections.abc import Mapping
+
+import msgspec
+
+from dbc.adaptive import Companding, SendingRule
+from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
+from dbc.configuration import configuration, expected_signature
+from dbc.contract import CLASSIC_BYTES, Contract, NodeContract
+from dbc.dictionary import Value, dictionary
+from dbc.frame import FD
+from dbc.indices import (
+    OD_CYCLE_PERIOD_US,
+    OD_EMCY_COB_ID,
+    OD_ENCODING,
+    OD_GAIN,
+    OD_HEARTBEAT_MS,
+    OD_IDENTITY,
+    OD_OFFSET,
+    OD_PHI_SEED,
+    OD_ROWS,
+    OD_SYNC_COB_ID,
+    OD_SYNC_OVERFLOW,
+    OD_TAXELS,
+    OD_TPDO_COMMUNICATION,
+    OD_TPDO_MAPPING,
+    OD_WINDOW_US,
+    of_block,
+)
+from dbc.packing import Packing
+from skin.walsh import grouped_rows
+
+#: Initial values of a node's objects, by index and sub-index.
+_Values = Mapping[tuple[int, int], Value]
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A part of the table; keys without a value are left out."""
+
+
+class BoardBlock(_Table, frozen=True, kw_only=True):
+    """One block of a board.
+
+    Attributes
+    ----------
+    block : int
+        Index of the block in the skin.
+    first_sum : int
+        Place of its first sum among the sums of the board.
+    taxels : list of int
+        Row-major index in the skin of the taxel at each place of the chain.
+    rows : list of int
+        Row of the Sylvester-ordered Hadamard matrix of each sum, in the order of sending.
+    signs : list of str
+        One ``+`` or ``-`` for each place of the chain, a text for each sum: the board's rows of Φ.
+    gain : list of float
+        Of each place (2010h), after a reset to defaults.
+    offset_counts : list of int
+        Of each place (2011h), after a reset to defaults.
+    """
+
+    block: int
+    first_sum: int
+    taxels: list[int]
+    rows: list[int]
+    signs: list[str]
+    gain: list[float]
+    offset_counts: list[int]
+
+
+class MappedObject(_Table, frozen=True, kw_only=True):
+    """One mapped object of a TPDO: `bits` of object `index`, `subindex`."""
+
+    index: int
+    subindex: int
+    bits: int
+
+
+class BoardTpdo(_Table, frozen=True, kw_only=True):
+    """One transmit PDO (18xxh, 1Axxh); `length` is its payload in bytes, padding included.
+
+    Adaptive boards have `level`, `group` and `is_fine` besides, see `dbc.contract.AdaptiveTpdo`.
+    """
+
+    number: int
+    cob_id: int
+    transmission_type: int
+    sync_start_value: int
+    inhibit_100us: int
+    event_timer_ms: int
+    length: int
+    mapping: list[MappedObject]
+    level: int | None = None
+    group: int | None = None
+    is_fine: bool | None = None
+
+
+class BoardPacking(_Table, frozen=True, kw_only=True):
+    """How a sum of counts becomes the raw value in a PDO.
+
+    Attributes
+    ----------
+    bits : int
+        Width in a PDO.
+    step_counts : int
+        Counts per step, a power of two.
+    zero : int
+        Raw value of a sum of 0: 0 for two's complement, else offset binary.
+    raw_min, raw_max : int
+        Range of the raw values.
+    """
+
+    bits: int
+    step_counts: int
+    zero: int
+    raw_min: int
+    raw_max: int
+
+
+class Board(_Table, frozen=True, kw_only=True):
+    """The constants of one board; names end in their unit, COB-IDs are 11-bit identifiers.
+
+    Attributes
+    ----------
+    skin, bus : str
+    node_id : int
+    bitrate, data_bitrate : int
+        Bit/s; `data_bitrate` is missing without bit rate switch.
+    is_fd : bool
+        PDOs are CAN FD frames; all other frames are classic.
+    vendor_id, product_code, revision, serial : int
+        Identity (1018h).
+    sync_cob_id, sync_period_us, sync_window_us, sync_overflow : int
+        1005h, 1006h, 1007h and 1019h; with `sync_overflow` 0, SYNC has no counter.
+    emcy_cob_id, sdo_request_cob_id, sdo_response_cob_id, heartbeat_cob_id, heartbeat_ms : int
+    sending : str
+        ``synchronous`` or ``adaptive``.
+    adc_bits, count_max : int
+        Resolution of a taxel, and its largest count.
+    newton_per_count : float
+    samples_per_sync : int
+        Samples of each taxel in one cycle; more than one are averaged.
+    encoding : int
+        2005h.
+    packing : BoardPacking
+        Of synchronous boards.
+    phi_seed : int
+        2001h.
+    phi_fingerprint : str
+        2002h.
+    signature : int
+        2006h while all objects hold the values of the contract.
+    tpdos : list of BoardTpdo
+    blocks : list of BoardBlock
+    companding, sending_rule : list of float
+        2007h and 2031h of adaptive boards, in the order of their sub-indices.
+    grouped_rows : list of list of int
+        Of adaptive boards: the Hadamard rows of the sums of each group, in the order of a frame.
+    """
+
+    skin: str
+    bus: str
+    node_id: int
+    bitrate: int
+    data_bitrate: int | None = None
+    is_fd: bool
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial: int
+    sync_cob_id: int
+    sync_period_us: int
+    sync_window_us: int
+    sync_overflow: int
+    emcy_cob_id: int
+    sdo_request_cob_id: int
+    sdo_response_cob_id: int
+    heartbeat_cob_id: int
+    heartbeat_ms: int
+    sending: str
+    adc_bits: int
+    count_max: int
+    newton_per_count: float
+    samples_per_sync: int
+    encoding: int
+    packing: BoardPacking | None = None
+    phi_seed: int
+    phi_fingerprint: str
+    signature: int
+    tpdos: list[BoardTpdo]
+    blocks: list[BoardBlock]
+    companding: Companding | None = None
+    sending_rule: SendingRule | None = None
+    grouped_rows: list[list[int]] | None = None
+
+
+def board(contract: Contract, node: NodeContract) -> Board:
+    """Return the constants of the board of `node`."""
+    values: _Values = {(each.index, each.subindex or 0): each.value for each in dictionary(contract, node)}
+    layout = contract.layout
+    bus = layout.bus[node.bus]
+    is_adaptive = bool(node.adaptive_tpdos)
+    return Board(
+        skin=layout.name,
+        bus=bus.name,
+        node_id=node.node_id,
+        bitrate=bus.bitrate,
+        data_bitrate=bus.data_bitrate,
+        is_fd=bool(node.flags & FD),
+        vendor_id=int(values[OD_IDENTITY, 1]),
+        product_code=int(values[OD_IDENTITY, 2]),
+        revision=int(values[OD_IDENTITY, 3]),
+        serial=int(values[OD_IDENTITY, 4]),
+        sync_cob_id=int(values[OD_SYNC_COB_ID, 0]),
+        sync_period_us=int(values[OD_CYCLE_PERIOD_US, 0]),
+        sync_window_us=int(values[OD_WINDOW_US, 0]),
+        sync_overflow=int(values[OD_SYNC_OVERFLOW, 0]),
+        emcy_cob_id=int(values[OD_EMCY_COB_ID, 0]),
+        sdo_request_cob_id=SDO_REQUEST_BASE + node.node_id,
+        sdo_response_cob_id=SDO_RESPONSE_BASE + node.node_id,
+        heartbeat_cob_id=HEARTBEAT_BASE + node.node_id,
+        heartbeat_ms=int(values[OD_HEARTBEAT_MS, 0]),
+        sending=layout.sending,
+        adc_bits=layout.taxels.adc_bits,
+        count_max=layout.taxels.count_max,
+        newton_per_count=layout.taxels.newton_per_count,
+        samples_per_sync=layout.samples_per_sync,
+        encoding=int(values[OD_ENCODING, 0]),
+        packing=None if is_adaptive else _packing(node.packing),
+        phi_seed=int(values[OD_PHI_SEED, 0]),
+        phi_fingerprint=contract.phi.fingerprint,
+        signature=expected_signature(configuration(contract, node)),
+        tpdos=_tpdos(node, values),
+        blocks=_blocks(contract, node, values),
+        companding=contract.law if is_adaptive else None,
+        sending_rule=SendingRule() if is_adaptive else None,
+        grouped_rows=grouped_rows(contract.phi.block_size).tolist() if is_adaptive else None,
+    )
+
+
+def _packing(packing: Packing) -> BoardPacking:
+    low, high = packing.raw_range
+    return BoardPacking(bits=packing.bits, step_counts=packing.scale, zero=packing.offset, raw_min=low, raw_max=high)
+
+
+def _tpdos(node: NodeContract, values: _Values) -> list[BoardTpdo]:
+    urgencies = {each.number: (each.level, each.group, each.is_fine) for each in node.adaptive_tpdos}
+    lengths = {each.number: each.length for each in node.tpdos} | dict.fromkeys(urgencies, CLASSIC_BYTES)
+    tpdos = []
+    for number, length in lengths.items():
+        level, group, is_fine = urgencies.get(number, (None, None, None))
+        communication, mapping = OD_TPDO_COMMUNICATION + number - 1, OD_TPDO_MAPPING + number - 1
+        entries = [int(values[mapping, place]) for place in range(1, int(values[mapping, 0]) + 1)]
+        tpdos.append(
+            BoardTpdo(
+                number=number,
+                cob_id=int(values[communication, 1]) & EXTENDED_ID_MASK,
+                transmission_type=int(values[communication, 2]),
+                sync_start_value=int(values[communication, 6]),
+                inhibit_100us=int(values[communication, 3]),
+                event_timer_ms=int(values[communication, 5]),
+                length=length,
+                mapping=[
+                    MappedObject(index=entry >> 16, subindex=entry >> 8 & 0xFF, bits=entry & 0xFF) for entry in entries
+                ],
+                level=level,
+                group=group,
+                is_fine=is_fine,
+            )
+        )
+    return tpdos
+
+
+def _blocks(contract: Contract, node: NodeContract, values: _Values) -> list[BoardBlock]:
+    starts = contract.phi.starts
+    blocks = []
+    for place in range(node.blocks):
+        taxels, rows, gain, offset = (
+            [values[of_block(index, place), sub] for sub in range(1, int(values[of_block(index, place), 0]) + 1)]
+            for index in (OD_TAXELS, OD_ROWS, OD_GAIN, OD_OFFSET)
+        )
+        blocks.append(
+            BoardBlock(
+                block=node.block + place,
+                first_sum=int(starts[node.block + place] - starts[node.block]),
+                taxels=[int(each) for each in taxels],
+                rows=[int(row) for row in rows],
+                signs=[_signs(int(row), len(taxels)) for row in rows],
+                gain=[float(each) for each in gain],
+                offset_counts=[int(each) for each in offset],
+            )
+        )
+    return blocks
+
+
+def _signs(row: int, size: int) -> str:
+    """Return a row of the Sylvester-ordered Hadamard matrix: ``-`` where row and place share an odd number of bits."""
+    return "".join("-" if (row & place).bit_count() % 2 else "+" for place in range(size))
+
+
+def board_text(table: Board) -> str:
+    """Return the table as JSON: a line for each value, and for each element of a list of tables."""
+    return json_text(msgspec.to_builtins(table))
+
+
+def json_text(value: object, indent: str = "") -> str:
+    """Return JSON in which a list of plain values, and a table without tables, take one line."""
+    deeper = indent + "  "
+    if isinstance(value, dict) and (not indent or any(_is_nested(each) for each in value.values())):
+        lines = [f"{deeper}{json.dumps(key)}: {json_text(each, deeper)}" for key, each in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}" + ("" if indent else "\n")
+    if isinstance(value, list) and any(isinstance(each, dict | list) for each in value):
+        lines = [f"{deeper}{json_text(each, deeper)}" for each in value]
+        return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+    return json.dumps(value)
+
+
+def _is_nested(value: object) -> bool:
+    return isinstance(value, dict | list)
