@@ -9,7 +9,14 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
-from dbc.canopen import COB_ID_NO_RTR, EMCY_BASE, EVENT_MANUFACTURER, SYNC_COB_ID
+from dbc.canopen import (
+    COB_ID_NO_RTR,
+    EMCY_BASE,
+    EVENT_MANUFACTURER,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+)
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.indices import (
     INTEGER8,
@@ -42,6 +49,7 @@ from dbc.indices import (
     OD_REFRESH,
     OD_RESTORE,
     OD_ROWS,
+    OD_SDO_SERVER,
     OD_SENDING,
     OD_SIGNATURE,
     OD_SOFTWARE_VERSION,
@@ -63,13 +71,13 @@ from dbc.indices import (
     VISIBLE_STRING,
     of_block,
 )
-from skin.layout import Device, Layout
+from skin.layout import Layout
 from skin.walsh import GROUPS
 
 Access = Literal["ro", "rw", "const"]
 Value = int | float | str
 
-REVISION: Final = 0x0001_0001
+REVISION: Final = 0x0001_0002
 HEARTBEAT_MS: Final = 1000
 #: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC. The longer one leaves
 #: stock boards, which answer up to 1 ms late, the time that the default skin needs.
@@ -150,19 +158,33 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_EMCY_INHIBIT_100US, None, "Inhibit time EMCY", UNSIGNED16, "rw", 0),
         *_array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw"),
         Object(OD_HEARTBEAT_MS, None, "Producer heartbeat time", UNSIGNED16, "rw", HEARTBEAT_MS),
-        *_identity(contract.layout.device, node),
+        *_identity(contract, node),
         Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", contract.sync_overflow),
         *_array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw"),
+        *_record(
+            OD_SDO_SERVER,
+            "SDO server parameter",
+            [
+                ("COB-ID client to server", UNSIGNED32, "ro", SDO_REQUEST_BASE + node.node_id),
+                ("COB-ID server to client", UNSIGNED32, "ro", SDO_RESPONSE_BASE + node.node_id),
+            ],
+        ),
     ]
 
 
-def _identity(device: Device, node: NodeContract) -> list[Object]:
+def serial_number(contract: Contract, node: NodeContract) -> int:
+    """Return the serial number of a node (1018h:4)."""
+    return contract.layout.device.first_serial + node.block
+
+
+def _identity(contract: Contract, node: NodeContract) -> list[Object]:
+    device = contract.layout.device
     entries = (
         (0, HIGHEST_SUBINDEX, UNSIGNED8, 4),
         (1, "Vendor-ID", UNSIGNED32, device.vendor_id),
         (2, "Product code", UNSIGNED32, device.product_code),
         (3, "Revision number", UNSIGNED32, REVISION),
-        (4, "Serial number", UNSIGNED32, device.first_serial + node.block),
+        (4, "Serial number", UNSIGNED32, serial_number(contract, node)),
     )
     return [Object(OD_IDENTITY, sub, name, kind, "ro", value, group="Identity") for sub, name, kind, value in entries]
 

@@ -1,36 +1,91 @@
-"""The EDS of each type of node (CiA 306-1). Nodes whose dictionaries differ in values only are one type.
+"""The EDS of each type of node, and the DCF of each node (CiA 306-1).
 
-The files use only syntax that every reader knows: decimal or 0x numbers, ``$NODEID+0x…`` for identifiers, no compact
-objects. Values that differ between nodes of a type, such as the index of the block, have no default. REAL32 objects
-have no default either: some readers expect a decimal fraction, others the 32 bits.
+Nodes whose dictionaries differ in values only are one type. The files use only syntax that every reader knows: decimal
+or 0x numbers, ``$NODEID+0x…`` for identifiers, no compact objects, no quotes.
+
+A value that differs between nodes of a type has the default 0 in the EDS, the index of the block FFFFh: no master takes
+a board with these values for a node. The DCF has each node's own values, as ParameterValue.
+
+Readers disagree on REAL32: CANopenEditor and python-canopen read a decimal fraction, Lely's tools the 32 bits as a
+number, and refuse a fraction. So a default is given where it is a whole number, which no reader refuses, and the DCF
+has the bits, which python-canopen ignores.
+
+The comments ``;StorageLocation=`` are the storage groups of CANopenEditor (EDSSharp), which reads and writes them so.
 """
 
+import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, repeat
 from typing import Final
 
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import REVISION, Object, Value, dictionary
+from dbc.dictionary import REVISION, Object, Value, dictionary, serial_number
 from dbc.indices import (
+    OD_BLOCK,
     OD_DEVICE_TYPE,
     OD_EMCY_COB_ID,
+    OD_ENCODING,
+    OD_ERROR_FIELD,
     OD_ERROR_REGISTER,
+    OD_GAIN,
     OD_IDENTITY,
     OD_MANUFACTURER,
+    OD_NODE_NOISE,
+    OD_OFFSET,
+    OD_PHI_FINGERPRINT,
+    OD_PHI_SEED,
+    OD_REFRESH,
+    OD_RESTORE,
+    OD_ROWS,
+    OD_SDO_SERVER,
+    OD_SIGNATURE,
+    OD_STORE,
+    OD_TAXELS,
+    OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
     OD_TPDO_MAPPING,
     REAL32,
     SIGNED,
     VISIBLE_STRING,
+    split_block,
 )
 from skin.ranges import ranges_text
 
 #: Change it by hand, with `dbc.dictionary.REVISION`, when the dictionary changes.
-_DATE: Final = "11-21-2026"
+_DATE: Final = "11-22-2026"
 _MANDATORY: Final = (OD_DEVICE_TYPE, OD_ERROR_REGISTER, OD_IDENTITY)
 #: Bit rates with a key in the format, kbit/s.
 _BITRATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
+#: Default of the block's index in an EDS: no block has it.
+NO_BLOCK: Final = 0xFFFF
+#: What a DCF says of its node: identity, part of Φ, calibration.
+_OF_NODE: Final = (
+    OD_IDENTITY,
+    OD_BLOCK,
+    OD_PHI_SEED,
+    OD_PHI_FINGERPRINT,
+    OD_ROWS,
+    OD_TAXELS,
+    OD_ENCODING,
+    OD_GAIN,
+    OD_OFFSET,
+)
+#: Objects that are set while the node runs; objects that PDOs may carry are, too.
+_OF_RUN: Final = (
+    OD_ERROR_FIELD,
+    OD_STORE,
+    OD_RESTORE,
+    OD_SIGNATURE,
+    OD_TEST_PATTERN,
+    OD_REFRESH,
+    OD_NODE_NOISE,
+)
+
+
+#: An object, its default in the EDS, and its own value in the DCF; None where the file says nothing.
+_Described = tuple[Object, str | None, str | None]
 
 
 @dataclass(frozen=True)
@@ -54,14 +109,35 @@ def node_types(contract: Contract) -> list[NodeType]:
 def eds(contract: Contract, kind: NodeType) -> str:
     """Return the EDS of a type of node."""
     dictionaries = [dictionary(contract, node) for node in kind.nodes]
-    objects = dictionaries[0]
-    defaults = [
-        _default(each, [other[place].value for other in dictionaries], kind.nodes) for place, each in enumerate(objects)
-    ]
+    described = zip(dictionaries[0], _defaults(dictionaries, kind), repeat(None))
+    return _text(contract, kind, list(described), _file_info(kind.file), {})
+
+
+def dcfs(contract: Contract, kind: NodeType) -> Iterator[tuple[NodeContract, str]]:
+    """Return each node of a type with its DCF, whose file name is ``f"{node_name(contract, node)}.dcf"``."""
+    dictionaries = [dictionary(contract, node) for node in kind.nodes]
+    defaults = _defaults(dictionaries, kind)
+    for node, objects in zip(kind.nodes, dictionaries, strict=True):
+        info = _file_info(f"{node_name(contract, node)}.dcf") | {"LastEDS": kind.file}
+        described = list(zip(objects, defaults, map(_own_value, objects), strict=True))
+        yield node, _text(contract, kind, described, info, _commissioning(contract, node))
+
+
+def node_name(contract: Contract, node: NodeContract) -> str:
+    """Return the name of a node's files and of the node in its DCF: bus and node-ID."""
+    return f"{contract.layout.bus[node.bus].name}-{node.node_id:03}"
+
+
+def _text(
+    contract: Contract, kind: NodeType, described: list[_Described], info: dict[str, str], place: dict[str, str]
+) -> str:
+    """Return a file: `described` has each object with its default and its own value, `place` is empty in an EDS."""
+    objects = [each for each, *_ in described]
     indices = sorted({each.index for each in objects})
     sections = [
-        _section("FileInfo", _file_info(kind.file)),
+        _section("FileInfo", info),
         _section("DeviceInfo", _device_info(contract, kind, indices)),
+        *([_section("DeviceComissioning", place)] if place else []),
         _section("DummyUsage", {f"Dummy{number:04}": "0" for number in range(1, 8)}),
         _section("Comments", _comments(contract, kind)),
         _object_list("MandatoryObjects", [index for index in indices if index in _MANDATORY]),
@@ -70,7 +146,7 @@ def eds(contract: Contract, kind: NodeType) -> str:
         ),
         _object_list("ManufacturerObjects", [index for index in indices if index >= OD_MANUFACTURER]),
     ]
-    for _, group in groupby(zip(objects, defaults, strict=True), key=lambda pair: pair[0].index):
+    for _, group in groupby(described, key=lambda entry: entry[0].index):
         sections += _object_sections(list(group))
     return "\n".join(sections)
 
@@ -95,22 +171,51 @@ def _shape(contract: Contract, node: NodeContract) -> object:
 
 def _is_cob_id(each: Object) -> bool:
     is_pdo = OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING and each.subindex == 1
-    return is_pdo or each.index == OD_EMCY_COB_ID
+    is_sdo = each.index == OD_SDO_SERVER and each.subindex != 0
+    return is_pdo or is_sdo or each.index == OD_EMCY_COB_ID
 
 
 def _offset(value: Value, node: NodeContract) -> int:
     return int(value) - node.node_id
 
 
+def _defaults(dictionaries: list[list[Object]], kind: NodeType) -> list[str | None]:
+    """Return the default of each object of a type."""
+    return [
+        _default(each, [other[place].value for other in dictionaries], kind.nodes)
+        for place, each in enumerate(dictionaries[0])
+    ]
+
+
 def _default(each: Object, values: list[Value], nodes: tuple[NodeContract, ...]) -> str | None:
-    """Return the default that is right for all `nodes`, None if there is none."""
+    """Return the default for all `nodes`; None for a fraction, on whose form readers disagree."""
     if _is_cob_id(each):
         return f"$NODEID+0x{_offset(values[0], nodes[0]):X}"
-    if each.data_type == REAL32 or any(value != values[0] for value in values):
-        return None
+    value = values[0]
+    if any(other != value for other in values):
+        value = NO_BLOCK if each.index == OD_BLOCK else 0
+    if each.data_type == REAL32:
+        return str(int(value)) if float(value).is_integer() else None
+    return _number(each, value)
+
+
+def _own_value(each: Object) -> str | None:
+    """Return the value of one node for its DCF, None where the default of the EDS holds."""
+    if each.data_type == REAL32:
+        return f"0x{int.from_bytes(struct.pack('<f', each.value), 'little'):08X}"
+    if _first_block(each.index) in _OF_NODE and each.subindex != 0:
+        return _number(each, each.value)
+    return None
+
+
+def _number(each: Object, value: Value) -> str:
     if each.data_type == VISIBLE_STRING or each.data_type in SIGNED:
-        return str(values[0])
-    return f"0x{int(values[0]):X}"
+        return str(value)
+    return f"0x{int(value):X}"
+
+
+def _first_block(index: int) -> int:
+    return split_block(index)[1] if index >= OD_MANUFACTURER else index
 
 
 def _section(name: str, entries: dict[str, str]) -> str:
@@ -122,30 +227,58 @@ def _object_list(name: str, indices: list[int]) -> str:
     return _section(name, {"SupportedObjects": str(len(indices)), **numbered})
 
 
-def _object_sections(entries: list[tuple[Object, str | None]]) -> list[str]:
-    """Return the sections of one index: a variable, or a group and its entries."""
+def _object_sections(entries: list[_Described]) -> list[str]:
+    """Return the sections of one index: a variable, or a group and its entries, each with default and own value."""
     first = entries[0][0]
+    storage = {";StorageLocation": _storage_group([each for each, *_ in entries])}
     if first.subindex is None:
-        return [_section(f"{first.index:04X}", _variable(*entries[0]))]
+        name, kind, *rest = _variable(*entries[0]).items()
+        return [_section(f"{first.index:04X}", dict([name, kind]) | storage | dict(rest))]
     group = {
         "ParameterName": first.group,
         "ObjectType": f"0x{_ARRAY if first.array else _RECORD:X}",
+        **storage,
         "SubNumber": str(len(entries)),
     }
     return [
         _section(f"{first.index:04X}", group),
-        *(_section(f"{each.index:04X}sub{each.subindex:X}", _variable(each, default)) for each, default in entries),
+        *(_section(f"{entry[0].index:04X}sub{entry[0].subindex:X}", _variable(*entry)) for entry in entries),
     ]
 
 
-def _variable(each: Object, default: str | None) -> dict[str, str]:
+def _storage_group(entries: list[Object]) -> str:
+    """Return CANopenEditor's storage group of one index."""
+    index = entries[0].index
+    if _first_block(index) in _OF_RUN or any(each.pdo for each in entries):
+        return "RAM"
+    if all(each.access != "rw" for each in entries):
+        return "ROM"
+    return "PERSIST_COMM" if index < OD_MANUFACTURER else "PERSIST_APP"
+
+
+def _variable(each: Object, default: str | None, own: str | None) -> dict[str, str]:
     return {
         "ParameterName": each.name,
         "ObjectType": f"0x{_VARIABLE:X}",
         "DataType": f"0x{each.data_type:04X}",
         "AccessType": each.access,
         **({} if default is None else {"DefaultValue": default}),
+        **({} if own is None else {"ParameterValue": own}),
         "PDOMapping": str(int(each.pdo)),
+    }
+
+
+def _commissioning(contract: Contract, node: NodeContract) -> dict[str, str]:
+    """Return the section that gives a node its place; its name in the format is spelt with one m."""
+    bus = contract.layout.bus[node.bus]
+    return {
+        "NodeID": str(node.node_id),
+        "NodeName": node_name(contract, node),
+        "Baudrate": str(round(bus.bitrate / 1000)),
+        "NetNumber": str(node.bus + 1),
+        "NetworkName": bus.name,
+        "CANopenManager": "0",
+        "LSS_SerialNumber": f"0x{serial_number(contract, node):X}",
     }
 
 
@@ -188,7 +321,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
 
 
 def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
-    lines = [f"Phi {contract.phi.fingerprint}, gains (2010h) are 1.0 after a reset to defaults"]
+    lines = [f"Phi {contract.phi.fingerprint}, values that differ between nodes are in their .dcf files"]
     for bus, nodes in groupby(kind.nodes, key=lambda node: node.bus):
         ids = ranges_text(node.node_id for node in nodes)
         lines.append(f"{contract.layout.bus[bus].name}: nodes {ids}")

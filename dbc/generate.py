@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Final
 
 from dbc.board import board, board_text
-from dbc.contract import Contract, NodeContract
+from dbc.contract import Contract
 from dbc.database import database
-from dbc.eds import eds, node_types
+from dbc.eds import dcfs, eds, node_name, node_types
 from skin.errors import InputError
 from skin.output import write_file
 
@@ -25,12 +25,13 @@ def contract_files(contract: Contract) -> dict[str, str]:
 
 
 def node_files(contract: Contract) -> dict[str, str]:
-    """Return the text of the files of single nodes by their path: a table of constants."""
-    return {f"{_stem(contract, node)}.json": board_text(board(contract, node)) for node in contract.nodes}
-
-
-def _stem(contract: Contract, node: NodeContract) -> str:
-    return f"{NODE_FOLDER}/{contract.layout.bus[node.bus].name}-{node.node_id:03}"
+    """Return the text of the files of single nodes by their path: a table of constants and a DCF for each."""
+    files = {}
+    for kind in node_types(contract):
+        for node, dcf in dcfs(contract, kind):
+            path = f"{NODE_FOLDER}/{node_name(contract, node)}"
+            files |= {f"{path}.json": board_text(board(contract, node)), f"{path}.dcf": dcf}
+    return files
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:

@@ -33,6 +33,7 @@ OD_HEARTBEAT_MS: Final = 0x1017
 OD_IDENTITY: Final = 0x1018
 OD_SYNC_OVERFLOW: Final = 0x1019
 OD_ERROR_BEHAVIOUR: Final = 0x1029
+OD_SDO_SERVER: Final = 0x1200
 OD_TPDO_COMMUNICATION: Final = 0x1800
 OD_TPDO_MAPPING: Final = 0x1A00
 #: First object behind the communication profile area.
