@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dbc.contract import Contract
-from dbc.generate import DEFAULT_FOLDER, contract_files, drifted, node_files, write_files
+from dbc.generate import DEFAULT_FOLDER, contract_files, drifted, node_files, vector_files, write_files
 from skin.errors import InputError
 from skin.layout import load_layout
 from skin.service import say
@@ -37,8 +37,8 @@ def dbc(layout: Path | None = None, *, out: Path, json: Json = False) -> None:
 def contract(layout: Path | None = None, *, out: Path, json: Json = False) -> None:
     """Write all that is needed to build the boards of a skin.
 
-    Beside the files of ``skin dbc``, for each node in the folder ``nodes``: a table of its constants as JSON. Prints
-    the path of every file.
+    Beside the files of ``skin dbc``: in the folder ``nodes`` for each node a table of its constants as JSON and a DCF,
+    in the folder ``vectors`` test vectors for firmware (``docs/firmware.md``). Prints the path of every file.
 
     Parameters
     ----------
@@ -55,7 +55,10 @@ def contract(layout: Path | None = None, *, out: Path, json: Json = False) -> No
     skin contract palm.toml --out palm-files
     """
     skin = Contract.from_layout(load_layout(layout, adaptive=True))
-    _show([str(path) for path in write_files(contract_files(skin) | node_files(skin), out)], as_json=json)
+    _show(
+        [str(path) for path in write_files(contract_files(skin) | node_files(skin) | vector_files(skin), out)],
+        as_json=json,
+    )
 
 
 def dbc_check(layout: Path | None = None, *, files: Path | None = None, json: Json = False) -> int:

@@ -8,6 +8,7 @@ from dbc.board import board, board_text
 from dbc.contract import Contract
 from dbc.database import database
 from dbc.eds import dcfs, eds, node_name, node_types
+from dbc.vectors import vectors_text
 from skin.errors import InputError
 from skin.output import write_file
 
@@ -16,6 +17,8 @@ DEFAULT_FOLDER: Final = Path(__file__).parent / "files" / "default"
 SUFFIXES: Final = (".dbc", ".eds")
 #: Folder of the files of single nodes.
 NODE_FOLDER: Final = "nodes"
+#: Folder of the test vectors for firmware.
+VECTOR_FOLDER: Final = "vectors"
 
 
 def contract_files(contract: Contract) -> dict[str, str]:
@@ -32,6 +35,14 @@ def node_files(contract: Contract) -> dict[str, str]:
             path = f"{NODE_FOLDER}/{node_name(contract, node)}"
             files |= {f"{path}.json": board_text(board(contract, node)), f"{path}.dcf": dcf}
     return files
+
+
+def vector_files(contract: Contract) -> dict[str, str]:
+    """Return the test vectors of one node of each type by their path; none for adaptive nodes."""
+    if contract.layout.sending == "adaptive":
+        return {}
+    nodes = [kind.nodes[0] for kind in node_types(contract)]
+    return {f"{VECTOR_FOLDER}/{node_name(contract, node)}.json": vectors_text(contract, node) for node in nodes}
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:

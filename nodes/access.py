@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from canopen import SdoAbortedError
 
+from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import (
     BASE_ID_MASK,
     COB_ID_EXTENDED,
@@ -44,7 +45,6 @@ from dbc.indices import (
     SIGNATURE_SAVE,
     split_block,
 )
-from nodes.electronics import PATTERN_FULL
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
 from skin.walsh import GROUPS

@@ -5,8 +5,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
+from dbc.board_sums import PATTERN_OFF
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
-from nodes.electronics import PATTERN_OFF, Calibration
+from nodes.electronics import Calibration
 from skin.measurement import Sbhe
 from skin.messages import Truth
 

@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dbc.board_sums import pattern_counts
 from nodes.averaging import SampleFilter
 from skin.layout import Taxels
-from skin.taxel import NOISE_N, TaxelModel, to_counts
-
-#: Test patterns (2021h): measured counts; 0; the place in the chain; full scale.
-PATTERN_OFF, PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL = range(4)
+from skin.taxel import NOISE_N, TaxelModel, corrected, to_counts
 
 
 class Calibration:
@@ -39,10 +37,8 @@ class Calibration:
 
     def set_pattern(self, chain: npt.NDArray[np.intp], pattern: int) -> None:
         """Set the test pattern of one block; `chain` holds its taxels in chain order."""
-        if pattern == PATTERN_RAMP:
-            self.pattern[chain] = np.arange(chain.size)
-        else:
-            self.pattern[chain] = {PATTERN_ZERO: 0, PATTERN_FULL: self.taxels.count_max}.get(pattern, -1)
+        shown = pattern_counts(pattern, chain.size, self.taxels.count_max)
+        self.pattern[chain] = -1 if shown is None else shown
 
 
 class Electronics(Calibration):
@@ -135,12 +131,7 @@ class Electronics(Calibration):
             self._filter.restart(block)
 
     def _corrected(self, counts: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        corrected = counts.astype(np.float32)
-        with np.errstate(over="ignore"):  # an SDO write may set a huge gain; the result is clipped
-            corrected *= self.gain
-        corrected += self.offset
-        np.clip(corrected, 0, self.taxels.count_max, out=corrected)
-        return corrected
+        return corrected(counts, self.gain, self.offset, self.taxels)
 
     def _moments_n(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float32]:
         """Return the forces of the samples up to `step`, with the damper's part: the speed is that since the last."""

@@ -78,6 +78,21 @@ def to_counts(signal_n: npt.NDArray[np.floating], taxels: Taxels) -> npt.NDArray
     return counts.astype(np.int32)
 
 
+def corrected(
+    counts: npt.NDArray[Any], gain: npt.NDArray[np.float32], offset: npt.NDArray[np.float32], taxels: Taxels
+) -> npt.NDArray[np.float32]:
+    """Return ``gain * counts + offset`` of ADC counts or their averages, limited to the range; same shape.
+
+    The product is rounded to float32 before the offset is added: the result is the same on every board.
+    """
+    values = counts.astype(np.float32)
+    with np.errstate(over="ignore"):  # an SDO write may set a huge gain; the result is clipped
+        values *= gain
+    values += offset
+    np.clip(values, 0, taxels.count_max, out=values)
+    return values
+
+
 def to_newtons(counts: npt.NDArray[np.integer], taxels: Taxels) -> Force:
     """Return the forces of ADC counts; same shape."""
     return counts.astype(np.float32) * np.float32(taxels.newton_per_count)

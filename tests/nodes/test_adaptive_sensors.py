@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
 from nodes.adaptive.sensors import DRIFT_PPM, SAMPLE_NS, STEP_NS, PatchSensors
-from nodes.electronics import PATTERN_FULL, PATTERN_RAMP, Calibration
+from nodes.electronics import Calibration
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN
 from skin.defects import make_defects
 from skin.layout import Taxels

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from dbc.board_sums import PATTERN_FULL, PATTERN_ZERO
 from dbc.canopen import NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from dbc.indices import OD_HEALTH, OD_OFFSET, OD_SIGNATURE, OD_TEST_PATTERN, SIGNATURE_SAVE, of_block
-from nodes.electronics import PATTERN_FULL, PATTERN_ZERO, Electronics
+from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment
 from skin.layout import load_layout

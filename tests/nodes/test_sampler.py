@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
-from nodes.electronics import PATTERN_FULL, PATTERN_RAMP, Electronics
+from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from skin.defects import Damper, Dead, Drift, Saturated
 from skin.layout import load_layout

@@ -1,0 +1,80 @@
+"""What one board computes: counts of its taxels, corrected or replaced by a test pattern, to sums and payloads.
+
+The words for the same are in ``docs/firmware.md``. Virtual nodes compute whole skins at once, in `nodes`.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.codec import encode
+from dbc.contract import Contract, NodeContract
+from skin.measurement import fast_hadamard
+from skin.taxel import corrected
+
+#: Test patterns (2021h): measured counts; 0; the place in the chain; full scale.
+PATTERN_OFF, PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL = range(4)
+PATTERNS: Final = (PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL)
+
+
+def pattern_counts(pattern: int, size: int, count_max: int) -> npt.NDArray[np.int32] | None:
+    """Return what a test pattern shows in place of `size` taxels, in counts; None for `PATTERN_OFF`.
+
+    The ramp ends at full scale, where a chain has more places than the taxels have counts.
+    """
+    if pattern == PATTERN_OFF:
+        return None
+    if pattern == PATTERN_RAMP:
+        return np.minimum(np.arange(size, dtype=np.int32), np.int32(count_max))
+    return np.full(size, count_max if pattern == PATTERN_FULL else 0, np.int32)
+
+
+def shown_counts(
+    contract: Contract,
+    counts: npt.NDArray[Any],
+    gain: npt.NDArray[np.float32],
+    offset: npt.NDArray[np.float32],
+    patterns: npt.NDArray[np.integer],
+) -> npt.NDArray[np.float32]:
+    """Return the values of which a board makes its sums.
+
+    Parameters
+    ----------
+    counts, gain, offset : array, shape (blocks, block size)
+        In chain order. `counts` holds ADC counts or, with more than one sample in a cycle, averages.
+    patterns : array of int, shape (blocks,)
+
+    Returns
+    -------
+    array of float32, shape (blocks, block size)
+        Whole numbers where a cycle has one sample.
+    """
+    taxels = contract.layout.taxels
+    shown = corrected(counts, gain, offset, taxels)
+    if contract.layout.samples_per_sync == 1:
+        np.rint(shown, out=shown)
+    for row, pattern in enumerate(patterns):
+        replaced = pattern_counts(int(pattern), shown.shape[1], taxels.count_max)
+        if replaced is not None:
+            shown[row] = replaced
+    return shown
+
+
+def node_sums(contract: Contract, node: NodeContract, shown: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
+    """Return the sums of a board, shape (node.sums,), of values of shape (blocks, block size)."""
+    kept = contract.phi.kept[node.block : node.block + node.blocks]
+    return np.rint(fast_hadamard(shown)[kept]).astype(np.int32)
+
+
+def node_payloads(contract: Contract, node: NodeContract, sums: npt.NDArray[np.int32]) -> dict[int, bytes]:
+    """Return the payload of each TPDO of a synchronous board by its COB-ID, padding included."""
+    table, first = contract.table, int(contract.phi.starts[node.block])
+    rows = np.nonzero((table.bus == node.bus) & (table.node == contract.nodes.index(node)))[0]
+    gather = np.where(table.gather[rows] >= 0, table.gather[rows] - first, -1)
+    packed = encode(sums, gather, contract.packing)
+    payloads = {}
+    for row, payload in zip(rows, packed, strict=True):
+        length = int(table.length[row])
+        payloads[int(table.cob_id[row])] = payload.tobytes()[:length].ljust(length, b"\0")
+    return payloads
