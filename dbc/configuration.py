@@ -96,7 +96,7 @@ def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]
     objects = dictionary(contract, node)
     mapped = {each.index: int(each.value) for each in objects if each.subindex == 0 and _is_mapping(each.index)}
     of_tpdo = (*_COMPARED_OF_TPDO, _SYNC_START) if contract.sync_overflow else _COMPARED_OF_TPDO
-    return tuple(_setting(each) for each in objects if _is_compared(each, mapped, of_tpdo))
+    return tuple(setting_of(each) for each in objects if _is_compared(each, mapped, of_tpdo))
 
 
 def signature(values: Iterable[tuple[int, int, bytes]]) -> int:
@@ -141,7 +141,8 @@ def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ..
     return first in (*_WHOLE, OD_TEST_PATTERN)
 
 
-def _setting(each: Object) -> Setting:
+def setting_of(each: Object) -> Setting:
+    """Return an object with its initial value as a setting."""
     is_text = each.data_type == VISIBLE_STRING
     if is_text:
         data = str(each.value).encode("ascii")

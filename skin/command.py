@@ -27,6 +27,7 @@ VERBS: Final = {
     "bus": "bus.command:bus",
     "nodes": "nodes.command:nodes",
     "gateway": "gateway.command:gateway",
+    "node": "gateway.node_command:node",
     "reconstruct": "reconstructor.command:reconstruct",
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",

@@ -1,0 +1,309 @@
+"""Check of a board: its objects are read, and its sums compared while it shows the test patterns.
+
+After each pattern is written, the board is started and gets SYNC messages, the counter from 1 on. So boards that use
+the SYNC start value once and then count are checked, too.
+"""
+
+import struct
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
+from typing import Final, cast
+
+import numpy as np
+
+from bus.link import Send
+from dbc.board import Board, BoardTpdo, board
+from dbc.board_sums import PATTERNS, node_payloads, node_sums, pattern_counts
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand
+from dbc.configuration import configuration, setting_of, signature
+from dbc.contract import Contract, NodeContract
+from dbc.dictionary import Object, dictionary
+from dbc.frame import ECHO, ERROR, REMOTE, Frames, frames, one_frame
+from dbc.indices import (
+    OD_IDENTITY,
+    OD_MANUFACTURER,
+    OD_ROWS,
+    OD_SIGNATURE,
+    OD_TAXELS,
+    OD_TEST_PATTERN,
+    of_block,
+    split_block,
+)
+from gateway.proof import NO_SIGNATURE
+from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write
+
+#: Time in which another SYNC producer must be heard, in periods, and at least in seconds.
+LISTEN_PERIODS: Final = 3
+LISTEN_S: Final = 0.2
+#: SYNC messages for each test pattern.
+CYCLES: Final = 4
+#: Serial number: a maker may have numbers of its own.
+_SERIAL: Final = (OD_IDENTITY, 4)
+#: What a pattern is called in messages.
+_NAMES: Final = {1: "zero", 2: "ramp", 3: "full scale"}
+
+
+@dataclass(frozen=True)
+class _Listen:
+    """Wait, and get the frames that came."""
+
+    time_s: float
+
+
+@dataclass(frozen=True)
+class _Cycle:
+    """Send a SYNC, and get the frames until the end of the period."""
+
+    sync: bytes
+
+
+#: What a check asks for, and what it gets: frames, the value of an object, or an error.
+_Step = _Listen | Transfer | _Cycle
+_Answer = Frames | bytes | SdoError
+_Steps = Generator[_Step, _Answer, None]
+
+
+@dataclass
+class NodeReport:
+    """What a check has found.
+
+    Attributes
+    ----------
+    bus : str
+    node_id : int
+    differences : list of str
+        What differs from the contract; the board keeps it if there are none.
+    notes : list of str
+        What is allowed and costs something.
+    objects, frames, cycles : int
+        Number of objects, TPDOs and cycles that were compared.
+    latest_s : float
+        Latest end of a TPDO after the SYNC.
+    """
+
+    bus: str
+    node_id: int
+    differences: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    objects: int = 0
+    frames: int = 0
+    cycles: int = 0
+    latest_s: float = 0.0
+
+
+class NodeCheck:
+    """Checks one node; frames in, frames out, time as an argument.
+
+    The node is left pre-operational, with the test patterns that it had.
+
+    Parameters
+    ----------
+    contract : Contract
+    node : NodeContract
+    send : callable
+    now_s : float
+
+    Attributes
+    ----------
+    report : NodeReport
+    done : bool
+    due_s : float
+        When `tick` has something to do.
+    """
+
+    def __init__(self, contract: Contract, node: NodeContract, send: Send, now_s: float) -> None:
+        self._contract, self._node, self._send = contract, node, send
+        self._period_s = contract.layout.sync.period_s
+        self.report = NodeReport(contract.layout.bus[node.bus].name, node.node_id)
+        self.done = False
+        self.due_s = now_s
+        self._pattern_indices = [of_block(OD_TEST_PATTERN, place) for place in range(node.blocks)]
+        #: The test patterns that the node had.
+        self._patterns: dict[int, bytes] = {}
+        self._heard: list[Frames] = []
+        self._dialogue: SdoDialogue | None = None
+        self._steps = self._check()
+        self._begin(next(self._steps), now_s)
+
+    def take(self, arrived: Frames, now_s: float) -> None:
+        """Use received frames, with the echoes of own frames."""
+        arrived = arrived[(arrived["flags"] & (ERROR | REMOTE)) == 0]
+        if self.done or not len(arrived):
+            return
+        self._heard.append(arrived)
+        answers = arrived[
+            (arrived["can_id"] == SDO_RESPONSE_BASE + self._node.node_id) & (arrived["flags"] & ECHO == 0)
+        ]
+        for each in answers:
+            if self._dialogue is not None:
+                self._dialogue.take(each["data"][: each["length"]].tobytes(), now_s)
+        self._look(now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Do what is due."""
+        if self._dialogue is not None:
+            self._dialogue.tick(now_s)
+            self._look(now_s)
+        elif not self.done and now_s >= self.due_s:
+            self._go_on(np.concatenate([frames(0), *self._heard]), now_s)
+
+    def give_up(self) -> None:
+        """End the test patterns without waiting for answers."""
+        for index, data in self._patterns.items():
+            self._send_one(SDO_REQUEST_BASE + self._node.node_id, struct.pack("<BHB4s", 0x2F, index, 0, data))
+        self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+
+    def _look(self, now_s: float) -> None:
+        """Go on when the SDO dialogue has ended."""
+        if self._dialogue is None or not self._dialogue.done:
+            return
+        ended, self._dialogue = self._dialogue, None
+        self._go_on(ended.error or cast("bytes", ended.result), now_s)
+
+    def _go_on(self, came: _Answer, now_s: float) -> None:
+        try:
+            step = self._steps.send(came)
+        except StopIteration:
+            self.done = True
+        else:
+            self._begin(step, now_s)
+
+    def _begin(self, step: _Step, now_s: float) -> None:
+        self._heard.clear()
+        if isinstance(step, _Listen):
+            self.due_s = now_s + step.time_s
+        elif isinstance(step, _Cycle):
+            self.due_s = now_s + self._period_s
+            self._send_one(SYNC_COB_ID, step.sync)
+        else:
+            self._dialogue = SdoDialogue(self._node.node_id, _one(step), self._send_one, now_s)
+            self.due_s = now_s
+
+    def _send_one(self, can_id: int, data: bytes) -> None:
+        self._send(one_frame(can_id, data))
+
+    def _nmt(self, command: NmtCommand) -> None:
+        self._send_one(NMT_COB_ID, bytes((command, self._node.node_id)))
+
+    def _check(self) -> _Steps:
+        heard = cast("Frames", (yield _Listen(max(LISTEN_S, LISTEN_PERIODS * self._period_s))))
+        if (heard["can_id"] == SYNC_COB_ID).any():
+            self._differs("another program sends SYNC on this bus: stop the gateway, then check again")
+            return
+        if not (yield from self._objects()) or self._node.adaptive_tpdos:
+            return
+        for pattern in PATTERNS:
+            yield from self._show(pattern)
+        self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+        for index, data in self._patterns.items():
+            yield from self._write(index, data)
+        self._patterns.clear()
+
+    def _objects(self) -> Generator[_Step, _Answer, bool]:
+        """Compare the objects; tell whether the node answers and can show test patterns."""
+        own = [each for each in dictionary(self._contract, self._node) if _is_of_board(each)]
+        settings = [*configuration(self._contract, self._node), *map(setting_of, own)]
+        found: dict[tuple[int, int], bytes] = {}
+        for setting in settings:
+            data = yield Read(setting.index, setting.subindex)
+            if isinstance(data, SdoAbortedError):
+                self._differs(str(data))
+                continue
+            if not isinstance(data, bytes):
+                self._differs(f"{data}: is the board on this bus, at this bit rate, with node-ID {self._node.node_id}?")
+                return False
+            self.report.objects += 1
+            found[setting.index, setting.subindex] = data
+            if not setting.matches(data):
+                text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
+                is_allowed = setting.index in self._pattern_indices or (setting.index, setting.subindex) == _SERIAL
+                (self.report.notes if is_allowed else self.report.differences).append(text)
+        yield from self._signature(found)
+        self._patterns = {index: found[index, 0] for index in self._pattern_indices if (index, 0) in found}
+        return len(self._patterns) == self._node.blocks
+
+    def _signature(self, found: Mapping[tuple[int, int], bytes]) -> _Steps:
+        """Compare 2006h with what it is for the values that the node has."""
+        data = yield Read(OD_SIGNATURE)
+        value = int.from_bytes(data, "little") if isinstance(data, bytes) else NO_SIGNATURE
+        covered = [(each.index, each.subindex) for each in configuration(self._contract, self._node)]
+        if value == NO_SIGNATURE:
+            self.report.notes.append(f"no signature ({OD_SIGNATURE:04X}h): a proof reads every object")
+        elif found.keys() >= set(covered):
+            expected = signature((*place, found[place]) for place in covered)
+            if value != expected:
+                self._differs(
+                    f"the signature ({OD_SIGNATURE:04X}h) is {value:08X}h, expected {expected:08X}h of its objects"
+                )
+
+    def _show(self, pattern: int) -> _Steps:
+        """Show a test pattern, and compare the TPDOs of some cycles."""
+        self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+        before = len(self.report.differences)
+        for index in self._patterns:
+            yield from self._write(index, bytes((pattern,)))
+        if len(self.report.differences) > before:
+            return
+        self._nmt(NmtCommand.START)
+        yield _Listen(self._period_s)
+        size, top = self._contract.phi.block_size, self._contract.layout.taxels.count_max
+        shown = np.tile(np.asarray(pattern_counts(pattern, size, top), np.float32), (self._node.blocks, 1))
+        payloads = node_payloads(self._contract, self._node, node_sums(self._contract, self._node, shown))
+        table = board(self._contract, self._node)
+        for counter in range(1, CYCLES + 1):
+            came = yield _Cycle(bytes((counter,)) if table.sync_overflow else b"")
+            self._compare(cast("Frames", came), table, payloads, counter, _NAMES[pattern])
+
+    def _compare(self, came: Frames, table: Board, payloads: dict[int, bytes], counter: int, name: str) -> None:
+        """Compare the TPDOs of a cycle."""
+        place = f"test pattern {name}, SYNC {counter}"
+        self.report.cycles += 1
+        echoes = np.flatnonzero((came["can_id"] == SYNC_COB_ID) & (came["flags"] & ECHO != 0))
+        if not echoes.size:
+            self._differs(f"{place}: the SYNC was not sent in one period")
+            return
+        sync_ns, came = int(came["time_ns"][echoes[0]]), came[echoes[0] + 1 :]
+        for tpdo in table.tpdos:
+            copies = came[(came["can_id"] == tpdo.cob_id) & (came["flags"] & ECHO == 0)]
+            self._compare_tpdo(copies, tpdo, payloads[tpdo.cob_id], _is_due(tpdo, counter), place)
+            if len(copies):
+                late_s = (int(copies["time_ns"].max()) - sync_ns) / 1e9
+                self.report.latest_s = max(self.report.latest_s, late_s)
+                if late_s * 1e6 > table.sync_window_us:
+                    self._differs(f"{place}: TPDO {tpdo.number} ends {late_s * 1e3:.1f} ms after SYNC, after 1007h")
+
+    def _compare_tpdo(self, copies: Frames, tpdo: BoardTpdo, payload: bytes, is_due: bool, place: str) -> None:
+        what = f"{place}: TPDO {tpdo.number} ({tpdo.cob_id:03X}h)"
+        if len(copies) != is_due:
+            self._differs(f"{what} came {len(copies)} times, expected {int(is_due)}")
+        for each in copies[:1]:
+            self.report.frames += 1
+            data = each["data"][: each["length"]].tobytes()
+            if data != payload:
+                self._differs(f"{what} is {data.hex(' ')}, expected {payload.hex(' ')}")
+
+    def _write(self, index: int, data: bytes) -> _Steps:
+        answer = yield Write(index, 0, data)
+        if isinstance(answer, SdoError):
+            self._differs(str(answer))
+
+    def _differs(self, text: str) -> None:
+        self.report.differences.append(text)
+
+
+def _one(transfer: Transfer) -> Dialogue:
+    """Do one transfer."""
+    return (yield transfer)
+
+
+def _is_of_board(each: Object) -> bool:
+    """Tell whether an object is compared besides those that the gateway compares: wiring, rows, serial number."""
+    if (each.index, each.subindex) == _SERIAL:
+        return True
+    is_of_phi = each.index >= OD_MANUFACTURER and split_block(each.index)[1] in (OD_ROWS, OD_TAXELS)
+    return is_of_phi and each.subindex != 0
+
+
+def _is_due(tpdo: BoardTpdo, counter: int) -> bool:
+    """Tell whether a TPDO answers the SYNC `counter`, the first after the start being 1."""
+    return (counter - tpdo.sync_start_value) % tpdo.transmission_type == 0

@@ -1,0 +1,116 @@
+"""``skin node check``: compares a board with the contract."""
+
+import dataclasses
+import select
+import time
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from cyclopts import Parameter
+
+from bus.link import Link
+from bus.options import BusOptions, open_links
+from dbc.contract import Contract
+from gateway.node_check import NodeCheck, NodeReport
+from skin.errors import InputError, RunError
+from skin.layout import Layout, load_layout
+from skin.service import StopSignal
+from skin.terminal import Json, print_json
+
+#: Longest wait for frames in one turn.
+TURN_S: Final = 0.01
+
+
+def node(
+    action: Literal["check"],
+    *,
+    node_id: Annotated[int, Parameter(name="--node")],
+    bus: str | None = None,
+    layout: Path | None = None,
+    can: BusOptions | None = None,
+    json: Json = False,
+) -> int:
+    """Check a board: its objects, and the bytes that it sends while it shows each test pattern.
+
+    Needs a bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
+    the board differs from the contract. Of adaptive boards the objects alone are compared.
+
+    Parameters
+    ----------
+    action
+        ``check``.
+    node_id
+        Node-ID of the board.
+    bus
+        Name of its bus in the layout. Default: the only one.
+    layout
+        TOML of the skin; without it the default skin.
+    can
+        CAN interface and channels.
+    json
+        Print one JSON object.
+
+    Examples
+    --------
+    skin node check --bus bus0 --node 3 -i socketcan -c can0
+    skin node check --layout palm.toml --node 1 --json
+    """
+    if action != "check":
+        raise InputError(f"expected 'skin node check', got '{action}'")
+    stop = StopSignal().install()
+    skin = load_layout(layout, adaptive=True)
+    number = _bus_number(skin, bus)
+    contract = Contract.from_layout(skin)
+    wanted = [each for each in contract.on_bus(number) if each.node_id == node_id]
+    if not wanted:
+        raise InputError(
+            f"expected a node-ID from 1 to {skin.bus[number].nodes} of {skin.bus[number].name}, got {node_id}"
+        )
+    link = open_links(skin, can or BusOptions(), [number], name="gateway", stop=stop)[number]
+    try:
+        check = NodeCheck(contract, wanted[0], link.send, time.monotonic())
+        _run(check, link, stop)
+    finally:
+        link.close()
+    if json:
+        print_json(dataclasses.asdict(check.report))
+    else:
+        _show(check.report)
+    return int(bool(check.report.differences))
+
+
+def _bus_number(skin: Layout, name: str | None) -> int:
+    names = [bus.name for bus in skin.bus]
+    if name is None and len(names) == 1:
+        return 0
+    if name not in names:
+        got = "none" if name is None else f"'{name}'"
+        raise InputError(f"expected --bus with one of {', '.join(names)}, got {got}")
+    return names.index(name)
+
+
+def _run(check: NodeCheck, link: Link, stop: StopSignal) -> None:
+    try:
+        while not check.done:
+            if stop.is_set():
+                raise RunError("stopped before the board was checked")
+            timeout_s = min(TURN_S, max(0.0, check.due_s - time.monotonic()))
+            select.select([link], [], [], timeout_s or TURN_S)
+            check.take(link.receive(), time.monotonic())
+            check.tick(time.monotonic())
+    finally:
+        if not check.done:
+            check.give_up()
+
+
+def _show(report: NodeReport) -> None:
+    """Print what was compared, and a line for each difference."""
+    place = f"{report.bus}, node {report.node_id}"
+    for text in report.differences:
+        print(f"{place}: {text}")
+    for text in report.notes:
+        print(f"{place}: note: {text}")
+    verdict = "keeps the contract" if not report.differences else f"{len(report.differences)} differences"
+    compared = f"{report.objects} objects, {report.frames} TPDOs of {report.cycles} cycles"
+    late = f", the last {1e3 * report.latest_s:.1f} ms after SYNC" if report.frames else ""
+    print(f"{place}: {verdict} ({compared}{late})")
