@@ -14,6 +14,7 @@ from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.synchronous_segment import SynchronousSegment
 from tests.gateway.world import Shaking, Wire, small_contract
+from tests.identity import IDENTITIES, with_identity
 
 STEP_S = 0.005
 
@@ -52,9 +53,11 @@ def pattern_of(bench: Bench) -> int:
     return int(bench.node.local.get_data(OD_TEST_PATTERN, 0)[0])
 
 
+@pytest.mark.parametrize("identity", IDENTITIES)
 @pytest.mark.parametrize("bus", ["nodes = 2", "nodes = 1\nblocks_per_node = 2", "nodes = 2\nfd = true"])
-def test_a_board_that_keeps_the_contract(bus: str) -> None:
-    bench = Bench(small_contract(bus=bus))
+def test_a_board_that_keeps_the_contract(bus: str, identity: str) -> None:
+    layout = with_identity(small_contract(bus=bus).layout, identity)
+    bench = Bench(Contract.from_layout(layout))
     report = bench.check()
     node = bench.contract.nodes[0]
     assert (report.bus, report.node_id, report.differences, report.notes) == ("bus0", 1, [], [])
