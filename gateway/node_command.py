@@ -110,7 +110,8 @@ def _show(report: NodeReport) -> None:
         print(f"{place}: {text}")
     for text in report.notes:
         print(f"{place}: note: {text}")
-    verdict = "keeps the contract" if not report.differences else f"{len(report.differences)} differences"
+    count = len(report.differences)
+    verdict = f"{count} difference{'s' * (count != 1)}" if count else "keeps the contract"
     compared = f"{report.objects} objects, {report.frames} TPDOs of {report.cycles} cycles"
     late = f", the last {1e3 * report.latest_s:.1f} ms after SYNC" if report.frames else ""
     print(f"{place}: {verdict} ({compared}{late})")

@@ -1,0 +1,54 @@
+"""``skin node check`` on a bus, and its errors."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from skin.command import main
+from tests.processes import PATIENCE_S, Processes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["check", "--node", "1"], "expected --bus with one of bus0, bus1, bus2, bus3, got none"),
+        (["check", "--node", "1", "--bus", "can7"], "bus3, got 'can7'"),
+        (["check", "--node", "33", "--bus", "bus0"], "expected a node-ID from 1 to 32 of bus0, got 33"),
+        (["test", "--node", "1"], '"check"'),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
+def test_wrong_input_is_one_line_and_exit_code_2(
+    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["skin", "node", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    shown = capsys.readouterr()
+    assert ended.value.code == 2
+    assert said in shown.err
+    assert len(shown.err.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_boards_on_a_bus_are_checked(tmp_path: Path) -> None:
+    with Processes(tmp_path) as processes, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SKIN_BUS_DIR", str(tmp_path))
+        processes.skin("bus", "bus", "bus0")
+        processes.await_words("bus", "ready")
+        processes.skin("nodes", "nodes", "--only", "bus0:1-2", "--no-fabric")
+        processes.await_words("nodes", "nodes")
+
+        def check(node_id: int) -> "subprocess.CompletedProcess[str]":
+            command = [sys.executable, "-m", "skin", "node", "check", "--bus", "bus0", "--node", str(node_id), "--json"]
+            return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+        good, nobody = check(2), check(9)
+        assert (good.returncode, nobody.returncode) == (0, 1)
+        report = json.loads(good.stdout)
+        assert (report["bus"], report["node_id"], report["differences"]) == ("bus0", 2, [])
+        assert report["frames"] >= report["cycles"] == 12
+        assert "no answer" in json.loads(nobody.stdout)["differences"][0]
