@@ -86,7 +86,10 @@ def dbc_check(layout: Path | None = None, *, files: Path | None = None, json: Js
     lines = drifted(Contract.from_layout(load_layout(layout, adaptive=True)), folder)
     _show(lines, as_json=json)
     if lines:
-        say("dbc-check", f"{len(lines)} files have drifted; write them anew with 'skin dbc' and --out {folder}")
+        say(
+            "dbc-check",
+            f"{len(lines)} files have drifted; write them anew with 'skin dbc' or 'skin contract' and --out {folder}",
+        )
     return int(bool(lines))
 
 

@@ -58,6 +58,8 @@ _MANDATORY: Final = (OD_DEVICE_TYPE, OD_ERROR_REGISTER, OD_IDENTITY)
 #: Bit rates with a key in the format, kbit/s.
 _BITRATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
+#: CANopenNode's names of the objects that it counts, of which a node has one each.
+_COUNT_LABELS: Final = ("NMT", "EM", "SYNC", "SYNC_PROD", "STORAGE", "EM_PROD", "HB_CONS", "HB_PROD", "SDO_SRV")
 #: Default of the block's index in an EDS: no block has it.
 NO_BLOCK: Final = 0xFFFF
 #: What a DCF says of its node: identity, part of Φ, calibration.
@@ -247,13 +249,13 @@ def _object_sections(entries: list[_Described]) -> list[str]:
 
 
 def _storage_group(entries: list[Object]) -> str:
-    """Return CANopenEditor's storage group of one index."""
+    """Return CANopenEditor's storage group of one index; CANopenNode's own program expects 1018h in PERSIST_COMM."""
     index = entries[0].index
     if _first_block(index) in _OF_RUN or any(each.pdo for each in entries):
         return "RAM"
-    if all(each.access != "rw" for each in entries):
-        return "ROM"
-    return "PERSIST_COMM" if index < OD_MANUFACTURER else "PERSIST_APP"
+    if index < OD_MANUFACTURER:
+        return "PERSIST_COMM"
+    return "ROM" if all(each.access != "rw" for each in entries) else "PERSIST_APP"
 
 
 def _variable(each: Object, default: str | None, own: str | None) -> dict[str, str]:
@@ -321,8 +323,20 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
 
 
 def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
-    lines = [f"Phi {contract.phi.fingerprint}, values that differ between nodes are in their .dcf files"]
+    lines = [
+        f"Phi {contract.phi.fingerprint}, values that differ between nodes are in their .dcf files",
+        f"CANopenNode: {_count_flags(len(kind.nodes[0].tpdos) or len(kind.nodes[0].adaptive_tpdos))}",
+    ]
     for bus, nodes in groupby(kind.nodes, key=lambda node: node.bus):
         ids = ranges_text(node.node_id for node in nodes)
         lines.append(f"{contract.layout.bus[bus].name}: nodes {ids}")
     return {"Lines": str(len(lines)), **{f"Line{number}": line for number, line in enumerate(lines, 1)}}
+
+
+def _count_flags(tpdos: int) -> str:
+    """Return CANopenNode's numbers of objects as flags of the C compiler.
+
+    CANopenEditor reads its count labels, from which it writes these numbers, from XDD files only.
+    """
+    counts = dict.fromkeys(_COUNT_LABELS, 1) | {"TPDO": tpdos}
+    return " ".join(f"-DOD_CNT_{label}={count}" for label, count in counts.items())

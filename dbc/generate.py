@@ -15,8 +15,9 @@ from skin.output import write_file
 #: The files of the default skin that come with the project.
 DEFAULT_FOLDER: Final = Path(__file__).parent / "files" / "default"
 SUFFIXES: Final = (".dbc", ".eds")
-#: Folder of the files of single nodes.
+#: Folder of the files of single nodes, and the suffixes of its files.
 NODE_FOLDER: Final = "nodes"
+NODE_SUFFIXES: Final = (".json", ".dcf")
 #: Folder of the test vectors for firmware.
 VECTOR_FOLDER: Final = "vectors"
 
@@ -68,14 +69,22 @@ def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
 def drifted(contract: Contract, folder: Path) -> list[str]:
     """Return one line for every file of `folder` that differs from the contract.
 
+    Files of nodes and test vectors are compared where their folders exist.
+
     Raises
     ------
     InputError
         If the folder cannot be read.
     """
-    wanted = {name: text.encode("ascii") for name, text in contract_files(contract).items()}
+    text = contract_files(contract)
+    text |= node_files(contract) if (folder / NODE_FOLDER).is_dir() else {}
+    text |= vector_files(contract) if (folder / VECTOR_FOLDER).is_dir() else {}
+    wanted = {name: each.encode("ascii") for name, each in text.items()}
     try:
         there = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in SUFFIXES}
+        for inner in (NODE_FOLDER, VECTOR_FOLDER):
+            paths = [path for path in folder.glob(f"{inner}/*") if path.suffix in NODE_SUFFIXES]
+            there |= {f"{inner}/{path.name}": path.read_bytes() for path in paths}
     except OSError as error:
         raise InputError(f"{folder}: cannot read the contract files: {error.strerror or error}") from error
     lines = []

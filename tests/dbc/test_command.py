@@ -55,6 +55,30 @@ def test_check_names_the_files_that_drifted(
     assert [Path(line.split()[0]).name for line in lines] == ["bus0.dbc", "old.eds", "skin.eds"]
 
 
+def test_contract_writes_the_files_of_each_node_and_check_compares_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    layout, folder = tmp_path / "palm.toml", tmp_path / "palm"
+    layout.write_text("[taxels]\nrows = 8\ncolumns = 16\n[[bus]]\nname = 'arm'\nnodes = 4\n")
+    assert run(monkeypatch, "contract", str(layout), "--out", str(folder)) == 0
+    names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    nodes = {f"nodes/arm-00{node}.{suffix}" for node in range(1, 5) for suffix in ("dcf", "json")}
+    assert names == {"arm.dbc", "skin.eds", "vectors/arm-001.json"} | nodes
+    assert capsys.readouterr().out.splitlines() == [str(folder / name) for name in sorted(names, key=order)]
+    assert run(monkeypatch, "dbc-check", str(layout), "--files", str(folder)) == 0
+    (folder / "nodes/arm-002.dcf").write_text("")
+    (folder / "nodes/board.h").write_text("")
+    (folder / "vectors/arm-001.json").unlink()
+    assert run(monkeypatch, "dbc-check", str(layout), "--files", str(folder)) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [Path(line.split()[0]).name for line in lines] == ["arm-002.dcf", "arm-001.json"]
+
+
+def order(name: str) -> tuple[bool, bool, str]:
+    """Return the place of a file in the list: buses, types, nodes (table and DCF), vectors."""
+    return name.startswith("vectors"), name.startswith("nodes"), name.replace("json", "a")
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
