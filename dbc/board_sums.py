@@ -64,7 +64,8 @@ def shown_counts(
 def node_sums(contract: Contract, node: NodeContract, shown: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
     """Return the sums of a board, shape (node.sums,), of values of shape (blocks, block size)."""
     kept = contract.phi.kept[node.block : node.block + node.blocks]
-    return np.rint(fast_hadamard(shown)[kept]).astype(np.int32)
+    sums = np.asarray(fast_hadamard(shown), np.float32)[kept]
+    return np.rint(sums).astype(np.int32)
 
 
 def node_payloads(contract: Contract, node: NodeContract, sums: npt.NDArray[np.int32]) -> dict[int, bytes]:

@@ -30,7 +30,7 @@ def contract_files(contract: Contract) -> dict[str, str]:
 
 def node_files(contract: Contract) -> dict[str, str]:
     """Return the text of the files of single nodes by their path: a table of constants and a DCF for each."""
-    files = {}
+    files: dict[str, str] = {}
     for kind in node_types(contract):
         for node, dcf in dcfs(contract, kind):
             path = f"{NODE_FOLDER}/{node_name(contract, node)}"

@@ -64,14 +64,14 @@ def _cases(contract: Contract, node: NodeContract) -> Iterator[_Case]:
     yield _Case("all taxels 0", np.zeros(shape, int), one, none)
     yield _Case("all taxels at full scale", np.full(shape, top), one, none)
     yield _Case("one taxel: place 1", second, one, none)
-    sign = np.where(np.arange(shape[1]) % 2, -1, 1) * one
+    sign = np.where(np.arange(shape[1]) % 2, -one, one)
     yield _Case("products out of range", np.full(shape, min(top, 3)), (_FLOAT_MAX * sign).astype(np.float32), none)
     draw = _Draw(contract, node)
     yield draw.clear(lambda: _Case("random", draw.counts(), one, none))
     yield draw.clear(lambda: _Case("gain and offset", draw.counts(), draw.gain(), draw.offset(top / 40)))
     yield draw.clear(lambda: _Case("limited to 0 and to full scale", draw.counts(), 2 * one, draw.offset(top)))
     if contract.layout.samples_per_sync == 1:
-        yield _Case("ties to even", draw.counts(), one / 2, none)
+        yield _Case("ties to even", draw.counts(), np.full(shape, 0.5, np.float32), none)
         if unfused := _unfused(shape, top):
             yield _Case("product rounded before the offset is added", *unfused)
     for name, pattern in (("zero", PATTERN_ZERO), ("ramp", PATTERN_RAMP), ("full scale", PATTERN_FULL)):
@@ -106,7 +106,7 @@ class _Draw:
         while True:
             case = make()
             shown = shown_counts(self._contract, case.counts, case.gain, case.offset, np.zeros(self._node.blocks, int))
-            sums = fast_hadamard(shown.astype(np.float64))
+            sums = np.asarray(fast_hadamard(shown.astype(np.float64)), np.float64)
             if np.abs(sums % 1 - 0.5).min() > _TIE_MARGIN:
                 return case
 
