@@ -159,7 +159,7 @@ def test_sums_arrive_as_the_master_mapped_them(node: canopen.RemoteNode, network
     tpdo.save()
     node.sdo[TEST_PATTERN].raw = RAMP
     node.nmt.state = "OPERATIONAL"
-    Arrivals(tpdo.add_callback, attrgetter("cob_id")).expect(tpdo.cob_id, lambda: network.sync.transmit(1))
+    Arrivals(tpdo.add_callback, attrgetter("cob_id")).expect(tpdo.cob_id, network.sync.transmit)
     assert len(tpdo.data) == 7
     carried = [variable.raw for variable in tpdo]
     assert carried == [*(node.sdo[SUMS][subindex].raw for subindex in (8, 1, 5)), 0]
@@ -170,11 +170,11 @@ def test_a_sync_of_the_wrong_length_is_an_emergency_until_it_is_right(
     node: canopen.RemoteNode, network: canopen.Network, emergencies: Arrivals[canopen.emcy.EmcyError]
 ) -> None:
     node.nmt.state = "OPERATIONAL"
-    wrong = emergencies.expect(SYNC_LENGTH, network.sync.transmit)  # 1019h wants a counter
+    wrong = emergencies.expect(SYNC_LENGTH, lambda: network.sync.transmit(1))  # 1019h wants no counter
     assert wrong.register & 0x11 == 0x11
     assert node.sdo[0x1003][1].raw & 0xFFFF == SYNC_LENGTH
     assert node.sdo[0x1001].raw & 0x10
-    assert emergencies.expect(NO_ERROR, lambda: network.sync.transmit(1)).register == 0
+    assert emergencies.expect(NO_ERROR, network.sync.transmit).register == 0
 
 
 def test_a_node_reports_the_heartbeat_it_misses(
