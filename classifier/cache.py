@@ -1,8 +1,7 @@
 """Models of skins, trained once and kept in the cache folder."""
 
 import hashlib
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +9,7 @@ import msgspec
 
 from classifier.model import SIMULATED, VERSION, Model
 from classifier.modelfile import load_model, save_model
+from skin.cache import cache_folder
 from skin.errors import ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
@@ -17,15 +17,6 @@ from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, load_touches
 
 TOUCHES_PER_OBJECT: Final = 600
-
-
-def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Return ``$SKIN_CACHE``, else ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``."""
-    if chosen := environment.get("SKIN_CACHE"):
-        return Path(chosen)
-    if shared := environment.get("XDG_CACHE_HOME"):
-        return Path(shared) / "canskin"
-    return Path.home() / ".cache" / "canskin"
 
 
 def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str]) -> Path:

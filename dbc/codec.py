@@ -31,7 +31,7 @@ def encode(sums: npt.NDArray[np.integer], gather: npt.NDArray[np.intp], packing:
     if packing.bits == 8:
         return raw.astype(np.uint8)
     bits = np.unpackbits(raw.astype("<u2").view(np.uint8).reshape(count, width, 2), axis=2, bitorder="little")
-    return np.packbits(bits[:, :, : packing.bits].reshape(count, -1), axis=1, bitorder="little")
+    return np.packbits(bits[:, :, : packing.bits].reshape(count, width * packing.bits), axis=1, bitorder="little")
 
 
 def decode(

@@ -1,7 +1,6 @@
 """``skin nodes``: the virtual nodes of a skin."""
 
 import math
-import re
 from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,10 +8,12 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
+from dbc.choice import choose_nodes
 from dbc.contract import Contract
+from firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.electronics import Electronics
-from nodes.sampler import Sampler
+from nodes.sampler import CountSampler, Sampler
 from nodes.service import NodesService
 from skin.defects import parse_defects
 from skin.errors import InputError
@@ -40,6 +41,7 @@ def nodes(
     defect: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     seed: int = 0,
     store: Path | None = None,
+    firmware: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run the virtual CANopen nodes of a skin.
 
@@ -78,6 +80,9 @@ def nodes(
         Seed of the touches, of the noise, and of the choice of defective taxels.
     store
         Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board.
+    firmware
+        Run the C firmware of the boards (``skin export firmware``) in place of nodes in Python. The system's C compiler
+        (cc) compiles the firmware once. The boards sample at the SYNC only, and do not average.
 
     Examples
     --------
@@ -90,6 +95,8 @@ def nodes(
     if rate is not None and input is None:
         raise InputError("--rate is for a recording: give one with --input")
     defects = parse_defects(defect or (), seed)
+    if firmware and store is not None:
+        raise InputError("--store is for nodes in Python: boards with --firmware keep their parameters until they end")
     if store is not None:
         try:
             store.mkdir(parents=True, exist_ok=True)
@@ -100,11 +107,14 @@ def nodes(
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed)
-    boards = _boards(contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects})
+    compiled = _firmware(contract, chosen) if firmware else None
+    boards = _boards(
+        contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects}, counts_only=firmware
+    )
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
-    service = NodesService(contract, links, chosen, boards, joined, store=store)
+    service = NodesService(contract, links, chosen, boards, joined, store=store, firmware=compiled)
     count = sum(map(len, chosen.values()))
     say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}")
     try:
@@ -116,8 +126,20 @@ def nodes(
             joined.close()
 
 
+def _firmware(contract: Contract, chosen: dict[int, Collection[int]]) -> Firmware:
+    """Compile the firmware of the chosen nodes."""
+    if contract.layout.samples_per_sync > 1:
+        say("nodes", "boards with --firmware sample at the SYNC only: sums have the noise of one sample")
+    return Firmware(contract, [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())])
+
+
 def _boards(
-    contract: Contract, chosen: dict[int, Collection[int]], source: TaxelSource, analogue: dict[str, Any]
+    contract: Contract,
+    chosen: dict[int, Collection[int]],
+    source: TaxelSource,
+    analogue: dict[str, Any],
+    *,
+    counts_only: bool,
 ) -> Sampler | AdaptiveBoards:
     """Return what samples the chosen nodes' taxels; `analogue` holds ``noise_n``, ``seed`` and ``defects``."""
     skin = contract.layout
@@ -126,6 +148,8 @@ def _boards(
         return AdaptiveBoards(contract, blocks, source, **analogue)
     if source.has_noise:
         analogue = {**analogue, "noise_n": 0.0}
+    if counts_only:
+        return CountSampler(contract.phi, source, Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s))
     electronics = Electronics(
         skin.taxels,
         **analogue,
@@ -134,36 +158,6 @@ def _boards(
         blocks=contract.phi.taxels_of_blocks,
     )
     return Sampler(contract.phi, source, electronics)
-
-
-def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
-    """Return the node-IDs to run, by number of the bus; buses without nodes to run are left out.
-
-    Raises
-    ------
-    InputError
-        If a choice names a bus or node that the layout does not have, or no node is left.
-    """
-    chosen = _parse(contract, only) if only else {(node.bus, node.node_id) for node in contract.nodes}
-    chosen -= _parse(contract, without)
-    if not chosen:
-        raise InputError("no node is left to run: check --only and --without")
-    return {bus: {node for each, node in chosen if each == bus} for bus in {bus for bus, _ in chosen}}
-
-
-def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
-    numbers = {bus.name: number for number, bus in enumerate(contract.layout.bus)}
-    known = {(node.bus, node.node_id) for node in contract.nodes}
-    chosen: set[tuple[int, int]] = set()
-    for text in texts:
-        match = re.fullmatch(r"(\w+):(\d+)(?:-(\d+))?", text)
-        if match is None or match[1] not in numbers:
-            raise InputError(f"expected BUS:NODE or BUS:FIRST-LAST with BUS of {', '.join(numbers)}, got '{text}'")
-        wanted = {(numbers[match[1]], node) for node in range(int(match[2]), int(match[3] or match[2]) + 1)}
-        if not wanted or wanted - known:
-            raise InputError(f"'{text}' names nodes that {match[1]} does not have")
-        chosen |= wanted
-    return chosen
 
 
 def _recording(

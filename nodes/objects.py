@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
@@ -14,6 +14,9 @@ from dbc.canopen import Abort
 from dbc.contract import LONGEST_VALUE
 from dbc.dictionary import Object
 from dbc.indices import BITS, OD_SUMS, split_block
+
+#: Bits of a command that tell how many of the four bytes of an expedited transfer are not used.
+UNUSED_BYTES: Final = 0x0C
 
 # The library logs every request that it refuses; the abort on the bus is enough.
 logging.getLogger("canopen.sdo.server").setLevel(logging.CRITICAL)
@@ -77,7 +80,8 @@ class StrictSdoServer(SdoServer):
             described = self._local.variable(int.from_bytes(request[1:3], "little"), request[3])
             if described is not None and described.data_type in NUMBER_TYPES:
                 unused = 4 - min(4, len(described) // 8)
-                request = bytes((command | SIZE_SPECIFIED | unused << 2, *request[1:]))
+                # The bits of the number of unused bytes have no meaning without a size.
+                request = bytes((command & ~UNUSED_BYTES | SIZE_SPECIFIED | unused << 2, *request[1:]))
         super().init_download(request)  # type: ignore[no-untyped-call]
 
     def segmented_download(self, command: int, request: bytes) -> None:

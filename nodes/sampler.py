@@ -12,7 +12,7 @@ from nodes.electronics import Electronics
 from skin.measurement import Sbhe
 from skin.messages import Truth
 from skin.sources import TaxelSource
-from skin.taxel import to_newtons
+from skin.taxel import Force, to_newtons
 
 #: Longest time between the SYNC frames of one cycle, with the same counter, on different buses. A busy master delays
 #: frames. A counter returns after 240 periods, 120 ms or more.
@@ -78,8 +78,7 @@ class Sampler(Boards):
             self._electronics.prepare(self._source.frame(step - 1).force_n, step - 1)
         self._step, self._counter = step, counter
         frame = self._source.frame(self._step)
-        exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(frame.force_n, self._step))
-        self._sums = np.rint(exact).astype(np.int32)
+        self._sums = self._answer(frame.force_n)
         self._kept.append((cycle, time_ns, self._sums))
         self._truth = Truth(
             step=self._step,
@@ -98,6 +97,11 @@ class Sampler(Boards):
         self._sync_ns = max(self._sync_ns, time_ns)
         return max(0, int((time_ns - self._zero_ns) / self._period_ns + EARLY))
 
+    def _answer(self, force_n: Force) -> npt.NDArray[np.int32]:
+        """Return what the boards answer with: the sums, shape (m,)."""
+        exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(force_n, self._step))
+        return np.rint(exact).astype(np.int32)
+
     def prepare(self) -> None:
         """Sample ahead what the next SYNC will most likely ask for."""
         step = self._step + 1
@@ -108,3 +112,11 @@ class Sampler(Boards):
         """Return the true forces and the sensor signal of the newest cycle, once."""
         truth, self._truth = self._truth, None
         return truth
+
+
+class CountSampler(Sampler):
+    """A sampler for boards that make the sums themselves: `sample` returns ADC counts, shape (n,), row-major."""
+
+    def _answer(self, force_n: Force) -> npt.NDArray[np.int32]:
+        self._electronics.read(force_n, self._step)
+        return self._electronics.sampled.copy()

@@ -9,10 +9,12 @@ from typing import Final
 
 from bus.link import Link
 from dbc.contract import Contract
+from firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.segment import AdaptiveSegment
 from nodes.boards import NEVER_S
-from nodes.sampler import Sampler
+from nodes.firmware_segment import FirmwareSegment
+from nodes.sampler import CountSampler, Sampler
 from nodes.segment import Segment
 from nodes.synchronous_segment import SynchronousSegment
 from skin.fabric import Fabric
@@ -44,6 +46,8 @@ class NodesService:
         Where counters and true forces are published.
     store : Path, optional
         Folder for the parameters that 1010h stores.
+    firmware : Firmware, optional
+        Compiled for these nodes: C boards run in place of nodes in Python. The boards are then a `CountSampler`.
     clock : callable, optional
         Monotonic time in seconds.
     """
@@ -57,10 +61,13 @@ class NodesService:
         fabric: Fabric | None = None,
         *,
         store: Path | None = None,
+        firmware: Firmware | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        def new_segment(bus: int, link: Link) -> Segment:
+        def new_segment(bus: int, link: Link) -> Segment | FirmwareSegment:
             complain = RateLimitedLog("nodes").say
+            if firmware is not None and isinstance(boards, CountSampler):
+                return FirmwareSegment(contract, bus, firmware, link.send, boards, complain=complain)
             if isinstance(boards, AdaptiveBoards):
                 return AdaptiveSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
             return SynchronousSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)

@@ -26,6 +26,11 @@ QUIET_FROM, QUIET_TO = 0.7, 2.0
 NO_WINDOW_NS: Final = 1 << 62
 
 
+def expects_sync(since_s: float, period_s: float) -> bool:
+    """Tell whether the next SYNC is expected, `since_s` after the last one."""
+    return QUIET_FROM * period_s < since_s < QUIET_TO * period_s
+
+
 class SynchronousSegment(Segment):
     """The synchronous nodes of one bus; parameters as for `Segment`."""
 
@@ -63,8 +68,7 @@ class SynchronousSegment(Segment):
 
         A heartbeat sent while a SYNC waits to be read would delay the burst that answers this SYNC.
         """
-        since_s = now_s - self.sync_at_s
-        if not QUIET_FROM * self._period_s < since_s < QUIET_TO * self._period_s:
+        if not expects_sync(now_s - self.sync_at_s, self._period_s):
             super().tick(now_s)
 
     def take(self, arrived: Frames, now_s: float) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from classifier.cache import cache_folder, cached_path, find_or_train
+from classifier.cache import cached_path, find_or_train
 from classifier.command import classify, train
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
@@ -67,12 +67,6 @@ def small(tmp_path: Path) -> Path:
         '[[bus]]\nname = "bus0"\nnodes = 32\n'
     )
     return file
-
-
-def test_cache_folder_follows_the_environment() -> None:
-    assert cache_folder({"SKIN_CACHE": "/a", "XDG_CACHE_HOME": "/b"}) == Path("/a")
-    assert cache_folder({"XDG_CACHE_HOME": "/b"}) == Path("/b/canskin")
-    assert cache_folder({}) == Path.home() / ".cache" / "canskin"
 
 
 def test_train_writes_a_model_and_tells(

@@ -1,0 +1,30 @@
+/* Many boards of board.c in one library: frames, times and taxel counts in, frames out. The caller owns the memory. */
+#ifndef SKIN_BOARDS_H
+#define SKIN_BOARDS_H
+
+#include "skin_node.h"
+
+/* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for as many.
+ *
+ * Returns the number of frames written to `out`, at most `room`; so do the two functions below.
+ */
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t room);
+
+/* Pass received frames to the boards of one bus.
+ *
+ * counts: what all taxels of the skin read at the SYNC among the frames, row-major, ADC counts; NULL without a SYNC. The
+ * frames hold one SYNC at most.
+ */
+size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, const skin_frame *frames,
+                 size_t count, skin_frame *out, size_t room);
+
+/* Do what is due by time. */
+size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t room);
+
+/* Write the newest sums of a board in ADC counts; returns their number. */
+size_t skin_newest_sums(const skin_node *node, int32_t *sums);
+
+/* Bytes of a skin_node. */
+size_t skin_node_bytes(void);
+
+#endif

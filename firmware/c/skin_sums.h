@@ -1,0 +1,40 @@
+/* Sums of taxels and their packing into frames. No function keeps state or allocates memory. */
+#ifndef SKIN_SUMS_H
+#define SKIN_SUMS_H
+
+#include "skin_board.h"
+
+/* Test patterns (object 2021h). */
+enum { SKIN_PATTERN_OFF, SKIN_PATTERN_ZERO, SKIN_PATTERN_RAMP, SKIN_PATTERN_FULL };
+
+/* Multiply `work` by the Hadamard matrix of +1 and -1 in Sylvester's order; `size` is a power of two. */
+void skin_hadamard(int32_t *work, uint16_t size);
+
+/* Return round(gain * counts + offset), limited to 0 to `count_max`; halves are rounded to even. */
+uint16_t skin_correct(uint16_t counts, float gain, int16_t offset, uint16_t count_max);
+
+/* What the taxels of one block read.
+ *
+ * counts: in the order of the chain, board->block_size values; corrected in place, or replaced by the test pattern.
+ * Returns the number of taxels at the top of their range.
+ */
+uint16_t skin_read_block(const skin_board *board, uint16_t *counts, const float *gain, const int16_t *offset,
+                         uint8_t pattern);
+
+/* Sums of one block in ADC counts.
+ *
+ * counts: what `skin_read_block` leaves. work: room for board->block_size values.
+ * sums: room for the sums of the block, board->first_sum[block + 1] - board->first_sum[block].
+ */
+void skin_block_sums(const skin_board *board, uint8_t block, const uint16_t *counts, int32_t *work, int32_t *sums);
+
+/* Value in a PDO of a sum in counts; the lowest `bits` of the result are sent. */
+int32_t skin_raw(const skin_packing *packing, int32_t sum);
+
+/* Write the lowest `bits` (1 to 32) of `value` into `payload` behind its first `at` bits; the bits there must be 0. */
+void skin_put_bits(uint8_t *payload, uint16_t at, uint32_t value, uint8_t bits);
+
+/* CRC-32 (IEEE 802.3) of more bytes; begin with 0. */
+uint32_t skin_crc32(uint32_t crc, const uint8_t *data, uint16_t length);
+
+#endif

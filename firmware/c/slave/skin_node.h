@@ -1,0 +1,186 @@
+/* A small CANopen slave (CiA 301) that sends the sums of one board; no heap, no operating system.
+ *
+ * NMT, heartbeat producer and consumer, SYNC, TPDOs of the transmission types 0 to 240, 254 and 255, EMCY, one SDO server
+ * with expedited and segmented transfers, and the objects of a skin node. Every function returns at once.
+ */
+#ifndef SKIN_NODE_H
+#define SKIN_NODE_H
+
+#include <stddef.h>
+
+#include "board.h"
+#include "skin_sums.h"
+
+/* One frame, in the records of dbc/frame.py. */
+typedef struct {
+    int64_t time_ns;    /* of a received frame: its end; of a frame to send: earliest start, 0 for now */
+    int64_t expires_ns; /* of a frame to send: latest start, 0 for no limit */
+    uint32_t can_id;
+    uint8_t length; /* payload in bytes */
+    uint8_t flags;  /* SKIN_FRAME_... */
+    uint16_t port;  /* node-ID of the board that sends */
+    uint8_t data[64];
+} skin_frame;
+
+#define SKIN_FRAME_EXTENDED 0x01u
+#define SKIN_FRAME_REMOTE 0x02u
+#define SKIN_FRAME_ERROR 0x04u
+#define SKIN_FRAME_ECHO 0x40u
+/* A frame that the controller has given up: its window ended, or there was no room for it. */
+#define SKIN_FRAME_DISCARDED (SKIN_FRAME_ECHO | SKIN_FRAME_ERROR)
+
+/* Frames that wait to be sent; frames beyond `room` are lost and counted. */
+typedef struct {
+    skin_frame *frames;
+    size_t room, count, lost;
+} skin_outbox;
+
+enum { SKIN_INITIALISING = 0, SKIN_STOPPED = 4, SKIN_OPERATIONAL = 5, SKIN_PRE_OPERATIONAL = 127 };
+
+/* Errors that are reported: heartbeat of a watched node lost, SYNC of a wrong length, window missed. */
+enum { SKIN_ERROR_HEARTBEAT, SKIN_ERROR_SYNC_LENGTH, SKIN_ERROR_WINDOW, SKIN_ERRORS };
+
+typedef struct {
+    uint16_t cob_id;
+    uint8_t type, start; /* transmission type, SYNC start value */
+    uint8_t length;      /* payload in bytes; 0: the PDO does not exist */
+    uint8_t mapped;      /* mapped objects */
+    uint8_t has_last;    /* whether `last` was sent */
+    uint8_t last[SKIN_PDO_BYTES];
+    uint16_t objects[SKIN_PDO_BYTES]; /* places in board->objects */
+    uint32_t syncs;                   /* SYNCs while the PDO existed */
+    uint32_t sent_at_ms, inhibit_ms, event_ms;
+} skin_tpdo;
+
+typedef struct {
+    uint8_t node_id; /* 0: unused entry */
+    uint8_t state;   /* 0: not heard yet, 1: alive, 2: lost */
+    uint16_t time_ms;
+    uint32_t due_ms;
+} skin_watch;
+
+typedef struct {
+    uint16_t index;
+    uint8_t subindex;
+    uint8_t mode; /* 0: no transfer, 1: upload, 2: download */
+    uint8_t toggle;
+    uint16_t done;  /* bytes transferred */
+    uint16_t bytes; /* of an upload */
+    const uint8_t *source;
+    uint8_t data[8]; /* of a download; no object that can be written is longer */
+} skin_sdo;
+
+typedef struct {
+    const skin_board *board;
+    skin_outbox *outbox;
+    uint8_t state;
+    uint8_t changed; /* an object below 2000h was written */
+    uint8_t has_stored;
+    uint8_t values[SKIN_WRITABLE_BYTES]; /* of objects that SDO can write */
+    uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored; a board keeps them in flash memory */
+    float gain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
+    int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
+    uint8_t pattern[SKIN_BLOCKS];
+    int32_t sums[SKIN_SUMS]; /* at the newest SYNC, ADC counts */
+    uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
+    skin_tpdo tpdos[SKIN_TPDOS];
+    skin_sdo sdo;
+    skin_watch watched[SKIN_WATCHED];
+    uint32_t heartbeat_ms, heartbeat_due_ms;
+    uint8_t active[SKIN_ERRORS];
+    uint32_t history[SKIN_ERRORS_KEPT]; /* 1003h, newest first */
+    uint8_t history_count;
+    uint8_t waiting[SKIN_ERRORS_KEPT][8]; /* emergencies, oldest first */
+    uint8_t waiting_count;
+    uint32_t emcy_free_ms;
+} skin_node;
+
+/* Connect a node to its board and its outbox; to be called once, before everything else. */
+void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox);
+
+/* Boot: restore parameters, send the boot-up message, enter PRE-OPERATIONAL. Times are milliseconds that may wrap. */
+void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
+
+/* Do what is due by time: heartbeats, emergencies, event-driven PDOs. To be called every few milliseconds. */
+void skin_tick(skin_node *node, uint32_t now_ms);
+
+/* Take what the taxels read at a SYNC, in the order of the chains, ADC counts; the counts are overwritten. */
+void skin_sample(skin_node *node, uint16_t *counts);
+
+/* Answer a SYNC, after `skin_sample`. */
+void skin_sync(skin_node *node, const skin_frame *sync);
+
+/* Obey an NMT command; heed a heartbeat; answer an SDO request; count a frame that was given up. */
+void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms);
+void skin_heard(skin_node *node, uint8_t node_id, uint32_t now_ms);
+void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
+void skin_given_up(skin_node *node, const skin_frame *frame);
+
+/* Between the parts of the node. */
+void skin_send(skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
+const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex);
+const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
+uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex);
+uint8_t skin_mapped_bits(const skin_node *node, const skin_object *object);
+uint32_t skin_missing(const skin_board *board, uint16_t index);
+uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
+void skin_restore(skin_node *node, int communication_only);
+void skin_refresh(skin_node *node, uint32_t now_ms);
+void skin_raise(skin_node *node, uint8_t error, uint64_t field);
+void skin_settle(skin_node *node, uint8_t error);
+uint8_t skin_error_register(const skin_node *node);
+uint32_t skin_get(const uint8_t *data, uint8_t bytes);
+void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
+
+/* SDO abort codes (CiA 301, table 22). */
+#define SKIN_ABORT_TOGGLE 0x05030000u
+#define SKIN_ABORT_COMMAND 0x05040001u
+#define SKIN_ABORT_READ_ONLY 0x06010002u
+#define SKIN_ABORT_NO_OBJECT 0x06020000u
+#define SKIN_ABORT_NOT_MAPPABLE 0x06040041u
+#define SKIN_ABORT_PDO_LENGTH 0x06040042u
+#define SKIN_ABORT_INCOMPATIBLE 0x06040043u
+#define SKIN_ABORT_LENGTH 0x06070010u
+#define SKIN_ABORT_TOO_LONG 0x06070012u
+#define SKIN_ABORT_NO_SUBINDEX 0x06090011u
+#define SKIN_ABORT_VALUE 0x06090030u
+#define SKIN_ABORT_NOT_STORED 0x08000020u
+#define SKIN_ABORT_STATE 0x08000022u
+#define SKIN_ABORT_NO_DATA 0x08000024u
+
+/* Objects that the slave itself uses. */
+#define SKIN_OD_ERROR_REGISTER 0x1001u
+#define SKIN_OD_ERROR_FIELD 0x1003u
+#define SKIN_OD_SYNC_COB_ID 0x1005u
+#define SKIN_OD_CYCLE_PERIOD 0x1006u
+#define SKIN_OD_WINDOW 0x1007u
+#define SKIN_OD_STORE 0x1010u
+#define SKIN_OD_RESTORE 0x1011u
+#define SKIN_OD_EMCY_COB_ID 0x1014u
+#define SKIN_OD_EMCY_INHIBIT 0x1015u
+#define SKIN_OD_WATCHED 0x1016u
+#define SKIN_OD_HEARTBEAT 0x1017u
+#define SKIN_OD_SYNC_OVERFLOW 0x1019u
+#define SKIN_OD_ERROR_BEHAVIOUR 0x1029u
+#define SKIN_OD_TPDO_COMMUNICATION 0x1800u
+#define SKIN_OD_TPDO_MAPPING 0x1A00u
+#define SKIN_OD_MANUFACTURER 0x2000u
+#define SKIN_OD_SIGNATURE 0x2006u
+/* Of the first block; those of each further block are SKIN_OD_BLOCK_STRIDE higher. */
+#define SKIN_OD_GAIN 0x2010u
+#define SKIN_OD_OFFSET 0x2011u
+#define SKIN_OD_HEALTH 0x2020u
+#define SKIN_OD_PATTERN 0x2021u
+#define SKIN_OD_SUMS 0x2100u
+#define SKIN_OD_BLOCK_STRIDE 0x200u
+
+#define SKIN_COB_ID_INVALID 0x80000000u
+#define SKIN_COB_ID_EXTENDED 0x20000000u
+#define SKIN_SYNC_COB_ID 0x80u
+/* Highest cyclic synchronous transmission type, and highest SYNC counter. */
+#define SKIN_LAST_SYNCHRONOUS 240u
+/* Lowest event-driven transmission type. */
+#define SKIN_EVENT_DRIVEN 254u
+#define SKIN_HIGHEST_NODE_ID 127u
+
+#endif

@@ -1,0 +1,365 @@
+/* The object dictionary: reading, writing, and the rules of the communication profile. */
+#include <string.h>
+
+#include "skin_node.h"
+
+/* Signatures of 1010h and 1011h: "save" and "load". */
+#define SAVE 0x65766173u
+#define LOAD 0x64616F6Cu
+/* 1010h and 1011h read: the node stores and restores on command. */
+#define ON_COMMAND 1u
+#define COMPUTED 0xFFFFu
+
+uint32_t skin_get(const uint8_t *data, uint8_t bytes)
+{
+    uint32_t value = 0;
+
+    while (bytes-- > 0) {
+        value = (value << 8) | data[bytes];
+    }
+    return value;
+}
+
+void skin_put(uint8_t *data, uint32_t value, uint8_t bytes)
+{
+    uint8_t place;
+
+    for (place = 0; place < bytes; place++) {
+        data[place] = (uint8_t)(value >> (8 * place));
+    }
+}
+
+/* The block of an object of the manufacturer, and its index for the first block. */
+static uint8_t block_of(uint16_t index)
+{
+    return (uint8_t)((index - SKIN_OD_MANUFACTURER) / SKIN_OD_BLOCK_STRIDE);
+}
+
+static uint16_t of_first_block(uint16_t index)
+{
+    return index < SKIN_OD_MANUFACTURER ? index : (uint16_t)(index - SKIN_OD_BLOCK_STRIDE * block_of(index));
+}
+
+const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex)
+{
+    const uint32_t wanted = ((uint32_t)index << 8) | subindex;
+    uint16_t low = 0, high = board->object_count;
+
+    while (low < high) {
+        const uint16_t middle = (uint16_t)((low + high) / 2);
+        const skin_object *object = &board->objects[middle];
+        const uint32_t found = ((uint32_t)object->index << 8) | object->subindex;
+
+        if (found == wanted) {
+            return object;
+        }
+        if (found < wanted) {
+            low = (uint16_t)(middle + 1);
+        } else {
+            high = middle;
+        }
+    }
+    return NULL;
+}
+
+uint32_t skin_missing(const skin_board *board, uint16_t index)
+{
+    /* Every object has sub-index 0. */
+    return skin_find(board, index, 0) != NULL ? SKIN_ABORT_NO_SUBINDEX : SKIN_ABORT_NO_OBJECT;
+}
+
+/* Signature of the configuration (2006h): CRC-32 over index, sub-index and value of each object that it covers. */
+static uint32_t signature(const skin_node *node)
+{
+    const skin_board *board = node->board;
+    uint8_t head[3], scratch[4];
+    uint32_t crc = 0;
+    uint16_t place;
+
+    for (place = 0; place < board->object_count; place++) {
+        const skin_object *object = &board->objects[place];
+
+        if ((object->flags & SKIN_OBJECT_SIGNED) != 0) {
+            skin_put(head, object->index, 2);
+            head[2] = object->subindex;
+            crc = skin_crc32(crc, head, sizeof head);
+            crc = skin_crc32(crc, skin_value(node, object, scratch), object->bytes);
+        }
+    }
+    return crc;
+}
+
+/* Value of an object that is not stored, without those whose value does not exist. */
+static uint32_t computed(const skin_node *node, const skin_object *object)
+{
+    const uint8_t subindex = object->subindex;
+
+    switch (object->index) {
+    case SKIN_OD_ERROR_REGISTER:
+        return skin_error_register(node);
+    case SKIN_OD_ERROR_FIELD:
+        return subindex == 0 ? node->history_count : node->history[subindex - 1];
+    case SKIN_OD_STORE:
+    case SKIN_OD_RESTORE:
+        return ON_COMMAND;
+    case SKIN_OD_SIGNATURE:
+        return signature(node);
+    case SKIN_OD_HEALTH:
+        return node->health[subindex - 1];
+    default: /* the sums */
+        return (uint32_t)skin_raw(&node->board->packing,
+                                  node->sums[node->board->first_sum[block_of(object->index)] + subindex - 1]);
+    }
+}
+
+const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
+{
+    if (object->at == COMPUTED) {
+        if (object->index == SKIN_OD_ERROR_FIELD && object->subindex > node->history_count) {
+            return NULL;
+        }
+        skin_put(scratch, computed(node, object), object->bytes);
+        return scratch;
+    }
+    return object->at < node->board->writable_bytes ? &node->values[object->at] : &node->board->values[object->at];
+}
+
+uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex)
+{
+    const skin_object *object = skin_find(node->board, index, subindex);
+    uint8_t scratch[4];
+
+    return object == NULL ? 0 : skin_get(skin_value(node, object, scratch), object->bytes);
+}
+
+uint8_t skin_mapped_bits(const skin_node *node, const skin_object *object)
+{
+    if (object == NULL || (object->flags & SKIN_OBJECT_MAPPABLE) == 0) {
+        return 0;
+    }
+    return of_first_block(object->index) == SKIN_OD_SUMS ? node->board->packing.bits : (uint8_t)(8 * object->bytes);
+}
+
+/* Tell whether a mapping entry names an object that PDOs may carry, in its full width. */
+static int is_mappable(const skin_node *node, uint32_t entry)
+{
+    const uint8_t bits =
+        skin_mapped_bits(node, skin_find(node->board, (uint16_t)(entry >> 16), (uint8_t)(entry >> 8 & 0xFFu)));
+
+    return bits != 0 && bits == (entry & 0xFFu);
+}
+
+/* COB-IDs that no PDO or EMCY may have (CiA 301, table 38). */
+static int is_restricted(uint32_t can_id)
+{
+    static const uint16_t ranges[][2] = {{0x001, 0x07F}, {0x101, 0x180}, {0x581, 0x5FF},
+                                         {0x601, 0x67F}, {0x6E0, 0x6FF}, {0x701, 0x7FF}};
+    uint8_t place;
+
+    for (place = 0; place < sizeof ranges / sizeof ranges[0]; place++) {
+        if (ranges[place][0] <= can_id && can_id <= ranges[place][1]) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* Rules of a COB-ID: it must be free, and must not change while the message exists. */
+static uint32_t check_cob_id(uint32_t present, uint32_t value)
+{
+    const uint32_t can_id = value & 0x1FFFFFFFu;
+
+    if ((value & SKIN_COB_ID_INVALID) == 0 &&
+        (can_id == 0 || can_id > 0x7FFu || can_id == SKIN_SYNC_COB_ID || (value & SKIN_COB_ID_EXTENDED) != 0 ||
+         is_restricted(can_id))) {
+        return SKIN_ABORT_VALUE;
+    }
+    if (((present | value) & SKIN_COB_ID_INVALID) == 0 && can_id != (present & 0x1FFFFFFFu)) {
+        return SKIN_ABORT_STATE;
+    }
+    return 0;
+}
+
+static uint32_t check_communication(const skin_node *node, uint16_t index, uint8_t subindex, uint32_t value)
+{
+    const uint32_t present = skin_unsigned(node, index, 1);
+
+    switch (subindex) {
+    case 1:
+        return check_cob_id(present, value);
+    case 2: /* reserved, or on remote request, which is not offered */
+        return SKIN_LAST_SYNCHRONOUS < value && value < SKIN_EVENT_DRIVEN ? SKIN_ABORT_VALUE : 0;
+    case 3:
+    case 6:
+        return (present & SKIN_COB_ID_INVALID) == 0 ? SKIN_ABORT_STATE : 0;
+    default:
+        return 0;
+    }
+}
+
+static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t subindex, uint32_t value)
+{
+    const uint16_t communication = (uint16_t)(index - SKIN_OD_TPDO_MAPPING + SKIN_OD_TPDO_COMMUNICATION);
+    uint32_t bits = 0;
+    uint8_t place;
+
+    if ((skin_unsigned(node, communication, 1) & SKIN_COB_ID_INVALID) == 0) {
+        return SKIN_ABORT_STATE;
+    }
+    if (subindex > 0) {
+        if (skin_unsigned(node, index, 0) > 0) {
+            return SKIN_ABORT_STATE;
+        }
+        return value == 0 || is_mappable(node, value) ? 0 : SKIN_ABORT_NOT_MAPPABLE;
+    }
+    if (value > node->board->pdo_bytes) {
+        return SKIN_ABORT_PDO_LENGTH;
+    }
+    for (place = 1; place <= value; place++) {
+        const uint32_t entry = skin_unsigned(node, index, place);
+
+        if (!is_mappable(node, entry)) {
+            return SKIN_ABORT_NOT_MAPPABLE;
+        }
+        bits += entry & 0xFFu;
+    }
+    return bits > 8u * node->board->pdo_bytes ? SKIN_ABORT_PDO_LENGTH : 0;
+}
+
+/* Node-ID that an entry of 1016h watches, 0 for none. */
+static uint32_t watched_node(uint32_t entry)
+{
+    return (entry & 0xFFFFu) > 0 && entry >> 16 <= SKIN_HIGHEST_NODE_ID ? entry >> 16 : 0;
+}
+
+static uint32_t check_watched(const skin_node *node, uint8_t subindex, uint32_t value)
+{
+    uint8_t place;
+
+    for (place = 1; place <= SKIN_WATCHED; place++) {
+        if (place != subindex && watched_node(value) > 0 &&
+            watched_node(value) == watched_node(skin_unsigned(node, SKIN_OD_WATCHED, place))) {
+            return SKIN_ABORT_INCOMPATIBLE;
+        }
+    }
+    return 0;
+}
+
+static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subindex, uint32_t value)
+{
+    if (SKIN_OD_TPDO_COMMUNICATION <= index && index < SKIN_OD_TPDO_MAPPING) {
+        return check_communication(node, index, subindex, value);
+    }
+    if (SKIN_OD_TPDO_MAPPING <= index && index < SKIN_OD_MANUFACTURER) {
+        return check_mapping(node, index, subindex, value);
+    }
+    switch (of_first_block(index)) {
+    case SKIN_OD_ERROR_FIELD:
+        return value != 0 ? SKIN_ABORT_VALUE : 0;
+    case SKIN_OD_SYNC_COB_ID: /* a consumer, on the predefined identifier */
+        return value != SKIN_SYNC_COB_ID ? SKIN_ABORT_VALUE : 0;
+    case SKIN_OD_STORE:
+        return value != SAVE ? SKIN_ABORT_NOT_STORED : 0;
+    case SKIN_OD_RESTORE:
+        return value != LOAD ? SKIN_ABORT_NOT_STORED : 0;
+    case SKIN_OD_EMCY_COB_ID:
+        return (value & SKIN_COB_ID_EXTENDED) != 0
+                   ? SKIN_ABORT_VALUE
+                   : check_cob_id(skin_unsigned(node, SKIN_OD_EMCY_COB_ID, 0), value);
+    case SKIN_OD_WATCHED:
+        return check_watched(node, subindex, value);
+    case SKIN_OD_SYNC_OVERFLOW:
+        if (value == 1 || value > SKIN_LAST_SYNCHRONOUS) {
+            return SKIN_ABORT_VALUE;
+        }
+        return skin_unsigned(node, SKIN_OD_CYCLE_PERIOD, 0) > 0 ? SKIN_ABORT_STATE : 0;
+    case SKIN_OD_ERROR_BEHAVIOUR:
+        return value > 2 ? SKIN_ABORT_VALUE : 0;
+    case SKIN_OD_GAIN: /* not infinite, and a number */
+        return (value >> 23 & 0xFFu) == 0xFFu ? SKIN_ABORT_VALUE : 0;
+    case SKIN_OD_PATTERN:
+        return value > SKIN_PATTERN_FULL ? SKIN_ABORT_VALUE : 0;
+    default:
+        return 0;
+    }
+}
+
+/* Pass gains, offsets and test patterns on to the sums. */
+static void adjust(skin_node *node, const skin_object *object)
+{
+    const uint8_t block = block_of(object->index);
+    const uint32_t value = skin_get(&node->values[object->at], object->bytes);
+    const uint16_t place = (uint16_t)(block * node->board->block_size + object->subindex - 1);
+
+    switch (of_first_block(object->index)) {
+    case SKIN_OD_GAIN:
+        memcpy(&node->gain[place], &value, sizeof value); /* both have the same byte order */
+        break;
+    case SKIN_OD_OFFSET:
+        node->offset[place] = (int16_t)(value < 0x8000u ? (int32_t)value : (int32_t)value - 0x10000);
+        break;
+    case SKIN_OD_PATTERN:
+        node->pattern[block] = (uint8_t)value;
+        break;
+    default:
+        break;
+    }
+}
+
+uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length)
+{
+    const skin_object *object = skin_find(node->board, index, subindex);
+    uint32_t abort;
+
+    if (object == NULL) {
+        return skin_missing(node->board, index);
+    }
+    if ((object->flags & SKIN_OBJECT_WRITABLE) == 0) {
+        return SKIN_ABORT_READ_ONLY;
+    }
+    if (length != object->bytes) {
+        return SKIN_ABORT_LENGTH;
+    }
+    abort = check_write(node, index, subindex, skin_get(data, object->bytes));
+    if (abort != 0) {
+        return abort;
+    }
+    if (index == SKIN_OD_ERROR_FIELD) {
+        node->history_count = 0;
+    } else if (index == SKIN_OD_STORE) {
+        memcpy(node->stored, node->values, sizeof node->stored);
+        node->has_stored = 1;
+    } else if (index == SKIN_OD_RESTORE) {
+        node->has_stored = 0;
+    } else {
+        memcpy(&node->values[object->at], data, length);
+    }
+    if (index < SKIN_OD_MANUFACTURER) {
+        node->changed = 1;
+    } else {
+        adjust(node, object);
+    }
+    return 0;
+}
+
+void skin_restore(skin_node *node, int communication_only)
+{
+    const skin_board *board = node->board;
+    const uint16_t bytes = communication_only ? board->communication_bytes : board->writable_bytes;
+    uint16_t place;
+
+    memcpy(node->values, node->has_stored ? node->stored : board->values, bytes);
+    if (communication_only) {
+        return;
+    }
+    for (place = 0; place < board->object_count; place++) {
+        const skin_object *object = &board->objects[place];
+
+        if (object->index >= SKIN_OD_MANUFACTURER && (object->flags & SKIN_OBJECT_WRITABLE) != 0) {
+            if (of_first_block(object->index) == SKIN_OD_PATTERN) {
+                node->values[object->at] = SKIN_PATTERN_OFF; /* never stored */
+            }
+            adjust(node, object);
+        }
+    }
+}

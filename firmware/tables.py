@@ -1,0 +1,249 @@
+"""The constants of boards as C: ``board.h`` and ``board.c``, made from `dbc.board` and `dbc.dictionary`.
+
+One pair of files holds one board, for its firmware, or all boards of a skin, for the library that runs them together.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from dbc.board import Board, board
+from dbc.configuration import configuration, setting_of
+from dbc.contract import Contract, NodeContract
+from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, Object, dictionary
+from dbc.frame_bits import frame_time_ns
+from dbc.indices import (
+    OD_ERROR_FIELD,
+    OD_ERROR_REGISTER,
+    OD_HEALTH,
+    OD_MANUFACTURER,
+    OD_RESTORE,
+    OD_SIGNATURE,
+    OD_STORE,
+    OD_SUMS,
+    VISIBLE_STRING,
+    split_block,
+)
+from skin.errors import InputError
+
+#: Flags of `skin_object` (skin_board.h).
+WRITABLE, MAPPABLE, SIGNED, TEXT = 1, 2, 4, 8
+#: Place of objects that the firmware computes and that have no stored value.
+COMPUTED: Final = 0xFFFF
+_WRITTEN: Final = "Written by `skin export firmware`: do not edit."
+_COMPUTED: Final = (OD_ERROR_REGISTER, OD_ERROR_FIELD, OD_STORE, OD_RESTORE, OD_SIGNATURE, OD_HEALTH)
+_PER_LINE: Final = 16
+
+
+@dataclass(frozen=True)
+class ObjectTable:
+    """The dictionary of a board as the firmware holds it.
+
+    Attributes
+    ----------
+    entries : tuple of (int, int, int, int, int)
+        Index, sub-index, flags, place of the value, bytes of the value; ascending.
+    values : bytes
+        Initial values, each little endian: first those of objects that can be written, communication profile before
+        manufacturer, then the others.
+    communication_bytes, writable_bytes : int
+        Bytes of `values` that belong to writable objects below 2000h, and to all writable objects.
+    """
+
+    entries: tuple[tuple[int, int, int, int, int], ...]
+    values: bytes
+    communication_bytes: int
+    writable_bytes: int
+
+
+@dataclass(frozen=True)
+class Build:
+    """What the C sources of one board are made from; `frame_ns` is the longest time of one of its frames."""
+
+    node: NodeContract
+    board: Board
+    objects: ObjectTable
+    frame_ns: int
+
+
+def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
+    """Return what the C sources of `nodes` are made from.
+
+    Raises
+    ------
+    InputError
+        If the nodes send adaptively, which this firmware does not do.
+    """
+    if contract.layout.sending == "adaptive":
+        raise InputError('the firmware knows synchronous boards: expected sending = "synchronous" - at `$.sending`')
+    frame_ns = {}
+    for bus in {node.bus for node in nodes}:
+        wires = contract.layout.bus[bus]
+        times_ns = frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst")
+        frame_ns[bus] = int(times_ns.max())
+    return [Build(node, board(contract, node), _object_table(contract, node), frame_ns[node.bus]) for node in nodes]
+
+
+def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
+    signed = {(each.index, each.subindex) for each in configuration(contract, node)}
+    objects = dictionary(contract, node)
+    stored = [each for each in objects if not _is_computed(each)]
+    communication = [each for each in stored if each.access == "rw" and each.index < OD_MANUFACTURER]
+    settings = [each for each in stored if each.access == "rw" and each.index >= OD_MANUFACTURER]
+    values, places = bytearray(), {}
+    ends = []
+    for part in (communication, settings, [each for each in stored if each.access != "rw"]):
+        for each in part:
+            places[each.index, each.subindex] = len(values)
+            values += setting_of(each).data
+        ends.append(len(values))
+    entries = tuple(
+        (
+            each.index,
+            each.subindex or 0,
+            WRITABLE * (each.access == "rw")
+            | MAPPABLE * each.pdo
+            | SIGNED * ((each.index, each.subindex or 0) in signed)
+            | TEXT * (each.data_type == VISIBLE_STRING),
+            places.get((each.index, each.subindex), COMPUTED),
+            len(setting_of(each).data),
+        )
+        for each in objects
+    )
+    return ObjectTable(entries, bytes(values), ends[0], ends[1])
+
+
+def _is_computed(each: Object) -> bool:
+    if each.index in (OD_STORE, OD_RESTORE, OD_HEALTH) or _is_sums(each.index):
+        return each.subindex != 0
+    return each.index in _COMPUTED
+
+
+def _is_sums(index: int) -> bool:
+    return index >= OD_MANUFACTURER and split_block(index)[1] == OD_SUMS
+
+
+def board_header(contract: Contract, boards: Sequence[Build]) -> str:
+    """Return ``board.h``: sizes that hold every one of `boards`."""
+    sizes = {
+        "SKIN_BOARDS": (len(boards), "boards of board.c"),
+        "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
+        "SKIN_BLOCK_SIZE": (contract.phi.block_size, "taxels of a block"),
+        "SKIN_SUMS": (max(each.node.sums for each in boards), "sums of a board"),
+        "SKIN_TPDOS": (max(len(each.node.tpdos) for each in boards), "TPDO communication records of a board"),
+        "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
+        "SKIN_WATCHED": (HEARTBEATS_WATCHED, "entries of 1016h"),
+        "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
+        "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),
+    }
+    lines = [f"#define {name} {value} /* {meaning} */" for name, (value, meaning) in sizes.items()]
+    if len(boards) == 1:
+        table = boards[0].board
+        lines += [
+            f"#define SKIN_NODE_ID {table.node_id}",
+            f"#define SKIN_BITRATE {table.bitrate}",
+            *([f"#define SKIN_DATA_BITRATE {table.data_bitrate}"] if table.data_bitrate else []),
+        ]
+    return "\n".join(
+        [
+            f"/* Sizes of {_names(boards)}. {_WRITTEN} */",
+            "#ifndef BOARD_H",
+            "#define BOARD_H",
+            "",
+            '#include "skin_board.h"',
+            "",
+            *lines,
+            "",
+            "extern const skin_board skin_boards[SKIN_BOARDS];",
+            "",
+            "#endif",
+            "",
+        ]
+    )
+
+
+def board_source(boards: Sequence[Build]) -> str:
+    """Return ``board.c``: the constants of `boards`, in their order."""
+    shared: dict[tuple[tuple[int, int, int, int, int], ...], str] = {}
+    parts, rows = [], []
+    for number, each in enumerate(boards):
+        entries = each.objects.entries
+        if entries not in shared:
+            shared[entries] = f"objects_{len(shared)}"
+            parts.append(_objects(shared[entries], entries))
+        parts.append(_arrays(each, number))
+        rows.append(_board(each, number, shared[entries]))
+    return "\n".join(
+        [
+            f"/* Constants of {_names(boards)}. {_WRITTEN} */",
+            '#include "board.h"',
+            "",
+            *parts,
+            "const skin_board skin_boards[SKIN_BOARDS] = {",
+            *rows,
+            "};",
+            "",
+        ]
+    )
+
+
+def _objects(name: str, entries: Iterable[tuple[int, int, int, int, int]]) -> str:
+    rows = [
+        f"    {{0x{index:04X}, {subindex}, 0x{flags:02X}, {at}, {length}}},"
+        for index, subindex, flags, at, length in entries
+    ]
+    return "\n".join(
+        ["/* index, sub-index, flags, place, bytes */", f"static const skin_object {name}[] = {{", *rows, "};", ""]
+    )
+
+
+def _arrays(build: Build, number: int) -> str:
+    blocks = build.board.blocks
+    return "\n".join(
+        [
+            f"/* {build.board.bus}:{build.board.node_id} */",
+            *_array("uint16_t", f"first_sum_{number}", [*(each.first_sum for each in blocks), build.node.sums]),
+            *_array("uint8_t", f"rows_{number}", [row for each in blocks for row in each.rows]),
+            *_array("uint16_t", f"taxels_{number}", [taxel for each in blocks for taxel in each.taxels]),
+            *_array("uint8_t", f"values_{number}", build.objects.values),
+            "",
+        ]
+    )
+
+
+def _array(kind: str, name: str, numbers: Iterable[int]) -> list[str]:
+    texts = [str(number) for number in numbers]
+    lines = [f"    {', '.join(texts[at : at + _PER_LINE])}," for at in range(0, len(texts), _PER_LINE)]
+    return [f"static const {kind} {name}[] = {{", *lines, "};"]
+
+
+def _board(build: Build, number: int, objects_name: str) -> str:
+    node, objects = build.node, build.objects
+    packing = node.packing
+    fields: dict[str, object] = {
+        "node_id": build.board.node_id,
+        "blocks": node.blocks,
+        "block_size": len(build.board.blocks[0].taxels),
+        "count_max": build.board.count_max,
+        "packing": f"{{{packing.bits}, {packing.scale.bit_length() - 1}, {packing.offset}}}",
+        "first_sum": f"first_sum_{number}",
+        "rows": f"rows_{number}",
+        "taxels": f"taxels_{number}",
+        "tpdos": len(node.tpdos),
+        "pdo_bytes": node.pdo_bytes,
+        "frame_flags": node.flags,
+        "frame_ns": build.frame_ns,
+        "objects": objects_name,
+        "object_count": len(objects.entries),
+        "values": f"values_{number}",
+        "communication_bytes": objects.communication_bytes,
+        "writable_bytes": objects.writable_bytes,
+    }
+    return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"
+
+
+def _names(boards: Sequence[Build]) -> str:
+    """Return the boards as text for a comment."""
+    first = boards[0].board
+    more = f" and {len(boards) - 1} more boards" if len(boards) > 1 else ""
+    return f"{first.bus}:{first.node_id}{more} of the skin {first.skin}"

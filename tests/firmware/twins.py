@@ -1,0 +1,142 @@
+"""Boards in C and nodes in Python that get the same frames and taxels."""
+
+import shutil
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dbc.contract import Contract
+from dbc.frame import Frames, frames
+from firmware.library import Firmware
+from nodes.electronics import Electronics
+from nodes.firmware_segment import FirmwareSegment
+from nodes.sampler import CountSampler, Sampler
+from nodes.synchronous_segment import SynchronousSegment
+from skin.layout import parse_layout
+from skin.sources import Frame
+from tests.bus.harness import frame
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="NOT TESTED: no C compiler")
+
+#: Four blocks of 32 taxels, two sums in each of two frames per block, on two buses.
+SMALL = """
+name = "small"
+[taxels]
+rows = 8
+columns = 16
+[measurement]
+sums = 32
+{more}
+[[bus]]
+name = "bus0"
+{bus}
+[[bus]]
+name = "bus1"
+{bus}
+"""
+
+
+def small_contract(more: str = "", bus: str = "nodes = 2") -> Contract:
+    """Return the contract of a small skin, with more lines for its layout or other lines for each bus."""
+    return Contract.from_layout(parse_layout(SMALL.format(more=more, bus=bus).encode(), "small"))
+
+
+class Rolling:
+    """A source whose taxels are drawn anew in every step, with many at both ends of the range."""
+
+    has_noise = True
+
+    def __init__(self, contract: Contract) -> None:
+        self._taxels = contract.layout.taxels
+
+    def frame(self, step: int) -> Frame:
+        shape = (self._taxels.rows, self._taxels.columns)
+        force_n = np.random.default_rng(step).uniform(-0.3, 1.3, shape) * self._taxels.force_max_n
+        return Frame(np.clip(force_n, 0, None).astype(np.float32), "")
+
+
+class Wire:
+    """Keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[Frames] = []
+        self.room = 1 << 30
+
+    def send(self, burst: Frames) -> int:
+        self.sent.append(burst[: self.room].copy())
+        return len(self.sent[-1])
+
+    def take(self) -> list[tuple[int, int, bytes]]:
+        """Return identifier, flags and data of what was sent."""
+        taken = [each for burst in self.sent for each in burst]
+        self.sent.clear()
+        return [(int(each["can_id"]), int(each["flags"]), each["data"][: each["length"]].tobytes()) for each in taken]
+
+
+class Twins:
+    """The nodes of one bus twice: in Python and in C."""
+
+    def __init__(self, contract: Contract, bus: int = 0) -> None:
+        self.contract = contract
+        self.now_s = 100.0
+        self.wires = Wire(), Wire()
+        self.complaints: list[str] = []
+        electronics = [Electronics(contract.layout.taxels, noise_n=0.0) for _ in range(2)]
+        nodes = contract.on_bus(bus)
+        self.python = SynchronousSegment(
+            contract,
+            bus,
+            {node.node_id for node in nodes},
+            self.wires[0].send,
+            Sampler(contract.phi, Rolling(contract), electronics[0]),
+            complain=self.complaints.append,
+        )
+        self.c = FirmwareSegment(
+            contract,
+            bus,
+            Firmware(contract, nodes),
+            self.wires[1].send,
+            CountSampler(contract.phi, Rolling(contract), electronics[1]),
+            complain=self.complaints.append,
+        )
+        self.segments = self.python, self.c
+        for segment in self.segments:
+            segment.boot(self.now_s)
+
+    def put(self, can_id: int, data: bytes, flags: int = 0) -> None:
+        """Send one frame to both."""
+        self.put_all(frame(can_id, data, flags=flags))
+
+    def put_all(self, burst: Frames) -> None:
+        """Send frames to both."""
+        for segment in self.segments:
+            segment.take(burst.copy(), self.now_s)
+
+    def sync(self, counter: int) -> None:
+        """Send a SYNC; 0 for one without counter."""
+        burst = frame(0x80, bytes((counter,)) if counter else b"")
+        burst["time_ns"] = round(self.now_s * 1e9)
+        self.put_all(burst)
+
+    def go_on(self, seconds: float, step_s: float = 0.005) -> None:
+        """Let time pass."""
+        for _ in range(round(seconds / step_s)):
+            self.now_s += step_s
+            for segment in self.segments:
+                segment.tick(self.now_s)
+
+    def answers(self) -> list[tuple[int, int, bytes]]:
+        """Return what both sent since the last call; raises AssertionError if they differ."""
+        # The Python nodes send cyclic PDOs before others, whatever the order of nodes and PDOs.
+        python, c = (sorted(wire.take()) for wire in self.wires)
+        assert c == python
+        return c
+
+
+def windows(twins: Twins) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
+    """Return earliest and latest start of the frames that each twin has sent."""
+    for wire in twins.wires:
+        burst = np.concatenate(wire.sent) if wire.sent else frames(0)
+        yield burst["time_ns"], burst["expires_ns"]
