@@ -27,6 +27,7 @@ def demo(
     port: int | None = None,
     listen: str | None = None,
     picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png"),
+    firmware: Annotated[bool, Parameter(negative=())] = False,
     json: Json = False,
 ) -> int:
     """Press and slide objects on a skin and show the whole chain at work.
@@ -63,6 +64,8 @@ def demo(
         Endpoint of the fabric's hub, to which other programs can connect; default: a free port of this machine.
     picture
         File for the picture of true force, sensor signal, rebuilt image and error.
+    firmware
+        Run the C firmware of the boards in place of nodes in Python, see ``skin nodes``.
     json
         Print the figures of the run as one JSON object on stdout.
 
@@ -93,6 +96,7 @@ def demo(
         port=port,
         listen=listen,
         picture=picture,
+        firmware=firmware,
     )
     skin = load_layout(layout, adaptive=True)
     options.check(skin)

@@ -118,6 +118,7 @@ class Run:
             touch += [part for name in options.arrays for part in ("--array", name)]
             touch += ["--rate", str(options.rate_hz)] if options.rate_hz is not None else []
         touch += [part for defect in options.defects for part in ("--defect", defect)]
+        touch += ["--firmware"] * options.firmware
         start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)
         start("reconstructor", "reconstruct", *common, restart=True)
         start("classifier", "classify", *common, *_known_objects(options.objects), restart=True)

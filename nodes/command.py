@@ -128,9 +128,10 @@ def nodes(
 
 def _firmware(contract: Contract, chosen: dict[int, Collection[int]]) -> Firmware:
     """Compile the firmware of the chosen nodes."""
+    firmware = Firmware(contract, [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())])
     if contract.layout.samples_per_sync > 1:
         say("nodes", "boards with --firmware sample at the SYNC only: sums have the noise of one sample")
-    return Firmware(contract, [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())])
+    return firmware
 
 
 def _boards(
