@@ -30,7 +30,8 @@ from skin.errors import InputError
 WRITABLE, MAPPABLE, SIGNED, TEXT = 1, 2, 4, 8
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
-_WRITTEN: Final = "Written by `skin export firmware`: do not edit."
+#: Mark of generated files.
+WRITTEN: Final = "Written by `skin export firmware`: do not edit."
 _COMPUTED: Final = (OD_ERROR_REGISTER, OD_ERROR_FIELD, OD_STORE, OD_RESTORE, OD_SIGNATURE, OD_HEALTH)
 _PER_LINE: Final = 16
 
@@ -146,7 +147,7 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         ]
     return "\n".join(
         [
-            f"/* Sizes of {_names(boards)}. {_WRITTEN} */",
+            f"/* Sizes of {_names(boards)}. {WRITTEN} */",
             "#ifndef BOARD_H",
             "#define BOARD_H",
             "",
@@ -175,7 +176,7 @@ def board_source(boards: Sequence[Build]) -> str:
         rows.append(_board(each, number, shared[entries]))
     return "\n".join(
         [
-            f"/* Constants of {_names(boards)}. {_WRITTEN} */",
+            f"/* Constants of {_names(boards)}. {WRITTEN} */",
             '#include "board.h"',
             "",
             *parts,

@@ -35,6 +35,7 @@ VERBS: Final = {
     "dbc": "dbc.command:dbc",
     "contract": "dbc.command:contract",
     "dbc-check": "dbc.command:dbc_check",
+    "export": "firmware.command:export",
     "plan": "bandwidth.plan_command:plan",
     "design": "bandwidth.design_command:design",
     "load": "bandwidth.load_command:load",
