@@ -59,7 +59,7 @@ uint16_t skin_read_block(const skin_board *board, uint16_t *counts, const float 
             counts[place] = 0;
             break;
         case SKIN_PATTERN_RAMP:
-            counts[place] = place;
+            counts[place] = place < board->count_max ? place : board->count_max;
             break;
         case SKIN_PATTERN_FULL:
             counts[place] = board->count_max;

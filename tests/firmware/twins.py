@@ -26,6 +26,7 @@ name = "small"
 [taxels]
 rows = 8
 columns = 16
+{taxels}
 [measurement]
 sums = 32
 {more}
@@ -38,9 +39,9 @@ name = "bus1"
 """
 
 
-def small_contract(more: str = "", bus: str = "nodes = 2") -> Contract:
-    """Return the contract of a small skin, with more lines for its layout or other lines for each bus."""
-    return Contract.from_layout(parse_layout(SMALL.format(more=more, bus=bus).encode(), "small"))
+def small_contract(more: str = "", bus: str = "nodes = 2", taxels: str = "") -> Contract:
+    """Return the contract of a small skin, with more lines for its layout or taxels, or other lines for each bus."""
+    return Contract.from_layout(parse_layout(SMALL.format(more=more, bus=bus, taxels=taxels).encode(), "small"))
 
 
 class Rolling:
@@ -115,8 +116,8 @@ class Twins:
             segment.take(burst.copy(), self.now_s)
 
     def sync(self, counter: int) -> None:
-        """Send a SYNC; 0 for one without counter."""
-        burst = frame(0x80, bytes((counter,)) if counter else b"")
+        """Send a SYNC, with the counter if the layout has one."""
+        burst = self.contract.sync(counter)
         burst["time_ns"] = round(self.now_s * 1e9)
         self.put_all(burst)
 

@@ -1,0 +1,111 @@
+/* Random frames for the boards of board.c, under sanitizers: no frame may break a board's memory or its messages. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "skin_boards.h"
+
+#define ROOM 4096
+#define BURST 8
+
+static skin_node nodes[SKIN_BOARDS];
+static skin_frame in[BURST], out[ROOM];
+static uint32_t state;
+
+static uint32_t drawn(uint32_t below)
+{
+    state ^= state << 13;
+    state ^= state >> 17;
+    state ^= state << 5;
+    return state % below;
+}
+
+static void draw_frame(skin_frame *frame)
+{
+    const skin_board *board = &skin_boards[drawn(SKIN_BOARDS)];
+    const skin_object *object = &board->objects[drawn(board->object_count)];
+    uint32_t place;
+
+    memset(frame, 0, sizeof *frame);
+    for (place = 0; place < 64; place++) {
+        frame->data[place] = (uint8_t)drawn(256);
+    }
+    frame->length = (uint8_t)(drawn(20) == 0 ? drawn(65) : 8);
+    frame->flags = (uint8_t)(drawn(20) == 0 ? drawn(256) : 0);
+    frame->port = (uint16_t)drawn(200);
+    frame->time_ns = (int64_t)drawn(1000000) * 1000;
+    switch (drawn(10)) {
+    case 0: /* SYNC */
+        frame->can_id = 0x80;
+        frame->length = (uint8_t)drawn(3);
+        break;
+    case 1: /* NMT */
+        frame->can_id = 0;
+        frame->length = 2;
+        frame->data[0] = (uint8_t[]){1, 1, 1, 1, 2, 128, 129, 130, 77}[drawn(9)];
+        frame->data[1] = (uint8_t)drawn(4);
+        break;
+    case 2: /* heartbeat */
+        frame->can_id = 0x700 + drawn(0x80);
+        break;
+    case 3: /* anything, and frames that were given up */
+        frame->can_id = drawn(2) ? drawn(0x800) : state;
+        frame->flags |= drawn(2) ? SKIN_FRAME_DISCARDED : 0;
+        break;
+    default: /* SDO, mostly of an object that there is */
+        frame->can_id = 0x600u + board->node_id;
+        if (drawn(4) > 0) {
+            frame->data[0] = (uint8_t[]){0x40, 0x23, 0x2B, 0x2F, 0x21, 0x60, 0x70, 0x00, 0x11, 0x0D, 0xA0}[drawn(11)];
+        }
+        if (drawn(8) > 0) {
+            skin_put(&frame->data[1], object->index, 2);
+            frame->data[3] = object->subindex;
+        }
+        if (drawn(2) > 0) { /* small values are taken more often */
+            skin_put(&frame->data[4], drawn(300), 4);
+        }
+        break;
+    }
+}
+
+static void check(size_t count)
+{
+    size_t place;
+
+    if (count > ROOM) {
+        abort();
+    }
+    for (place = 0; place < count; place++) {
+        if (out[place].length > 64 || out[place].can_id > 0x7FF || out[place].port > 127) {
+            abort();
+        }
+    }
+}
+
+int main(int count, char **texts)
+{
+    static uint16_t counts[65536];
+    const uint32_t turns = count > 2 ? (uint32_t)strtoul(texts[2], NULL, 10) : 1000;
+    uint32_t turn, place, now_ms = 0xFFFF0000u; /* the clock wraps */
+    size_t sent = 0, found;
+
+    state = count > 1 ? (uint32_t)strtoul(texts[1], NULL, 10) : 1;
+    for (place = 0; place < 65536; place++) {
+        counts[place] = (uint16_t)drawn(65536);
+    }
+    check(skin_power_up(nodes, 0, SKIN_BOARDS, now_ms, out, ROOM));
+    for (turn = 0; turn < turns; turn++) {
+        const uint32_t burst = drawn(BURST) + 1;
+
+        for (place = 0; place < burst; place++) {
+            draw_frame(&in[place]);
+        }
+        found = skin_take(nodes, SKIN_BOARDS, now_ms, drawn(2) ? counts : NULL, in, burst, out, drawn(9) ? ROOM : 3);
+        check(found);
+        sent += found;
+        now_ms += drawn(40);
+        check(skin_pass_time(nodes, SKIN_BOARDS, now_ms, out, ROOM));
+    }
+    printf("%lu frames sent\n", (unsigned long)sent);
+    return sent > turns / 4 ? 0 : 1;
+}

@@ -1,0 +1,129 @@
+"""The C sources: they compile without a warning, hold the dictionary, and no frame breaks a board's memory."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from dbc.configuration import setting_of
+from dbc.contract import Contract
+from dbc.dictionary import dictionary
+from dbc.generate import write_files
+from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
+from firmware.export import export_files
+from firmware.library import STANDARD_FLAGS, compile_c, sources
+from firmware.tables import board_header, board_source, builds
+from skin.errors import InputError
+from skin.layout import load_layout
+from tests.firmware.twins import needs_compiler, small_contract
+
+HERE = Path(__file__).parent / "c"
+NAMES = ("default", "fd", "one-bus-12bit")
+#: Bursts of random frames, and seeds.
+BURSTS, SEEDS = 20_000, range(1, 4)
+ARM = "arm-none-eabi-gcc"
+CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
+#: Flash memory of the sums, and of sums and slave with the constants of one board, bytes.
+SUMS_BYTES, SLAVE_BYTES = 1024, 12 * 1024
+SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+def contract_of(name: str) -> Contract:
+    return Contract.from_layout(load_layout(Path(name)))
+
+
+def exported(contract: Contract, folder: Path) -> Path:
+    """Export the first board into `folder`; return the folder of its constants."""
+    write_files(export_files(contract, contract.nodes[:1]), folder)
+    return next(folder.joinpath("boards").iterdir())
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", NAMES)
+def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
+    board = exported(contract_of(name), tmp_path)
+    main = tmp_path / "main.c"
+    main.write_text("int main(void)\n{\n    return 0;\n}\n")
+    parts = [*tmp_path.glob("src/*.[ch]"), *tmp_path.glob("src/slave/*.[ch]"), board / "board.h", board / "board.c"]
+    compile_c([*parts, main], tmp_path / "firmware", ["cc", *STANDARD_FLAGS, "-O2"])
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", NAMES)
+def test_the_dictionary_for_canopennode_is_that_of_the_contract(name: str, tmp_path: Path) -> None:
+    contract = contract_of(name)
+    board = exported(contract, tmp_path)
+    program = tmp_path / "print_dictionary"
+    command = ["cc", *STANDARD_FLAGS, f"-I{HERE / 'stack'}"]
+    compile_c([HERE / "print_dictionary.c", board / "OD.c", board / "OD.h"], program, command)
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout.splitlines()
+    expected = []
+    for each in dictionary(contract, contract.nodes[0]):
+        attribute = 0x03 if each.access == "rw" else 0x01
+        attribute |= 0x04 if each.pdo else 0
+        attribute |= 0x80 if each.data_type == VISIBLE_STRING else 0x40 if BITS[each.data_type] > 8 else 0
+        data = setting_of(each).data.hex()
+        value = "--" * (len(data) // 2) if each.index == OD_ERROR_FIELD else data  # the stack's own
+        expected.append(f"{each.index:04X} {each.subindex or 0} {attribute:02X} {value}")
+    assert printed == expected
+
+
+@pytest.mark.skipif(shutil.which(ARM) is None, reason=f"NOT TESTED: no {ARM}")
+def test_a_cortex_m0_plus_holds_sums_and_slave(tmp_path: Path) -> None:
+    board = exported(contract_of("default"), tmp_path)
+    texts = [*tmp_path.glob("src/*.c"), *tmp_path.glob("src/slave/*.c"), board / "board.c"]
+    folders = [f"-I{each}" for each in (tmp_path / "src", tmp_path / "src/slave", board)]
+    sizes = {}
+    for text in texts:
+        made = tmp_path / f"{text.stem}.o"
+        command = [ARM, *STANDARD_FLAGS, *CORTEX_M0_PLUS, *folders, "-c", str(text), "-o", str(made)]
+        subprocess.run(command, check=True)
+        line = subprocess.run(["arm-none-eabi-size", made], capture_output=True, text=True, check=True).stdout
+        sizes[text.stem] = sum(map(int, line.splitlines()[1].split()[:2]))
+    print(sizes)
+    assert sizes["skin_sums"] < SUMS_BYTES
+    assert sum(sizes.values()) < SLAVE_BYTES
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("more", "bus"),
+    [("", "nodes = 2"), ("[encoding]\nsum_bits = 12", "nodes = 1\nblocks_per_node = 2\nfd = true")],
+    ids=["classic", "fd"],
+)
+def test_random_frames_break_nothing(more: str, bus: str, tmp_path: Path) -> None:
+    contract = small_contract(more, bus)
+    boards = builds(contract, contract.on_bus(0))
+    texts = sources("", "slave", "host")
+    texts |= {"board.h": board_header(contract, boards), "board.c": board_source(boards)}
+    program = tmp_path / "fuzz"
+    try:
+        paths = [*write_files(texts, tmp_path), HERE / "fuzz.c"]
+        compile_c(paths, program, ["cc", *STANDARD_FLAGS, *SANITIZERS])
+    except InputError as error:
+        if "san" in str(error):
+            pytest.skip("NOT TESTED: the compiler has no sanitizers")
+        raise
+    for seed in SEEDS:
+        # The memory of a program that preloads a library cannot be watched.
+        environment = {key: value for key, value in os.environ.items() if key != "LD_PRELOAD"}
+        done = subprocess.run(
+            [program, str(seed), str(BURSTS)], capture_output=True, text=True, check=False, env=environment
+        )
+        assert done.returncode == 0, done.stderr + done.stdout
+
+
+def test_a_machine_without_compiler_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from firmware.library import Firmware
+
+    contract = small_contract()
+    with pytest.raises(InputError, match="expected a C compiler as 'no-such-cc'"):
+        Firmware(contract, contract.nodes, compiler="no-such-cc")
+
+
+def test_adaptive_boards_have_no_firmware_yet() -> None:
+    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    with pytest.raises(InputError, match="the firmware knows synchronous boards"):
+        export_files(contract, contract.nodes[:1])
