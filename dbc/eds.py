@@ -14,7 +14,7 @@ The comments ``;StorageLocation=`` are the storage groups of CANopenEditor (EDSS
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, repeat
 from typing import Final
@@ -232,7 +232,7 @@ def _object_list(name: str, indices: list[int]) -> str:
 def _object_sections(entries: list[_Described]) -> list[str]:
     """Return the sections of one index: a variable, or a group and its entries, each with default and own value."""
     first = entries[0][0]
-    storage = {";StorageLocation": _storage_group([each for each, *_ in entries])}
+    storage = {";StorageLocation": storage_group([each for each, *_ in entries])}
     if first.subindex is None:
         name, kind, *rest = _variable(*entries[0]).items()
         return [_section(f"{first.index:04X}", dict([name, kind]) | storage | dict(rest))]
@@ -248,7 +248,7 @@ def _object_sections(entries: list[_Described]) -> list[str]:
     ]
 
 
-def _storage_group(entries: list[Object]) -> str:
+def storage_group(entries: Sequence[Object]) -> str:
     """Return CANopenEditor's storage group of one index; CANopenNode's own program expects 1018h in PERSIST_COMM."""
     index = entries[0].index
     if _first_block(index) in _OF_RUN or any(each.pdo for each in entries):

@@ -14,18 +14,13 @@ from typing import Final
 
 from dbc.contract import Contract
 from dbc.dictionary import Object, dictionary
+from dbc.eds import storage_group
 from dbc.indices import (
     BITS,
     INTEGER8,
     INTEGER16,
     OD_CONSUMER_HEARTBEAT,
     OD_ERROR_FIELD,
-    OD_ERROR_REGISTER,
-    OD_GAIN,
-    OD_MANUFACTURER,
-    OD_OFFSET,
-    OD_RESTORE,
-    OD_STORE,
     OD_TPDO_COMMUNICATION,
     OD_TPDO_MAPPING,
     REAL32,
@@ -33,7 +28,6 @@ from dbc.indices import (
     UNSIGNED16,
     UNSIGNED32,
     VISIBLE_STRING,
-    split_block,
 )
 from firmware.tables import WRITTEN, Build
 
@@ -46,13 +40,11 @@ _TYPES: Final = {
     REAL32: "float",
     VISIBLE_STRING: "char",
 }
-#: Structures of the values, and what 1010h stores of them.
-_COMMUNICATION, _APPLICATION, _RAM, _ROM = "OD_PERSIST_COMM", "OD_PERSIST_APP", "OD_RAM", "OD_ROM"
-#: Parameters of the SDO server, which the stack looks for.
-OD_SDO_SERVER: Final = 0x1200
+#: Structures of the values (`dbc.eds.storage_group`), in their order; the last stays in flash memory.
+_PLACES: Final = ("OD_PERSIST_COMM", "OD_PERSIST_APP", "OD_RAM", "OD_ROM")
+_ROM: Final = _PLACES[-1]
 #: Values that the stack keeps itself.
 _OF_STACK: Final = (OD_ERROR_FIELD,)
-_IN_RAM: Final = (OD_ERROR_REGISTER, OD_STORE, OD_RESTORE)
 
 
 @dataclass(frozen=True)
@@ -106,13 +98,11 @@ def od_header(contract: Contract, build: Build) -> str:
             "",
         ]
     lines += ["#ifndef OD_ATTR_OD", "#define OD_ATTR_OD", "#endif", "extern OD_ATTR_OD OD_t *OD;", ""]
-    for place, entry in enumerate(entries):
+    for row, entry in enumerate(entries):
         lines += [
-            f"#define OD_ENTRY_H{entry.index:04X} &OD->list[{place}]",
-            f"#define OD_ENTRY_H{entry.index:04X}_{entry.name} &OD->list[{place}]",
+            f"#define OD_ENTRY_H{entry.index:04X} &OD->list[{row}]",
+            f"#define OD_ENTRY_H{entry.index:04X}_{entry.name} &OD->list[{row}]",
         ]
-    if all(entry.index != OD_SDO_SERVER for entry in entries):
-        lines.append(f"#define OD_ENTRY_H{OD_SDO_SERVER:04X} NULL /* the default channel */")
     return "\n".join([*lines, "", "#endif", ""])
 
 
@@ -169,21 +159,12 @@ def _entries(contract: Contract, build: Build) -> list[_Entry]:
 
 
 def _place(objects: Sequence[Object]) -> str:
-    index = objects[0].index
-    if index in _OF_STACK:
-        return ""
-    if index < OD_MANUFACTURER and index not in _IN_RAM:
-        is_text = objects[0].data_type == VISIBLE_STRING
-        return _ROM if is_text else _COMMUNICATION
-    if index >= OD_MANUFACTURER and split_block(index)[1] in (OD_GAIN, OD_OFFSET):
-        return _APPLICATION
-    is_constant = index >= OD_MANUFACTURER and all(each.access != "rw" and not each.pdo for each in objects)
-    return _ROM if is_constant else _RAM
+    return "" if objects[0].index in _OF_STACK else f"OD_{storage_group(objects)}"
 
 
 def _places(entries: Iterable[_Entry]) -> list[str]:
     used = {entry.place for entry in entries}
-    return [place for place in (_COMMUNICATION, _APPLICATION, _RAM, _ROM) if place in used]
+    return [place for place in _PLACES if place in used]
 
 
 def _qualifier(place: str) -> str:

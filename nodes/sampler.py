@@ -12,7 +12,7 @@ from nodes.electronics import Electronics
 from skin.measurement import Sbhe
 from skin.messages import Truth
 from skin.sources import TaxelSource
-from skin.taxel import Force, to_newtons
+from skin.taxel import to_newtons
 
 #: Longest time between the SYNC frames of one cycle, with the same counter, on different buses. A busy master delays
 #: frames. A counter returns after 240 periods, 120 ms or more.
@@ -97,10 +97,11 @@ class Sampler(Boards):
         self._sync_ns = max(self._sync_ns, time_ns)
         return max(0, int((time_ns - self._zero_ns) / self._period_ns + EARLY))
 
-    def _answer(self, force_n: Force) -> npt.NDArray[np.int32]:
+    def _answer(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
         """Return what the boards answer with: the sums, shape (m,)."""
         exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(force_n, self._step))
-        return np.rint(exact).astype(np.int32)
+        sums: npt.NDArray[np.int32] = np.rint(exact).astype(np.int32)
+        return sums
 
     def prepare(self) -> None:
         """Sample ahead what the next SYNC will most likely ask for."""
@@ -117,6 +118,6 @@ class Sampler(Boards):
 class CountSampler(Sampler):
     """A sampler for boards that make the sums themselves: `sample` returns ADC counts, shape (n,), row-major."""
 
-    def _answer(self, force_n: Force) -> npt.NDArray[np.int32]:
+    def _answer(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
         self._electronics.read(force_n, self._step)
         return self._electronics.sampled.copy()

@@ -3,44 +3,18 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from firmware.library import Firmware
-from nodes.electronics import Electronics
 from nodes.firmware_segment import FirmwareSegment
-from nodes.sampler import CountSampler
 from skin.messages import Measurement
-from tests.firmware.twins import needs_compiler
-from tests.gateway.world import PERIOD_S, Shaking, World, small_contract
+from tests.firmware.twins import CountWitness, needs_compiler
+from tests.gateway.world import World, small_contract
 from tests.identity import IDENTITIES, with_identity
 
 pytestmark = needs_compiler
-
-
-class CountWitness(CountSampler):
-    """A sampler that remembers the sums of the counts that it gave to the boards, by the time of the SYNC."""
-
-    def __init__(self, contract: Contract) -> None:
-        super().__init__(
-            contract.phi,
-            Shaking(),
-            Electronics(contract.layout.taxels, noise_n=0.0, period_s=contract.layout.sync.period_s),
-        )
-        self.truths: dict[int, npt.NDArray[np.int32]] = {}
-
-    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
-        counts = super().sample(counter, time_ns)
-        self.truths[time_ns] = np.asarray(self._phi.forward(counts), np.int32)
-        return counts
-
-    def sums_at(self, time_ns: int) -> npt.NDArray[np.int32]:
-        """Return the sums of the SYNC at a time."""
-        nearest = min(self.truths, key=lambda known: abs(known - time_ns))
-        assert abs(nearest - time_ns) < 1e9 * PERIOD_S / 2
-        return self.truths[nearest]
 
 
 @dataclass

@@ -58,6 +58,28 @@ class Rolling:
         return Frame(np.clip(force_n, 0, None).astype(np.float32), "")
 
 
+class CountWitness(CountSampler):
+    """A sampler that remembers the sums of the counts that it gave to the boards, by the time of the SYNC."""
+
+    def __init__(self, contract: Contract) -> None:
+        layout = contract.layout
+        electronics = Electronics(layout.taxels, noise_n=0.0, period_s=layout.sync.period_s)
+        super().__init__(contract.phi, Rolling(contract), electronics)
+        self._half_ns = 0.5e9 * layout.sync.period_s
+        self.truths: dict[int, npt.NDArray[np.int32]] = {}
+
+    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
+        counts = super().sample(counter, time_ns)
+        self.truths[time_ns] = np.asarray(self._phi.forward(counts), np.int32)
+        return counts
+
+    def sums_at(self, time_ns: int) -> npt.NDArray[np.int32]:
+        """Return the sums of the SYNC at a time."""
+        nearest = min(self.truths, key=lambda known: abs(known - time_ns))
+        assert abs(nearest - time_ns) < self._half_ns, "no board has seen this SYNC"
+        return self.truths[nearest]
+
+
 class Wire:
     """Keeps what is sent."""
 

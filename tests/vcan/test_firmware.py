@@ -1,0 +1,136 @@
+"""32 boards in C and the gateway on a real kernel: whatever SYNCs are lost, a valid block holds its cycle's sums."""
+
+import select
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import msgspec
+import numpy as np
+import pytest
+
+from bus.link import Link, open_link
+from dbc.canopen import SYNC_COB_ID
+from dbc.contract import Contract
+from dbc.frame import ECHO, Frames
+from firmware.library import Firmware
+from gateway.loop import GatewayLoop
+from nodes.firmware_segment import FirmwareSegment
+from skin.layout import parse_layout
+from skin.messages import Measurement
+from tests.firmware.twins import CountWitness
+from tests.identity import IDENTITIES, with_identity
+
+LAYOUT = """
+[taxels]
+rows = 32
+columns = 32
+[measurement]
+sums = 256
+[[bus]]
+name = "bus0"
+nodes = 32
+"""
+#: Rates, the highest first: a slow guest does not keep the first.
+RATES_HZ = (100.0, 50.0, 20.0, 5.0)
+#: Cycles of a look, and those that have to be complete at a rate that the machine keeps.
+CYCLES, COMPLETE_RATIO = 200, 0.8
+LOSS_RATIO = 0.1
+#: Longest time until all boards are proven and started.
+START_S = 60.0
+
+
+class Skin:
+    """Gateway and boards on their own sockets of vcan0, in one thread; SYNCs are lost to the boards at random."""
+
+    def __init__(self, contract: Contract, links: tuple[Link, Link]) -> None:
+        self.contract = contract
+        self.links = links
+        self.lost = 0
+        #: Times of all SYNCs on the bus, lost or not: measurement n is that of SYNC n.
+        self.syncs_ns: list[int] = []
+        self.loss_ratio = 0.0
+        self.random = np.random.default_rng(5)
+        self.measured: list[Measurement] = []
+        self.witness = CountWitness(contract)
+        firmware = Firmware(contract, contract.nodes)
+        self.boards = FirmwareSegment(contract, 0, firmware, links[1].send, self.witness, complain=print)
+        self.boards.boot(time.monotonic())
+        self.gateway = GatewayLoop(contract, {0: links[0].send}, time.monotonic(), say=print, complain=print)
+
+    def turn(self) -> None:
+        ready, _, _ = select.select(self.links, [], [], 0.001)
+        now_s = time.monotonic()
+        if self.links[1] in ready:
+            self.boards.take(self._without_lost(self.links[1].receive()), now_s)
+        if self.links[0] in ready:
+            self.gateway.take(0, self.links[0].receive(), now_s)
+        self.boards.tick(now_s)
+        self.gateway.tick(now_s)
+        self.measured += self.gateway.send_sync(time.monotonic())
+        self.measured += self.gateway.measurements(time.monotonic())
+
+    def _without_lost(self, arrived: Frames) -> Frames:
+        is_sync = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & ECHO == 0)
+        self.syncs_ns += arrived["time_ns"][is_sync].tolist()
+        lost = is_sync & (self.random.random(len(arrived)) < self.loss_ratio)
+        self.lost += int(lost.sum())
+        return arrived[~lost]
+
+    def cycles(self, count: int) -> list[Measurement]:
+        first = len(self.measured)
+        until_s = time.monotonic() + START_S
+        while len(self.measured) < first + count:
+            assert time.monotonic() < until_s, f"{len(self.measured) - first} of {count} cycles"
+            self.turn()
+        return self.measured[first:]
+
+    def start(self) -> None:
+        until_s = time.monotonic() + START_S
+        while not (self.measured and valid(self.measured[-1]).all()):
+            assert time.monotonic() < until_s, "no complete cycle"
+            self.turn()
+
+
+def valid(measurement: Measurement) -> np.ndarray:
+    return np.frombuffer(measurement.valid, np.uint8) == 1
+
+
+@contextmanager
+def running(identity: str, rate_hz: float) -> Iterator[Skin]:
+    layout = parse_layout(LAYOUT.encode(), "test")
+    layout = msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
+    links = open_link("socketcan", "vcan0", 1_000_000), open_link("socketcan", "vcan0", 1_000_000)
+    try:
+        yield Skin(Contract.from_layout(with_identity(layout, identity)), links)
+    finally:
+        for link in links:
+            link.close()
+
+
+@pytest.mark.parametrize("identity", IDENTITIES)
+def test_valid_blocks_hold_the_sums_of_their_cycle_though_syncs_are_lost(identity: str) -> None:
+    for rate_hz in RATES_HZ:
+        with running(identity, rate_hz) as skin:
+            skin.start()
+            complete = sum(valid(each).all() for each in skin.cycles(CYCLES)) / CYCLES
+            print(f"{identity}, {rate_hz:g} Hz: {complete:.0%} complete")
+            wrong, checked = 0, 0
+            skin.loss_ratio = LOSS_RATIO
+            for measurement in skin.cycles(CYCLES):
+                there = valid(measurement)
+                if not there.any():
+                    continue
+                sums = np.frombuffer(measurement.sums, "<i4")
+                truth = skin.witness.truths.get(skin.syncs_ns[measurement.cycle - 1])
+                assert truth is not None, "valid blocks in a cycle whose SYNC no board has seen"
+                differ = sums != truth
+                wrong += np.unique(skin.contract.phi.block_of_sum[differ & there[skin.contract.phi.block_of_sum]]).size
+                checked += int(there.sum())
+            assert skin.lost > 0
+            assert checked > 0
+            assert wrong == 0, f"{wrong} of {checked} valid blocks"
+            print(f"{identity}, {rate_hz:g} Hz: {skin.lost} SYNCs lost, {checked} valid blocks right")
+        if complete > COMPLETE_RATIO:
+            return
+    pytest.fail(f"the machine kept none of {RATES_HZ} Hz")
