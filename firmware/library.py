@@ -142,7 +142,7 @@ class Boards:
 
 def _milliseconds(now_s: float) -> ctypes.c_uint32:
     """Return a time as the boards count it: milliseconds that wrap."""
-    return ctypes.c_uint32(int(now_s * 1000) & 0xFFFF_FFFF)
+    return ctypes.c_uint32(round(now_s * 1000) & 0xFFFF_FFFF)
 
 
 def _compiled(texts: dict[str, str], compiler: str) -> Path:
