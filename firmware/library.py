@@ -24,7 +24,7 @@ from skin.errors import InputError
 SOURCES: Final = files("firmware").joinpath("c")
 FOLDERS: Final = ("", "slave", "host")
 STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
-_FLAGS: Final = (*STANDARD_FLAGS, "-O2", "-fPIC", "-shared")
+_FLAGS: Final = (*STANDARD_FLAGS, "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 #: Frames that the boards of one bus may answer at once; more are lost.
 _ROOM: Final = 4096
 
@@ -65,6 +65,7 @@ class Firmware:
             getattr(self._library, name).restype = ctypes.c_size_t
         self._node_bytes = int(self._library.skin_node_bytes())
         self._taxels = contract.phi.order.size
+        self._most_samples = 2 * contract.layout.samples_per_sync
 
     def node_ids(self, bus: int) -> frozenset[int]:
         """Return the node-IDs of the boards of bus number `bus`."""
@@ -73,20 +74,29 @@ class Firmware:
     def boards(self, bus: int) -> "Boards":
         """Return the boards of bus number `bus`, without power."""
         places = sorted(place for (on, _), place in self._place.items() if on == bus)
-        return Boards(self._library, places[0], len(places), self._node_bytes, self._taxels)
+        return Boards(
+            self._library,
+            places[0],
+            len(places),
+            node_bytes=self._node_bytes,
+            taxels=self._taxels,
+            most_samples=self._most_samples,
+        )
 
 
 class Boards:
     """The boards of one bus: every method takes a time in seconds and returns the frames that the boards send."""
 
-    def __init__(self, library: ctypes.CDLL, first: int, count: int, node_bytes: int, taxels: int) -> None:
+    def __init__(
+        self, library: ctypes.CDLL, first: int, count: int, *, node_bytes: int, taxels: int, most_samples: int
+    ) -> None:
         self._library = library
         self._first, self._count = ctypes.c_uint32(first), ctypes.c_uint32(count)
         # Eight bytes each, so that the memory is aligned for every C type.
         self._memory = np.zeros(-(-count * node_bytes // 8), np.uint64)
         self._nodes = ctypes.c_void_p(self._memory.ctypes.data)
         self._node_bytes = node_bytes
-        self._taxels = taxels
+        self._taxels, self._most_samples = taxels, most_samples
         self._out = frames(_ROOM)
         self._sent = (ctypes.c_void_p(self._out.ctypes.data), ctypes.c_size_t(_ROOM))
 
@@ -103,14 +113,18 @@ class Boards:
         ----------
         arrived : Frames
             With one SYNC at most.
-        counts : array of uint16, shape (n,), optional
-            What all taxels of the skin read at the SYNC, row-major, ADC counts.
+        counts : array of uint16, shape (samples, n), optional
+            What all taxels of the skin read since the last SYNC, row-major, ADC counts; the last sample is that of the
+            SYNC. At most the samples of two cycles.
         """
         there = np.ascontiguousarray(arrived)
-        read = None
+        read, samples = None, 0
         if counts is not None:
-            if counts.shape != (self._taxels,) or counts.dtype != np.uint16 or not counts.flags.c_contiguous:
-                raise InputError(f"expected {self._taxels} counts of uint16, got {counts.dtype} of {counts.shape}")
+            samples, taxels = counts.shape
+            is_right = taxels == self._taxels and 0 < samples <= self._most_samples and counts.flags.c_contiguous
+            if not is_right or counts.dtype != np.uint16:
+                wanted = f"1 to {self._most_samples} samples of {self._taxels} counts, uint16"
+                raise InputError(f"expected {wanted}, got {counts.dtype} of {counts.shape}")
             read = ctypes.c_void_p(counts.ctypes.data)
         return self._taken(
             self._library.skin_take(
@@ -118,6 +132,8 @@ class Boards:
                 self._count,
                 _milliseconds(now_s),
                 read,
+                ctypes.c_uint16(samples),
+                ctypes.c_uint32(self._taxels),
                 ctypes.c_void_p(there.ctypes.data),
                 ctypes.c_size_t(len(there)),
                 *self._sent,
@@ -177,7 +193,7 @@ def compile_c(paths: Sequence[Path], out: Path, command: Sequence[str]) -> None:
     folders = sorted({f"-I{path.parent}" for path in paths})
     texts = [str(path) for path in paths if path.suffix == ".c"]
     done = subprocess.run(  # noqa: S603 - the compiler of this machine, without a shell
-        [*command, *folders, "-o", str(out), *texts], capture_output=True, text=True, check=False
+        [*command, *folders, "-o", str(out), *texts, "-lm"], capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]

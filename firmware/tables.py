@@ -133,6 +133,10 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_SUMS": (max(each.node.sums for each in boards), "sums of a board"),
         "SKIN_TPDOS": (max(len(each.node.tpdos) for each in boards), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
+        "SKIN_SAMPLES": (
+            contract.layout.samples_per_sync,
+            "samples of each taxel in a cycle; more than 1 are averaged",
+        ),
         "SKIN_WATCHED": (HEARTBEATS_WATCHED, "entries of 1016h"),
         "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
         "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),

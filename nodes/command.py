@@ -82,7 +82,7 @@ def nodes(
         Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board.
     firmware
         Run the C firmware of the boards (``skin export firmware``) in place of nodes in Python. The system's C compiler
-        (cc) compiles the firmware once. The boards sample at the SYNC only, and do not average.
+        (cc) compiles the firmware once.
 
     Examples
     --------
@@ -128,10 +128,7 @@ def nodes(
 
 def _firmware(contract: Contract, chosen: dict[int, Collection[int]]) -> Firmware:
     """Compile the firmware of the chosen nodes."""
-    firmware = Firmware(contract, [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())])
-    if contract.layout.samples_per_sync > 1:
-        say("nodes", "boards with --firmware sample at the SYNC only: sums have the noise of one sample")
-    return firmware
+    return Firmware(contract, [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())])
 
 
 def _boards(
@@ -150,7 +147,9 @@ def _boards(
     if source.has_noise:
         analogue = {**analogue, "noise_n": 0.0}
     if counts_only:
-        return CountSampler(contract.phi, source, Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s))
+        samples = skin.samples_per_sync
+        electronics = Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s, samples=samples)
+        return CountSampler(contract.phi, source, electronics)
     electronics = Electronics(
         skin.taxels,
         **analogue,

@@ -1,5 +1,6 @@
 """The nodes' taxel readings: the sensor signal in ADC counts, the calibration of each node, and test patterns."""
 
+from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -66,6 +67,8 @@ class Electronics(Calibration):
     ----------
     sampled : array of int32, shape (n,)
         What every taxel read at the newest step, corrected; not averaged.
+    unread : deque of array of int32, shape (samples, n)
+        What the taxels read at the newest two steps, not corrected; who uses the samples takes them out.
     sampled_ahead : int
         The step that `prepare` has sampled and `read` has not taken yet; -1 for none.
     """
@@ -91,6 +94,7 @@ class Electronics(Calibration):
         self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
         self._felt = np.zeros(taxels.count, np.int32)
         self.sampled_ahead = -1
+        self.unread: deque[npt.NDArray[np.int32]] = deque(maxlen=2)
 
     @property
     def averages(self) -> bool:
@@ -107,6 +111,7 @@ class Electronics(Calibration):
         signal = self._model.signal_of_moments(moments_n, self._random, time_s)
         counts = to_counts(signal.reshape(count, -1), self.taxels)
         self._felt, self.sampled_ahead = counts[-1], step
+        self.unread.append(counts)
         if self._filter is not None:
             self._filter.take(counts.astype(np.float32))
 

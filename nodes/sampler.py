@@ -116,8 +116,13 @@ class Sampler(Boards):
 
 
 class CountSampler(Sampler):
-    """A sampler for boards that make the sums themselves: `sample` returns ADC counts, shape (n,), row-major."""
+    """A sampler for boards that make the sums themselves.
+
+    `sample` returns ADC counts, shape (samples, n), row-major, since the cycle before; the last sample is at the SYNC.
+    """
 
     def _answer(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
         self._electronics.read(force_n, self._step)
-        return self._electronics.sampled.copy()
+        counts = np.concatenate(self._electronics.unread)
+        self._electronics.unread.clear()
+        return counts

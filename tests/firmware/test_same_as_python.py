@@ -14,7 +14,7 @@ from dbc.dictionary import dictionary
 from dbc.indices import OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
 from firmware.library import Boards, Firmware
 from nodes.electronics import Calibration
-from skin.layout import Encoding, load_layout
+from skin.layout import Encoding, Sampling, load_layout
 from tests.bus.harness import frame
 from tests.firmware.twins import Twins, needs_compiler, small_contract, windows
 
@@ -29,7 +29,7 @@ BATCH = 500
 
 def eight_bits() -> Contract:
     default = load_layout(Path("default"))
-    return Contract.from_layout(msgspec.structs.replace(default, encoding=Encoding(sum_bits=8)))
+    return Contract.from_layout(msgspec.structs.replace(default, encoding=Encoding(sum_bits=8), sampling=Sampling()))
 
 
 ALTERNATING = '[sync]\nidentity = "alternating"\n'
@@ -82,7 +82,7 @@ def test_many_random_taxels_with_gains_and_offsets() -> None:
             corrected = counts.astype(np.float32) * calibration.gain + calibration.offset
         corrected = np.rint(np.clip(corrected, 0, 1023)).astype(np.int32)
         for row, sums in zip(counts, contract.phi.forward(corrected)[:, :16], strict=True):
-            boards.take(sync, 0.0, row)
+            boards.take(sync, 0.0, row[None])
             assert np.array_equal(np.concatenate([boards.sums(0, 8), boards.sums(1, 8)]), sums)
 
 

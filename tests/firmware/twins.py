@@ -15,7 +15,7 @@ from nodes.firmware_segment import FirmwareSegment
 from nodes.sampler import CountSampler, Sampler
 from nodes.synchronous_segment import SynchronousSegment
 from skin.layout import parse_layout
-from skin.sources import Frame
+from skin.sources import Frame, TaxelSource
 from tests.bus.harness import frame
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="NOT TESTED: no C compiler")
@@ -70,7 +70,7 @@ class CountWitness(CountSampler):
 
     def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
         counts = super().sample(counter, time_ns)
-        self.truths[time_ns] = np.asarray(self._phi.forward(counts), np.int32)
+        self.truths[time_ns] = np.asarray(self._phi.forward(counts[-1]), np.int32)
         return counts
 
     def sums_at(self, time_ns: int) -> npt.NDArray[np.int32]:
@@ -101,19 +101,31 @@ class Wire:
 class Twins:
     """The nodes of one bus twice: in Python and in C."""
 
-    def __init__(self, contract: Contract, bus: int = 0) -> None:
+    def __init__(
+        self, contract: Contract, bus: int = 0, noise_n: float = 0.0, source: TaxelSource | None = None
+    ) -> None:
         self.contract = contract
         self.now_s = 100.0
         self.wires = Wire(), Wire()
         self.complaints: list[str] = []
-        electronics = [Electronics(contract.layout.taxels, noise_n=0.0) for _ in range(2)]
+        layout = contract.layout
+        electronics = [
+            Electronics(
+                layout.taxels,
+                noise_n=noise_n,
+                period_s=layout.sync.period_s,
+                samples=layout.samples_per_sync,
+                blocks=blocks,
+            )
+            for blocks in (contract.phi.taxels_of_blocks, None)
+        ]
         nodes = contract.on_bus(bus)
         self.python = SynchronousSegment(
             contract,
             bus,
             {node.node_id for node in nodes},
             self.wires[0].send,
-            Sampler(contract.phi, Rolling(contract), electronics[0]),
+            Sampler(contract.phi, source or Rolling(contract), electronics[0]),
             complain=self.complaints.append,
         )
         self.c = FirmwareSegment(
@@ -121,7 +133,7 @@ class Twins:
             bus,
             Firmware(contract, nodes),
             self.wires[1].send,
-            CountSampler(contract.phi, Rolling(contract), electronics[1]),
+            CountSampler(contract.phi, source or Rolling(contract), electronics[1]),
             complain=self.complaints.append,
         )
         self.segments = self.python, self.c

@@ -5,6 +5,7 @@
 #include "301/CO_ODinterface.h"
 #include "OD.h"
 #include "board.h"
+#include "skin_average.h"
 #include "skin_sums.h"
 
 #ifndef CO_LITTLE_ENDIAN
@@ -23,6 +24,9 @@ static int16_t *offset[SKIN_BLOCKS];
 static uint8_t *pattern[SKIN_BLOCKS];
 static void *sums[SKIN_BLOCKS]; /* raw values, of 8 or 16 bits */
 static uint32_t *health;        /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
+#if SKIN_SAMPLES > 1
+static skin_average states[SKIN_BLOCKS];
+#endif
 static OD_extension_t signature_extension, gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
 
 static void *value_of(uint16_t index, uint8_t subindex, OD_size_t length)
@@ -110,6 +114,9 @@ int skin_app_init(void)
         if (!failed) {
             *pattern[block] = SKIN_PATTERN_OFF;
         }
+#if SKIN_SAMPLES > 1
+        skin_forget(&states[block]);
+#endif
     }
     for (place = 0; place < 4 && !failed; place++) {
         health[place] = 0;
@@ -117,19 +124,47 @@ int skin_app_init(void)
     return failed;
 }
 
-void skin_app_sync(uint16_t *counts)
+/* Sums of one block, ADC counts. `newest` holds the newest sample, corrected, or the test pattern. */
+static void sum_block(uint8_t block, const uint16_t *newest, const float *averages, int32_t *found)
 {
-    int32_t work[SKIN_BLOCK_SIZE], found[SKIN_SUMS];
+#if SKIN_SAMPLES > 1
+    float values[SKIN_BLOCK_SIZE];
+    uint16_t place;
+
+    for (place = 0; place < SKIN_BLOCK_SIZE; place++) {
+        values[place] = *pattern[block] != SKIN_PATTERN_OFF
+                            ? (float)newest[place]
+                            : skin_correct_average(averages[place], gain[block][place], offset[block][place],
+                                                   board->count_max);
+    }
+    skin_average_sums(board, block, values, found);
+#else
+    int32_t work[SKIN_BLOCK_SIZE];
+
+    (void)averages;
+    skin_block_sums(board, block, newest, work, found);
+#endif
+}
+
+void skin_app_sync(uint16_t *counts, uint16_t samples)
+{
+    const uint16_t taxels = (uint16_t)(board->blocks * board->block_size);
+    uint16_t *newest = &counts[(uint32_t)(samples - 1) * taxels];
+    float averages[SKIN_BLOCK_SIZE];
+    int32_t found[SKIN_SUMS];
     uint16_t each;
     uint8_t block;
 
     health[0]++;
     health[3] = 0;
     for (block = 0; block < board->blocks; block++) {
-        uint16_t *chain = &counts[block * board->block_size];
+        const uint16_t first = (uint16_t)(block * board->block_size);
 
-        health[3] += skin_read_block(board, chain, gain[block], offset[block], *pattern[block]);
-        skin_block_sums(board, block, chain, work, found);
+#if SKIN_SAMPLES > 1
+        skin_take_samples(&states[block], &counts[first], samples, taxels, averages);
+#endif
+        health[3] += skin_read_block(board, &newest[first], gain[block], offset[block], *pattern[block]);
+        sum_block(block, &newest[first], averages, found);
         for (each = 0; each < board->first_sum[block + 1] - board->first_sum[block]; each++) {
             const int32_t raw = skin_raw(&board->packing, found[each]);
 

@@ -18,20 +18,29 @@ static skin_outbox new_outbox(skin_frame *out, size_t room)
     return outbox;
 }
 
-static void sample(skin_node *node, const uint16_t *counts)
-{
-    uint16_t chain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
-    const uint16_t size = (uint16_t)(node->board->blocks * node->board->block_size);
-    uint16_t place;
+/* What all taxels of the skin read. */
+typedef struct {
+    const uint16_t *counts; /* NULL: nothing */
+    uint16_t samples;
+    uint32_t taxels;
+} reading;
 
-    for (place = 0; place < size; place++) {
-        chain[place] = counts[node->board->taxels[place]];
+static void sample(skin_node *node, const reading *read)
+{
+    uint16_t chain[SKIN_MOST_SAMPLES * SKIN_BLOCKS * SKIN_BLOCK_SIZE];
+    const uint16_t size = (uint16_t)(node->board->blocks * node->board->block_size);
+    uint16_t place, each;
+
+    for (each = 0; each < read->samples; each++) {
+        for (place = 0; place < size; place++) {
+            chain[(uint32_t)each * size + place] = read->counts[each * read->taxels + node->board->taxels[place]];
+        }
     }
-    skin_sample(node, chain);
+    skin_sample(node, chain, read->samples);
 }
 
 /* Pass one frame to one board. */
-static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, const uint16_t *counts)
+static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, const reading *read)
 {
     const uint32_t can_id = frame->can_id;
     const int is_echo = (frame->flags & SKIN_FRAME_ECHO) != 0;
@@ -51,8 +60,8 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
     } else if (is_echo) {
         return;
     } else if (can_id == SKIN_SYNC_COB_ID) {
-        if (counts != NULL) {
-            sample(node, counts);
+        if (read->counts != NULL) {
+            sample(node, read);
         }
         skin_sync(node, frame);
     } else if (can_id == 0) {
@@ -74,9 +83,10 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
     return outbox.count;
 }
 
-size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, const skin_frame *frames,
-                 size_t count, skin_frame *out, size_t room)
+size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
+                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t room)
 {
+    const reading read = {counts, samples, taxels};
     skin_outbox outbox = new_outbox(out, room);
     uint32_t each;
     size_t place;
@@ -84,7 +94,7 @@ size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint1
     for (place = 0; place < count; place++) {
         for (each = 0; each < boards; each++) {
             nodes[each].outbox = &outbox;
-            pass(&nodes[each], &frames[place], now_ms, counts);
+            pass(&nodes[each], &frames[place], now_ms, &read);
         }
     }
     return outbox.count;

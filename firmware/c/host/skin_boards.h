@@ -4,6 +4,9 @@
 
 #include "skin_node.h"
 
+/* Two cycles: the boards may miss a SYNC. */
+#define SKIN_MOST_SAMPLES (2 * SKIN_SAMPLES)
+
 /* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for as many.
  *
  * Returns the number of frames written to `out`, at most `room`; so do the two functions below.
@@ -12,11 +15,11 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
 
 /* Pass received frames to the boards of one bus.
  *
- * counts: what all taxels of the skin read at the SYNC among the frames, row-major, ADC counts; NULL without a SYNC. The
- * frames hold one SYNC at most.
+ * counts: what all `taxels` taxels of the skin read since the last SYNC, row-major, ADC counts; 1 to SKIN_MOST_SAMPLES
+ * `samples`, the last at the SYNC among the frames; NULL without a SYNC. The frames hold one SYNC at most.
  */
-size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, const skin_frame *frames,
-                 size_t count, skin_frame *out, size_t room);
+size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
+                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t room);
 
 /* Do what is due by time. */
 size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t room);

@@ -366,19 +366,51 @@ static int is_turn(const skin_tpdo *tpdo, uint8_t counter)
     return tpdo->syncs % every == 0;
 }
 
-void skin_sample(skin_node *node, uint16_t *counts)
+#if SKIN_SAMPLES > 1
+
+/* Sums of one block of averages; `newest` holds the newest sample, or the test pattern. */
+static void sum_averages(skin_node *node, uint8_t block, const float *averages, const uint16_t *newest)
 {
     const skin_board *board = node->board;
-    int32_t work[SKIN_BLOCK_SIZE];
+    const uint16_t first = (uint16_t)(block * board->block_size);
+    float values[SKIN_BLOCK_SIZE];
+    uint16_t place;
+
+    for (place = 0; place < board->block_size; place++) {
+        values[place] = node->pattern[block] != SKIN_PATTERN_OFF
+                            ? (float)newest[place]
+                            : skin_correct_average(averages[place], node->gain[first + place],
+                                                   node->offset[first + place], board->count_max);
+    }
+    skin_average_sums(board, block, values, &node->sums[board->first_sum[block]]);
+}
+
+#endif
+
+void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples)
+{
+    const skin_board *board = node->board;
+    const uint16_t taxels = (uint16_t)(board->blocks * board->block_size);
+    uint16_t *newest = &counts[(uint32_t)(samples - 1) * taxels];
     uint8_t block;
 
     node->health[3] = 0;
     for (block = 0; block < board->blocks; block++) {
         const uint16_t first = (uint16_t)(block * board->block_size);
+#if SKIN_SAMPLES > 1
+        float averages[SKIN_BLOCK_SIZE];
 
-        node->health[3] += skin_read_block(board, &counts[first], &node->gain[first], &node->offset[first],
+        skin_take_samples(&node->averages[block], &counts[first], samples, taxels, averages);
+#else
+        int32_t work[SKIN_BLOCK_SIZE];
+#endif
+        node->health[3] += skin_read_block(board, &newest[first], &node->gain[first], &node->offset[first],
                                            node->pattern[block]);
-        skin_block_sums(board, block, &counts[first], work, &node->sums[board->first_sum[block]]);
+#if SKIN_SAMPLES > 1
+        sum_averages(node, block, averages, &newest[first]);
+#else
+        skin_block_sums(board, block, &newest[first], work, &node->sums[board->first_sum[block]]);
+#endif
     }
 }
 

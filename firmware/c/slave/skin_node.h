@@ -9,6 +9,7 @@
 #include <stddef.h>
 
 #include "board.h"
+#include "skin_average.h"
 #include "skin_sums.h"
 
 /* One frame, in the records of dbc/frame.py. */
@@ -81,6 +82,9 @@ typedef struct {
     float gain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     uint8_t pattern[SKIN_BLOCKS];
+#if SKIN_SAMPLES > 1
+    skin_average averages[SKIN_BLOCKS];
+#endif
     int32_t sums[SKIN_SUMS]; /* at the newest SYNC, ADC counts */
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
     skin_tpdo tpdos[SKIN_TPDOS];
@@ -104,8 +108,11 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
 /* Do what is due by time: heartbeats, emergencies, event-driven PDOs. To be called every few milliseconds. */
 void skin_tick(skin_node *node, uint32_t now_ms);
 
-/* Take what the taxels read at a SYNC, in the order of the chains, ADC counts; the counts are overwritten. */
-void skin_sample(skin_node *node, uint16_t *counts);
+/* Take what the taxels read since the last SYNC, ADC counts: `samples` samples, the last at this SYNC, each of all taxels
+ * in the order of the chains. Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The counts are
+ * overwritten.
+ */
+void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples);
 
 /* Answer a SYNC, after `skin_sample`. */
 void skin_sync(skin_node *node, const skin_frame *sync);

@@ -352,6 +352,11 @@ void skin_restore(skin_node *node, int communication_only)
     if (communication_only) {
         return;
     }
+#if SKIN_SAMPLES > 1
+    for (place = 0; place < board->blocks; place++) {
+        skin_forget(&node->averages[place]);
+    }
+#endif
     for (place = 0; place < board->object_count; place++) {
         const skin_object *object = &board->objects[place];
 

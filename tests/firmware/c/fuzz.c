@@ -84,13 +84,13 @@ static void check(size_t count)
 
 int main(int count, char **texts)
 {
-    static uint16_t counts[65536];
+    static uint16_t counts[65536 * SKIN_MOST_SAMPLES];
     const uint32_t turns = count > 2 ? (uint32_t)strtoul(texts[2], NULL, 10) : 1000;
     uint32_t turn, place, now_ms = 0xFFFF0000u; /* the clock wraps */
     size_t sent = 0, found;
 
     state = count > 1 ? (uint32_t)strtoul(texts[1], NULL, 10) : 1;
-    for (place = 0; place < 65536; place++) {
+    for (place = 0; place < 65536 * SKIN_MOST_SAMPLES; place++) {
         counts[place] = (uint16_t)drawn(65536);
     }
     check(skin_power_up(nodes, 0, SKIN_BOARDS, now_ms, out, ROOM));
@@ -100,7 +100,8 @@ int main(int count, char **texts)
         for (place = 0; place < burst; place++) {
             draw_frame(&in[place]);
         }
-        found = skin_take(nodes, SKIN_BOARDS, now_ms, drawn(2) ? counts : NULL, in, burst, out, drawn(9) ? ROOM : 3);
+        found = skin_take(nodes, SKIN_BOARDS, now_ms, drawn(2) ? counts : NULL,
+                          (uint16_t)(1 + drawn(SKIN_MOST_SAMPLES)), 65536, in, burst, out, drawn(9) ? ROOM : 3);
         check(found);
         sent += found;
         now_ms += drawn(40);

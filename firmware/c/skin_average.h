@@ -1,0 +1,42 @@
+/* The average of what taxels read between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
+ *
+ * Five filters with constant gains run on every sample; their mean, weighted by likelihood, is the average. Noise that the
+ * sensor clips at 0 is learned from taxels that nothing touches, and its bias is undone. Needs a floating point unit:
+ * about 150 operations for each taxel and sample.
+ */
+#ifndef SKIN_AVERAGE_H
+#define SKIN_AVERAGE_H
+
+#include "board.h"
+
+#define SKIN_MODELS 5
+
+/* State of one block; all values of a kind stand together, so that compilers find vectors. */
+typedef struct {
+    float level[SKIN_MODELS][SKIN_BLOCK_SIZE], slope[SKIN_MODELS][SKIN_BLOCK_SIZE];
+    float weight[SKIN_MODELS][SKIN_BLOCK_SIZE]; /* of each filter; levels and slopes are in units of `scale` */
+    float last[2][SKIN_BLOCK_SIZE];             /* the two newest samples, counts */
+    float square[SKIN_BLOCK_SIZE], size[SKIN_BLOCK_SIZE]; /* mean square and mean size of second differences */
+    float scale[SKIN_BLOCK_SIZE];                         /* deviation of each taxel's noise, counts */
+    float average[SKIN_BLOCK_SIZE], variance[SKIN_BLOCK_SIZE]; /* counts; in units of the noise's */
+    float noise;                                               /* deviation of the block's noise, 0 while unknown */
+    uint16_t age;                                              /* samples since the beginning, limited */
+} skin_average;
+
+/* Begin anew: what the taxels have read is forgotten, and their noise. */
+void skin_forget(skin_average *state);
+
+/* Take in what the taxels of a block read since the last call, and return their averages in counts.
+ *
+ * samples: ADC counts, `count` samples, each of SKIN_BLOCK_SIZE values that follow `stride` values after the sample before.
+ * averages: room for SKIN_BLOCK_SIZE values.
+ */
+void skin_take_samples(skin_average *state, const uint16_t *samples, uint16_t count, uint16_t stride, float *averages);
+
+/* Return gain * average + offset, limited to 0 to `count_max`; no rounding to whole counts. */
+float skin_correct_average(float average, float gain, int16_t offset, uint16_t count_max);
+
+/* Sums of one block, rounded to whole counts, of `values`, which are overwritten; otherwise as `skin_block_sums`. */
+void skin_average_sums(const skin_board *board, uint8_t block, float *values, int32_t *sums);
+
+#endif
