@@ -26,7 +26,7 @@ FOLDERS: Final = ("", "slave", "host")
 STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 _FLAGS: Final = (*STANDARD_FLAGS, "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 #: Frames that the boards of one bus may answer at once; more are lost.
-_ROOM: Final = 4096
+_CAPACITY: Final = 4096
 
 
 def sources(*folders: str) -> dict[str, str]:
@@ -97,8 +97,8 @@ class Boards:
         self._nodes = ctypes.c_void_p(self._memory.ctypes.data)
         self._node_bytes = node_bytes
         self._taxels, self._most_samples = taxels, most_samples
-        self._out = frames(_ROOM)
-        self._sent = (ctypes.c_void_p(self._out.ctypes.data), ctypes.c_size_t(_ROOM))
+        self._out = frames(_CAPACITY)
+        self._sent = (ctypes.c_void_p(self._out.ctypes.data), ctypes.c_size_t(_CAPACITY))
 
     def power_up(self, now_s: float) -> Frames:
         """Begin anew, with the default parameters."""

@@ -110,8 +110,8 @@ void skin_put_bits(uint8_t *payload, uint16_t at, uint32_t value, uint8_t bits)
     while (done < bits) {
         const uint16_t bit = (uint16_t)(at + done);
         const uint8_t shift = (uint8_t)(bit & 7u);
-        const uint8_t room = (uint8_t)(8u - shift), left = (uint8_t)(bits - done);
-        const uint8_t count = room < left ? room : left;
+        const uint8_t above = (uint8_t)(8u - shift), left = (uint8_t)(bits - done);
+        const uint8_t count = above < left ? above : left;
 
         payload[bit >> 3] = (uint8_t)(payload[bit >> 3] | (((value >> done) & ((1u << count) - 1u)) << shift));
         done = (uint8_t)(done + count);

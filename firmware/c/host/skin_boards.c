@@ -8,12 +8,12 @@
 /* The records of the caller are 88 bytes long. */
 typedef char frame_has_its_size[sizeof(skin_frame) == 88 ? 1 : -1];
 
-static skin_outbox new_outbox(skin_frame *out, size_t room)
+static skin_outbox new_outbox(skin_frame *out, size_t capacity)
 {
     skin_outbox outbox;
 
     outbox.frames = out;
-    outbox.room = room;
+    outbox.capacity = capacity;
     outbox.count = outbox.lost = 0;
     return outbox;
 }
@@ -71,9 +71,9 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
     }
 }
 
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t room)
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity)
 {
-    skin_outbox outbox = new_outbox(out, room);
+    skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
 
     for (each = 0; each < boards; each++) {
@@ -84,10 +84,10 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
 }
 
 size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
-                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t room)
+                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity)
 {
     const reading read = {counts, samples, taxels};
-    skin_outbox outbox = new_outbox(out, room);
+    skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
     size_t place;
 
@@ -100,9 +100,9 @@ size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint1
     return outbox.count;
 }
 
-size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t room)
+size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity)
 {
-    skin_outbox outbox = new_outbox(out, room);
+    skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
 
     for (each = 0; each < boards; each++) {

@@ -9,9 +9,9 @@
 
 /* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for as many.
  *
- * Returns the number of frames written to `out`, at most `room`; so do the two functions below.
+ * Returns the number of frames written to `out`, at most `capacity`; so do the two functions below.
  */
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t room);
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity);
 
 /* Pass received frames to the boards of one bus.
  *
@@ -19,10 +19,10 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
  * `samples`, the last at the SYNC among the frames; NULL without a SYNC. The frames hold one SYNC at most.
  */
 size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
-                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t room);
+                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity);
 
 /* Do what is due by time. */
-size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t room);
+size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity);
 
 /* Write the newest sums of a board in ADC counts; returns their number. */
 size_t skin_newest_sums(const skin_node *node, int32_t *sums);

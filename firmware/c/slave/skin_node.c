@@ -27,7 +27,7 @@ static int is_due(uint32_t now_ms, uint32_t due_ms)
 
 static void post(skin_node *node, const skin_frame *frame)
 {
-    if (node->outbox->count < node->outbox->room) {
+    if (node->outbox->count < node->outbox->capacity) {
         node->outbox->frames[node->outbox->count++] = *frame;
     } else {
         node->outbox->lost++;

@@ -30,10 +30,10 @@ typedef struct {
 /* A frame that the controller has given up: its window ended, or there was no room for it. */
 #define SKIN_FRAME_DISCARDED (SKIN_FRAME_ECHO | SKIN_FRAME_ERROR)
 
-/* Frames that wait to be sent; frames beyond `room` are lost and counted. */
+/* Frames that wait to be sent; frames beyond `capacity` are lost and counted. */
 typedef struct {
     skin_frame *frames;
-    size_t room, count, lost;
+    size_t capacity, count, lost;
 } skin_outbox;
 
 enum { SKIN_INITIALISING = 0, SKIN_STOPPED = 4, SKIN_OPERATIONAL = 5, SKIN_PRE_OPERATIONAL = 127 };
