@@ -12,7 +12,7 @@ from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.segment import AdaptiveSegment
 from skin.sources import Frame
 from tests.bus.harness import frame
-from tests.nodes.conftest import ArrayLink
+from tests.nodes.links import ArrayLink
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 IDS = (1, 2, 3, 4)

@@ -1,7 +1,6 @@
 """Adaptive nodes on CAN FD: a frame carries all groups, and the urgency of the most urgent."""
 
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +20,6 @@ LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3), SendingRule(), 1e-9
 @pytest.fixture(scope="module")
 def contract() -> Contract:
     return Contract.from_layout(load_layout(Path("adaptive-fd"), adaptive=True))
-
-
-@pytest.fixture
-def bus(contract: Contract) -> Iterator[Bus]:
-    made = Bus(contract)
-    yield made
-    assert not made.complaints
 
 
 def test_a_node_that_is_started_sends_one_frame_and_then_again_ever_more_rarely(bus: Bus) -> None:

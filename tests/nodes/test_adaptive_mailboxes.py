@@ -29,7 +29,8 @@ class Controllers:
     """Some nodes, whose frames the test decides."""
 
     def __init__(self) -> None:
-        self.groups, self.boxes = new_groups(NODES), new_mailboxes(NODES)
+        self.groups = new_groups(NODES)
+        self.boxes = new_mailboxes(np.full((NODES, 2), FRAME_BITS))
         self.sums_n = np.full((NODES, 32), 0.01, np.float32)
         self.has_due, self.room = np.zeros(NODES, np.bool_), room_for(16)
         for node in range(NODES):
@@ -75,7 +76,8 @@ def test_the_most_urgent_frames_of_all_nodes_go_first(made: Controllers) -> None
     expected = [cob_id(2, 5, 0, False), cob_id(1, 5, 3, False), cob_id(1, 4, 2, False), cob_id(0, 0, 1, False)]
     assert made.choose(most=3) == expected[:3]
     assert made.room.node[:3].tolist() == [2, 1, 1]
-    assert made.room.group[:3].tolist() == [0, 3, 2]
+    assert made.room.tpdo[:3].tolist() == [0, 3, 6]
+    assert made.room.length[:3].tolist() == [8, 8, 8]
     # What is under way is not sent twice; a frame is given up 500 ms after it has expired.
     assert made.groups.under_way[2, 0] == 505 * MS
     assert made.choose() == expected[3:]
@@ -101,7 +103,7 @@ def test_inhibit_time_counts_from_the_newest_frame_of_the_tpdo(made: Controllers
     made.want(0, 0, 3)
     assert made.choose(now=120) == [cob_id(0, 3, 0, False)]
     # A frame that was not sent does not count.
-    give_back(0, 0, made.groups, made.boxes)
+    give_back(0, 8, made.groups, made.boxes)
     assert made.choose(now=121) == [cob_id(0, 3, 0, False)]
 
 
@@ -129,9 +131,10 @@ def test_a_budget_lets_refreshes_through_and_keeps_room_for_news(
     made.want(0, 0, 1, reason, is_fine=int(reason == DETAIL))
     assert len(made.choose()) == goes
     assert made.boxes.saved[0] == saved - FRAME_BITS * goes
-    give_back(0, 0, made.groups, made.boxes)
+    tpdo = 24 if reason == DETAIL else 16
+    give_back(0, tpdo, made.groups, made.boxes)
     assert made.boxes.saved[0] == saved
-    give_back(0, 0, made.groups, made.boxes)  # nothing is under way any more
+    give_back(0, tpdo, made.groups, made.boxes)  # nothing is under way any more
     assert made.boxes.saved[0] == saved
 
 

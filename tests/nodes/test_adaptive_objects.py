@@ -1,7 +1,6 @@
 """The objects of an adaptive node: how it sends, what it has learned, what it would send."""
 
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +25,6 @@ LOAD = 0x6461_6F6C
 @pytest.fixture(scope="module")
 def contract() -> Contract:
     return Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
-
-
-@pytest.fixture
-def bus(contract: Contract) -> Iterator[Bus]:
-    made = Bus(contract)
-    yield made
-    assert not made.complaints
 
 
 def test_groups_that_are_asked_for_are_sent_again(bus: Bus) -> None:

@@ -1,6 +1,5 @@
 """A bus of adaptive nodes without a bus: what they send, and when."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +31,6 @@ from tests.nodes.adaptive_bus import (
 @pytest.fixture(scope="module")
 def contract() -> Contract:
     return Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
-
-
-@pytest.fixture
-def bus(contract: Contract) -> Iterator[Bus]:
-    made = Bus(contract)
-    yield made
-    assert not made.complaints
 
 
 def test_nodes_filter_before_they_are_started_and_send_nothing(bus: Bus) -> None:

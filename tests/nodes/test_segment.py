@@ -11,7 +11,8 @@ from nodes.segment import Segment
 from nodes.synchronous_segment import REACTION_NS
 from tests.bus.harness import frame
 from tests.identity import alternating
-from tests.nodes.conftest import ArrayLink, new_segment
+from tests.nodes.conftest import new_segment
+from tests.nodes.links import ArrayLink
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 MILLISECOND_NS = 1_000_000

@@ -19,7 +19,7 @@ from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout
 from skin.messages import NodesStatus, Topic, Truth
 from tests.bus.harness import frame
-from tests.nodes.conftest import ArrayLink, Still
+from tests.nodes.links import ArrayLink, Still
 from tests.nodes.test_segment import START, sync
 
 

@@ -13,7 +13,8 @@ from nodes.sampler import Sampler
 from nodes.storage import Storage
 from skin.errors import InputError
 from tests.bus.harness import frame
-from tests.nodes.conftest import ArrayLink, Still, new_segment
+from tests.nodes.conftest import new_segment
+from tests.nodes.links import ArrayLink, Still
 from tests.nodes.test_segment import RESET_COMMUNICATION, RESET_NODE, give, read, sync, write
 
 SAVE, LOAD = 0x6576_6173, 0x6461_6F6C

@@ -5,7 +5,7 @@ import pytest
 from nodes.segment import Segment
 from nodes.tpdo import Tpdo, is_turn
 from tests.bus.harness import frame
-from tests.nodes.conftest import ArrayLink
+from tests.nodes.links import ArrayLink
 from tests.nodes.test_segment import START, give, numbered_sync, read, write
 
 COB_ID = 0x181
