@@ -18,6 +18,8 @@ class Parts:
         self.closed: list[str] = []
 
         class Closing:
+            keeps_order = True
+
             def __init__(self, name: str) -> None:
                 self.name = name
 
@@ -33,8 +35,8 @@ class Parts:
             return Closing("fabric")
 
         class Service:
-            def __init__(self, *given: object) -> None:
-                parts.calls.append(("service", given, {}))
+            def __init__(self, *given: object, **named: object) -> None:
+                parts.calls.append(("service", given, named))
 
             def run(self, stop: StopSignal) -> None:
                 parts.calls.append(("run", (stop,), {}))
