@@ -1,6 +1,6 @@
 """Heartbeat producer and consumer of one node (CiA 301, 7.2.8.3.2)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from dbc.canopen import HIGHEST_NODE_ID
 
@@ -46,6 +46,11 @@ class HeartbeatConsumer:
         self._periods_s = {watched_node(entry): (entry & 0xFFFF) / 1000 for entry in entries if watched_node(entry)}
         self._due_s = {node: due_s for node, due_s in self._due_s.items() if node in self._periods_s}
         self.lost &= self._periods_s.keys()
+
+    @property
+    def watches(self) -> Collection[int]:
+        """Node-IDs of the watched nodes."""
+        return self._periods_s.keys()
 
     @property
     def due_s(self) -> float:

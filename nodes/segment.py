@@ -97,6 +97,8 @@ class Segment(ABC):
         ]
         self._by_id = {node.contract.node_id: node for node in self.nodes}
         self._sync_length: dict[int, int] = {}
+        #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
+        self._watchers: dict[int, list[SkinNode]] = {}
         self._compile(self.nodes)
 
     @property
@@ -135,14 +137,17 @@ class Segment(ABC):
         if now_s < self._tick_at_s or now_s < self._due_s:
             return
         self._tick_at_s = now_s + TICK_S
+        next_s = float("inf")
         for node in self.nodes:
-            if now_s >= node.due_s:
+            due_s = node.due_s
+            if now_s >= due_s:
                 node.tick(now_s)
-        self._due_s = min(node.due_s for node in self.nodes)
+                due_s = node.due_s
+            next_s = min(next_s, due_s)
+        self._due_s = next_s
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Handle received frames in their order, with echoes of sent frames and discarded frames."""
-        self._due_s = float("-inf")
         can_id = arrived["can_id"]
         there = arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0
         plain = there & (arrived["flags"] & ECHO == 0)
@@ -154,18 +159,24 @@ class Segment(ABC):
 
     def _handle(self, frame: np.void, now_s: float) -> None:
         can_id = int(frame["can_id"])
+        if can_id > HEARTBEAT_BASE:
+            self._heartbeat(can_id - HEARTBEAT_BASE, bool(frame["flags"] & ECHO), now_s)
+            return
+        self._due_s = float("-inf")
         data = frame["data"][: frame["length"]].tobytes()
         if can_id == SYNC_COB_ID:
             self._sync(data, int(frame["time_ns"]), now_s)
         elif can_id == NMT_COB_ID:
             self._nmt(data, now_s)
-        elif can_id > HEARTBEAT_BASE:
-            if can_id - HEARTBEAT_BASE in self._by_id and not frame["flags"] & ECHO:
-                self._complain(f"node-ID {can_id - HEARTBEAT_BASE} is on {self._name} twice")
-            for node in self.nodes:
-                node.heard(can_id - HEARTBEAT_BASE, now_s)
         elif len(data) == SDO_BYTES:
             self._sdo(can_id, data, now_s)
+
+    def _heartbeat(self, node_id: int, is_echo: bool, now_s: float) -> None:
+        if node_id in self._by_id and not is_echo:
+            self._complain(f"node-ID {node_id} is on {self._name} twice")
+        for node in self._watchers.get(node_id, ()):
+            node.heard(node_id, now_s)
+            self._due_s = float("-inf")
 
     def _sync(self, data: bytes, time_ns: int, now_s: float) -> None:
         if len(data) == 1 and not 1 <= data[0] <= LAST_SYNCHRONOUS:
@@ -211,3 +222,7 @@ class Segment(ABC):
         """Read what the segment needs to know of nodes whose dictionaries have changed."""
         for node in changed:
             self._sync_length[node.contract.node_id] = 1 if node.local.unsigned(OD_SYNC_OVERFLOW) else 0
+        self._watchers = {}
+        for node in self.nodes:
+            for node_id in node.watched.watches:
+                self._watchers.setdefault(node_id, []).append(node)
