@@ -218,6 +218,22 @@ def coarse_code(value_n: float, is_mean: bool, law: Companding) -> int:
 
 
 @njit(cache=True, nogil=True)
+def has_same_code(one_n: float, other_n: float, is_mean: bool, law: Companding) -> bool:
+    """Tell whether two sums have the same byte in a coarse frame."""
+    slope, knee_n, most = law.slope, law.knee_n, OTHER_CODES
+    if is_mean:
+        slope, knee_n, most = law.mean_slope, law.mean_knee_n, MEAN_CODES
+        one_n, other_n = max(one_n, 0.0), max(other_n, 0.0)
+    # The code is least steep at the larger sum. If the sums are more than a code apart even there, no asinh is needed,
+    # unless both may have the last code: asinh(x) <= x, so the smaller sum below has not.
+    far_n, near_n = max(abs(one_n), abs(other_n)), min(abs(one_n), abs(other_n))
+    apart_n = slope * (one_n - other_n)
+    if slope * near_n < knee_n * (most - 1) and apart_n * apart_n > far_n * far_n + knee_n * knee_n:
+        return False
+    return coarse_code(one_n, is_mean, law) == coarse_code(other_n, is_mean, law)
+
+
+@njit(cache=True, nogil=True)
 def coarse_value(code: int, is_mean: bool, law: Companding) -> float:
     """Return what a byte of a coarse frame stands for, newtons."""
     if is_mean:

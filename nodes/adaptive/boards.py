@@ -71,6 +71,8 @@ class AdaptiveBoards(Boards):
     ----------
     samples_skipped : int
         Samples that were not taken, because the process was late.
+    has_due : bool
+        Whether any node had something to send at the newest decision.
     """
 
     def __init__(
@@ -104,7 +106,7 @@ class AdaptiveBoards(Boards):
         self._is_operational, self._has_due = np.zeros((2, nodes), np.bool_)
         self._noise: Noise | None = None
         self._threshold_n2 = np.zeros(nodes)
-        self._is_changed = False
+        self._is_changed = self.has_due = False
         self._now = 0  # number of the newest sample
         self._next_ns = self._decided_ns = 0
         self._pace_ns = float(SAMPLE_NS)
@@ -175,7 +177,7 @@ class AdaptiveBoards(Boards):
         passed_ns = now_ns - self._decided_ns
         self._decided_ns = now_ns
         self._pace_ns += PACE_GAIN * (min(max(passed_ns, PACE_NS[0]), PACE_NS[1]) - self._pace_ns)
-        look_at_all(
+        self.has_due = look_at_all(
             self._now,
             now_ns,
             passed_ns * 1e-9,

@@ -39,7 +39,7 @@ from nodes.adaptive.sending import (
     note_sent,
     tpdo_of,
 )
-from skin.compiled import njit
+from skin.compiled import borrowed, njit
 from skin.walsh import GROUPS
 
 #: A frame is given up for lost, with its echo, so long after it has expired.
@@ -157,7 +157,7 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     groups: Groups,
     boxes: Mailboxes,
     has_due: npt.NDArray[np.bool_],
-) -> None:
+) -> bool:
     """Decide what each node is to send, as `nodes.adaptive.sending.look`; save up budgets.
 
     Parameters
@@ -166,7 +166,13 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
         Time since the last decision.
     has_due : array of bool, shape (nodes,)
         Written: whether a node has anything to send.
+
+    Returns
+    -------
+    bool
+        Whether any node has.
     """
+    groups, boxes = borrowed(groups), borrowed(boxes)
     budget, saved, under_way, level = boxes.budget, boxes.saved, groups.under_way, groups.level
     for node in range(is_operational.size):
         has_due[node] = False
@@ -189,9 +195,10 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
             for group in range(GROUPS):
                 is_free = under_way[node, group] == 0
                 has_due[node] = has_due[node] or (is_free and level[node, group] != SILENT)
+    return bool(has_due.any())
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)  # so that the largest of eight is found in one step
 def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
     now: int,
     is_operational: npt.NDArray[np.bool_],
@@ -218,11 +225,11 @@ def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
             continue
         bound = rules[node, _ROUNDING] * law.fine_n
         for group in range(GROUPS):
+            if under_way[node, group] > 0:
+                continue
             largest = 0.0
             for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
                 largest = max(largest, abs(sums_n[node, place] - known_n[node, place]))
-            if under_way[node, group] > 0:
-                continue
             if largest > bound or (refreshes[node, group] > 0 and now >= refresh_at[node, group]):
                 needs_look[node] = True
             else:
@@ -248,6 +255,7 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
 
     The frames, which expire at `until_ns`, are under way from now on.
     """
+    groups, boxes = borrowed(groups), borrowed(boxes)
     keys, count = np.empty((last - first) * GROUPS, np.int64), 0
     for node in range(first, last):
         if has_due[node]:
@@ -327,6 +335,7 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
     place_of : array of int64, shape (BASE_ID_MASK + 1,)
         TPDOS · node + TPDO of an identifier, -1 for all others.
     """
+    groups, boxes = borrowed(groups), borrowed(boxes)
     sent, others = 0, 0
     for row in rows:
         can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16

@@ -85,7 +85,8 @@ class AdaptiveSegment(Segment):
             self._note_states()  # a node may have lost another one's heartbeat
         if self._adaptive.decision != self._decision:
             self._decision = self._adaptive.decision
-            self._send_sums(round(now_s * 1e9))
+            if self._adaptive.has_due:
+                self._send_sums(round(now_s * 1e9))
 
     def _send_sums(self, now_ns: int) -> None:
         """Give the bus the frames that can win it until the next decision, and a few more."""

@@ -23,6 +23,7 @@ from dbc.adaptive import (
     coarse_step,
     coarse_value,
     fine_steps,
+    has_same_code,
     hold,
     pack_fine,
     part_of,
@@ -125,7 +126,7 @@ def noise_threshold_n2(noise_n: Numbers, noise_ratio: float | Numbers) -> Number
     return GROUP_SUMS * BLOCK_SUMS * np.square(noise_ratio * noise_n)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def look(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     now: int,
@@ -152,7 +153,7 @@ def look(  # noqa: PLR0917  compiled functions take no keywords
             _look_at_group(node, group, now, sums_n, variance_n2, noise_n2, rule, law, groups)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     group: int,
@@ -164,7 +165,7 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
     law: Companding,
     groups: Groups,
 ) -> None:
-    coarse_n2, fine_n2 = _differences_n2(node, group, sums_n, rule, law, groups)
+    coarse_n2, fine_n2 = _differences_n2(group, sums_n, groups.known_n[node], rule.rounding, law)
     variance = 0.0
     for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
         variance += variance_n2[place]
@@ -198,9 +199,9 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
     groups.is_fine[node, group] = is_fine
 
 
-@njit(cache=True, nogil=True)
-def _differences_n2(  # noqa: PLR0917  compiled functions take no keywords
-    node: int, group: int, sums_n: npt.NDArray[np.float32], rule: SendingRule, law: Companding, groups: Groups
+@njit(cache=True, nogil=True, inline="always")
+def _differences_n2(
+    group: int, sums_n: npt.NDArray[np.float32], known_n: Numbers, rounding: float, law: Companding
 ) -> tuple[float, float]:
     """Return the squared difference of a group from what is known, as coarse frames and as fine frames tell it.
 
@@ -209,13 +210,14 @@ def _differences_n2(  # noqa: PLR0917  compiled functions take no keywords
     first = GROUP_SUMS * group
     coarse_n2, fine_n2 = 0.0, 0.0
     for place in range(first, first + GROUP_SUMS):
-        now_n, known = float(sums_n[place]), groups.known_n[node, place]
+        now_n, known = float(sums_n[place]), known_n[place]
         error, is_mean = now_n - known, place == 0
-        is_far = abs(error) > rule.rounding * coarse_step(known, is_mean, law)
-        if is_far and coarse_code(now_n, is_mean, law) != coarse_code(known, is_mean, law):
+        if abs(error) <= rounding * law.fine_n:
+            continue  # less than the least coarse step, too
+        fine_n2 += error * error
+        is_far = abs(error) > rounding * coarse_step(known, is_mean, law)
+        if is_far and not has_same_code(now_n, known, is_mean, law):
             coarse_n2 += error * error
-        if abs(error) > rule.rounding * law.fine_n:
-            fine_n2 += error * error
     return coarse_n2, fine_n2
 
 
