@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nodes.adaptive.following import NoiseScale, Offsets
-from nodes.adaptive.models import Floats, make_models, new_tracks, step
+from nodes.adaptive.following import NoiseScale, Offsets, OffsetState, ScaleSums, follow, gather
+from nodes.adaptive.models import Floats, Models, Tracks, make_models, new_tracks, step
 from nodes.adaptive.noise import Noise, haar_matrix
 from skin.clipping import clipped_mean
 from skin.compiled import njit
@@ -44,11 +44,12 @@ class ForceFilter:
 
     def __init__(self, noise: Noise) -> None:
         shape = noise.taxel_n.shape
-        self._haar = haar_matrix(shape[1])
+        haar = haar_matrix(shape[1])
         self._models = make_models(HORIZON)
         self._tracks = new_tracks(self._models, noise.taxel_n.size)
         self._forecast, self._variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._table = _unclip_table()
+        self._fixed = haar, np.ascontiguousarray(haar.T), _unclip_table()
+        self._work = np.zeros((2, *shape), np.float32)
         self._offsets = Offsets(shape[0], *patch_shape(shape[1]))
         self._scale = NoiseScale(*shape)
         self.force_n = np.zeros(shape, np.float32)
@@ -63,26 +64,17 @@ class ForceFilter:
 
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
-        forecast, variance = self._forecast, self._variance
-        sample_n = sample_n - self.noise.offset_n
-        self._learn(sample_n)
         noise = self.noise
-        coefficients = sample_n @ self._haar.T
-        coefficients /= noise.coefficient_n
-        flat = coefficients.ravel().astype(np.float32, copy=False)
-        step(flat, self._models, self._tracks, np.float32(HORIZON), forecast.ravel(), variance.ravel())
-        np.matmul(forecast * noise.coefficient_n, self._haar, out=self.force_n)
-        _unclip(self.force_n.ravel(), noise.taxel_n.ravel(), self._table)
-        self._offsets.take(self.force_n, noise.taxel_n)
-        _silence(self.force_n.ravel(), noise.taxel_n.ravel())
-
-    def _learn(self, sample_n: Floats) -> None:
-        """Take the noise as large as it turns out to be, and what is known of the coefficients in its units."""
-        learned = self._learned
-        scale = self._scale.take(sample_n, learned.taxel_n)
+        known = noise.offset_n, noise.taxel_n, noise.coefficient_n
+        learning = self._scale.sums, self._offsets.state
+        models = self._models, self._tracks, self._forecast, self._variance
+        _take(sample_n, known, learning, models, np.float32(HORIZON), self._fixed, self._work, self.force_n)
+        self._offsets.note()
+        scale = self._scale.judge(self._learned.taxel_n)
         if scale is not None:
-            learned = replace(learned, taxel_n=learned.taxel_n * scale, coefficient_n=learned.coefficient_n * scale)
-            self._use(learned)
+            # The noise is as large as it turns out to be, and what is known of the coefficients is in its units.
+            learned = self._learned
+            self._use(replace(learned, taxel_n=learned.taxel_n * scale, coefficient_n=learned.coefficient_n * scale))
 
     def _use(self, learned: Noise) -> None:
         """Go on with another noise; levels and slopes are in units of the coefficients' noise."""
@@ -110,22 +102,29 @@ class PatchFilter(ForceFilter):
 
     Attributes
     ----------
-    sums_n, variance_n2 : arrays of float32, shape (nodes, taxels)
-        The Walsh sums of `force_n`, in the order of `skin.walsh.grouped_rows`, and the variance of each.
+    sums_n : array of float32, shape (nodes, taxels)
+        The Walsh sums of `force_n`, in the order of `skin.walsh.grouped_rows`.
     """
 
     def __init__(self, noise: Noise) -> None:
         super().__init__(noise)
-        self._walsh = walsh_matrix(noise.taxel_n.shape[1])
+        taxels = noise.taxel_n.shape[1]
+        walsh = walsh_matrix(taxels)
+        self._walsh_across = np.ascontiguousarray(walsh.T)
         #: Variances of Haar coefficients add up to those of sums.
-        self._spread = np.ascontiguousarray(np.square(self._haar @ self._walsh.T))
-        self.sums_n, self.variance_n2 = np.zeros((2, *noise.taxel_n.shape), np.float32)
+        self._spread = np.ascontiguousarray(np.square(haar_matrix(taxels) @ walsh.T))
+        self.sums_n = np.zeros(noise.taxel_n.shape, np.float32)
 
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
         super().take(sample_n)
-        np.matmul(self.force_n, self._walsh.T, out=self.sums_n)
-        np.matmul(self._variance * np.square(self.noise.coefficient_n), self._spread, out=self.variance_n2)
+        np.matmul(self.force_n, self._walsh_across, out=self.sums_n)
+
+    @property
+    def variance_n2(self) -> Floats:
+        """The variance of each of `sums_n`, newtons squared, shape (nodes, taxels)."""
+        variance: Floats = (self._variance * np.square(self.noise.coefficient_n)) @ self._spread
+        return variance
 
 
 def _unclip_table() -> Floats:
@@ -139,17 +138,55 @@ def _unclip_table() -> Floats:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _take(  # noqa: PLR0917  compiled functions take no keywords
+    sample_n: Floats,
+    known: tuple[Floats, Floats, Floats],
+    learning: tuple[ScaleSums, OffsetState],
+    models: tuple[Models, Tracks, Floats, Floats],
+    horizon: Any,
+    fixed: tuple[Floats, Floats, Floats],
+    work: Floats,
+    force_n: Floats,
+) -> None:
+    """Filter one sample, in one call, because calls take long: as `ForceFilter.take`."""
+    offset_n, taxel_n, coefficient_n = known
+    scale_sums, offsets = learning
+    each_model, tracks, forecast, variance = models
+    haar, haar_across, table = fixed
+    left_n, coefficients = work[0], work[1]
+    _put_difference(sample_n.ravel(), offset_n.ravel(), left_n.ravel())
+    gather(left_n, scale_sums)
+    np.dot(left_n, haar_across, coefficients)
+    flat, ahead, of_noise = coefficients.ravel(), forecast.ravel(), coefficient_n.ravel()
+    for c in range(flat.size):
+        flat[c] /= of_noise[c]
+    step(flat, each_model, tracks, horizon, ahead, variance.ravel())
+    for c in range(flat.size):
+        flat[c] = ahead[c] * of_noise[c]
+    np.dot(coefficients, haar, force_n)
+    _unclip(force_n.ravel(), taxel_n.ravel(), table)
+    shape = offsets.offset.shape
+    follow(force_n.reshape(shape), taxel_n.reshape(shape), offsets)
+    _silence(force_n.ravel(), taxel_n.ravel())
+
+
+@njit(cache=True, nogil=True)
+def _put_difference(value: Floats, less: Floats, into: Floats) -> None:
+    for c in range(value.size):
+        into[c] = value[c] - less[c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
     """Undo the bias of clipping at 0 in place."""
-    scale = np.float32((table.size - 1) / _REACH)
+    scale, last = np.float32((table.size - 1) / _REACH), np.float32(table.size - 1)
     for k in range(force_n.size):
         reading = force_n[k] / noise_n[k]
-        place = reading * scale
-        if place < table.size - 1:
-            low = int(max(place, np.float32(0)))
-            part = max(place, np.float32(0)) - np.float32(low)
-            reading = table[low] + part * (table[low + 1] - table[low])
-        force_n[k] = noise_n[k] * reading
+        place = max(np.float32(0), min(reading * scale, last))
+        low = np.int32(min(place, last - np.float32(1)))
+        part = place - np.float32(low)
+        unclipped = table[low] + part * (table[low + 1] - table[low])
+        force_n[k] = noise_n[k] * (unclipped if reading * scale < last else reading)
 
 
 @njit(cache=True, nogil=True)

@@ -6,6 +6,8 @@ sampled in one pass, so here a board whose clock has gained or lost a whole samp
 leaves out a sample, or repeats one. A real board would not.
 """
 
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +29,8 @@ JITTER: Final = 0.02
 
 #: Noise is drawn from so many equally likely values, which end at 4.2 standard deviations: 16 random bits for each.
 _VALUES: Final = 1 << 16
+#: Steps of the touch that are kept.
+_STEPS_KEPT: Final = 8
 
 Doubles = npt.NDArray[np.float64]
 
@@ -65,7 +69,9 @@ class PatchSensors:
         taxels = calibration.taxels
         self.counts = np.zeros(cells.shape, np.float32)
         self.touch_from_ns: int | None = None
-        self._calibration, self._cells, self._model, self._source = calibration, cells, model, source
+        self._calibration, self._cells, self._model = calibration, cells, model
+        #: Return the touch at a step. Two intervals and the truth need each step.
+        self.frame: Callable[[int], Frame] = lru_cache(maxsize=_STEPS_KEPT)(source.frame)
         self._shape = taxels.rows, taxels.columns
         self._random = np.random.Generator(np.random.SFC64(seed))
         self._normal = ndtri((np.arange(_VALUES) + 0.5) / _VALUES).astype(np.float32)
@@ -106,10 +112,6 @@ class PatchSensors:
         _sample(since, drawn, self._normal, clocks, ends_n, taxels, corrections, self.counts, sample_n)
         return sample_n
 
-    def frame(self, step: int) -> Frame:
-        """Return the touch at a step."""
-        return self._source.frame(step)
-
     def _load(self, first: int) -> None:
         """Take the forces of the two intervals from step `first` on."""
         if self._step is not None and first == self._step + 1:
@@ -121,7 +123,7 @@ class PatchSensors:
 
     def _interval(self, step: int) -> Floats:
         """Return the felt forces at both ends of an interval, shape (2, boards, taxels); before step 0 that of 0."""
-        begin_n, end_n = (self._source.frame(max(0, each)).force_n for each in (step, step + 1))
+        begin_n, end_n = (self.frame(max(0, each)).force_n for each in (step, step + 1))
         moments_n = np.stack([begin_n, end_n])
         if self._model.damper is not None:
             # The speed in the interval is even; the damper takes that since the moment before.
