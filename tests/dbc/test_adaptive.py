@@ -22,6 +22,7 @@ from dbc.adaptive import (
     SAVED_FRAMES,
     SAVING_S,
     TPDOS,
+    Companding,
     SendingRule,
     check_of,
     coarse_code,
@@ -31,6 +32,7 @@ from dbc.adaptive import (
     companding,
     fine_steps,
     frame_of,
+    has_same_code,
     pack_fine,
     unpack_fine,
 )
@@ -165,3 +167,14 @@ def test_the_check_is_the_crc_8_of_autosar() -> None:
     for _ in range(20):
         payload = rng.integers(0, 256, 8).astype(np.uint8)
         assert check_of(payload) == slow(payload.tobytes())
+
+
+@pytest.mark.parametrize("is_mean", [False, True])
+@pytest.mark.parametrize("law", [LAW, companding(0.02, 0.02), companding(0.02, 1e-6)])
+def test_sums_have_the_same_code_or_another(is_mean: bool, law: Companding) -> None:
+    rng = np.random.default_rng(3)
+    one_n = rng.normal(0, 1, 4000) * 10 ** rng.uniform(-5, 0.5, 4000)
+    apart_n = [coarse_step(each, is_mean, law) for each in one_n] * rng.uniform(-3, 3, 4000)
+    for first_n, second_n in zip(one_n, one_n + apart_n, strict=True):
+        expected = coarse_code(first_n, is_mean, law) == coarse_code(second_n, is_mean, law)
+        assert has_same_code(first_n, second_n, is_mean, law) == expected
