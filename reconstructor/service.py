@@ -12,7 +12,7 @@ import numpy.typing as npt
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
-from skin.fabric import Fabric
+from skin.fabric import Exchange
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
@@ -37,7 +37,7 @@ class ReconstructorService:
     layout : Layout
     solver : Reconstructor or AdaptiveReconstructor
         For the layout's Φ and grid, and its way of sending.
-    fabric : Fabric
+    fabric : Exchange
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class ReconstructorService:
         Number of published images.
     """
 
-    def __init__(self, layout: Layout, solver: Reconstructor | AdaptiveReconstructor, fabric: Fabric) -> None:
+    def __init__(self, layout: Layout, solver: Reconstructor | AdaptiveReconstructor, fabric: Exchange) -> None:
         self.images = 0
         self._work: _Adaptive | _Cycles
         if isinstance(solver, AdaptiveReconstructor):

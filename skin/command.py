@@ -31,6 +31,7 @@ VERBS: Final = {
     "reconstruct": "reconstructor.command:reconstruct",
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",
+    "record": "recording.record_command:record",
     "rebuild": "rebuild.command:rebuild",
     "dbc": "dbc.command:dbc",
     "contract": "dbc.command:contract",
