@@ -130,13 +130,14 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
 
 def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """Return the frames of a recording by the name of their bus."""
-    from skin.mcap_file import FRAMES, read_entries
+    from skin.mcap_file import FRAMES, read_entries, wall_offset_ns
 
     parts: dict[str, list[Frames]] = {}
+    offset_ns = wall_offset_ns(path)
     for entry in read_entries(path, warn):
         if entry.topic.startswith(FRAMES):
             part = from_bytes(entry.data, int(entry.about["data_bytes"]))
-            part["time_ns"] += int(entry.about["wall_offset_ns"])
+            part["time_ns"] += offset_ns
             parts.setdefault(entry.topic.removeprefix(FRAMES), []).append(part)
     if not parts:
         raise InputError(f"{path}: holds no CAN frame")

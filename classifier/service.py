@@ -65,7 +65,7 @@ class ClassifierService:
             return None
         decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle)
         self.labelled += 1
-        return _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()))
+        return _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
 
 
 class AdaptiveClassifierService:
@@ -134,10 +134,10 @@ class AdaptiveClassifierService:
             return None
         decision = self._classifier.decide(sums.counts[self._places], sums.valid, self._cycle)
         self.labelled += 1
-        return _label_of(self._newest, decision, int(self._sums_of_block[sums.valid].sum()))
+        return _label_of(self._newest, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
 
 
-def _label_of(measurement: Measurement, decision: Decision, valid_sums: int) -> Label:
+def _label_of(measurement: Measurement, decision: Decision, valid_sums: int, number: int) -> Label:
     return Label(
         cycle=measurement.cycle,
         sync_counter=measurement.sync_counter,
@@ -146,4 +146,5 @@ def _label_of(measurement: Measurement, decision: Decision, valid_sums: int) -> 
         confidence=decision.confidence,
         valid_sums=valid_sums,
         blind=decision.blind,
+        number=number,
     )

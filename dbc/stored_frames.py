@@ -11,7 +11,7 @@ CLASSIC_BYTES: Final = 8
 FD_BYTES: Final = 64
 #: The record, in words for other programs.
 RECORD_TEXT: Final = (
-    "time_ns int64 (end of frame, CLOCK_MONOTONIC: add wall_offset_ns for the wall clock), can_id uint32, "
+    "time_ns int64 (end of frame, CLOCK_MONOTONIC: the wall clock is wall_offset_ns later), can_id uint32, "
     "length uint8, flags uint8 (1 extended, 2 remote, 4 error, 8 FD, 16 BRS, 32 ESI), 2 bytes 0, "
     "data uint8[data_bytes]; little-endian"
 )

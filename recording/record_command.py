@@ -16,7 +16,7 @@ from skin.layout import Layout, load_layout
 from skin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from skin.output import check_new_path
 from skin.peers import Peer
-from skin.service import Stopped, StopSignal, say
+from skin.service import Stopped, StopSignal, request_real_time, say
 
 TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 
@@ -68,6 +68,7 @@ def record(
         join = partial(_join, skin, contract.phi.fingerprint, connect, recorder, stop, joined)
         threading.Thread(target=join, daemon=True).start()
         say("record", f"{', '.join(names.values())} to {out}")
+        request_real_time()  # else services with it keep messages from coming
         recorder.run(stop, seconds or float("inf"))
     except OSError as error:
         reason = error.strerror or error

@@ -18,7 +18,7 @@ from dbc.generate import contract_files
 from dbc.stored_frames import CLASSIC_BYTES, FD_BYTES, RECORD_TEXT, to_bytes
 from skin.errors import InputError
 from skin.layout import Layout, layout_text
-from skin.mcap_file import FRAMES, LAYOUT_FILE, File, RecordingWriter
+from skin.mcap_file import FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
 from skin.messages import Topic
 from skin.output import RECORDING_SUFFIX
 
@@ -86,6 +86,7 @@ class McapSink:
         metadata = {
             "skin": layout.name,
             "fingerprint": contract.phi.fingerprint,
+            WALL_OFFSET_NS: str(offset_ns),
             "python": platform.python_version(),
             "platform": platform.platform(),
             **{name: version(name) for name in _LIBRARIES},
@@ -100,7 +101,6 @@ class McapSink:
                 "bus": str(number),
                 "bitrate": str(bus.bitrate),
                 "data_bytes": str(self._data_bytes[number]),
-                "wall_offset_ns": str(offset_ns),
                 "record": RECORD_TEXT,
             }
             self._writer.add_topic(self._topics[number], "canskin-frames", about)

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import zstandard
 from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
@@ -29,6 +30,8 @@ PROFILE: Final = "canskin"
 METADATA: Final = "canskin"
 LAYOUT_FILE: Final = "layout.toml"
 FRAMES: Final = "frames/"
+#: Key of the metadata: wall clock minus CLOCK_MONOTONIC at the beginning, nanoseconds.
+WALL_OFFSET_NS: Final = "wall_offset_ns"
 #: What happened: services that came and went, buses that were lost.
 EVENTS: Final = "events"
 #: The recorder's own counters.
@@ -172,6 +175,17 @@ def read_about(path: Path) -> About:
     return about
 
 
+def wall_offset_ns(path: Path) -> int:
+    """Return wall clock minus the clock of the frames and messages of a recording.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording of a skin, or cannot be read.
+    """
+    return int(read_about(path).metadata.get(WALL_OFFSET_NS, 0))
+
+
 def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
     """Yield the messages of a recording in the order of the file.
 
@@ -198,6 +212,23 @@ def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
         elif record is None:
             seconds = (last_ns - first_ns) * 1e-9
             warn(f"{path}: has no end, as after a crash or on a full disk: read up to its cut, {seconds:.1f} s")
+
+
+def read_topics(path: Path) -> set[str]:
+    """Return the topics of which a recording has messages.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording of a skin, or cannot be read.
+    """
+    read_about(path)
+    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
+        summary = make_reader(file).get_summary()
+        if summary is not None and summary.statistics is not None:
+            counts = summary.statistics.channel_message_counts
+            return {summary.channels[number].topic for number, count in counts.items() if count}
+    return {entry.topic for entry in read_entries(path, lambda _: None)}
 
 
 def _records(path: Path) -> Iterator[Any]:

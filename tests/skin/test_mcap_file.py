@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from skin.errors import InputError
-from skin.mcap_file import EVENTS, File, RecordingWriter, read_about, read_entries
+from skin.mcap_file import EVENTS, File, RecordingWriter, read_about, read_entries, read_topics
 from skin.messages import LABEL
 
 COUNT = 20
@@ -45,6 +45,7 @@ def test_what_was_written_comes_back(tmp_path: Path) -> None:
     assert msgspec.json.decode(second.data) == {"text": "a bus is lost"}
     about = read_about(path)
     assert about.metadata == {"skin": "palm"}
+    assert read_topics(path) == {"label", "events"}
     assert about.files == {"layout.toml": b"x = 1"}
 
 
@@ -60,8 +61,10 @@ def test_readers_of_others_find_index_and_messages(tmp_path: Path) -> None:
 
 
 def test_a_file_without_end_holds_all_that_was_flushed(tmp_path: Path) -> None:
-    data, said = read(written(tmp_path / "run.mcap", closes=False))
+    path = written(tmp_path / "run.mcap", closes=False)
+    data, said = read(path)
     assert len(data) == COUNT
+    assert read_topics(path) == {"frames/left"}
     assert "has no end" in said[0]
 
 
