@@ -96,8 +96,10 @@ def test_a_replay_gives_the_live_measurements_images_and_labels(chain: Chain, tm
         replayed(source, other, "--layout", str(chain.layout_path))
         sums = {each.sums for each in messages(other, MEASUREMENT)}
         assert all(each.sums in sums for each in complete)
-    logs = [messages(tmp_path / f"{name}.mcap", IMAGE) for name in ("log", "blf")]
-    assert [each.pixels for each in logs[0]] == [each.pixels for each in logs[1]]
+    # The recorders did not end together, and the last cycles of the first to end may be cut.
+    logs = [[each.pixels for each in messages(tmp_path / f"{name}.mcap", IMAGE)] for name in ("log", "blf")]
+    common = min(map(len, logs)) - 2
+    assert logs[0][:common] == logs[1][:common]
 
 
 def test_a_killed_recorder_loses_the_last_second_at_most(chain: Chain, tmp_path: Path) -> None:
