@@ -1,10 +1,10 @@
 """The gateway's loop in recorded time: recorded frames in, measurements out. Nothing is sent, and no clock is read.
 
 The loop does what it does live with frames, but for what frames do not tell. Every node counts as proven, because a
-recording may begin after the proofs. Each SYNC as the layout has it counts as the gateway's. A cycle ends when all frames of
-every node have come, or when it is out of time on the clock of the frames. A live gateway reads its frames a little
-later than they end, so it ends a cycle with the same frames or with fewer: a block that was valid live is valid here
-and has the same sums.
+recording may begin after the proofs. Each SYNC as the layout has it counts as the gateway's. A cycle ends when all
+frames of every node have come, or when it is out of time on the clock of the frames. A live gateway reads its frames a
+little later than they end, so it ends a cycle with the same frames or with fewer: a block that was valid live is valid
+here and has the same sums.
 """
 
 from collections.abc import Collection, Iterator, Mapping
