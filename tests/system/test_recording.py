@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from bandwidth.logs import read_log
 from dbc.canopen import SYNC_COB_ID
 from skin.mcap_file import read_entries
-from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Topic
+from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contacts, Image, Topic
 from tests.system.conftest import PATIENCE_S, Chain
 
 pytestmark = pytest.mark.slow
@@ -22,9 +23,16 @@ pytestmark = pytest.mark.slow
 LAST_S = 1.0
 
 
-def messages(path: Path, topic: Topic) -> list[msgspec.Struct]:
+def messages(path: Path, topic: Topic) -> list[Any]:
     decode = msgspec.msgpack.Decoder(topic.message).decode
     return [decode(entry.data) for entry in read_entries(path, lambda _: None) if entry.topic == topic.name]
+
+
+def as_compared(message: Any) -> Any:
+    """Return a message without the times that the services took."""
+    if isinstance(message, Image):
+        return message.pixels, message.valid, message.valid_sums, message.sync_mono_ns
+    return msgspec.structs.replace(message, find_s=0.0) if isinstance(message, Contacts) else message
 
 
 def replayed(source: Path, out: Path, *options: str) -> str:
@@ -73,15 +81,11 @@ def test_a_replay_gives_the_live_measurements_images_and_labels(chain: Chain, tm
     out = tmp_path / "out.mcap"
     said = replayed(run, out)
     made = {topic.name: messages(out, topic) for topic in (MEASUREMENT, IMAGE, CONTACTS, LABEL)}
-    assert made["measurement"] == recorded["measurement"], said
-    assert made["label"] == recorded["label"]
-    pictures = {
-        name: [(each.cycle, each.pixels) for each in these["image"]]
-        for name, these in (("live", recorded), ("replay", made))
-    }
-    assert pictures["live"] == pictures["replay"]
-    for one, other in zip(made["contacts"], recorded["contacts"], strict=True):
-        assert msgspec.structs.replace(one, find_s=0.0) == msgspec.structs.replace(other, find_s=0.0)
+    # A busy machine may lose messages on the way to a recorder: the replay makes them, and the others are equal.
+    for name, messages_made in made.items():
+        by_cycle = {each.cycle: as_compared(each) for each in messages_made}
+        for each in recorded[name]:
+            assert by_cycle[each.cycle] == as_compared(each), said
 
     # A recording that a replay wrote gives the same again.
     replayed(out, tmp_path / "again.mcap")
