@@ -16,8 +16,10 @@ from bus.link import DISCARDED, Link
 from bus.messages import to_logged_frames
 from dbc.canopen import EXTENDED_ID_MASK
 from dbc.frame import Frames, frames
+from dbc.stored_frames import from_bytes
 from skin.errors import InputError
 from skin.layout import Layout
+from skin.output import RECORDING_SUFFIX
 
 #: Largest time stamp, seconds since the epoch: the year 2262, the limit of nanoseconds in 64 bits.
 _LATEST_S: Final = 9.2e9
@@ -85,7 +87,8 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     Parameters
     ----------
     path : pathlib.Path
-        ``.log`` (candump -l), ``.asc``, ``.blf``, ``.trc``, ``.csv``, ``.db`` or, with asammdf installed, ``.mf4``.
+        ``.mcap`` of ``skin record``, ``.log`` (candump -l), ``.asc``, ``.blf``, ``.trc``, ``.csv``, ``.db`` or, with
+        asammdf installed, ``.mf4``.
     warn : callable
         Receives one line of text if the log is cut.
 
@@ -96,6 +99,8 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such log")
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        return _read_recording(path, warn)
     of_channel: dict[str, list[can.Message]] = {}
     lines: _Lines | None = None
     try:
@@ -121,6 +126,22 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     if not of_channel:
         raise InputError(f"{path}: holds no CAN frame")
     return {channel: to_logged_frames(messages) for channel, messages in of_channel.items()}
+
+
+def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
+    """Return the frames of a recording by the name of their bus."""
+    from skin.mcap_file import FRAMES, read_entries, wall_offset_ns
+
+    parts: dict[str, list[Frames]] = {}
+    offset_ns = wall_offset_ns(path)
+    for entry in read_entries(path, warn):
+        if entry.topic.startswith(FRAMES):
+            part = from_bytes(entry.data, int(entry.about["data_bytes"]))
+            part["time_ns"] += offset_ns
+            parts.setdefault(entry.topic.removeprefix(FRAMES), []).append(part)
+    if not parts:
+        raise InputError(f"{path}: holds no CAN frame")
+    return {name: np.concatenate(each) for name, each in parts.items()}
 
 
 def _check(message: can.Message) -> None:

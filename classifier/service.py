@@ -7,7 +7,7 @@ import numpy as np
 
 from classifier.coarse_sums import places
 from classifier.decide import FORGET_CYCLES, Classifier, Decision
-from skin.fabric import Fabric
+from skin.fabric import Exchange
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Sbhe
 from skin.messages import LABEL, MEASUREMENT, Label, Measurement
@@ -27,7 +27,7 @@ class ClassifierService:
     classifier : Classifier
     phi : Sbhe
         The Φ of the model.
-    fabric : Fabric
+    fabric : Exchange
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class ClassifierService:
         Number of labelled measurements.
     """
 
-    def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Fabric) -> None:
+    def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Exchange) -> None:
         self.labelled = 0
         self._classifier = classifier
         self._reader = MeasurementReader(phi, "classifier", decode_measurement)
@@ -65,7 +65,7 @@ class ClassifierService:
             return None
         decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle)
         self.labelled += 1
-        return _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()))
+        return _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
 
 
 class AdaptiveClassifierService:
@@ -81,7 +81,7 @@ class AdaptiveClassifierService:
         The Φ of the skin.
     classified : Sbhe
         The Φ of the model, see `classifier.coarse_sums`.
-    fabric : Fabric
+    fabric : Exchange
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class AdaptiveClassifierService:
         Number of labels.
     """
 
-    def __init__(self, classifier: Classifier, phi: Sbhe, classified: Sbhe, fabric: Fabric) -> None:
+    def __init__(self, classifier: Classifier, phi: Sbhe, classified: Sbhe, fabric: Exchange) -> None:
         self.labelled = 0
         self._classifier = classifier
         self._reader = MeasurementReader(phi, "classifier", decode_adaptive)
@@ -134,10 +134,10 @@ class AdaptiveClassifierService:
             return None
         decision = self._classifier.decide(sums.counts[self._places], sums.valid, self._cycle)
         self.labelled += 1
-        return _label_of(self._newest, decision, int(self._sums_of_block[sums.valid].sum()))
+        return _label_of(self._newest, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
 
 
-def _label_of(measurement: Measurement, decision: Decision, valid_sums: int) -> Label:
+def _label_of(measurement: Measurement, decision: Decision, valid_sums: int, number: int) -> Label:
     return Label(
         cycle=measurement.cycle,
         sync_counter=measurement.sync_counter,
@@ -146,4 +146,5 @@ def _label_of(measurement: Measurement, decision: Decision, valid_sums: int) -> 
         confidence=decision.confidence,
         valid_sums=valid_sums,
         blind=decision.blind,
+        number=number,
     )

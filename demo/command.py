@@ -42,7 +42,7 @@ def demo(
     seconds
         Time that SYNC runs, seconds.
     input
-        A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns).
+        A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns), or .mcap.
     full_scale
         Recorded value that becomes the skin's largest force; default: the largest value of the recording.
     array

@@ -22,6 +22,7 @@ from reconstructor.options import SolverOptions
 from skin.errors import InputError, RunError
 from skin.layout import load_layout
 from skin.messages import FrameCounts
+from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.terminal import progress
 
@@ -50,13 +51,13 @@ def rebuild(
     Parameters
     ----------
     source
-        A CAN log (candump -l, .asc, .blf or any other that python-can reads), or a recording: .npz, .npy or .csv of
-        shape (time, rows, columns).
+        A CAN log (.mcap of ``skin record``, candump -l, .asc, .blf or any other that python-can reads), or a recording
+        of forces: .npz, .npy or .csv of shape (time, rows, columns).
     out
         New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
         blocks), ``time_ns`` int64 (cycles,), ``metadata`` JSON.
     layout
-        TOML of the skin; without it the default skin.
+        TOML of the skin; default: the layout in the .mcap, else the default skin.
     device
         ``gpu`` needs an NVIDIA GPU, the extra canskin[gpu], and ``--solver paper``.
     solver
@@ -76,6 +77,8 @@ def rebuild(
     is_recording = _is_recording(source)
     _check_options(is_recording, channel, array, full_scale)
     check_out(out)
+    if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
+        layout = source
     contract = Contract.from_layout(load_layout(layout))
     taxels = contract.layout.taxels
     options = solver or SolverOptions()

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from rebuild.cycles import Cycles
 from skin.errors import InputError, RunError
-from skin.output import check_output_path, replacing
+from skin.output import check_new_path, replacing
 
 
 def check_out(path: Path) -> None:
@@ -23,9 +23,7 @@ def check_out(path: Path) -> None:
     """
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: expected a file that ends in .npz for the images")
-    if path.exists():
-        raise InputError(f"{path}: is there already; remove it, or choose another name for --out")
-    check_output_path(path, "images")
+    check_new_path(path, "images")
 
 
 def save_images(path: Path, images: npt.NDArray[np.float32], cycles: Cycles, metadata: Mapping[str, Any]) -> None:

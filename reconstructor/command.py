@@ -42,7 +42,7 @@ def reconstruct(
     """
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
-    engine, about = _engine(skin, solver)
+    engine, about = make_engine(skin, solver)
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
     patience.start()
     try:
@@ -59,8 +59,14 @@ def reconstruct(
         fabric.close()
 
 
-def _engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstructor | AdaptiveReconstructor, str]:
-    """Return the solver of a skin, and words for the log."""
+def make_engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstructor | AdaptiveReconstructor, str]:
+    """Return the solver of a skin, and words for the log.
+
+    Raises
+    ------
+    InputError
+        If the options do not fit the skin.
+    """
     if skin.sending == "adaptive":
         if options is not None:
             raise InputError(

@@ -4,6 +4,7 @@ With adaptive sending only the newest measurement counts: it holds everything th
 """
 
 import time
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
-from skin.fabric import Fabric
+from skin.fabric import Exchange
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
@@ -37,7 +38,9 @@ class ReconstructorService:
     layout : Layout
     solver : Reconstructor or AdaptiveReconstructor
         For the layout's Φ and grid, and its way of sending.
-    fabric : Fabric
+    fabric : Exchange
+    clock_ns : callable, optional
+        Monotonic time: when an image is published.
 
     Attributes
     ----------
@@ -45,8 +48,16 @@ class ReconstructorService:
         Number of published images.
     """
 
-    def __init__(self, layout: Layout, solver: Reconstructor | AdaptiveReconstructor, fabric: Fabric) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        solver: Reconstructor | AdaptiveReconstructor,
+        fabric: Exchange,
+        *,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
         self.images = 0
+        self._clock_ns = clock_ns
         self._work: _Adaptive | _Cycles
         if isinstance(solver, AdaptiveReconstructor):
             self._work, depth = _Adaptive(layout, solver), 1
@@ -82,17 +93,18 @@ class ReconstructorService:
             self._publish(measurement, *solved)
 
     def _publish(self, measurement: Measurement, image: Image_n, valid_sums: int, solve_s: float) -> None:
+        self.images += 1
         message = Image(
             cycle=measurement.cycle,
             sync_counter=measurement.sync_counter,
             sync_mono_ns=measurement.sync_mono_ns,
-            published_mono_ns=time.monotonic_ns(),
+            published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
             valid=measurement.valid,
             valid_sums=valid_sums,
             solve_s=solve_s,
+            number=self.images,
         )
-        self.images += 1
         self._fabric.publish(IMAGE, message)
         self._fabric.publish(CONTACTS, self._contacts(message, image))
 

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 import msgspec
 import zenoh
@@ -56,6 +56,18 @@ class Mailbox(Generic[Message]):
             if not self._arrived.wait_for(lambda: bool(self._messages), timeout_s):
                 return None
             return self._messages.popleft()
+
+
+class Exchange(Protocol):
+    """Passes messages between services: the `Fabric`, or a replay in one process."""
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        """Send a message to every subscriber of `topic`."""
+        ...
+
+    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
+        """Return a mailbox that holds the newest `depth` messages of `topic`."""
+        ...
 
 
 class Fabric:
@@ -123,13 +135,21 @@ class Fabric:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
         decoder = msgspec.msgpack.Decoder(topic.message)
 
-        def receive(sample: Any) -> None:
+        def receive(content: bytes) -> None:
             try:
-                message = decoder.decode(sample.payload.to_bytes())
+                message = decoder.decode(content)
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
                 self.malformed += 1
                 return
             handler(message)
+
+        self.subscribe_bytes(topic, receive)
+
+    def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes], None]) -> None:
+        """Call `handler` with the bytes of every message of `topic`, not decoded."""
+
+        def receive(sample: Any) -> None:
+            handler(sample.payload.to_bytes())
 
         self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", receive))
 

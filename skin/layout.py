@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from skin.errors import LayoutError
+from skin.errors import InputError, LayoutError
 from skin.measurement import Sbhe, sbhe
+from skin.output import RECORDING_SUFFIX
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 
@@ -204,7 +205,7 @@ class Layout(_Table, frozen=True, kw_only=True):
 
 
 def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
-    """Read a layout: a file or, by its bare name, one of `SHIPPED`; without a path, the default skin.
+    """Read a layout: a file, that of a recording, or, by its bare name, one of `SHIPPED`; without a path, the default.
 
     Parameters
     ----------
@@ -230,10 +231,25 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str]:
     """Return content and origin of a layout."""
     if path is None or (name in SHIPPED and not path.is_file()):
         return files("skin.layouts").joinpath(f"{name}.toml").read_bytes(), f"{name}.toml"
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        return _read_attached(path), name
     try:
         return path.read_bytes(), name
     except OSError as error:
         raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
+
+
+def _read_attached(path: Path) -> bytes:
+    """Return the layout in a recording."""
+    from skin.mcap_file import LAYOUT_FILE, read_about
+
+    try:
+        content = read_about(path).files.get(LAYOUT_FILE)
+    except InputError as error:
+        raise LayoutError(str(error)) from error
+    if content is None:
+        raise LayoutError(f"{path}: this recording has no layout: give the layout's own file")
+    return content
 
 
 def parse_layout(content: bytes, origin: str) -> Layout:

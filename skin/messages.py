@@ -87,6 +87,8 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
         Time of the solver in seconds.
     published_mono_ns : int
         When the image was published.
+    number : int
+        Number of the image since the reconstructor's start, from 1: images depend on those before. 0 if unknown.
     """
 
     cycle: int
@@ -97,6 +99,7 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     valid: bytes
     valid_sums: int
     solve_s: float
+    number: int = 0
 
 
 class Contact(msgspec.Struct, frozen=True, kw_only=True):
@@ -195,6 +198,8 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
         Number of valid sums in this cycle.
     blind : bool
         Too few blocks came in the last cycles: the label is empty, but does not mean "no contact".
+    number : int
+        Number of the label since the classifier's start, from 1: labels depend on those before. 0 if unknown.
     """
 
     cycle: int
@@ -204,6 +209,7 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
     confidence: float
     valid_sums: int
     blind: bool = False
+    number: int = 0
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):

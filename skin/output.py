@@ -11,6 +11,8 @@ from typing import Any, BinaryIO, Final
 from skin.errors import InputError
 
 PICTURE_SUFFIXES: Final = (".png", ".svg", ".pdf")
+#: Of a recording of `skin record`; `skin.mcap_file` reads and writes it.
+RECORDING_SUFFIX: Final = ".mcap"
 
 
 def check_picture_path(path: Path) -> None:
@@ -24,6 +26,19 @@ def check_picture_path(path: Path) -> None:
     check_output_path(path, "picture")
     if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError(f"{path}: expected a picture that ends in {', '.join(PICTURE_SUFFIXES)}, got '{path.suffix}'")
+
+
+def check_new_path(path: Path, what: str) -> None:
+    """Check that a new file can be written at `path`; `what` names the file in the error.
+
+    Raises
+    ------
+    InputError
+        If the file exists, the folder does not exist, or no file can be written there.
+    """
+    if path.exists():
+        raise InputError(f"{path}: is there already; remove it, or choose another name")
+    check_output_path(path, what)
 
 
 def check_output_path(path: Path, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Reading a recording's arrays from a file: ``.npz``, ``.npy`` or ``.csv``, never a pickle."""
+"""Reading a recording's arrays from a file: ``.npz``, ``.npy``, ``.csv`` or ``.mcap``, never a pickle."""
 
 import re
 import tokenize
@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from skin.errors import InputError
+from skin.messages import IMAGE, TRUTH
+from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
 Counts = npt.NDArray[Any]
@@ -20,6 +23,9 @@ _SHAPE: Final = re.compile(r"#.*?\bshape\s*[:=]?\s*\(?\s*(\d{1,6})\s*[,xX ]\s*(\
 #: Possible delimiters, tried in this order.
 _DELIMITERS: Final = (";", "\t", ",")
 _TIME: Final = re.compile(r"time.*|date.*|t|t_m?s|t\s*[\[(/].*", re.IGNORECASE)
+#: Arrays of a recording of ``skin record``: its images, and of simulated nodes the true forces and the sensor's.
+IN_MCAP: Final = {"image": (IMAGE, "pixels"), "true": (TRUTH, "true"), "sensor": (TRUTH, "sensor")}
+_CAN_LOGS: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
 #: Most characters of a wrong value in an error message.
 _SHOWN: Final = 20
 #: Errors of NumPy and its libraries for damaged files.
@@ -47,9 +53,10 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
     ----------
     path : pathlib.Path
         ``.npz`` (named arrays), ``.npy`` (one) or ``.csv``: one frame per line, row by row, with ``,`` or ``;`` or a
-        tab between the values. A header line is left out, and so is a time in the first column.
+        tab between the values. A header line is left out, and so is a time in the first column. ``.mcap`` of
+        ``skin record``: the arrays `IN_MCAP`, in newtons.
     arrays : sequence of str, optional
-        Arrays of an ``.npz``, in this order; default: the first array in the file.
+        Arrays of an ``.npz`` or ``.mcap``, in this order; default: the first array in the file.
     skin_shape : tuple of int
         Rows and columns of the skin; also those of a ``.csv`` without the comment ``# shape: ROWS COLUMNS``.
 
@@ -59,12 +66,18 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
         If the file is missing or unreadable, or an array has other values than finite forces of 0 or more.
     """
     if not path.is_file():
-        raise InputError(f"no recording at '{path}': expected a .npz, .npy or .csv file")
+        raise InputError(f"no recording at '{path}': expected a .npz, .npy, .csv or .mcap file")
     suffix = path.suffix.lower()
-    if suffix not in {".npz", ".npy", ".csv"}:
-        raise InputError(f"'{path}' is no recording: expected a .npz, .npy or .csv file, got '{suffix}'")
-    if arrays is not None and suffix != ".npz":
-        raise InputError(f"'{path}' has no named arrays: name arrays only of a .npz file")
+    if suffix in _CAN_LOGS:
+        raise InputError(
+            f"'{path}' is a log of frames: make its images with 'skin rebuild {path} --out images.npz', and play those"
+        )
+    if suffix not in {".npz", ".npy", ".csv", RECORDING_SUFFIX}:
+        raise InputError(f"'{path}' is no recording: expected a .npz, .npy, .csv or .mcap file, got '{suffix}'")
+    if arrays is not None and suffix not in {".npz", RECORDING_SUFFIX}:
+        raise InputError(f"'{path}' has no named arrays: name arrays only of a .npz or .mcap file")
+    if suffix == RECORDING_SUFFIX:
+        return tuple(_read_mcap(path, name) for name in (arrays or array_names(path)[:1] or ("image",)))
     try:
         named = _read_csv(path, skin_shape) if suffix == ".csv" else _read_numpy(path, arrays)
     except _UNREADABLE as error:
@@ -76,13 +89,18 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
 
 
 def array_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an ``.npz``, in file order; for other files no names.
+    """Return the names of the arrays in an ``.npz`` or ``.mcap``, in file order; for other files no names.
 
     Raises
     ------
     InputError
         If the file cannot be read.
     """
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        from skin.mcap_file import read_topics
+
+        topics = read_topics(path)
+        return tuple(name for name, (topic, _) in IN_MCAP.items() if topic.name in topics)
     if path.suffix.lower() != ".npz":
         return ()
     try:
@@ -90,6 +108,29 @@ def array_names(path: Path) -> tuple[str, ...]:
             return tuple(loaded.files)
     except _UNREADABLE as error:
         raise InputError(f"'{path}' cannot be read as .npz: {error}") from error
+
+
+def _read_mcap(path: Path, name: str) -> Counts:
+    """Return the images, or the true or measured forces, of a run; frames alone have none."""
+    from skin.layout import load_layout
+    from skin.mcap_file import read_entries
+
+    offered = array_names(path)
+    if not offered:
+        raise InputError(f"'{path}' holds no images: make them with 'skin rebuild {path} --out images.npz'")
+    if name not in offered:
+        raise InputError(f"'{path}' has no array '{name}': expected one of {', '.join(offered)}")
+    topic, attribute = IN_MCAP[name]
+    decode = msgspec.msgpack.Decoder(topic.message).decode
+    taxels = load_layout(path, adaptive=True).taxels
+    entries = (
+        entry.data for entry in read_entries(path, lambda line: say("recording", line)) if entry.topic == topic.name
+    )
+    try:
+        content = b"".join(getattr(decode(data), attribute) for data in entries)
+        return np.frombuffer(content, "<f4").reshape(-1, taxels.rows, taxels.columns)
+    except ValueError as error:
+        raise InputError(f"'{path}' array '{name}' cannot be read: {error}") from error
 
 
 def _read_numpy(path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from skin.errors import InputError
+from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame
 from skin.taxel import FORCE_MAX_N
@@ -127,7 +128,7 @@ def recording(
     Parameters
     ----------
     path : str or pathlib.Path
-        ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)) or ``.csv`` (one frame per line), see
+        ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)), ``.csv`` (one frame per line) or ``.mcap``, see
         `touch.reading.read_counts`.
     rows, columns : int
         Taxels of the skin; a smaller recording is placed in the middle, and the log tells.
@@ -135,12 +136,12 @@ def recording(
         Steps per second of the skin; needed only with `frame_rate_hz`.
     full_scale : float, optional
         The recorded value that becomes `force_max_n`; default: the largest value of the recording, which is the
-        attribute `full_scale` of the source.
+        attribute `full_scale` of the source. A ``.mcap`` holds newtons, which stay as they are by default.
     force_max_n : float
         Force at full scale, newtons.
     arrays : sequence of str, optional
-        Arrays of an ``.npz`` to place side by side, left to right; a string may hold several names, separated by
-        commas. Default: the first array in the file; the log names the others.
+        Arrays of an ``.npz`` or ``.mcap`` to place side by side, left to right; a string may hold several names,
+        separated by commas. Default: the first array in the file; the log names the others.
     frame_rate_hz : float, optional
         Recorded frames per second; default: each step shows the next frame.
 
@@ -157,6 +158,8 @@ def recording(
     counts = read_counts(Path(path), named, (rows, columns))
     if named is None:
         _tell_others(Path(path))
+    if full_scale is None and Path(path).suffix.lower() == RECORDING_SUFFIX:
+        full_scale = force_max_n
     played = Recording(
         counts,
         rows,

@@ -1,0 +1,1 @@
+"""Recordings of a running skin: made, played again through the services, and turned into other files."""

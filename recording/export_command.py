@@ -1,0 +1,198 @@
+"""``skin export``: a recording as arrays for a notebook."""
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import msgspec
+import numpy as np
+from cyclopts import Parameter
+
+import firmware.command
+from skin.errors import InputError, RunError
+from skin.layout import layout_text, load_layout
+from skin.mcap_file import read_about, wall_offset_ns
+from skin.output import RECORDING_SUFFIX, check_new_path, replacing
+from skin.service import say
+from skin.terminal import Json
+
+if TYPE_CHECKING:
+    from recording.tables import Table, Tables
+
+Format = Literal["npz", "hdf5", "csv"]
+_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv"}
+#: Arrays of images, which a .csv has in files of their own.
+_GRIDS: Final = ("pixels", "true", "sensor")
+
+
+def export(
+    what: str,
+    *,
+    to: Format = "npz",
+    layout: Path | None = None,
+    out: Path | None = None,
+    node: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    json: Json = False,
+) -> None:
+    """Write a recording as arrays, or C99 sources for the boards of a skin.
+
+    Firmware, without heap: sums, packing, object dictionary, a CANopen slave. Prints the path of every file;
+    ``README.md`` among them says what to do with the others.
+
+    Parameters
+    ----------
+    what
+        A recording (.mcap), or the word ``firmware``.
+    to
+        Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
+        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each.
+    layout
+        Firmware: TOML of the skin; without it the default skin.
+    out
+        Recording: new file; of a csv the names of the tables are added; default: the name of the recording. Firmware:
+        folder for the files.
+    node
+        Firmware: write the constants of these nodes, as BUS:NODE or BUS:FIRST-LAST; default: all nodes.
+    json
+        Firmware: print one JSON list.
+
+    Examples
+    --------
+    skin export run.mcap --to hdf5 --out touches.h5
+    skin export firmware --out firmware
+    skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
+    """
+    if what == "firmware":
+        if out is None:
+            raise InputError("skin export firmware: expected --out FOLDER for the files")
+        firmware.command.export("firmware", layout=layout, out=out, node=node, json=json)
+        return
+    if layout is not None or node or json:
+        raise InputError("--layout, --node and --json are for 'skin export firmware': a recording has its layout")
+    export_recording(Path(what), to=to, out=out)
+
+
+def export_recording(source: Path, *, to: Format = "npz", out: Path | None = None) -> None:
+    """Write the images, measurements, contacts, labels and truth of a recording as arrays.
+
+    All is read into memory: 100 MB for a minute of images of the default skin. For the images of a CAN log see
+    ``skin rebuild``, for the messages ``skin replay --out``.
+
+    Parameters
+    ----------
+    source
+        A recording (.mcap).
+    to
+        ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip; needs the
+        extra canskin[hdf5]. ``csv``: a file per table, and of images one line each.
+    out
+        New file; of a csv the names of the tables are added. Default: the name of the recording.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording, or the new file cannot be written.
+    RunError
+        If the recording holds no messages, or the disk is full.
+    """
+    if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
+        raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
+    from recording.tables import read_tables
+
+    path = out or source.with_suffix(_SUFFIXES[to])
+    save = {"npz": _save_npz, "hdf5": _save_hdf5, "csv": _save_csv}[to]
+    if to == "hdf5":
+        _h5py()
+    check_new_path(path, "arrays")
+    about = read_about(source)
+    layout = load_layout(source, adaptive=True)
+    tables = read_tables(source, layout, wall_offset_ns(source), lambda line: say("export", line))
+    metadata = {"format": "canskin arrays 1", "source": source.name, **about.metadata, "layout": layout_text(layout)}
+    try:
+        written = save(path, tables, metadata)
+    except OSError as error:
+        raise RunError(f"{path}: the arrays cannot be written: {error.strerror or error}") from error
+    counts = ", ".join(f"{len(table['time_ns'])} {name}" for name, table in tables.named().items())
+    say("export", f"{counts} in {', '.join(map(str, written))}")
+
+
+def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
+    from recording.tables import flat
+
+    arrays: dict[str, Any] = {**flat(tables), "metadata": np.array(msgspec.json.encode(metadata).decode())}
+    with replacing(path) as file:
+        np.savez_compressed(file, **arrays)
+    return [path]
+
+
+def _save_hdf5(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
+    h5py = _h5py()
+    with replacing(path) as file, h5py.File(file.name, "w") as made:
+        made.attrs.update(metadata)
+        for name, table in tables.named().items():
+            group = made.create_group(name)
+            for column, values in table.items():
+                if values.dtype.kind == "U":
+                    group.create_dataset(column, data=values.astype(object), dtype=h5py.string_dtype())
+                else:
+                    group.create_dataset(column, data=values, compression="gzip", compression_opts=1)
+    return [path]
+
+
+def _save_csv(path: Path, tables: "Tables", _metadata: Mapping[str, str]) -> list[Path]:
+    written = []
+    for name, table in tables.named().items():
+        grids = [column for column in table if column in _GRIDS]
+        for column in grids or [""]:
+            target = path.with_name(f"{path.stem}-{column if column in ('true', 'sensor') else name}{path.suffix}")
+            check_new_path(target, "table")
+            with replacing(target) as file:
+                text = io.TextIOWrapper(file, "utf-8", newline="")
+                if column:
+                    text.writelines(_grid_lines(table, column))
+                else:
+                    _write_rows(text, table)
+                text.flush()
+                text.detach()
+            written.append(target)
+    return written
+
+
+def _grid_lines(table: "Table", column: str) -> Iterator[str]:
+    """Yield the lines of images, which ``--input`` of ``skin demo`` and ``skin rebuild`` read."""
+    _, rows, columns = table[column].shape
+    yield f"# shape: {rows} {columns}\n"
+    yield ",".join(["time_ns", *(f"r{row}c{place}" for row in range(rows) for place in range(columns))]) + "\n"
+    for time_ns, image in zip(table["time_ns"], table[column], strict=True):
+        yield ",".join([str(time_ns), *(f"{value:.7g}" for value in image.ravel().tolist())]) + "\n"
+
+
+def _write_rows(text: io.TextIOWrapper, table: "Table") -> None:
+    """Write a table; an array of two dimensions has a column per place."""
+    columns: dict[str, list[Any]] = {}
+    for name, values in table.items():
+        plain = values.astype(np.int64) if values.dtype == np.bool_ else values
+        if plain.ndim == 1:
+            columns[name] = plain.tolist()
+        else:
+            columns |= {f"{name}{place}": plain[:, place].tolist() for place in range(plain.shape[1])}
+    rows = csv.writer(text)
+    rows.writerow(columns)
+    rows.writerows(zip(*columns.values(), strict=True))
+
+
+def _h5py() -> Any:
+    """Return the library.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise InputError('--to hdf5 needs h5py: pip install "canskin[hdf5]"') from error
+    return h5py

@@ -1,0 +1,119 @@
+"""``skin record``: a running skin to a file."""
+
+import threading
+import time
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from bus.options import BusOptions, open_links
+from dbc.contract import Contract
+from recording.recorder import Recorder
+from recording.sinks import open_sink
+from skin.errors import BusError, InputError, RunError
+from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from skin.layout import Layout, load_layout
+from skin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
+from skin.output import check_new_path
+from skin.peers import Peer
+from skin.service import Stopped, StopSignal, request_real_time, say
+
+TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
+
+
+def record(
+    out: Path,
+    *,
+    layout: Path | None = None,
+    bus: BusOptions | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    seconds: float | None = None,
+) -> None:
+    """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
+
+    The recorder sends nothing on the buses. It needs no other service: frames are recorded from the start, messages
+    as soon as there is a hub. After a crash or on a full disk the file is readable up to its last second.
+
+    Parameters
+    ----------
+    out
+        New file: .mcap, with the layout and the contract files attached; or frames alone, in the format of python-can
+        that the suffix names: .log (candump), .asc, .blf, .trc, .mf4, .txt, and .csv and .db of a single bus.
+    layout
+        TOML of the skin; without it the default skin.
+    bus
+        CAN interface and channels, as the gateway's.
+    connect
+        Endpoint of the fabric's hub.
+    seconds
+        Time to record; default: until a stop signal.
+
+    Examples
+    --------
+    skin record run.mcap
+    skin record run.log -i socketcan -c can0 --seconds 60
+    """
+    if seconds is not None and not 0 < seconds < float("inf"):
+        raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
+    stop = StopSignal().install()
+    skin = load_layout(layout, adaptive=True)
+    check_new_path(out, "recording")
+    contract = Contract.from_layout(skin)
+    names = {number: each.name for number, each in enumerate(skin.bus)}
+    links = open_links(skin, bus or BusOptions(), name="recorder", stop=stop)
+    joined: list[Fabric] = []
+    try:
+        now_ns = time.time_ns()
+        recorder = Recorder(links, open_sink(out, contract, now_ns, now_ns - time.monotonic_ns()), names)
+        join = partial(_join, skin, contract.phi.fingerprint, connect, recorder, stop, joined)
+        threading.Thread(target=join, daemon=True).start()
+        say("record", f"{', '.join(names.values())} to {out}")
+        request_real_time()  # else services with it keep messages from coming
+        recorder.run(stop, seconds or float("inf"))
+    except OSError as error:
+        reason = error.strerror or error
+        raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
+    finally:
+        for link in links.values():
+            link.close()
+        for fabric in joined:
+            fabric.close()
+    _conclude(recorder, out)
+
+
+def _join(  # noqa: PLR0917 - the arguments of a thread
+    skin: Layout, fingerprint: str, connect: str, recorder: Recorder, stop: StopSignal, joined: list[Fabric]
+) -> None:
+    """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
+    try:
+        fabric = Fabric(skin.name, "recorder", connect, stop=stop, fingerprint=fingerprint)
+    except Stopped:
+        return
+    except BusError as error:
+        say("record", f"frames alone: {error}")
+        return
+    joined.append(fabric)
+
+    def note(peer: Peer, alive: bool) -> None:
+        if peer.skin == skin.name:
+            recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
+
+    fabric.watch_peers(note)
+    for topic in TOPICS:
+        fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
+
+
+def _conclude(recorder: Recorder, out: Path) -> None:
+    """Log what was recorded.
+
+    Raises
+    ------
+    RunError
+        If nothing was.
+    """
+    if not recorder.frames + recorder.messages:
+        raise RunError(f"{out}: nothing came: no frame and no message. Are buses and services those of this layout?")
+    size_mb = out.stat().st_size / 1e6
+    say("record", f"{recorder.frames} frames and {recorder.messages} messages in {out}, {size_mb:.1f} MB")
+    if recorder.lost:
+        say("record", f"{recorder.lost} frames or messages came too fast for this machine and are missing")

@@ -1,0 +1,155 @@
+"""The recorder: reads buses and fabric, and writes to a sink. It sends nothing on the buses."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+from bus.link import Link, State
+from recording.sinks import Sink
+from skin.mcap_file import EVENTS, RECORDER
+from skin.messages import Topic
+from skin.service import StopSignal, say
+
+#: Frames are read in batches, so often. Links keep some thousands of frames.
+TURN_S: Final = 0.05
+#: All that is older than this, and one turn, is in the file after a crash.
+FLUSH_S: Final = 0.5
+#: Most messages that wait for a turn; the newest are lost and counted above it.
+MOST_WAITING: Final = 20_000
+#: Most batches of one bus in a turn.
+_BATCHES: Final = 64
+
+
+class _Waiting(NamedTuple):
+    time_ns: int
+    topic: Topic | None
+    content: bytes | Mapping[str, Any]
+
+
+class Recorder:
+    """Writes what buses and fabric carry.
+
+    Parameters
+    ----------
+    links : mapping of int to Link
+        By number of the bus.
+    sink : Sink
+    names : mapping of int to str
+        Of the buses, for the log.
+    wall_ns, mono_ns : callable
+        The clocks.
+
+    Attributes
+    ----------
+    frames, messages : int
+        Written so far.
+    """
+
+    def __init__(
+        self,
+        links: Mapping[int, Link],
+        sink: Sink,
+        names: Mapping[int, str],
+        *,
+        wall_ns: Callable[[], int] = time.time_ns,
+        mono_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.frames = self.messages = 0
+        self._links, self._sink, self._names = dict(links), sink, names
+        self._wall_ns, self._mono_ns = wall_ns, mono_ns
+        self._waiting: deque[_Waiting] = deque()
+        self._lost_messages = 0
+        self._is_lost = dict.fromkeys(links, False)
+        self._flush_ns = mono_ns()
+
+    @property
+    def lost(self) -> int:
+        """Frames and messages that came and were not recorded."""
+        return self._lost_messages + sum(link.dropped for link in self._links.values())
+
+    def take_message(self, topic: Topic, content: bytes) -> None:
+        """Take a message of the fabric; from any thread."""
+        self._wait(_Waiting(self._wall_ns(), topic, content))
+
+    def take_event(self, source: str, text: str) -> None:
+        """Take note of an event; from any thread."""
+        self._wait(_Waiting(self._wall_ns(), None, {"source": source, "text": text}))
+
+    def run(self, stop: StopSignal, until_s: float = float("inf")) -> None:
+        """Record until `stop`, or for `until_s` seconds.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written; what was written before is readable.
+        """
+        end_s = time.monotonic() + until_s
+        try:
+            while not stop.is_set() and time.monotonic() < end_s:
+                time.sleep(TURN_S)
+                self.turn()
+            self.turn()
+            self._tell_counters()
+            self._sink.close()
+        except OSError:
+            self._sink.abandon()
+            raise
+
+    def turn(self) -> None:
+        """Write what has come since the last turn; make it readable when it is time.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
+        """
+        now_ns = self._wall_ns()
+        offset_ns = now_ns - self._mono_ns()
+        for number, link in self._links.items():
+            for _ in range(_BATCHES):
+                arrived = link.receive()
+                if not len(arrived):
+                    break
+                self.frames += len(arrived)
+                self._sink.frames(number, arrived, now_ns, offset_ns)
+            self._look(number, link)
+        for _ in range(len(self._waiting)):
+            time_ns, topic, content = self._waiting.popleft()
+            if topic is not None and isinstance(content, bytes):
+                self.messages += 1
+                self._sink.message(topic, time_ns, content)
+            elif not isinstance(content, bytes):
+                self._sink.note(EVENTS, time_ns, content)
+        if self._mono_ns() - self._flush_ns >= FLUSH_S * 1e9:
+            self._flush_ns = self._mono_ns()
+            self._tell_counters()
+            self._sink.flush()
+
+    def _wait(self, one: _Waiting) -> None:
+        if not self._sink.has_messages:
+            return
+        if len(self._waiting) >= MOST_WAITING:
+            self._lost_messages += 1
+            return
+        self._waiting.append(one)
+
+    def _look(self, number: int, link: Link) -> None:
+        """Log when a bus is lost, and when it is back."""
+        is_lost = link.state is State.LOST
+        if is_lost != self._is_lost[number]:
+            self._is_lost[number] = is_lost
+            text = f"{self._names[number]} is {'lost' if is_lost else 'back'}"
+            say("record", text)
+            self.take_event("record", text)
+
+    def _tell_counters(self) -> None:
+        now_ns = self._wall_ns()
+        values = {
+            "frames": self.frames,
+            "messages": self.messages,
+            "lost_messages": self._lost_messages,
+            "lost_frames": {self._names[number]: link.dropped for number, link in self._links.items()},
+            "wall_offset_ns": now_ns - self._mono_ns(),
+        }
+        self._sink.note(RECORDER, now_ns, values)

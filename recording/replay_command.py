@@ -1,0 +1,162 @@
+"""``skin replay``: a recorded run through gateway, reconstructor and classifier."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from bus.options import Channels
+from classifier.cache import find_or_train
+from classifier.coarse_sums import classified_phi
+from classifier.decide import Classifier
+from classifier.modelfile import load_model
+from classifier.service import AdaptiveClassifierService, ClassifierService
+from dbc.contract import Contract
+from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.command import make_engine
+from reconstructor.contacts import ContactTracker
+from reconstructor.engine import Reconstructor
+from reconstructor.options import SolverOptions
+from recording.replaying import Replay, outputs_of
+from recording.sinks import McapSink
+from recording.steps import Step, steps_of
+from skin.errors import InputError, RunError
+from skin.fabric import DEFAULT_ENDPOINT, Exchange, Fabric
+from skin.layout import Layout, load_layout
+from skin.mcap_file import wall_offset_ns
+from skin.output import RECORDING_SUFFIX, check_new_path
+from skin.service import StopSignal, say
+from skin.sources import DEFAULT_OBJECTS
+
+
+def replay(
+    source: Path,
+    *,
+    layout: Path | None = None,
+    speed: float | None = None,
+    out: Path | None = None,
+    listen: str | None = None,
+    channel: Channels | None = None,
+    solver: SolverOptions | None = None,
+    model: Path | None = None,
+) -> None:
+    """Play a recording or a CAN log through gateway, reconstructor and classifier, on a hub or into a new recording.
+
+    Sums are decoded from the frames by the gateway's loop, and images, contacts and labels are made from the sums, one
+    after the other in one process: the same file always gives the same. With a recording of ``skin record`` numbers,
+    times and proofs of nodes are the recorded ones, and the end of the log tells how many measurements, images and
+    labels are equal to the recorded ones. In a log every node counts as proven.
+
+    Parameters
+    ----------
+    source
+        A recording (.mcap), or a log of candump (-l), ASC, BLF or any other format that python-can reads.
+    layout
+        TOML of the skin; default: the layout in the recording, for a log the default skin.
+    speed
+        2 plays twice as fast as the run, inf as fast as possible. Default: 1 on a hub, inf into a file.
+    out
+        New recording (.mcap) in place of a hub.
+    listen
+        Endpoint of the hub; services connect to it as to the gateway. Default: that of ``skin gateway``.
+    channel
+        Channels of a log, one per bus. Default: the names of the buses, else all channels in their order.
+    solver
+        Solver of the images.
+    model
+        Model of the classifier; default: as ``skin classify``.
+
+    Examples
+    --------
+    skin replay run.mcap & skin view
+    skin replay candump-2026-11-20_120000.log --speed inf --out run.mcap
+    """
+    _check(source, speed, out)
+    stop = StopSignal().install()
+    is_recording = source.suffix.lower() == RECORDING_SUFFIX
+    skin = load_layout(source if is_recording and layout is None else layout, adaptive=True)
+    if channel and (is_recording or len(channel) > len(skin.bus)):
+        raise InputError(f"--channel: expected up to {len(skin.bus)} channels of a log; a recording names its buses")
+    contract = Contract.from_layout(skin)
+    offset_ns = wall_offset_ns(source) if is_recording else 0
+    engine, about = _engine(skin, solver)
+    classifier = _classifier_maker(skin, model)
+    sink = McapSink(out, contract, time.time_ns(), offset_ns) if out is not None else None
+    fabric = None
+    if out is None or listen is not None:
+        mark = contract.phi.fingerprint
+        fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
+    say("replay", f"{source.name}: {about}")
+    played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns)
+    names = channel or [bus.name for bus in skin.bus]
+    steps = steps_of(source, contract, names, named_by_user=bool(channel), every=solver is not None)
+    _run(played, steps, stop, speed or (1.0 if fabric else float("inf")), sink, fabric, out)
+    for line in played.report.lines():
+        say("replay", line)
+    if not played.report.measurements.made and not stop.is_set():
+        raise RunError(f"{source}: gave no measurement: is this the skin's layout?")
+
+
+def _run(  # noqa: PLR0917 - parts of one replay
+    played: Replay,
+    steps: Iterator[Step],
+    stop: StopSignal,
+    speed: float,
+    sink: McapSink | None,
+    fabric: Fabric | None,
+    out: Path | None,
+) -> None:
+    """Play all, and close what was opened.
+
+    Raises
+    ------
+    RunError
+        If the new recording cannot be written.
+    """
+    try:
+        played.run(steps, stop, speed)
+        if sink is not None:
+            sink.close()
+    except OSError as error:
+        raise RunError(f"{out}: the recording ends: {error.strerror or error}") from error
+    finally:
+        if sink is not None:
+            sink.abandon()
+        if fabric is not None:
+            fabric.close()
+
+
+def _check(source: Path, speed: float | None, out: Path | None) -> None:
+    """Check the options that need no file to be read.
+
+    Raises
+    ------
+    InputError
+        If an option cannot be used.
+    """
+    if speed is not None and not speed > 0:
+        raise InputError(f"--speed: expected a number above 0, or inf, got {speed:g}")
+    if out is not None:
+        if out.suffix.lower() != RECORDING_SUFFIX:
+            raise InputError(f"{out}: expected a new recording that ends in {RECORDING_SUFFIX}")
+        check_new_path(out, "recording")
+    if not source.is_file():
+        raise InputError(f"no file '{source}': expected a recording of 'skin record', or a CAN log")
+
+
+def _engine(skin: Layout, solver: SolverOptions | None) -> tuple[Reconstructor | AdaptiveReconstructor, str]:
+    """Return the solver, compiled, and words for the log."""
+    engine, about = make_engine(skin, solver)
+    engine.warm_up()
+    ContactTracker(skin.taxels.rows, skin.taxels.columns).warm_up()
+    return engine, about
+
+
+def _classifier_maker(
+    skin: Layout, model: Path | None
+) -> Callable[[Exchange], ClassifierService | AdaptiveClassifierService]:
+    phi, classified = skin.phi(), classified_phi(skin)
+    trained = load_model(model, skin, classified) if model else find_or_train(skin, classified, DEFAULT_OBJECTS)
+    decides = Classifier(trained, classified)
+    if skin.sending == "adaptive":
+        return lambda exchange: AdaptiveClassifierService(decides, phi, classified, exchange)
+    return lambda exchange: ClassifierService(decides, phi, exchange)

@@ -1,0 +1,206 @@
+"""Replay of a run: its measurements go through the reconstructor and the classifier, one after the other."""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+import msgspec
+
+from classifier.service import AdaptiveClassifierService, ClassifierService
+from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.engine import Reconstructor
+from reconstructor.service import ReconstructorService
+from recording.sinks import Sink
+from recording.steps import Step
+from skin.fabric import Exchange, Fabric, Mailbox
+from skin.layout import Layout
+from skin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
+from skin.service import StopSignal
+
+#: Adaptive sums are labelled so often, on the clock of the run.
+_LABEL_NS: Final = round(1e9 / 100)
+
+
+class Output(Protocol):
+    """Receives what a replay publishes."""
+
+    def publish(self, topic: Topic, message: msgspec.Struct, time_ns: int) -> None:
+        """Take a message; `time_ns` is the wall clock of the run."""
+        ...
+
+
+class FabricOutput:
+    """Publishes on the fabric."""
+
+    def __init__(self, fabric: Fabric) -> None:
+        self._fabric = fabric
+
+    def publish(self, topic: Topic, message: msgspec.Struct, _time_ns: int) -> None:
+        """Publish a message."""
+        self._fabric.publish(topic, message)
+
+
+class SinkOutput:
+    """Writes a new recording."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self._encoder = msgspec.msgpack.Encoder()
+
+    def publish(self, topic: Topic, message: msgspec.Struct, time_ns: int) -> None:
+        """Write a message."""
+        self._sink.message(topic, time_ns, self._encoder.encode(message))
+
+
+def outputs_of(sink: Sink | None, fabric: Fabric | None) -> list[Output]:
+    """Return the outputs of a replay."""
+    outputs: list[Output] = []
+    if sink is not None:
+        outputs.append(SinkOutput(sink))
+    if fabric is not None:
+        outputs.append(FabricOutput(fabric))
+    return outputs
+
+
+@dataclass
+class Agreement:
+    """How many messages of a kind were made, had a recorded one to be compared with, and were equal to it."""
+
+    made: int = 0
+    compared: int = 0
+    equal: int = 0
+
+    def add(self, is_equal: bool | None) -> None:
+        """Count a message; None if nothing was recorded of it."""
+        self.made += 1
+        self.compared += is_equal is not None
+        self.equal += bool(is_equal)
+
+
+@dataclass
+class Report:
+    """Result of a replay.
+
+    Attributes
+    ----------
+    measurements, images, labels : Agreement
+        Measurements are compared byte for byte; images by their pixels, validity and number of sums; labels by all.
+    """
+
+    measurements: Agreement = field(default_factory=Agreement)
+    images: Agreement = field(default_factory=Agreement)
+    labels: Agreement = field(default_factory=Agreement)
+
+    def lines(self) -> list[str]:
+        """Return the result in words."""
+        told = []
+        for name in ("measurements", "images", "labels"):
+            one: Agreement = getattr(self, name)
+            if one.made:
+                of_recorded = f", {one.equal} of {one.compared} equal to the recorded" if one.compared else ""
+                told.append(f"{one.made} {name}{of_recorded}")
+        return told
+
+
+class Replay:
+    """Runs steps through the services, in one process and in their order, so that every run gives the same.
+
+    A `skin.fabric.Exchange` for its services.
+
+    Parameters
+    ----------
+    layout : Layout
+    solver : Reconstructor or AdaptiveReconstructor
+    make_classifier : callable
+        Returns the classifier's service on this exchange.
+    outputs : iterable of Output
+    sink : Sink, optional
+        Receives the frames, whose clock is `offset_ns` behind the wall clock.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        solver: Reconstructor | AdaptiveReconstructor,
+        make_classifier: Callable[[Exchange], ClassifierService | AdaptiveClassifierService],
+        outputs: Iterable[Output],
+        *,
+        sink: Sink | None = None,
+        offset_ns: int = 0,
+    ) -> None:
+        self.report = Report()
+        self._outputs = list(outputs)
+        self._sink, self._offset_ns = sink, offset_ns
+        self._reconstructor = ReconstructorService(layout, solver, self, clock_ns=self._published_ns)
+        self._classifier = make_classifier(self)
+        self._now_ns = self._label_ns = 0
+        self._step: Step | None = None
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        """Pass a message to all outputs."""
+        if self._step is not None and topic is IMAGE and isinstance(message, Image):
+            self.report.images.add(_same_image(message, self._step.image))
+        for output in self._outputs:
+            output.publish(topic, message, self._now_ns)
+
+    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
+        """Return a mailbox that stays empty: services are called."""
+        del topic
+        return Mailbox(depth)
+
+    def run(self, steps: Iterable[Step], stop: StopSignal, speed: float) -> None:
+        """Play the steps; `speed` is the time of the run per time that passes, infinite for no waiting."""
+        started_s, first_ns = time.monotonic(), None
+        for step in steps:
+            if first_ns is None:
+                first_ns = step.time_ns
+            left_s = started_s + (step.time_ns - first_ns) * 1e-9 / speed - time.monotonic()
+            if stop.is_set() or (left_s > 0 and stop.wait(left_s)):
+                return
+            self.take(step)
+
+    def take(self, step: Step) -> None:
+        """Play one step."""
+        self._step, self._now_ns = step, step.time_ns
+        if step.topic is None:
+            bus, seen = step.message
+            if self._sink is not None:
+                self._sink.frames(bus, seen, step.time_ns, self._offset_ns)
+            return
+        self.publish(step.topic, step.message)
+        if step.topic is not MEASUREMENT:
+            return
+        measurement: Measurement = step.message
+        is_equal = None if step.recorded is None or step.was_lost else measurement == step.recorded
+        self.report.measurements.add(is_equal)
+        if step.makes_image:
+            self._reconstructor.take(measurement)
+        self._label(step, measurement)
+
+    def _label(self, step: Step, measurement: Measurement) -> None:
+        if isinstance(self._classifier, AdaptiveClassifierService):
+            self._label_ns = self._label_ns or step.time_ns
+            while self._label_ns <= step.time_ns:
+                self._publish_label(self._classifier.label(measurement), None)
+                self._label_ns += _LABEL_NS
+        elif step.makes_label:
+            self._publish_label(self._classifier.label(measurement), step.label)
+
+    def _publish_label(self, label: Label | None, recorded: Label | None) -> None:
+        if label is not None:
+            self.report.labels.add(None if recorded is None else label == recorded)
+            self.publish(LABEL, label)
+
+    def _published_ns(self) -> int:
+        """Return when the image was published live; without a live image, the time of its SYNC."""
+        if self._step is None or self._step.topic is not MEASUREMENT:
+            return self._now_ns
+        image = self._step.image
+        return image.published_mono_ns if image is not None else int(self._step.message.sync_mono_ns)
+
+
+def _same_image(made: Image, recorded: Image | None) -> bool | None:
+    if recorded is None:
+        return None
+    return (made.pixels, made.valid, made.valid_sums) == (recorded.pixels, recorded.valid, recorded.valid_sums)

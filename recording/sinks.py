@@ -1,0 +1,226 @@
+"""Where a recorder writes: an MCAP file, or a log of frames in any format of python-can."""
+
+import contextlib
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import can
+import numpy as np
+from can.io.logger import MESSAGE_WRITERS
+
+from bus.messages import to_message
+from dbc.contract import Contract
+from dbc.frame import Frames, frames
+from dbc.generate import contract_files
+from dbc.stored_frames import CLASSIC_BYTES, FD_BYTES, RECORD_TEXT, to_bytes
+from skin.errors import InputError
+from skin.layout import Layout, layout_text
+from skin.mcap_file import FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
+from skin.messages import Topic
+from skin.output import RECORDING_SUFFIX
+
+#: Formats of python-can that do not keep the channel of a frame.
+WITHOUT_CHANNELS: Final = (".csv", ".db")
+#: The format whose channels have names; the others number them.
+_NAMED: Final = ".log"
+#: A log has its frames in the order of time: frames of several buses wait so long for each other.
+_ORDER_NS: Final = 100_000_000
+#: Libraries whose versions a recording names.
+_LIBRARIES: Final = ("canskin", "eclipse-zenoh", "python-can", "numpy", "mcap")
+
+
+class Sink(Protocol):
+    """Where a recorder writes. Every method raises OSError if the file cannot be written.
+
+    Attributes
+    ----------
+    has_messages : bool
+        Messages of the fabric are written, not frames alone.
+    """
+
+    has_messages: bool
+
+    def frames(self, bus: int, arrived: Frames, now_ns: int, offset_ns: int) -> None:
+        """Add the frames of a bus; `now_ns` is the wall clock, `offset_ns` the wall clock minus CLOCK_MONOTONIC."""
+        ...
+
+    def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
+        """Add a message of the fabric."""
+        ...
+
+    def note(self, topic: str, now_ns: int, values: Mapping[str, Any]) -> None:
+        """Add what the recorder itself says."""
+        ...
+
+    def flush(self) -> None:
+        """Make all that was added readable."""
+        ...
+
+    def close(self) -> None:
+        """Write the end of the file."""
+        ...
+
+    def abandon(self) -> None:
+        """Close a file that cannot be written any more."""
+        ...
+
+
+class McapSink:
+    """Writes frames and messages to an MCAP file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    contract : Contract
+    now_ns, offset_ns : int
+        Wall clock, and wall clock minus CLOCK_MONOTONIC.
+    """
+
+    has_messages = True
+
+    def __init__(self, path: Path, contract: Contract, now_ns: int, offset_ns: int) -> None:
+        layout = contract.layout
+        metadata = {
+            "skin": layout.name,
+            "fingerprint": contract.phi.fingerprint,
+            WALL_OFFSET_NS: str(offset_ns),
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            **{name: version(name) for name in _LIBRARIES},
+        }
+        files = [File(LAYOUT_FILE, "application/toml", layout_text(layout).encode())]
+        files += [File(name, "text/plain", text.encode()) for name, text in contract_files(contract).items()]
+        self._writer = RecordingWriter(path, metadata, files, now_ns)
+        self._topics = [FRAMES + bus.name for bus in layout.bus]
+        self._data_bytes = [FD_BYTES if bus.fd else CLASSIC_BYTES for bus in layout.bus]
+        for number, bus in enumerate(layout.bus):
+            about = {
+                "bus": str(number),
+                "bitrate": str(bus.bitrate),
+                "data_bytes": str(self._data_bytes[number]),
+                "record": RECORD_TEXT,
+            }
+            self._writer.add_topic(self._topics[number], "canskin-frames", about)
+
+    def frames(self, bus: int, arrived: Frames, now_ns: int, _offset_ns: int) -> None:
+        """Add the frames of a bus."""
+        self._writer.add(self._topics[bus], now_ns, to_bytes(arrived, self._data_bytes[bus]))
+
+    def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
+        """Add a message of the fabric."""
+        self._writer.add_message(topic, now_ns, content)
+
+    def note(self, topic: str, now_ns: int, values: Mapping[str, Any]) -> None:
+        """Add what the recorder itself says."""
+        self._writer.add_json(topic, now_ns, values)
+
+    def flush(self) -> None:
+        """Make all that was added readable."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write the index."""
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Close a file that cannot be written any more."""
+        self._writer.abandon()
+
+
+class LogSink:
+    """Writes frames alone, in the format of python-can that the suffix names; messages are left out."""
+
+    has_messages = False
+
+    def __init__(self, path: Path, layout: Layout) -> None:
+        self._log = can.Logger(path)
+        is_named = path.suffix.lower() == _NAMED
+        self._channels = [bus.name if is_named else str(number) for number, bus in enumerate(layout.bus)]
+        self._waiting = frames(0)
+        self._offset_ns = 0
+
+    def frames(self, bus: int, arrived: Frames, _now_ns: int, offset_ns: int) -> None:
+        """Add the frames of a bus."""
+        arrived = arrived.copy()
+        arrived["port"] = bus
+        self._waiting = np.concatenate((self._waiting, arrived))
+        self._offset_ns = offset_ns
+
+    def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
+        """Leave the message out."""
+
+    def note(self, topic: str, now_ns: int, values: Mapping[str, Any]) -> None:
+        """Leave the note out."""
+
+    def flush(self) -> None:
+        """Write the frames that no other bus can precede."""
+        if len(self._waiting):
+            self._write(int(self._waiting["time_ns"].max()) - _ORDER_NS)
+        file = getattr(self._log, "file", None)
+        if file is not None:
+            file.flush()
+
+    def close(self) -> None:
+        """Write the last frames and the end of the log."""
+        self._write(np.iinfo(np.int64).max)
+        self._log.stop()
+
+    def abandon(self) -> None:
+        """Close a log that cannot be written any more."""
+        with contextlib.suppress(OSError, ValueError):
+            self._log.stop()
+
+    def _write(self, until_ns: int) -> None:
+        is_due = self._waiting["time_ns"] <= until_ns
+        due, self._waiting = self._waiting[is_due], self._waiting[~is_due]
+        for place in np.argsort(due["time_ns"], kind="stable"):
+            record = due[place]
+            self._log.on_message_received(to_message(record, self._channels[record["port"]], self._offset_ns))
+
+
+def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Sink:
+    """Open a new file in the format that its suffix names.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    contract : Contract
+    now_ns, offset_ns : int
+        Wall clock, and wall clock minus CLOCK_MONOTONIC.
+
+    Raises
+    ------
+    InputError
+        If there is no such format, or the format cannot hold the skin's buses.
+    OSError
+        If the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix == RECORDING_SUFFIX:
+        return McapSink(path, contract, now_ns, offset_ns)
+    check_log(path, len(contract.layout.bus))
+    try:
+        return LogSink(path, contract.layout)
+    except (ImportError, NotImplementedError) as error:  # asammdf is not installed
+        raise InputError(f"{path}: python-can cannot write {suffix} here: {error}") from error
+
+
+def check_log(path: Path, buses: int) -> None:
+    """Check that a log of so many buses can have the format of `path`.
+
+    Raises
+    ------
+    InputError
+        If not.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in MESSAGE_WRITERS:
+        raise InputError(
+            f"{path}: expected a file that ends in {RECORDING_SUFFIX}, or, for frames alone, in one of "
+            f"{', '.join(sorted(MESSAGE_WRITERS))}"
+        )
+    if suffix in WITHOUT_CHANNELS and buses > 1:
+        raise InputError(f"{path}: a {suffix} log does not tell the buses apart, this skin has {buses}: choose another")

@@ -1,0 +1,343 @@
+"""A recorded run in steps: the measurements that its frames give, and the messages that were recorded beside them."""
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Generic, TypeVar
+
+import msgspec
+import numpy as np
+
+from bandwidth.logs import of_buses, read_log
+from dbc.contract import Contract, next_counter
+from dbc.stored_frames import from_bytes
+from gateway.playback import Playback, play
+from skin.errors import InputError
+from skin.mcap_file import FRAMES, Entry, read_entries, read_topics, wall_offset_ns
+from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement, Topic
+from skin.output import RECORDING_SUFFIX
+from skin.service import say
+
+#: Frames of all buses are in the file so long after their end.
+_FRAMES_NS: Final = 1_000_000_000
+#: An image and a label come at most so long after their measurement: the first label waits for compiled code.
+_ANSWERS_NS: Final = 15_000_000_000
+#: Time between two statuses that are made of frames.
+_STATUS_NS: Final = 200_000_000
+#: A SYNC is at most so many of its periods after the time in its measurement: half of the numbers of SYNC.
+_FAR_CYCLES: Final = 120
+#: Played as they were recorded. Images and contacts, measurements and labels are made anew.
+_AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
+
+#: Most images and labels that wait for their measurements.
+_MOST_KEPT: Final = 10_000
+
+#: Times of one SYNC differ at most so much: that of a lost measurement is computed.
+_SAME_NS: Final = 1000
+
+_Answer = TypeVar("_Answer", Image, Label)
+
+
+@dataclass(order=True)
+class Step:
+    """A message of the run.
+
+    Attributes
+    ----------
+    time_ns : int
+        On the wall clock of the run.
+    topic, message : Topic, Struct
+        Of frames the topic is None, and the message the number of their bus and the frames.
+    recorded : Measurement or None
+        Of a measurement: the recorded one, or that before if it was lost.
+    was_lost : bool
+        The measurement came not to the recorder: its number and time follow from the measurement before.
+    image, label : Image or Label or None
+        Of a measurement: what was recorded of it.
+    makes_image, makes_label : bool
+        Of a measurement: the reconstructor, or the classifier, has used it.
+    """
+
+    time_ns: int
+    place: int
+    topic: Topic | None = field(compare=False)
+    message: Any = field(compare=False)
+    recorded: Measurement | None = field(default=None, compare=False)
+    was_lost: bool = field(default=False, compare=False)
+    image: Image | None = field(default=None, compare=False)
+    label: Label | None = field(default=None, compare=False)
+    makes_image: bool = field(default=True, compare=False)
+    makes_label: bool = field(default=True, compare=False)
+
+
+def steps_of(
+    path: Path, contract: Contract, channels: list[str], *, named_by_user: bool, every: bool = False
+) -> Iterator[Step]:
+    """Yield the steps of a recording or of a CAN log, in the order of time.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    contract : Contract
+    channels : list of str
+        Of a log: one per bus.
+    named_by_user : bool
+        The channels are not the names of the buses.
+    every : bool
+        Every measurement makes an image, whether the live one did or not.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds nothing to play.
+    """
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        topics = read_topics(path)
+        if not any(topic.startswith(FRAMES) for topic in topics) and MEASUREMENT.name not in topics:
+            raise InputError(f"{path}: holds neither frames nor measurements: there is nothing to play")
+        yield from _Recorded(path, contract, topics, every=every).steps()
+    else:
+        yield from _logged(path, contract, channels, named_by_user=named_by_user)
+
+
+def _logged(path: Path, contract: Contract, channels: list[str], *, named_by_user: bool) -> Iterator[Step]:
+    logged = of_buses(contract.layout, channels, read_log(path, _warn), path, named_by_user=named_by_user)
+    status_ns = place = 0
+    for part in play(contract, logged):
+        for bus, seen in part.frames.items():
+            if len(seen):
+                yield Step(int(seen["time_ns"].max()), place, None, (bus, seen))
+        for each in part.measurements:
+            place += 1
+            yield Step(each.time_ns, place, MEASUREMENT, each)
+            if each.time_ns - status_ns >= _STATUS_NS:
+                status_ns = each.time_ns
+                yield Step(each.time_ns, place, GATEWAY, part.status)
+
+
+class _Recorded:
+    """The steps of a recording. Frames and messages come a little after their time, so steps wait for them."""
+
+    def __init__(self, path: Path, contract: Contract, topics: set[str], *, every: bool) -> None:
+        self._path, self._contract = path, contract
+        self._decoders: dict[str, Callable[[bytes], Any]] = {
+            topic.name: msgspec.msgpack.Decoder(topic.message).decode
+            for topic in (MEASUREMENT, IMAGE, LABEL, *_AS_RECORDED.values())
+        }
+        self._measures = MEASUREMENT.name in topics
+        has_frames = any(topic.startswith(FRAMES) for topic in topics)
+        #: Adaptive sums at the instant of a measurement are not told by frames alone.
+        self._uses_frames = has_frames and (contract.layout.sending == "synchronous" or not self._measures)
+        #: Without counter a SYNC is known by its time alone.
+        self._is_counted = contract.sync_overflow > 0
+        self._far_ns = round((_FAR_CYCLES if self._is_counted else 0.5) * contract.layout.sync.period_s * 1e9)
+        self._playback: Playback | None = None
+        self._waiting: list[Step] = []
+        self._unpaired: dict[int, deque[Measurement]] = {}
+        self._images: _Answers[Image] = _Answers(is_followed=IMAGE.name in topics and not every)
+        self._labels: _Answers[Label] = _Answers(is_followed=LABEL.name in topics)
+        #: The measurement that was played last, and the time of the newest that was read.
+        self._before: Measurement | None = None
+        self._measured_ns = 0
+        self._buses = {FRAMES + bus.name: number for number, bus in enumerate(contract.layout.bus)}
+        self._place = self._unmatched = 0
+        self._offset_ns = wall_offset_ns(path)
+        self._status_ns = 0
+
+    def steps(self) -> Iterator[Step]:
+        """Yield the steps in the order of time."""
+        newest_ns = advanced_ns = 0
+        for entry in read_entries(self._path, _warn):
+            newest_ns = max(newest_ns, entry.time_ns)
+            self._take(entry)
+            if newest_ns - advanced_ns >= _FRAMES_NS:
+                advanced_ns = newest_ns
+                self._advance(newest_ns - _FRAMES_NS)
+                yield from self._ripe(newest_ns - _FRAMES_NS)
+        self._advance(None)
+        yield from self._ripe(None)
+        if self._unmatched:
+            say("replay", f"{self._unmatched} cycles have frames but no recorded measurement: they are left out")
+
+    def _is_ripe(self, step: Step, until_ns: int) -> bool:
+        """Tell whether nothing can come any more that precedes a step or belongs to its measurement."""
+        if step.time_ns > until_ns:
+            return False
+        if step.recorded is None or step.time_ns <= until_ns - _ANSWERS_NS:
+            return True
+        sync_ns = step.recorded.sync_mono_ns
+        return self._images.reaches(sync_ns) and self._labels.reaches(sync_ns)
+
+    def _take(self, entry: Entry) -> None:
+        if entry.topic in self._buses:
+            self._take_frames(entry)
+            return
+        decode = self._decoders.get(entry.topic)
+        if decode is None:
+            return
+        try:
+            message = decode(entry.data)
+        except msgspec.MsgspecError as error:
+            raise InputError(f"{self._path}: a message of '{entry.topic}' cannot be decoded: {error}") from error
+        if entry.topic == MEASUREMENT.name:
+            if self._uses_frames:
+                self._measured_ns = message.sync_mono_ns
+                self._unpaired.setdefault(self._counter(message), deque()).append(message)
+            else:
+                self._add(entry.time_ns, MEASUREMENT, message, message)
+        elif entry.topic == IMAGE.name:
+            self._images.keep(message)
+        elif entry.topic == LABEL.name:
+            self._labels.keep(message)
+        else:
+            self._add(entry.time_ns, _AS_RECORDED[entry.topic], message)
+
+    def _take_frames(self, entry: Entry) -> None:
+        seen = from_bytes(entry.data, int(entry.about["data_bytes"]))
+        self._add(entry.time_ns, None, (self._buses[entry.topic], seen))
+        if not self._uses_frames:
+            return
+        if self._playback is None:
+            start_ns = int(seen["time_ns"][0]) - _FRAMES_NS
+            self._playback = Playback(self._contract, self._buses.values(), start_ns, self._offset_ns)
+        self._playback.feed(self._buses[entry.topic], seen)
+
+    def _advance(self, until_ns: int | None) -> None:
+        """Make the measurements of the frames up to a time on the wall clock."""
+        playback = self._playback
+        if playback is None:
+            return
+        made = playback.finish() if until_ns is None else playback.advance(until_ns - self._offset_ns)
+        for each in made:
+            if not self._measures:
+                self._add(each.time_ns, MEASUREMENT, each)
+                if each.time_ns - self._status_ns >= _STATUS_NS:
+                    self._status_ns = each.time_ns
+                    self._add(each.time_ns, GATEWAY, playback.status())
+                continue
+            recorded = self._recorded(each)
+            was_lost = recorded is None
+            if recorded is None:
+                recorded = self._between(each)
+            if recorded is None:
+                self._unmatched += 1
+                continue
+            self._before = recorded
+            self._add(each.time_ns, MEASUREMENT, as_live(each, recorded, self._contract), recorded, was_lost=was_lost)
+
+    def _recorded(self, made: Measurement) -> Measurement | None:
+        """Return the recorded measurement of the same SYNC."""
+        candidates = self._unpaired.get(self._counter(made), deque())
+        while candidates and made.sync_mono_ns - candidates[0].sync_mono_ns > self._far_ns:
+            candidates.popleft()
+        if candidates and abs(made.sync_mono_ns - candidates[0].sync_mono_ns) <= self._far_ns:
+            return candidates.popleft()
+        return None
+
+    def _counter(self, measurement: Measurement) -> int:
+        """Return the counter by which a SYNC is known; 0 if its frame has none."""
+        return measurement.sync_counter if self._is_counted else 0
+
+    def _between(self, made: Measurement) -> Measurement | None:
+        """Return the header of a measurement that was lost on the way to the recorder: one cycle after another.
+
+        Its nodes count as proven as in the cycle before. None if it does not follow that cycle, or none follows.
+        """
+        before = self._before
+        if before is None or self._measured_ns <= made.sync_mono_ns:
+            return None
+        period_ns = round(self._contract.layout.sync.period_s * 1e9)
+        later_ns = made.sync_mono_ns - before.sync_mono_ns
+        counter = next_counter(before.sync_counter)
+        if (self._is_counted and made.sync_counter != counter) or later_ns > 2 * period_ns:
+            return None
+        return msgspec.structs.replace(
+            before,
+            cycle=before.cycle + 1,
+            sync_counter=counter,
+            sync_mono_ns=before.sync_mono_ns + period_ns,
+            time_ns=before.time_ns + period_ns,
+        )
+
+    def _add(
+        self,
+        time_ns: int,
+        topic: Topic | None,
+        message: Any,
+        recorded: Measurement | None = None,
+        *,
+        was_lost: bool = False,
+    ) -> None:
+        self._place += 1
+        heapq.heappush(self._waiting, Step(time_ns, self._place, topic, message, recorded, was_lost))
+
+    def _ripe(self, until_ns: int | None) -> Iterator[Step]:
+        """Yield the steps up to a time, with what was recorded of them."""
+        while self._waiting and (until_ns is None or self._is_ripe(self._waiting[0], until_ns)):
+            step = heapq.heappop(self._waiting)
+            if step.recorded is not None:
+                step.image, step.makes_image = self._images.of(step.recorded)
+                step.label, step.makes_label = self._labels.of(step.recorded)
+                answer = step.image or step.label
+                if step.was_lost and answer is not None:
+                    step.message = msgspec.structs.replace(step.message, sync_mono_ns=answer.sync_mono_ns)
+            yield step
+
+
+class _Answers(Generic[_Answer]):
+    """The recorded images or labels, until their measurements are played.
+
+    A measurement without an answer was not used live, or its answer was lost on the way to the recorder. The numbers of
+    the answers before and after it tell which; of several measurements the first count as used.
+    """
+
+    def __init__(self, *, is_followed: bool) -> None:
+        self._is_followed = is_followed
+        self._kept: dict[int, _Answer] = {}
+        self._newest_ns = self._number = 0
+
+    def keep(self, answer: _Answer) -> None:
+        """Keep an answer; the oldest, whose measurements are missing, go."""
+        self._kept[answer.cycle] = answer
+        self._newest_ns = answer.sync_mono_ns
+        if len(self._kept) > _MOST_KEPT:
+            del self._kept[next(iter(self._kept))]
+
+    def reaches(self, sync_ns: int) -> bool:
+        """Tell whether the answer to a measurement, or a later answer, has come."""
+        return not self._is_followed or self._newest_ns >= sync_ns
+
+    def of(self, measurement: Measurement) -> tuple[_Answer | None, bool]:
+        """Return the answer to the next measurement, if it was recorded, and whether there was one live."""
+        sync_ns = measurement.sync_mono_ns
+        answer = self._kept.get(measurement.cycle)
+        if answer is not None and abs(answer.sync_mono_ns - sync_ns) <= _SAME_NS:
+            del self._kept[measurement.cycle]
+            self._number = answer.number
+            return answer, True
+        if not self._is_followed:
+            return None, True
+        later = (each for each in self._kept.values() if each.sync_mono_ns > sync_ns)
+        following = min(later, key=lambda each: each.sync_mono_ns, default=None)
+        if following is None or following.number <= self._number + 1:
+            return None, False
+        self._number += 1
+        return None, True
+
+
+def as_live(made: Measurement, recorded: Measurement, contract: Contract) -> Measurement:
+    """Return a measurement made of frames with the number, the times and the proofs of the recorded measurement.
+
+    Frames do not tell which nodes were proven, nor whether the gateway read a frame in time: a block is valid if its
+    frames are complete, and it was valid in the recorded measurement. The sums are those of the frames.
+    """
+    valid = np.frombuffer(made.valid, np.uint8) & np.frombuffer(recorded.valid, np.uint8)
+    sums = np.frombuffer(made.sums, "<i4").copy()
+    sums[~contract.phi.sums_of_blocks(valid != 0)] = 0
+    return msgspec.structs.replace(recorded, sums=sums.tobytes(), valid=valid.tobytes(), fingerprint=made.fingerprint)
+
+
+def _warn(line: str) -> None:
+    say("replay", line)

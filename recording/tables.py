@@ -1,0 +1,140 @@
+"""What a notebook wants of a recording: arrays of images, measurements, contacts and labels."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from skin.errors import InputError, RunError
+from skin.layout import Layout
+from skin.mcap_file import read_entries
+from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact
+
+Table = dict[str, npt.NDArray[Any]]
+
+#: Columns of the contacts: those of `skin.messages.Contact`, and the cycle.
+CONTACT_FIELDS: Final = {
+    each.name: np.float64 if each.type is float else np.int64 for each in msgspec.structs.fields(Contact)
+}
+
+
+@dataclass
+class Tables:
+    """Arrays by name; the rows of a table belong together.
+
+    Attributes
+    ----------
+    images : dict
+        ``pixels`` float32 (n, rows, columns) in newtons, ``cycle``, ``time_ns`` of the sampling on the wall clock,
+        ``sync_mono_ns``, ``valid`` bool (n, blocks), ``valid_sums``.
+    measurements : dict
+        ``sums`` int32 (n, m) in ADC counts, ``valid``, ``cycle``, ``time_ns``, ``sync_mono_ns``.
+    contacts : dict
+        One row per contact and image: the fields of `skin.messages.Contact`, ``cycle`` and ``time_ns``.
+    labels : dict
+        ``label``, ``confidence``, ``cycle``, ``time_ns``.
+    truth : dict
+        ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns``; of simulated nodes.
+    """
+
+    images: Table = field(default_factory=dict)
+    measurements: Table = field(default_factory=dict)
+    contacts: Table = field(default_factory=dict)
+    labels: Table = field(default_factory=dict)
+    truth: Table = field(default_factory=dict)
+
+    def named(self) -> dict[str, Table]:
+        """Return the tables that have rows, by name."""
+        return {name: table for name, table in vars(self).items() if table and len(table["time_ns"])}
+
+
+def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str], None]) -> Tables:
+    """Return the tables of a recording.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    layout : Layout
+        Of the recording.
+    offset_ns : int
+        Wall clock minus CLOCK_MONOTONIC.
+    warn : callable
+        Receives one line of text if the file is cut.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or its messages do not fit the layout.
+    RunError
+        If there is nothing to read.
+    """
+    topics = {topic.name: topic for topic in (IMAGE, MEASUREMENT, CONTACTS, LABEL, TRUTH)}
+    decoders = {name: msgspec.msgpack.Decoder(topic.message) for name, topic in topics.items()}
+    read: dict[str, list[Any]] = {name: [] for name in topics}
+    for entry in read_entries(path, warn):
+        if entry.topic in read:
+            read[entry.topic].append(decoders[entry.topic].decode(entry.data))
+    if not any(read.values()):
+        raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
+    shape = (layout.taxels.rows, layout.taxels.columns)
+    try:
+        return Tables(
+            # The pixels first: programs that read one array of a file take the first.
+            images={"pixels": _stack([each.pixels for each in read["image"]], "<f4", shape)}
+            | _times(read["image"], offset_ns)
+            | {
+                "valid": _stack([each.valid for each in read["image"]], np.bool_, (layout.blocks,)),
+                "valid_sums": np.array([each.valid_sums for each in read["image"]], np.int64),
+            },
+            measurements=_times(read["measurement"], offset_ns)
+            | {
+                "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
+                "valid": _stack([each.valid for each in read["measurement"]], np.bool_, (layout.blocks,)),
+            },
+            contacts=_contacts(read["contacts"], offset_ns),
+            labels=_times(read["label"], offset_ns)
+            | {
+                "label": np.array([each.label for each in read["label"]], np.str_),
+                "confidence": np.array([each.confidence for each in read["label"]], np.float64),
+            },
+            truth={
+                "time_ns": np.array([each.sync_mono_ns for each in read["truth"]], np.int64) + offset_ns,
+                "true": _stack([each.true for each in read["truth"]], "<f4", shape),
+                "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
+                "label": np.array([each.label for each in read["truth"]], np.str_),
+            },
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
+
+
+def _times(messages: list[Any], offset_ns: int) -> Table:
+    """Return number and times of messages; of a contact those of its image."""
+    mono_ns = np.array([each.sync_mono_ns for each in messages], np.int64)
+    return {
+        "cycle": np.array([each.cycle for each in messages], np.int64),
+        "time_ns": mono_ns + offset_ns,
+        "sync_mono_ns": mono_ns,
+    }
+
+
+def _contacts(messages: list[Any], offset_ns: int) -> Table:
+    found = [(each, contact) for each in messages for contact in each.contacts]
+    return _times([each for each, _ in found], offset_ns) | {
+        name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in CONTACT_FIELDS.items()
+    }
+
+
+def _stack(contents: list[bytes], dtype: npt.DTypeLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    kind = np.dtype(dtype)
+    joined = np.frombuffer(b"".join(contents), np.uint8 if kind == np.bool_ else kind)
+    return joined.reshape(len(contents), *shape).astype(kind, copy=False)
+
+
+def flat(tables: Tables) -> Mapping[str, npt.NDArray[Any]]:
+    """Return all arrays with the name of their table before their own: ``images_pixels``."""
+    return {f"{name}_{column}": values for name, table in tables.named().items() for column, values in table.items()}

@@ -1,0 +1,250 @@
+"""Recordings: MCAP files (https://mcap.dev) with the frames of the buses and the messages of the fabric.
+
+A recording has one topic per bus, ``frames/NAME``, whose messages hold many frames each (`dbc.stored_frames`), and the
+topics of `skin.messages`, whose messages are those of the fabric, byte for byte: msgpack. Of the topics `EVENTS` and
+`RECORDER` each message is a JSON object. The file begins with metadata and attachments.
+"""
+
+import contextlib
+import os
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Header, Message, Metadata
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from skin.errors import InputError
+from skin.messages import Topic
+
+#: Profile in the header: what the topics and messages are.
+PROFILE: Final = "canskin"
+#: Name of the metadata record, and of the attachment with the layout.
+METADATA: Final = "canskin"
+LAYOUT_FILE: Final = "layout.toml"
+FRAMES: Final = "frames/"
+#: Key of the metadata: wall clock minus CLOCK_MONOTONIC at the beginning, nanoseconds.
+WALL_OFFSET_NS: Final = "wall_offset_ns"
+#: What happened: services that came and went, buses that were lost.
+EVENTS: Final = "events"
+#: The recorder's own counters.
+RECORDER: Final = "recorder"
+
+#: A chunk is compressed and written when it holds so many bytes, or at `RecordingWriter.flush`.
+_CHUNK_BYTES: Final = 1 << 20
+#: A longer record is damage.
+_LONGEST_RECORD: Final = 1 << 28
+#: Errors of the library for files that are cut or damaged.
+_DAMAGE: Final = (
+    McapError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    IndexError,
+    KeyError,
+    TypeError,
+    MemoryError,
+)
+
+
+class File(NamedTuple):
+    """An attachment."""
+
+    name: str
+    media_type: str
+    content: bytes
+
+
+class Entry(NamedTuple):
+    """One message of a recording; `time_ns` is the wall clock of the recorder, `about` describes the topic."""
+
+    topic: str
+    time_ns: int
+    data: bytes
+    about: Mapping[str, str]
+
+
+class About(NamedTuple):
+    """What a recording says of itself."""
+
+    metadata: Mapping[str, str]
+    files: Mapping[str, bytes]
+
+
+class RecordingWriter:
+    """Writes a recording. After `flush` all that was added before is readable, whatever happens to this process.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        A new file.
+    metadata : mapping of str to str
+    files : sequence of File
+        Attachments.
+
+    Raises
+    ------
+    OSError
+        From every method, if the file cannot be written.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, str], files: Sequence[File], time_ns: int) -> None:
+        self._file = path.open("xb")
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
+        self._channels: dict[str, int] = {}
+        self._disk = ThreadPoolExecutor(1, "fdatasync")
+        self._synced: Future[None] | None = None
+        self._writer.start(PROFILE)
+        self._writer.add_metadata(METADATA, dict(metadata))
+        for each in files:
+            self._writer.add_attachment(time_ns, time_ns, each.name, each.media_type, each.content)
+        self.flush()
+
+    def add_topic(self, name: str, encoding: str, about: Mapping[str, str]) -> None:
+        """Describe a topic before its first message."""
+        self._channels[name] = self._writer.register_channel(name, encoding, 0, dict(about))
+
+    def add(self, topic: str, time_ns: int, data: bytes) -> None:
+        """Add a message; `time_ns` is the wall clock."""
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
+
+    def add_message(self, topic: Topic, time_ns: int, data: bytes) -> None:
+        """Add a message of the fabric, as it was published."""
+        if topic.name not in self._channels:
+            self.add_topic(topic.name, "msgpack", {"message": topic.message.__name__})
+        self.add(topic.name, time_ns, data)
+
+    def add_json(self, topic: str, time_ns: int, values: Mapping[str, Any]) -> None:
+        """Add a JSON object."""
+        if topic not in self._channels:
+            self.add_topic(topic, "json", {})
+        self.add(topic, time_ns, msgspec.json.encode(values))
+
+    def flush(self) -> None:
+        """Give all to the system, and have it brought to the disk meanwhile."""
+        self._writer.flush()
+        if self._synced is None or self._synced.done():
+            if self._synced is not None:
+                self._synced.result()
+            self._synced = self._disk.submit(os.fdatasync, self._file.fileno())
+
+    def close(self) -> None:
+        """Write the index and close the file."""
+        try:
+            self._writer.finish()
+            self._file.flush()
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file without an index: what was flushed is readable."""
+        self._disk.shutdown()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes in the file so far."""
+        return os.fstat(self._file.fileno()).st_size
+
+
+def read_about(path: Path) -> About:
+    """Return what a recording says of itself.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording of a skin, or cannot be read.
+    """
+    about = About({}, {})
+    for record in _records(path):
+        if isinstance(record, Metadata) and record.name == METADATA:
+            about = about._replace(metadata=record.metadata)
+        elif isinstance(record, Attachment):
+            about = about._replace(files={**about.files, record.name: record.data})
+        elif isinstance(record, Message):
+            break
+    return about
+
+
+def wall_offset_ns(path: Path) -> int:
+    """Return wall clock minus the clock of the frames and messages of a recording.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording of a skin, or cannot be read.
+    """
+    return int(read_about(path).metadata.get(WALL_OFFSET_NS, 0))
+
+
+def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
+    """Yield the messages of a recording in the order of the file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    warn : callable
+        Receives one line of text if the file is cut or damaged; it is read up to there.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording of a skin, or cannot be read.
+    """
+    channels: dict[int, Channel] = {}
+    first_ns = last_ns = 0
+    for record in _records(path):
+        if isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            channel = channels[record.channel_id]
+            first_ns, last_ns = first_ns or record.log_time, record.log_time
+            yield Entry(channel.topic, record.log_time, record.data, channel.metadata)
+        elif record is None:
+            seconds = (last_ns - first_ns) * 1e-9
+            warn(f"{path}: has no end, as after a crash or on a full disk: read up to its cut, {seconds:.1f} s")
+
+
+def read_topics(path: Path) -> set[str]:
+    """Return the topics of which a recording has messages.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording of a skin, or cannot be read.
+    """
+    read_about(path)
+    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
+        summary = make_reader(file).get_summary()
+        if summary is not None and summary.statistics is not None:
+            counts = summary.statistics.channel_message_counts
+            return {summary.channels[number].topic for number, count in counts.items() if count}
+    return {entry.topic for entry in read_entries(path, lambda _: None)}
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """Yield the records of a file, and None in the place of what is damaged or missing."""
+    try:
+        with path.open("rb") as file:
+            records = StreamReader(file, validate_crcs=True, record_size_limit=_LONGEST_RECORD).records
+            try:
+                header = next(records)
+            except (*_DAMAGE, StopIteration) as error:
+                raise InputError(f"{path}: is no MCAP file: expected a recording of 'skin record'") from error
+            if not isinstance(header, Header) or header.profile != PROFILE:
+                raise InputError(f"{path}: is no recording of a skin: expected a file of 'skin record'")
+            try:
+                yield from records
+            except _DAMAGE:
+                yield None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error

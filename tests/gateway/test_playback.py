@@ -1,0 +1,67 @@
+"""Recorded frames give the measurements of the live gateway, however they are cut into parts."""
+
+import numpy as np
+import pytest
+
+from dbc.contract import Contract
+from dbc.frame import Frames
+from gateway.playback import Playback, play
+from skin.messages import Measurement
+from tests.recording.conftest import OFFSET_NS, bus_frames, contract, force_n, sums
+
+__all__ = ["bus_frames", "contract", "force_n", "sums"]
+
+
+def whole(contract: Contract, logged: dict[int, Frames]) -> list[Measurement]:
+    return [each for part in play(contract, logged) for each in part.measurements]
+
+
+def test_measurements_are_the_sums_of_the_nodes(
+    contract: Contract, sums: np.ndarray, bus_frames: dict[int, Frames]
+) -> None:
+    first_ns = int(bus_frames[0]["time_ns"][0])
+    playback = Playback(contract, bus_frames.keys(), first_ns, OFFSET_NS)
+    for bus, seen in bus_frames.items():
+        playback.feed(bus, seen)
+    made = playback.finish()
+    assert [each.cycle for each in made] == list(range(1, len(sums) + 1))
+    assert all(each.valid == b"\1" * 16 for each in made)
+    np.testing.assert_array_equal([np.frombuffer(each.sums, "<i4") for each in made], sums)
+    assert made[0].sync_mono_ns == first_ns
+    assert made[0].time_ns == first_ns + OFFSET_NS
+    status = playback.status()
+    assert status.cycles_complete == len(sums)
+    assert status.sync_rate_hz == pytest.approx(100, rel=0.15)
+    assert status.buses[0].mean_load_ratio > 0
+
+
+def test_parts_of_any_length_give_the_same(contract: Contract, bus_frames: dict[int, Frames]) -> None:
+    expected = whole(contract, bus_frames)
+    first_ns, last_ns = (int(bus_frames[0]["time_ns"][place]) for place in (0, -1))
+    playback, made, used = Playback(contract, bus_frames.keys(), first_ns), [], dict.fromkeys(bus_frames, 0)
+    for until_ns in range(first_ns, last_ns, 1_300_000):
+        for bus, seen in bus_frames.items():
+            # More than what is asked for may have come already.
+            end = int(np.searchsorted(seen["time_ns"], until_ns + 400_000 * bus, "right"))
+            playback.feed(bus, seen[used[bus] : end])
+            used[bus] = end
+        made += playback.advance(until_ns)
+    for bus, seen in bus_frames.items():
+        playback.feed(bus, seen[used[bus] :])
+    made += playback.finish()
+    assert made == expected
+
+
+def test_a_bus_that_was_not_recorded_is_not_valid(contract: Contract, bus_frames: dict[int, Frames]) -> None:
+    made = whole(contract, {1: bus_frames[1]})
+    assert all(each.valid == b"\0" * 8 + b"\1" * 8 for each in made)
+    assert len(made) == len(whole(contract, bus_frames))
+
+
+def test_lost_frames_cost_their_block_alone(contract: Contract, bus_frames: dict[int, Frames]) -> None:
+    seen = bus_frames[0]
+    places = np.flatnonzero(seen["can_id"] != 0x80)[[3, 40]]
+    logged = {0: np.delete(seen, places), 1: bus_frames[1]}
+    lost = [each.valid.count(b"\0") for each in whole(contract, logged)]
+    assert sum(lost) == 2
+    assert max(lost) == 1

@@ -1,0 +1,127 @@
+"""Recordings as arrays: every format holds the same."""
+
+from pathlib import Path
+
+import h5py
+import msgspec
+import numpy as np
+import pytest
+
+from dbc.contract import Contract
+from recording.export_command import export
+from recording.sinks import McapSink
+from skin.errors import InputError, RunError
+from skin.layout import load_layout
+from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement
+from tests.recording.conftest import OFFSET_NS
+from touch.sources import recording
+
+COUNT = 4
+
+
+def pixels(cycle: int) -> np.ndarray:
+    return np.arange(256, dtype="<f4").reshape(16, 16) * cycle * 1e-5
+
+
+@pytest.fixture
+def run(contract: Contract, out: Path) -> Path:
+    sink = McapSink(out, contract, 1, OFFSET_NS)
+    for cycle in range(1, COUNT + 1):
+        stamps = {"cycle": cycle, "sync_counter": cycle, "sync_mono_ns": cycle * 10}
+        valid = bytes([cycle > 1] * 16)
+        contact = Contact(
+            identity=3,
+            row=1.5,
+            column=2.5,
+            force_n=0.25,
+            peak_n=0.1,
+            taxels=4,
+            top=1,
+            bottom=2,
+            left=2,
+            right=3,
+            onset_mono_ns=10,
+        )
+        for topic, message in (
+            (
+                MEASUREMENT,
+                Measurement(
+                    **stamps,
+                    time_ns=0,
+                    sums=np.full(128, cycle, "<i4").tobytes(),
+                    valid=valid,
+                    fingerprint=contract.phi.fingerprint,
+                ),
+            ),
+            (
+                IMAGE,
+                Image(
+                    **stamps,
+                    published_mono_ns=0,
+                    pixels=pixels(cycle).tobytes(),
+                    valid=valid,
+                    valid_sums=7,
+                    solve_s=0.0,
+                ),
+            ),
+            (CONTACTS, Contacts(**stamps, contacts=[contact] * (cycle == 2), ended=[], find_s=0.0)),
+            (LABEL, Label(**stamps, label="cup", confidence=0.5, valid_sums=7)),
+        ):
+            sink.message(topic, cycle, msgspec.msgpack.encode(message))
+    sink.close()
+    return out
+
+
+def test_npz(run: Path) -> None:
+    export(str(run))
+    with np.load(run.with_suffix(".npz")) as made:
+        np.testing.assert_array_equal(made["images_pixels"], [pixels(cycle) for cycle in range(1, COUNT + 1)])
+        assert made["images_time_ns"].tolist() == [OFFSET_NS + 10 * cycle for cycle in range(1, COUNT + 1)]
+        assert made["images_valid"].all(axis=1).tolist() == [False, True, True, True]
+        np.testing.assert_array_equal(made["measurements_sums"][:, 5], [1, 2, 3, 4])
+        assert (made["contacts_cycle"].tolist(), made["contacts_force_n"].tolist()) == ([2], [0.25])
+        assert made["labels_label"].tolist() == ["cup"] * COUNT
+        about = msgspec.json.decode(str(made["metadata"]))
+    assert about["skin"] == "small"
+    assert 'name = "small"' in about["layout"]
+
+
+def test_hdf5(run: Path, tmp_path: Path) -> None:
+    export(str(run), to="hdf5", out=tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5") as made:
+        np.testing.assert_array_equal(made["images/pixels"][1], pixels(2))
+        assert made["labels/label"].asstr()[0] == "cup"
+        assert made["contacts/identity"][:].tolist() == [3]
+        assert made.attrs["skin"] == "small"
+
+
+def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
+    export(str(run), to="csv", out=tmp_path / "run.csv")
+    played = recording(tmp_path / "run-images.csv", 16, 16, full_scale=1.0, force_max_n=1.0)
+    assert played.frames == COUNT
+    np.testing.assert_allclose(played.frame(2).force_n, pixels(3), rtol=1e-6)
+    rows = (tmp_path / "run-contacts.csv").read_text().splitlines()
+    assert len(rows) == 2
+    assert rows[0].startswith("cycle,time_ns")
+
+
+def test_the_images_of_a_run_can_be_played(run: Path) -> None:
+    played = recording(run, 16, 16, force_max_n=0.02)
+    assert (played.frames, played.full_scale) == (COUNT, 0.02)
+    np.testing.assert_allclose(played.frame(3).force_n, pixels(4), rtol=1e-6)
+    with pytest.raises(InputError, match="has no array 'true': expected one of image"):
+        recording(run, 16, 16, arrays="true")
+    log = run.with_suffix(".log")
+    log.touch()
+    with pytest.raises(InputError, match="make its images with 'skin rebuild"):
+        recording(log, 16, 16)
+
+
+def test_a_run_is_a_layout(run: Path, contract: Contract) -> None:
+    assert load_layout(run) == contract.layout
+
+
+def test_frames_alone_are_no_arrays(contract: Contract, out: Path) -> None:
+    McapSink(out, contract, 1, OFFSET_NS).close()
+    with pytest.raises(RunError, match="skin replay --out"):
+        export(str(out))

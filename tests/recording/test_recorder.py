@@ -1,0 +1,127 @@
+"""What comes is in the file: frames of every bus, and messages as they were published."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from bandwidth.logs import read_log
+from bus.link import State
+from dbc.contract import Contract
+from dbc.frame import Frames
+from dbc.generate import contract_files
+from recording.recorder import MOST_WAITING, Recorder
+from recording.sinks import check_log, open_sink
+from skin.errors import InputError
+from skin.layout import parse_layout
+from skin.mcap_file import EVENTS, RECORDER, read_about, read_entries
+from skin.messages import LABEL
+from tests.recording.conftest import OFFSET_NS, FakeLink
+
+START_NS = 1_700_000_000_000_000_000
+
+
+class Run:
+    """A recorder on links of the test, and its clock."""
+
+    def __init__(self, path: Path, contract: Contract, links: dict[int, FakeLink]) -> None:
+        self.wall_ns = START_NS
+        names = {number: bus.name for number, bus in enumerate(contract.layout.bus)}
+        self.sink = open_sink(path, contract, START_NS, OFFSET_NS)
+        self.recorder = Recorder(
+            links, self.sink, names, wall_ns=lambda: self.wall_ns, mono_ns=lambda: self.wall_ns - OFFSET_NS
+        )
+
+    def turn(self, after_s: float = 0.05) -> None:
+        self.wall_ns += round(after_s * 1e9)
+        self.recorder.turn()
+
+
+def brought(links: dict[int, FakeLink], bus_frames: dict[int, Frames]) -> None:
+    for number, link in links.items():
+        link.coming += np.array_split(bus_frames[number], 5)
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run.log", "run.blf", "run.asc", "run.trc"])
+def test_every_frame_is_in_the_file(
+    contract: Contract, links: dict[int, FakeLink], bus_frames: dict[int, Frames], tmp_path: Path, name: str
+) -> None:
+    run = Run(tmp_path / name, contract, links)
+    brought(links, bus_frames)
+    run.turn()
+    run.turn(0.6)
+    run.sink.close()
+    assert run.recorder.frames == sum(map(len, bus_frames.values()))
+    logged = read_log(tmp_path / name, pytest.fail)
+    assert len(logged) == 2
+    for (channel, found), (number, sent) in zip(sorted(logged.items()), bus_frames.items(), strict=True):
+        if name in {"run.mcap", "run.log"}:
+            assert channel == contract.layout.bus[number].name
+        for field in ("can_id", "length", "flags", "data"):
+            np.testing.assert_array_equal(found[field], sent[field])
+        late_ns = found["time_ns"] - sent["time_ns"]
+        np.testing.assert_allclose(late_ns, late_ns[0], atol=0 if name == "run.mcap" else 1_000_000)
+        if name == "run.mcap":
+            assert late_ns[0] == OFFSET_NS
+
+
+def test_messages_events_and_counters_are_in_the_file(
+    contract: Contract, links: dict[int, FakeLink], bus_frames: dict[int, Frames], out: Path
+) -> None:
+    run = Run(out, contract, links)
+    brought(links, bus_frames)
+    links[1].dropped = 7
+    run.recorder.take_message(LABEL, b"a label")
+    run.recorder.take_event("gateway", "is there")
+    links[0].state = State.LOST
+    run.turn()
+    links[0].state = State.ACTIVE
+    run.turn(0.6)
+    # Not closed: all of it is in the file already.
+    entries = list(read_entries(out, lambda _: None))
+    labels = [entry for entry in entries if entry.topic == LABEL.name]
+    assert [(entry.time_ns, entry.data) for entry in labels] == [(START_NS, b"a label")]
+    events = [msgspec.json.decode(entry.data)["text"] for entry in entries if entry.topic == EVENTS]
+    assert events == ["is there", "left is lost", "left is back"]
+    (counters,) = [msgspec.json.decode(entry.data) for entry in entries if entry.topic == RECORDER]
+    assert counters["frames"] == sum(map(len, bus_frames.values()))
+    assert counters["lost_frames"] == {"left": 0, "right": 7}
+    assert counters["wall_offset_ns"] == OFFSET_NS
+    assert run.recorder.lost == 7
+    run.sink.close()
+
+
+def test_layout_contract_and_versions_are_attached(contract: Contract, links: dict[int, FakeLink], out: Path) -> None:
+    Run(out, contract, links).sink.close()
+    about = read_about(out)
+    assert parse_layout(about.files["layout.toml"], "layout.toml") == contract.layout
+    files = {name: text.encode() for name, text in contract_files(contract).items()}
+    assert {name: about.files[name] for name in files} == files
+    assert about.metadata["fingerprint"] == contract.phi.fingerprint
+    assert {"canskin", "numpy", "python", "mcap"} <= set(about.metadata)
+
+
+def test_a_log_leaves_messages_out(contract: Contract, links: dict[int, FakeLink], tmp_path: Path) -> None:
+    run = Run(tmp_path / "run.log", contract, links)
+    run.recorder.take_message(LABEL, b"a label")
+    run.turn()
+    assert run.recorder.messages == 0
+    run.sink.close()
+
+
+def test_too_many_messages_are_counted(contract: Contract, links: dict[int, FakeLink], out: Path) -> None:
+    run = Run(out, contract, links)
+    for _ in range(MOST_WAITING + 3):
+        run.recorder.take_message(LABEL, b"")
+    assert run.recorder.lost == 3
+    run.sink.abandon()
+
+
+@pytest.mark.parametrize(
+    ("name", "buses", "words"), [("run.xyz", 1, "expected a file that ends in"), ("run.csv", 2, "does not tell")]
+)
+def test_formats_that_cannot_hold_the_frames_are_refused(name: str, buses: int, words: str) -> None:
+    check_log(Path("run.csv"), 1)
+    with pytest.raises(InputError, match=words):
+        check_log(Path(name), buses)

@@ -1,0 +1,231 @@
+"""A replay makes of a recording what the services made live, and of a log what its frames tell."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from classifier.service import ClassifierService
+from dbc.contract import Contract
+from dbc.frame import Frames
+from gateway.playback import play
+from reconstructor.engine import Reconstructor
+from reconstructor.service import ReconstructorService
+from recording.recorder import Recorder
+from recording.replaying import Replay, SinkOutput
+from recording.sinks import McapSink, open_sink
+from recording.steps import steps_of
+from skin.fabric import Mailbox
+from skin.mcap_file import File, RecordingWriter, read_about, read_entries
+from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
+from skin.service import StopSignal
+from tests.recording.conftest import OFFSET_NS, FakeLink
+
+#: Of the live run: the number of its first cycle, a block whose node was not proven, and cycles without an image.
+FIRST, UNPROVEN, SKIPPED = 500, 5, {502, 503}
+
+
+class Live:
+    """Publishes to a recorder, as the fabric does."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        self._recorder.take_message(topic, msgspec.msgpack.encode(message))
+
+    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
+        return Mailbox(depth)
+
+
+def label_of(measurement: Measurement) -> Label:
+    """A classifier of the test: it names the number of valid blocks."""
+    return Label(
+        cycle=measurement.cycle,
+        sync_counter=measurement.sync_counter,
+        sync_mono_ns=measurement.sync_mono_ns,
+        label=str(measurement.valid.count(1)),
+        confidence=1.0,
+        valid_sums=0,
+    )
+
+
+def as_published(contract: Contract, made: Measurement) -> Measurement:
+    """A measurement as a gateway would have published it: other numbers and times, and a node without proof."""
+    valid = np.frombuffer(made.valid, np.uint8).copy()
+    valid[UNPROVEN] = 0
+    sums = np.frombuffer(made.sums, "<i4").copy()
+    sums[~contract.phi.sums_of_blocks(valid != 0)] = 0
+    return msgspec.structs.replace(
+        made,
+        cycle=FIRST + made.cycle,
+        sync_mono_ns=made.sync_mono_ns - 123_456,
+        time_ns=made.time_ns + OFFSET_NS - 123_456,
+        valid=valid.tobytes(),
+        sums=sums.tobytes(),
+    )
+
+
+@pytest.fixture
+def run(contract: Contract, bus_frames: dict[int, Frames], links: dict[int, FakeLink], out: Path) -> Path:
+    """A recorded run."""
+    now = [int(bus_frames[0]["time_ns"][0])]
+    sink = open_sink(out, contract, now[0] + OFFSET_NS, OFFSET_NS)
+    recorder = Recorder(
+        links, sink, {0: "left", 1: "right"}, wall_ns=lambda: now[0] + OFFSET_NS, mono_ns=lambda: now[0]
+    )
+    live = Live(recorder)
+    service = ReconstructorService(contract.layout, Reconstructor(contract.phi, 16, 16), live, clock_ns=lambda: now[0])
+    for part in play(contract, bus_frames):
+        for bus, seen in part.frames.items():
+            links[bus].coming.append(seen)
+        for made in part.measurements:
+            now[0] = made.sync_mono_ns + 9_000_000
+            published = as_published(contract, made)
+            live.publish(MEASUREMENT, published)
+            if published.cycle not in SKIPPED:
+                service.take(published)
+            live.publish(LABEL, label_of(published))
+        recorder.turn()
+    sink.close()
+    return out
+
+
+class StubClassifier(ClassifierService):
+    def __init__(self) -> None:
+        """It has no model."""
+
+    def label(self, measurement: Measurement) -> Label | None:
+        return label_of(measurement)
+
+
+@pytest.fixture
+def replayed(contract: Contract, tmp_path: Path) -> Callable[..., tuple[Replay, Path]]:
+    def play_again(source: Path, offset_ns: int = OFFSET_NS, *, every: bool = False) -> tuple[Replay, Path]:
+        out = tmp_path / f"{source.stem}-again.mcap"
+        sink = McapSink(out, contract, 1, offset_ns)
+        replay = Replay(
+            contract.layout,
+            Reconstructor(contract.phi, 16, 16),
+            lambda _: StubClassifier(),
+            [SinkOutput(sink)],
+            sink=sink,
+            offset_ns=offset_ns,
+        )
+        names = [bus.name for bus in contract.layout.bus]
+        replay.run(steps_of(source, contract, names, named_by_user=False, every=every), StopSignal(), float("inf"))
+        sink.close()
+        return replay, out
+
+    return play_again
+
+
+def messages(path: Path, topic: Topic) -> list[Any]:
+    decode = msgspec.msgpack.Decoder(topic.message).decode
+    return [decode(entry.data) for entry in read_entries(path, pytest.fail) if entry.topic == topic.name]
+
+
+def test_all_is_as_live(run: Path, replayed: Callable[..., tuple[Replay, Path]], sums: np.ndarray) -> None:
+    replay, out = replayed(run)
+    assert messages(out, MEASUREMENT) == messages(run, MEASUREMENT)
+    assert messages(out, LABEL) == messages(run, LABEL)
+
+    def same(image: Image) -> Image:
+        return msgspec.structs.replace(image, solve_s=0.0)
+
+    assert list(map(same, messages(out, IMAGE))) == list(map(same, messages(run, IMAGE)))
+    assert len(messages(out, CONTACTS)) == len(messages(run, CONTACTS)) == len(sums) - len(SKIPPED)
+    assert messages(run, CONTACTS)[-1].contacts == messages(out, CONTACTS)[-1].contacts != []
+    report = replay.report
+    assert (report.measurements.made, report.measurements.equal) == (len(sums), len(sums))
+    assert report.images.equal == report.images.compared == len(sums) - len(SKIPPED)
+    assert "12 measurements, 12 of 12 equal to the recorded" in report.lines()[0]
+
+
+def test_a_new_recording_can_be_replayed_itself(run: Path, replayed: Callable[..., tuple[Replay, Path]]) -> None:
+    once = replayed(run)[1]
+    replay, twice = replayed(once)
+    assert messages(twice, MEASUREMENT) == messages(run, MEASUREMENT)
+    assert [each.pixels for each in messages(twice, IMAGE)] == [each.pixels for each in messages(run, IMAGE)]
+    assert replay.report.images.equal == replay.report.images.made > 0
+
+
+def test_sums_come_from_the_frames(
+    run: Path, contract: Contract, replayed: Callable[..., tuple[Replay, Path]], tmp_path: Path
+) -> None:
+    """A frame that the recorder lost is missing, and the report tells."""
+    damaged, lost = tmp_path / "damaged.mcap", [0]
+    sink = McapSink(damaged, contract, 1, OFFSET_NS)
+    for step in steps_of(run, contract, ["left", "right"], named_by_user=False):
+        if step.topic is None:
+            bus, seen = step.message
+            if bus == 1 and len(seen) and not lost[0]:
+                place = int(np.flatnonzero(seen["can_id"] != 0x80)[7])
+                seen, lost[0] = np.delete(seen, place), 1
+            sink.frames(bus, seen, step.time_ns, OFFSET_NS)
+        else:
+            sink.message(step.topic, step.time_ns, msgspec.msgpack.encode(step.message))
+    sink.close()
+    replay, out = replayed(damaged)
+    assert replay.report.measurements.equal == replay.report.measurements.made - 1
+    wrong = [
+        each for each, live in zip(messages(out, MEASUREMENT), messages(run, MEASUREMENT), strict=True) if each != live
+    ]
+    assert wrong[0].valid.count(0) == 2
+
+
+def without(run: Path, path: Path, topic: Topic, cycle: int) -> Path:
+    """Copy a run but for a message that did not come to the recorder."""
+    about = read_about(run)
+    writer = RecordingWriter(path, about.metadata, [File(name, "", each) for name, each in about.files.items()], 1)
+    decode = msgspec.msgpack.Decoder(topic.message).decode
+    known: set[str] = set()
+    for entry in read_entries(run, pytest.fail):
+        if entry.topic == topic.name and decode(entry.data).cycle == cycle:
+            continue
+        if entry.topic not in known:
+            known.add(entry.topic)
+            writer.add_topic(entry.topic, "", entry.about)
+        writer.add(entry.topic, entry.time_ns, entry.data)
+    writer.close()
+    return path
+
+
+@pytest.mark.parametrize("topic", [MEASUREMENT, IMAGE])
+def test_messages_that_the_recorder_lost_change_nothing(
+    run: Path, replayed: Callable[..., tuple[Replay, Path]], tmp_path: Path, topic: Topic
+) -> None:
+    _, out = replayed(without(run, tmp_path / "lossy.mcap", topic, FIRST + 6))
+    for made, live in zip(messages(out, MEASUREMENT), messages(run, MEASUREMENT), strict=True):
+        assert msgspec.structs.replace(made, time_ns=0) == msgspec.structs.replace(live, time_ns=0)
+    assert [each.pixels for each in messages(out, IMAGE)] == [each.pixels for each in messages(run, IMAGE)]
+
+
+def test_another_solver_uses_every_measurement(run: Path, replayed: Callable[..., tuple[Replay, Path]]) -> None:
+    replay, _ = replayed(run, every=True)
+    assert replay.report.images.made == replay.report.measurements.made
+
+
+def test_a_log_has_the_sums_of_its_frames(
+    contract: Contract,
+    bus_frames: dict[int, Frames],
+    sums: np.ndarray,
+    tmp_path: Path,
+    replayed: Callable[..., tuple[Replay, Path]],
+) -> None:
+    pixels = []
+    for name in ("one.log", "two.blf", "three.mcap"):
+        sink = open_sink(tmp_path / name, contract, 1, OFFSET_NS)
+        for bus, seen in bus_frames.items():
+            sink.frames(bus, seen, int(seen["time_ns"][-1]) + OFFSET_NS, OFFSET_NS)
+        sink.close()
+        replay, out = replayed(tmp_path / name, OFFSET_NS if name == "three.mcap" else 0)
+        made = messages(out, MEASUREMENT)
+        np.testing.assert_array_equal([np.frombuffer(each.sums, "<i4") for each in made], sums)
+        assert all(each.valid == b"\1" * 16 for each in made)
+        assert replay.report.measurements.compared == 0
+        pixels.append([each.pixels for each in messages(out, IMAGE)])
+    assert pixels[0] == pixels[1] == pixels[2]

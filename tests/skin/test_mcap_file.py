@@ -1,0 +1,107 @@
+"""Recordings as files: what was flushed can be read, whatever became of the rest."""
+
+import io
+from pathlib import Path
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from skin.errors import InputError
+from skin.mcap_file import EVENTS, File, RecordingWriter, read_about, read_entries, read_topics
+from skin.messages import LABEL
+
+COUNT = 20
+
+
+def written(path: Path, *, closes: bool = True) -> Path:
+    """Write `COUNT` messages, each flushed."""
+    writer = RecordingWriter(path, {"skin": "palm"}, [File("layout.toml", "application/toml", b"x = 1")], 5)
+    writer.add_topic("frames/left", "canskin-frames", {"data_bytes": "8"})
+    for place in range(COUNT):
+        writer.add("frames/left", 1_000_000_000 + place, bytes([place]) * 1000)
+        writer.flush()
+    if closes:
+        writer.close()
+    else:
+        writer.abandon()
+    return path
+
+
+def read(path: Path) -> tuple[list[bytes], list[str]]:
+    said: list[str] = []
+    return [entry.data for entry in read_entries(path, said.append)], said
+
+
+def test_what_was_written_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordingWriter(path, {"skin": "palm"}, [File("layout.toml", "application/toml", b"x = 1")], 5)
+    writer.add_message(LABEL, 7, b"any bytes")
+    writer.add_json(EVENTS, 8, {"text": "a bus is lost"})
+    writer.close()
+    first, second = read_entries(path, pytest.fail)
+    assert (first.topic, first.time_ns, first.data, first.about) == ("label", 7, b"any bytes", {"message": "Label"})
+    assert msgspec.json.decode(second.data) == {"text": "a bus is lost"}
+    about = read_about(path)
+    assert about.metadata == {"skin": "palm"}
+    assert read_topics(path) == {"label", "events"}
+    assert about.files == {"layout.toml": b"x = 1"}
+
+
+def test_readers_of_others_find_index_and_messages(tmp_path: Path) -> None:
+    reader = make_reader(io.BytesIO(written(tmp_path / "run.mcap").read_bytes()))
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == COUNT
+    assert [each.topic for each in summary.channels.values()] == ["frames/left"]
+    late = reader.iter_messages(starting_at=1_000_000_000 + COUNT - 2)
+    assert [message.data[0] for _, _, message in late] == [COUNT - 2, COUNT - 1]
+
+
+def test_a_file_without_end_holds_all_that_was_flushed(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.mcap", closes=False)
+    data, said = read(path)
+    assert len(data) == COUNT
+    assert read_topics(path) == {"frames/left"}
+    assert "has no end" in said[0]
+
+
+def test_a_file_cut_anywhere_is_readable_up_to_the_cut(tmp_path: Path) -> None:
+    whole = written(tmp_path / "run.mcap").read_bytes()
+    cut, found = tmp_path / "cut.mcap", []
+    for size in range(300, len(whole), 61):
+        cut.write_bytes(whole[:size])
+        data, said = read(cut)
+        assert data == [bytes([place]) * 1000 for place in range(len(data))]
+        assert len(said) == 1
+        found.append(len(data))
+    assert found == sorted(found)
+    assert found[-1] == COUNT
+
+
+def test_a_damaged_chunk_ends_the_reading(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.mcap")
+    content = bytearray(path.read_bytes())
+    place = content.index(b"\x28\xb5\x2f\xfd", len(content) // 3)  # the beginning of compressed data
+    content[place + 12] ^= 0x55
+    path.write_bytes(content)
+    data, said = read(path)
+    assert 0 < len(data) < COUNT
+    assert said
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(b"no magic here")
+    with pytest.raises(InputError, match="is no MCAP file"):
+        read_about(path)
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        writer.finish()
+    with pytest.raises(InputError, match="is no recording of a skin"):
+        list(read_entries(path, pytest.fail))
+    with pytest.raises(InputError, match="cannot be read: No such file"):
+        read_about(tmp_path / "none.mcap")

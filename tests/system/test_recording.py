@@ -1,0 +1,153 @@
+"""A running skin is recorded, the recorder is killed, and the run is played again in another process."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from bandwidth.logs import read_log
+from dbc.canopen import SYNC_COB_ID
+from skin.mcap_file import read_entries
+from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contacts, Image, Topic
+from tests.system.conftest import PATIENCE_S, Chain
+
+pytestmark = pytest.mark.slow
+
+#: Where nothing is lost but what was not flushed: the longest time between two flushes, and a turn.
+LAST_S = 1.0
+
+
+def messages(path: Path, topic: Topic) -> list[Any]:
+    decode = msgspec.msgpack.Decoder(topic.message).decode
+    return [decode(entry.data) for entry in read_entries(path, lambda _: None) if entry.topic == topic.name]
+
+
+def as_compared(message: Any) -> Any:
+    """Return a message without the times that the services took."""
+    if isinstance(message, Image):
+        return message.pixels, message.valid, message.valid_sums, message.sync_mono_ns
+    return msgspec.structs.replace(message, find_s=0.0) if isinstance(message, Contacts) else message
+
+
+def replayed(source: Path, out: Path, *options: str) -> str:
+    """Play a file into a new recording, in another process; return what it says."""
+    command = [sys.executable, "-m", "skin", "replay", str(source), "--out", str(out), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+def start_chain(chain: Chain) -> None:
+    chain.start_bus()
+    chain.start("nodes", "nodes", "--objects", "golf-ball,granola-box")
+    chain.start("reconstructor", "reconstruct")
+    chain.start("classifier", "classify")
+    chain.until_alive("nodes", "reconstructor", "classifier")
+
+
+def start_recorder(chain: Chain, name: str, out: Path) -> int:
+    """Start a recorder and wait until its file is there."""
+    pid = chain.start(name, "record", str(out))
+    log = chain.supervisor.children[name].log
+    give_up_s = time.monotonic() + PATIENCE_S
+    while f"to {out}" not in log.read_text():
+        assert time.monotonic() < give_up_s, log.read_text()
+        time.sleep(0.05)
+    return pid
+
+
+def test_a_replay_gives_the_live_measurements_images_and_labels(chain: Chain, tmp_path: Path) -> None:
+    start_chain(chain)
+    run, log, blf = (tmp_path / f"run.{suffix}" for suffix in ("mcap", "log", "blf"))
+    for path in (run, log, blf):
+        start_recorder(chain, path.suffix[1:], path)
+    chain.until_alive("recorder")
+    chain.start("gateway", "gateway")
+    chain.until("labels of a contact", lambda: sum(bool(label.label) for label in chain.labels) > 40)
+    for path in (run, log, blf):
+        chain.supervisor.stop(path.suffix[1:])
+
+    recorded = {topic.name: messages(run, topic) for topic in (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH)}
+    assert all(len(each) > 40 for each in recorded.values())
+    live = {each.cycle: each for each in chain.measurements}
+    assert all(live[each.cycle] == each for each in recorded["measurement"])
+
+    out = tmp_path / "out.mcap"
+    said = replayed(run, out)
+    made = {topic.name: messages(out, topic) for topic in (MEASUREMENT, IMAGE, CONTACTS, LABEL)}
+    # A busy machine may lose messages on the way to a recorder: the replay makes them, and the others are equal.
+    for name, messages_made in made.items():
+        by_cycle = {each.cycle: as_compared(each) for each in messages_made}
+        for each in recorded[name]:
+            assert by_cycle[each.cycle] == as_compared(each), said
+
+    # A recording that a replay wrote gives the same again.
+    replayed(out, tmp_path / "again.mcap")
+    assert messages(tmp_path / "again.mcap", MEASUREMENT) == made["measurement"]
+    assert [each.pixels for each in messages(tmp_path / "again.mcap", IMAGE)] == [each.pixels for each in made["image"]]
+
+    # Logs hold frames alone: sums of the same cycles, in which every node counts as proven.
+    complete = [each for each in recorded["measurement"] if b"\0" not in each.valid]
+    assert len(complete) > 40
+    for source in (log, blf):
+        other = tmp_path / f"{source.suffix[1:]}.mcap"
+        replayed(source, other, "--layout", str(chain.layout_path))
+        sums = {each.sums for each in messages(other, MEASUREMENT)}
+        assert all(each.sums in sums for each in complete)
+    # The recorders did not end together, and the last cycles of the first to end may be cut.
+    logs = [[each.pixels for each in messages(tmp_path / f"{name}.mcap", IMAGE)] for name in ("log", "blf")]
+    common = min(map(len, logs)) - 2
+    assert logs[0][:common] == logs[1][:common]
+
+
+def test_a_killed_recorder_loses_the_last_second_at_most(chain: Chain, tmp_path: Path) -> None:
+    start_chain(chain)
+    run, log = tmp_path / "run.mcap", tmp_path / "run.log"
+    pids = [start_recorder(chain, path.suffix[1:], path) for path in (run, log)]
+    chain.until_alive("recorder")
+    chain.start("gateway", "gateway")
+    chain.until("images", lambda: len(chain.images) > 60)
+    killed_ns = time.time_ns()
+    for pid in pids:
+        os.kill(pid, signal.SIGKILL)
+    chain.until("images after it", lambda: chain.images[-1].cycle > chain.measurements[0].cycle + 120)
+
+    said: list[str] = []
+    newest_ns = max(entry.time_ns for entry in read_entries(run, said.append))
+    assert "has no end" in said[0]
+    assert (killed_ns - newest_ns) * 1e-9 < LAST_S
+    for path in (run, log):
+        for frames in read_log(path, said.append).values():
+            syncs = frames[frames["can_id"] == SYNC_COB_ID]
+            assert (killed_ns - int(syncs["time_ns"][-1])) * 1e-9 < LAST_S
+    replayed(run, tmp_path / "out.mcap")
+    made = messages(tmp_path / "out.mcap", MEASUREMENT)
+    assert made == messages(run, MEASUREMENT)[: len(made)]
+    assert len(made) > 40
+
+
+def test_a_full_disk_ends_the_recorder_alone(chain: Chain, tmp_path: Path) -> None:
+    start_chain(chain)
+    chain.start("gateway", "gateway")
+    chain.until("images", lambda: len(chain.images) > 5)
+    run = tmp_path / "run.mcap"
+    arguments = f"record {run} --layout {chain.layout_path} --connect {chain.endpoint}"
+    limited = f"ulimit -f 2000; exec {sys.executable} -m skin {arguments}"  # 2000 KiB
+    environment = {**os.environ, "SKIN_BUS_DIR": str(chain.supervisor.folder)}
+    done = subprocess.run(
+        ["bash", "-c", limited], capture_output=True, text=True, check=False, timeout=240, env=environment
+    )
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert last == f"skin: {run}: the recording ends: File too large; what was written before is readable"
+    said: list[str] = []
+    images = [entry for entry in read_entries(run, said.append) if entry.topic == IMAGE.name]
+    assert len(images) > 10
+    assert "has no end" in said[0]
+    chain.next_measurements(20)
