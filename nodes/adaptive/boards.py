@@ -29,11 +29,10 @@ from nodes.adaptive.mailboxes import (
     give_back,
     look_at_all,
     new_mailboxes,
-    present_codes,
     take_echoes,
 )
 from nodes.adaptive.noise import IdleStatistics, Noise
-from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2
+from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2, present_codes
 from nodes.adaptive.sensors import SAMPLE_NS, STEP_NS, PatchSensors
 from nodes.boards import Boards
 from nodes.electronics import Calibration

@@ -5,7 +5,7 @@ by then comes back, and is made anew of the next sample's sums. A node takes a f
 holds then what a receiver holds.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -385,24 +385,3 @@ def compile_all(law: Companding) -> None:
     choose(0, 1, 1, 1, 1, sums_n, law, groups, boxes, yes, room)
     give_back(0, 0, groups, boxes)
     take_echoes(frame_bytes(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, boxes)
-
-
-def present_codes(sums_n: Any, law: Companding, groups: Groups, node: int) -> tuple[Bytes, Bytes]:
-    """Return a node's coarse and fine payloads of the present sums: the contents of 2110h and 2111h.
-
-    Returns
-    -------
-    coarse : array of uint8, shape (BLOCK_SUMS,)
-    fine : array of uint8, shape (GROUPS, GROUP_SUMS)
-    """
-    shown = Groups._make(each[node : node + 1].copy() for each in groups)
-    codes = np.zeros((2, GROUPS, GROUP_SUMS), np.uint8)
-    if shown.is_fd[0]:
-        shown.is_fine[:] = 1
-        make_payload(0, 0, sums_n, law, shown, codes.reshape(-1))
-    else:
-        for is_fine in range(2):
-            shown.is_fine[:] = is_fine
-            for group in range(GROUPS):
-                make_payload(0, group, sums_n, law, shown, codes[is_fine, group])
-    return codes[0].reshape(BLOCK_SUMS), codes[1]

@@ -1,6 +1,6 @@
 """When a node sends which sums: news first, then details, then what has not been said for long."""
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -367,3 +367,24 @@ def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
         groups.refreshes[node, group] = _NEVER
     if reason != DETAIL or not is_fine or is_fd:
         groups.refresh_at[node, group] = now + groups.refresh_after[node, group]
+
+
+def present_codes(sums_n: Any, law: Companding, groups: Groups, node: int) -> tuple[Bytes, Bytes]:
+    """Return a node's coarse and fine payloads of the present sums: the contents of 2110h and 2111h.
+
+    Returns
+    -------
+    coarse : array of uint8, shape (BLOCK_SUMS,)
+    fine : array of uint8, shape (GROUPS, GROUP_SUMS)
+    """
+    shown = Groups._make(each[node : node + 1].copy() for each in groups)
+    codes = np.zeros((2, GROUPS, GROUP_SUMS), np.uint8)
+    if shown.is_fd[0]:
+        shown.is_fine[:] = 1
+        make_payload(0, 0, sums_n, law, shown, codes.reshape(-1))
+    else:
+        for is_fine in range(2):
+            shown.is_fine[:] = is_fine
+            for group in range(GROUPS):
+                make_payload(0, group, sums_n, law, shown, codes[is_fine, group])
+    return codes[0].reshape(BLOCK_SUMS), codes[1]
