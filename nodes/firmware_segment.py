@@ -57,7 +57,7 @@ class FirmwareSegment:
         self._node_ids = firmware.node_ids(bus)
         self._pdo_ids = [tpdo.cob_id for node in contract.on_bus(bus) for tpdo in node.tpdos]
         self._send = send
-        self._sampler = sampler
+        self._bus, self._sampler = bus, sampler
         self._complain = complain
 
     def boot(self, now_s: float) -> None:
@@ -97,7 +97,7 @@ class FirmwareSegment:
         self.syncs_seen += 1
         self.sync_at_s = now_s
         counter = int(sync["data"][0]) if sync["length"] == 1 else 0
-        counts = self._sampler.sample(counter, int(sync["time_ns"])).astype(np.uint16)
+        counts = self._sampler.sample(counter, int(sync["time_ns"]), self._bus).astype(np.uint16)
         self._post(self._boards.take(part, now_s, counts), now_s)
 
     def _post(self, burst: Frames, now_s: float) -> None:

@@ -1,6 +1,7 @@
 """At a SYNC every block samples the same instant of the touch."""
 
 from collections import deque
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +27,19 @@ ANEW_AFTER: Final = 2.5
 KEPT_CYCLES: Final = 8
 
 
+@dataclass(frozen=True)
+class _Cycle:
+    """The sums of a cycle, for the buses that have not asked for them yet.
+
+    `number` is the SYNC counter or, without counter, below 0: a step that no counter equals.
+    """
+
+    number: int
+    time_ns: int
+    sums: npt.NDArray[np.int32]
+    buses: set[int] = field(default_factory=set)
+
+
 class Sampler(Boards):
     """Turns SYNCs into sums, once per cycle for all buses.
 
@@ -44,7 +58,9 @@ class Sampler(Boards):
         #: Time of step 0, by the SYNCs without counter since the master began.
         self._zero_ns = 0.0
         self._sync_ns = 0
-        self._kept: deque[tuple[int, int, npt.NDArray[np.int32]]] = deque(maxlen=KEPT_CYCLES)
+        self._kept: deque[_Cycle] = deque(maxlen=KEPT_CYCLES)
+        #: Number of the newest cycle of each bus.
+        self._newest: dict[int, int] = {}
         self._truth: Truth | None = None
 
     @property
@@ -61,15 +77,28 @@ class Sampler(Boards):
         super().reset(block)
         self._electronics.restart(block)
 
-    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
-        """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen at `time_ns`."""
-        # Cycles without counter are known by their step, which no counter equals.
-        cycle = counter or -1 - self._step_at(time_ns)
-        for known, seen_ns, sums in self._kept:
-            if known == cycle and abs(time_ns - seen_ns) < NUMBERED_SYNC_SPREAD_NS:
-                return sums
+    def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
+        """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen on `bus` at `time_ns`."""
+        number = counter or -1 - self._step_at(time_ns)
+        cycle = self._known(number, time_ns, bus)
+        if cycle is None:
+            cycle = _Cycle(number, time_ns, self._begin(counter, -1 - number, time_ns))
+            self._kept.append(cycle)
+        cycle.buses.add(bus)
+        self._newest[bus] = number
+        return cycle.sums
+
+    def _known(self, number: int, time_ns: int, bus: int) -> _Cycle | None:
+        """Return a kept cycle; a bus that has had others since has a master that begins to count anew."""
+        for cycle in reversed(self._kept):
+            if cycle.number == number and abs(time_ns - cycle.time_ns) < NUMBERED_SYNC_SPREAD_NS:
+                return None if bus in cycle.buses and self._newest[bus] != number else cycle
+        return None
+
+    def _begin(self, counter: int, timed_step: int, time_ns: int) -> npt.NDArray[np.int32]:
+        """Sample a cycle, at `timed_step` if its SYNC has no counter; return its sums."""
         if not counter:
-            step = -1 - cycle
+            step = timed_step
         elif self._step < 0:
             step = counter - 1
         else:
@@ -79,7 +108,6 @@ class Sampler(Boards):
         self._step, self._counter = step, counter
         frame = self._source.frame(self._step)
         self._sums = self._answer(frame.force_n)
-        self._kept.append((cycle, time_ns, self._sums))
         self._truth = Truth(
             step=self._step,
             sync_counter=counter,

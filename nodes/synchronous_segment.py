@@ -47,7 +47,7 @@ class SynchronousSegment(Segment):
     ) -> None:
         wires = contract.layout.bus[bus]
         self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
-        self._sampler = sampler
+        self._bus, self._sampler = bus, sampler
         self._sent = self._dropped = 0
         # Latest start of a frame after the SYNC, so that the frame ends inside the window.
         self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
@@ -77,7 +77,7 @@ class SynchronousSegment(Segment):
         super().take(arrived, now_s)
 
     def _answer(self, counter: int, time_ns: int) -> None:
-        sums = self._sampler.sample(counter, time_ns)
+        sums = self._sampler.sample(counter, time_ns, self._bus)
         operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
         burst = self._burst.frames(counter, sums, operational)
         burst["time_ns"] = time_ns + REACTION_NS

@@ -84,9 +84,9 @@ class WitnessSampler(Sampler):
         self.truths_by_ns: dict[int, npt.NDArray[np.int32]] = {}
         self._witness = electronics
 
-    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
+    def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
         before = self._witness.reads
-        sums = super().sample(counter, time_ns)
+        sums = super().sample(counter, time_ns, bus)
         if self._witness.reads > before:
             self.truths[counter] = self.truths_by_ns[time_ns] = self._phi.forward(self._witness.counts)
         return sums

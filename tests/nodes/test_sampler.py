@@ -43,7 +43,20 @@ def sampler(source: Steps) -> Sampler:
 
 def test_four_buses_see_one_instant(sampler: Sampler, source: Steps) -> None:
     first = sampler.sample(1, 0)
-    assert all(sampler.sample(1, bus * 100_000) is first for bus in range(4))
+    assert all(sampler.sample(1, bus * 100_000, bus) is first for bus in range(4))
+    assert source.asked == [0]
+
+
+def test_a_master_that_counts_anew_at_once_gets_new_samples_on_every_bus(sampler: Sampler) -> None:
+    cycles = [
+        [sampler.sample(counter, cycle * PERIOD_NS, bus) for bus in (0, 1)] for cycle, counter in enumerate((1, 2, 1, 2))
+    ]
+    assert all(first is second for first, second in cycles)
+    assert len({id(sums) for sums, _ in cycles}) == 4
+
+
+def test_a_sync_that_a_bus_carries_twice_is_one_cycle(sampler: Sampler, source: Steps) -> None:
+    assert sampler.sample(1, 0) is sampler.sample(1, 200_000)
     assert source.asked == [0]
 
 
