@@ -32,6 +32,7 @@ def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
             raise InputError(f"expected BUS:NODE or BUS:FIRST-LAST with BUS of {', '.join(numbers)}, got '{text}'")
         wanted = {(numbers[match[1]], node) for node in range(int(match[2]), int(match[3] or match[2]) + 1)}
         if not wanted or wanted - known:
-            raise InputError(f"'{text}' names nodes that {match[1]} does not have")
+            last = max(node for bus, node in known if bus == numbers[match[1]])
+            raise InputError(f"expected nodes of {match[1]} from 1 to {last}, got '{text}'")
         chosen |= wanted
     return chosen

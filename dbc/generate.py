@@ -47,7 +47,7 @@ def vector_files(contract: Contract) -> dict[str, str]:
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
-    """Write contract files, given as text by path inside `folder`, and return their paths.
+    """Write files, given as text by path inside `folder`, and return their paths.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
             write_file(path, text.encode("ascii"))
             written.append(path)
     except OSError as error:
-        raise InputError(f"{folder}: cannot write the contract files: {error.strerror or error}") from error
+        raise InputError(f"{folder}: cannot write the files: {error.strerror or error}") from error
     return written
 
 

@@ -209,7 +209,9 @@ class NodeCheck:
         if not (yield from self._objects()) or self._node.adaptive_tpdos:
             return
         for pattern in PATTERNS:
-            yield from self._show(pattern)
+            if not (yield from self._show(pattern)):
+                self.give_up()
+                return
         self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         for index, data in self._patterns.items():
             yield from self._write(index, data)
@@ -252,14 +254,15 @@ class NodeCheck:
                     f"the signature ({OD_SIGNATURE:04X}h) is {value:08X}h, expected {expected:08X}h of its objects"
                 )
 
-    def _show(self, pattern: int) -> _Steps:
-        """Show a test pattern, and compare the TPDOs of some cycles."""
+    def _show(self, pattern: int) -> Generator[_Step, _Answer, bool]:
+        """Show a test pattern, and compare the TPDOs of some cycles; tell whether the node still answers."""
         self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         before = len(self.report.differences)
         for index in self._patterns:
-            yield from self._write(index, bytes((pattern,)))
+            if not (yield from self._write(index, bytes((pattern,)))):
+                return False
         if len(self.report.differences) > before:
-            return
+            return True
         self._nmt(NmtCommand.START)
         yield _Listen(self._period_s)
         size, top = self._contract.phi.block_size, self._contract.layout.taxels.count_max
@@ -270,6 +273,7 @@ class NodeCheck:
             due = {tpdo.cob_id for tpdo in table.tpdos if _is_due(tpdo, counter)}
             came = yield _Cycle(bytes((counter,)) if table.sync_overflow else b"", frozenset(due | {SYNC_COB_ID}))
             self._compare(cast("Frames", came), table, payloads, counter, _NAMES[pattern])
+        return True
 
     def _compare(self, came: Frames, table: Board, payloads: dict[int, bytes], counter: int, name: str) -> None:
         """Compare the TPDOs of a cycle."""
@@ -299,10 +303,12 @@ class NodeCheck:
             if data != payload:
                 self._differs(f"{what} is {data.hex(' ')}, expected {payload.hex(' ')}")
 
-    def _write(self, index: int, data: bytes) -> _Steps:
+    def _write(self, index: int, data: bytes) -> Generator[_Step, _Answer, bool]:
+        """Write an object; tell whether the node answers."""
         answer = yield Write(index, 0, data)
         if isinstance(answer, SdoError):
             self._differs(str(answer))
+        return not isinstance(answer, SdoError) or isinstance(answer, SdoAbortedError)
 
     def _differs(self, text: str) -> None:
         self.report.differences.append(text)

@@ -66,7 +66,7 @@ def node(
         raise InputError(
             f"expected a node-ID from 1 to {skin.bus[number].nodes} of {skin.bus[number].name}, got {node_id}"
         )
-    link = open_links(skin, can or BusOptions(), [number], name="gateway", stop=stop)[number]
+    link = open_links(skin, can or BusOptions(), [number], name="node check", stop=stop)[number]
     try:
         check = NodeCheck(contract, wanted[0], link.send, time.monotonic())
         _run(check, link, stop)

@@ -110,4 +110,4 @@ def test_folder_that_is_a_file_is_one_line(
 ) -> None:
     (tmp_path / "file").write_text("")
     assert run(monkeypatch, "dbc", "--out", str(tmp_path / "file")) == 2
-    assert "cannot write the contract files" in capsys.readouterr().err
+    assert "cannot write the files" in capsys.readouterr().err

@@ -122,6 +122,22 @@ def test_nobody_there() -> None:
     assert report.objects == report.frames == 0
 
 
+def test_a_board_that_leaves_is_asked_once_more_and_not_again() -> None:
+    bench = Bench(small_contract())
+    is_gone = False
+
+    def loses(end: object, each: np.void) -> bool:
+        nonlocal is_gone
+        is_gone |= end is bench.wire.gateway and each["can_id"] == 0x281
+        return is_gone and end is bench.wire.nodes
+
+    bench.wire.loses = loses
+    report = bench.check()
+    assert report.differences[-1].startswith("no answer to object 2021h:0")
+    assert sum("no answer" in text for text in report.differences) == 1
+    assert report.cycles == CYCLES
+
+
 def test_the_bus_of_a_running_gateway_is_refused() -> None:
     bench = Bench(small_contract())
     report = bench.check(lambda: bench.wire.put(0x080, b"\x05"))

@@ -43,7 +43,7 @@ def test_what_names_no_node_is_refused_with_the_form(contract: Contract, text: s
 
 @pytest.mark.parametrize("text", ["bus0:0", "bus0:33", "bus0:30-33", "bus0:5-4"])
 def test_nodes_that_a_bus_does_not_have_are_refused(contract: Contract, text: str) -> None:
-    with pytest.raises(InputError, match=f"'{text}' names nodes that bus0 does not have"):
+    with pytest.raises(InputError, match=f"expected nodes of bus0 from 1 to .*, got '{text}'"):
         choose_nodes(contract, [], [text])
 
 
@@ -113,7 +113,7 @@ def test_chosen_nodes_join_their_buses_and_the_fabric(
     assert parts.fabric[0] == (contract.layout.name, "nodes", "tcp/far:7")
     assert parts.fabric[1]["fingerprint"] == contract.phi.fingerprint
     assert parts.service[2] == {1: {2}, 3: {1, 2}}
-    assert parts.named == {"store": store}
+    assert parts.named == {"store": store, "firmware": None}
     assert store.is_dir()
     assert sorted(parts.closed) == ["bus1", "bus3", "fabric"]
     assert capsys.readouterr().err == "nodes: 3 nodes on 2 buses\n"
