@@ -27,7 +27,7 @@ from dbc.indices import (
 from skin.errors import InputError
 
 #: Flags of `skin_object` (skin_board.h).
-WRITABLE, MAPPABLE, SIGNED, TEXT = 1, 2, 4, 8
+WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
 #: Mark of generated files.
@@ -86,7 +86,7 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
 
 
 def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
-    signed = {(each.index, each.subindex) for each in configuration(contract, node)}
+    covered = {(each.index, each.subindex) for each in configuration(contract, node)}
     objects = dictionary(contract, node)
     stored = [each for each in objects if not _is_computed(each)]
     communication = [each for each in stored if each.access == "rw" and each.index < OD_MANUFACTURER]
@@ -104,7 +104,7 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
             each.subindex or 0,
             WRITABLE * (each.access == "rw")
             | MAPPABLE * each.pdo
-            | SIGNED * ((each.index, each.subindex or 0) in signed)
+            | COVERED * ((each.index, each.subindex or 0) in covered)
             | TEXT * (each.data_type == VISIBLE_STRING),
             places.get((each.index, each.subindex), COMPUTED),
             len(setting_of(each).data),

@@ -22,8 +22,18 @@ typedef struct {
 
 #define SKIN_OBJECT_WRITABLE 0x01u  /* SDO may write; else read only */
 #define SKIN_OBJECT_MAPPABLE 0x02u  /* PDOs may carry it */
-#define SKIN_OBJECT_SIGNED 0x04u    /* the configuration signature (2006h) covers it */
+#define SKIN_OBJECT_COVERED 0x04u   /* the configuration signature (2006h) covers it */
 #define SKIN_OBJECT_TEXT 0x08u      /* of variable length, no number */
+
+/* Objects of a board. */
+#define SKIN_OD_SIGNATURE 0x2006u
+#define SKIN_OD_HEALTH 0x2020u
+/* Of the first block; those of each further block are SKIN_OD_BLOCK_STRIDE higher. */
+#define SKIN_OD_GAIN 0x2010u
+#define SKIN_OD_OFFSET 0x2011u
+#define SKIN_OD_PATTERN 0x2021u
+#define SKIN_OD_SUMS 0x2100u
+#define SKIN_OD_BLOCK_STRIDE 0x200u
 
 /* One board. All arrays are constant and may stay in flash memory. */
 typedef struct {

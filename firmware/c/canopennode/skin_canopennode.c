@@ -12,7 +12,6 @@
 #error "the signature (2006h) reads values in the byte order of the bus: expected a little-endian processor"
 #endif
 
-#define BLOCK_STRIDE 0x200u
 #define LONGEST_TEXT 32
 
 typedef ODR_t reader(OD_stream_t *, void *, OD_size_t, OD_size_t *);
@@ -47,7 +46,7 @@ static ODR_t read_signature(OD_stream_t *stream, void *buf, OD_size_t count, OD_
     for (each = 0; each < board->object_count; each++) {
         const skin_object *object = &board->objects[each];
 
-        if ((object->flags & SKIN_OBJECT_SIGNED) == 0) {
+        if ((object->flags & SKIN_OBJECT_COVERED) == 0) {
             continue;
         }
         if (object->bytes > sizeof value ||
@@ -96,21 +95,22 @@ static int extend(OD_extension_t *extension, uint16_t index, reader *read, write
 
 int skin_app_init(void)
 {
-    int failed = extend(&signature_extension, 0x2006, read_signature, NULL);
+    int failed = extend(&signature_extension, SKIN_OD_SIGNATURE, read_signature, NULL);
     uint8_t block, place;
 
-    health = value_of(0x2020, 1, sizeof *health);
+    health = value_of(SKIN_OD_HEALTH, 1, sizeof *health);
     failed |= health == NULL;
     for (block = 0; block < board->blocks; block++) {
-        const uint16_t above = (uint16_t)(BLOCK_STRIDE * block);
+        const uint16_t above = (uint16_t)(SKIN_OD_BLOCK_STRIDE * block);
 
-        gain[block] = value_of((uint16_t)(0x2010 + above), 1, sizeof *gain[0]);
-        offset[block] = value_of((uint16_t)(0x2011 + above), 1, sizeof *offset[0]);
-        pattern[block] = value_of((uint16_t)(0x2021 + above), 0, sizeof *pattern[0]);
-        sums[block] = value_of((uint16_t)(0x2100 + above), 1, board->packing.bits == 8 ? 1 : 2);
+        gain[block] = value_of((uint16_t)(SKIN_OD_GAIN + above), 1, sizeof *gain[0]);
+        offset[block] = value_of((uint16_t)(SKIN_OD_OFFSET + above), 1, sizeof *offset[0]);
+        pattern[block] = value_of((uint16_t)(SKIN_OD_PATTERN + above), 0, sizeof *pattern[0]);
+        sums[block] = value_of((uint16_t)(SKIN_OD_SUMS + above), 1, board->packing.bits == 8 ? 1 : 2);
         failed |= gain[block] == NULL || offset[block] == NULL || pattern[block] == NULL || sums[block] == NULL;
-        failed |= extend(&gain_extension[block], (uint16_t)(0x2010 + above), OD_readOriginal, write_gain);
-        failed |= extend(&pattern_extension[block], (uint16_t)(0x2021 + above), OD_readOriginal, write_pattern);
+        failed |= extend(&gain_extension[block], (uint16_t)(SKIN_OD_GAIN + above), OD_readOriginal, write_gain);
+        failed |= extend(&pattern_extension[block], (uint16_t)(SKIN_OD_PATTERN + above), OD_readOriginal,
+                         write_pattern);
         if (!failed) {
             *pattern[block] = SKIN_PATTERN_OFF;
         }

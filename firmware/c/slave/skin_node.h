@@ -155,7 +155,7 @@ void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
 #define SKIN_ABORT_STATE 0x08000022u
 #define SKIN_ABORT_NO_DATA 0x08000024u
 
-/* Objects that the slave itself uses. */
+/* Objects that the slave itself uses, besides those of skin_board.h. */
 #define SKIN_OD_ERROR_REGISTER 0x1001u
 #define SKIN_OD_ERROR_FIELD 0x1003u
 #define SKIN_OD_SYNC_COB_ID 0x1005u
@@ -172,14 +172,6 @@ void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
 #define SKIN_OD_TPDO_COMMUNICATION 0x1800u
 #define SKIN_OD_TPDO_MAPPING 0x1A00u
 #define SKIN_OD_MANUFACTURER 0x2000u
-#define SKIN_OD_SIGNATURE 0x2006u
-/* Of the first block; those of each further block are SKIN_OD_BLOCK_STRIDE higher. */
-#define SKIN_OD_GAIN 0x2010u
-#define SKIN_OD_OFFSET 0x2011u
-#define SKIN_OD_HEALTH 0x2020u
-#define SKIN_OD_PATTERN 0x2021u
-#define SKIN_OD_SUMS 0x2100u
-#define SKIN_OD_BLOCK_STRIDE 0x200u
 
 #define SKIN_COB_ID_INVALID 0x80000000u
 #define SKIN_COB_ID_EXTENDED 0x20000000u

@@ -79,7 +79,7 @@ static uint32_t signature(const skin_node *node)
     for (place = 0; place < board->object_count; place++) {
         const skin_object *object = &board->objects[place];
 
-        if ((object->flags & SKIN_OBJECT_SIGNED) != 0) {
+        if ((object->flags & SKIN_OBJECT_COVERED) != 0) {
             skin_put(head, object->index, 2);
             head[2] = object->subindex;
             crc = skin_crc32(crc, head, sizeof head);
