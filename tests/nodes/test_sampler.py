@@ -49,7 +49,8 @@ def test_four_buses_see_one_instant(sampler: Sampler, source: Steps) -> None:
 
 def test_a_master_that_counts_anew_at_once_gets_new_samples_on_every_bus(sampler: Sampler) -> None:
     cycles = [
-        [sampler.sample(counter, cycle * PERIOD_NS, bus) for bus in (0, 1)] for cycle, counter in enumerate((1, 2, 1, 2))
+        [sampler.sample(counter, cycle * PERIOD_NS, bus) for bus in (0, 1)]
+        for cycle, counter in enumerate((1, 2, 1, 2))
     ]
     assert all(first is second for first, second in cycles)
     assert len({id(sums) for sums, _ in cycles}) == 4
