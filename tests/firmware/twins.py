@@ -68,8 +68,8 @@ class CountWitness(CountSampler):
         self._half_ns = 0.5e9 * layout.sync.period_s
         self.truths: dict[int, npt.NDArray[np.int32]] = {}
 
-    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
-        counts = super().sample(counter, time_ns)
+    def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
+        counts = super().sample(counter, time_ns, bus)
         self.truths[time_ns] = np.asarray(self._phi.forward(counts[-1]), np.int32)
         return counts
 
