@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from skin.command import main
+from tests import processes
 
 
 def skin(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -48,7 +49,7 @@ def test_golf_ball(slow_layout: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".csv"])
-def test_recording(suffix: str, slow_layout: Path, tmp_path: Path) -> None:
+def test_recording(suffix: str, tmp_path: Path) -> None:
     """A 64 x 32 recording in counts, on the 64 x 64 skin."""
     rows, columns = np.mgrid[0:64, 0:32]
     frames = [3000 * np.exp(-((rows - 32) ** 2 + (columns - 10 - step) ** 2) / 60) for step in range(10)]
@@ -60,7 +61,16 @@ def test_recording(suffix: str, slow_layout: Path, tmp_path: Path) -> None:
         np.save(path, counts)
     else:
         np.savetxt(path, counts.reshape(10, -1), fmt="%d", delimiter=",", header="shape: 64 32")
-    options = ("--layout", str(slow_layout), "--input", str(path), "--full-scale", "4095", "--seconds", "3")
+    options = (
+        "--layout",
+        str(processes.slow_layout(tmp_path, 10)),
+        "--input",
+        str(path),
+        "--full-scale",
+        "4095",
+        "--seconds",
+        "3",
+    )
     figures = report(skin("demo", *options, "--json", "--no-view", cwd=tmp_path))
     assert figures["cycles_complete"] == figures["cycles"]
     assert figures["psnr_sensor_db"] > 60
