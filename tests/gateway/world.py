@@ -88,7 +88,9 @@ class WitnessSampler(Sampler):
         before = self._witness.reads
         sums = super().sample(counter, time_ns, bus)
         if self._witness.reads > before:
-            self.truths[counter] = self.truths_by_ns[time_ns] = self._phi.forward(self._witness.counts)
+            self.truths[counter] = self._phi.forward(self._witness.counts)
+            if not counter:  # with SYNCs that do not count, a SYNC that counts is another master's
+                self.truths_by_ns[time_ns] = self.truths[counter]
         return sums
 
     def truth_of(self, measurement: Measurement) -> npt.NDArray[np.int32] | None:
