@@ -50,14 +50,15 @@ class ForeignClient:
         kind = data[0] >> 5
         if data[0] == _ABORT:
             self._in_block_download = False
-        if self._in_block_download and now_s - self._heard_s < BLOCK_DOWNLOAD_S:
-            kind = 0  # the data of a block download: its first byte is a number
-        else:
-            self._in_block_download = kind == 6
+        # The first byte of a block's data is a number, not a kind. But the node may never have heard of the block
+        # download. So each frame of it is read both ways, and one of them is enough for a doubt.
+        may_be_data = self._in_block_download and now_s - self._heard_s < BLOCK_DOWNLOAD_S
+        self._in_block_download = may_be_data or kind == 6
         self._heard_s = now_s
         if kind in (1, 6):  # a download begins, in segments or blocks
-            self._is_suspect = int.from_bytes(data[1:3], "little") in self._compared
-        if kind in (0, 1, 6) and self._is_suspect:
+            is_compared = int.from_bytes(data[1:3], "little") in self._compared
+            self._is_suspect = is_compared or (may_be_data and self._is_suspect)
+        if (may_be_data or kind in (0, 1, 6)) and self._is_suspect:
             return Effect.DOUBT
         return Effect.BUSY if kind else Effect.NONE
 

@@ -147,15 +147,29 @@ def test_write_of_what_is_not_compared_is_not_doubted(boards: Boards, command: i
     assert boards.trusted() == [1, 2]
 
 
-def test_data_of_a_block_download_is_no_request(boards: Boards) -> None:
-    """The first byte of such a frame is a number, and may look like any command."""
+def test_data_of_a_block_download_to_what_is_not_compared_is_not_doubted(boards: Boards) -> None:
+    boards.hear(SDO_REQUEST_BASE + 1, request(0xC2, OD_GAIN, 3))
+    for number in range(1, 128):
+        boards.hear(SDO_REQUEST_BASE + 1, bytes((number,)) + bytes(7))
+    assert boards.trusted() == [1, 2]
+
+
+def test_block_download_that_the_node_has_not_heard_hides_no_write(boards: Boards) -> None:
+    """The first byte of a block's data may look like any command; but nobody knows whether this is a block's data."""
     boards.hear(SDO_REQUEST_BASE + 1, request(0xC2, OD_GAIN, 3))
     boards.run(BLOCK_DOWNLOAD_S / 2)
     boards.hear(SDO_REQUEST_BASE + 1, request(0x23, OD_TPDO_MAPPING, 1))
-    assert boards.trusted() == [1, 2]
-    boards.run(BLOCK_DOWNLOAD_S + TICK_S)
-    boards.hear(SDO_REQUEST_BASE + 1, request(0x23, OD_TPDO_MAPPING, 1))
     assert boards.trusted() == [2]
+
+
+def test_data_that_look_like_a_request_do_not_end_the_doubt_of_a_block_download(boards: Boards) -> None:
+    boards.hear(SDO_REQUEST_BASE + 1, request(0xC2, OD_TPDO_MAPPING, 1))
+    for _ in range(20):
+        boards.hear(SDO_REQUEST_BASE + 1, request(0x23, OD_GAIN, 3))
+        boards.run(SDO_QUIET_S / 2)
+        boards.hear(SDO_REQUEST_BASE + 1, request(0x41, OD_GAIN, 3))
+        boards.run(SDO_QUIET_S / 2)
+        assert boards.trusted() == [2]
 
 
 @pytest.mark.parametrize(
