@@ -150,25 +150,14 @@ def test_frames_that_come_twice_with_equal_data_are_valid_and_with_other_data_ar
 
 
 @both
-def test_sync_of_somebody_else_costs_its_cycle_and_the_next(identity: str) -> None:
-    bus = Bus(identity)
-    bus.whole()
-    cycle = bus.begin()
-    other = bus.sync(late_ns=PERIOD_NS // 2)
-    other["flags"] = 0
-    bus.take(bus.sync(), bus.frames_of(cycle, 0, 1), other, bus.frames_of(cycle, 0, 1))
-    assert bus.valid(cycle) == [False, False]
-    assert bus.whole() == [False, False]
-    assert bus.whole() == [True, True]
-
-
-@both
-def test_sync_of_the_gateway_that_comes_twice_costs_its_cycle_and_the_next(identity: str) -> None:
-    """Without counter, one of the two may have waited for a period in the controller."""
+@pytest.mark.parametrize("flags", [0, ECHO], ids=["of somebody else", "of the gateway"])
+def test_second_sync_in_a_cycle_costs_this_cycle_and_the_next(identity: str, flags: int) -> None:
+    """Without counter, a SYNC of the gateway that comes twice may have waited for a period in the controller."""
     bus = Bus(identity)
     bus.whole()
     cycle = bus.begin()
     again = bus.sync(late_ns=PERIOD_NS // 2)
+    again["flags"] = flags
     bus.take(bus.sync(), bus.frames_of(cycle, 0, 1), again, bus.frames_of(cycle, 0, 1))
     assert bus.valid(cycle) == [False, False]
     assert bus.whole() == [False, False]
