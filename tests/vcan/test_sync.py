@@ -119,6 +119,7 @@ def test_whatever_nodes_answer_late_every_valid_block_is_of_its_cycle(tmp_path: 
             time.sleep(periods / RATE_HZ)
             chain.processes.send_signal("nodes", signal.SIGCONT)
             chain.await_complete()
+        chain.await_known(10)
         for each in chain.measurements[first:]:
             is_valid = valid(each)
             hurt += not is_valid.all()
