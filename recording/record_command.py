@@ -62,11 +62,13 @@ def record(
     names = {number: each.name for number, each in enumerate(skin.bus)}
     links = open_links(skin, bus or BusOptions(), name="recorder", stop=stop)
     joined: list[Fabric] = []
+    joining: threading.Thread | None = None
     try:
         now_ns = time.time_ns()
         recorder = Recorder(links, open_sink(out, contract, now_ns, now_ns - time.monotonic_ns()), names)
         join = partial(_join, skin, contract.phi.fingerprint, connect, recorder, stop, joined)
-        threading.Thread(target=join, daemon=True).start()
+        joining = threading.Thread(target=join, name="join the fabric")
+        joining.start()
         say("record", f"{', '.join(names.values())} to {out}")
         request_real_time()  # else services with it keep messages from coming
         recorder.run(stop, seconds or float("inf"))
@@ -74,8 +76,12 @@ def record(
         reason = error.strerror or error
         raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
     finally:
+        stop.set()
         for link in links.values():
             link.close()
+        if joining is not None:
+            # A thread that returns from zenoh while the interpreter ends would abort the process.
+            joining.join()
         for fabric in joined:
             fabric.close()
     _conclude(recorder, out)

@@ -1,5 +1,7 @@
 """What comes is in the file: frames of every bus, and messages as they were published."""
 
+import signal
+import threading
 from pathlib import Path
 
 import msgspec
@@ -11,12 +13,14 @@ from bus.link import State
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
+from recording import record_command
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_log, open_sink
-from skin.errors import InputError
+from skin.errors import InputError, RunError
 from skin.layout import parse_layout
 from skin.mcap_file import EVENTS, RECORDER, read_about, read_entries
 from skin.messages import LABEL
+from tests.processes import free_endpoint
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
 START_NS = 1_700_000_000_000_000_000
@@ -125,3 +129,20 @@ def test_formats_that_cannot_hold_the_frames_are_refused(name: str, buses: int, 
     check_log(Path("run.csv"), 1)
     with pytest.raises(InputError, match=words):
         check_log(Path(name), buses)
+
+
+def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
+    contract: Contract, links: dict[int, FakeLink], layout_file: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread inside zenoh at the end of the interpreter aborts the process."""
+    monkeypatch.setattr(record_command, "open_links", lambda *_, **__: links)
+    monkeypatch.setattr(record_command, "request_real_time", lambda: None)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = set(threading.enumerate())
+    try:
+        with pytest.raises(RunError, match="nothing came"):
+            record_command.record(out, layout=layout_file, connect=free_endpoint(), seconds=0.01)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert set(threading.enumerate()) <= before

@@ -132,20 +132,21 @@ def test_a_killed_recorder_loses_the_last_second_at_most(chain: Chain, tmp_path:
     assert len(made) > 40
 
 
-@pytest.mark.xfail(reason="the recorder was seen to abort (signal 6) on a busy machine; cause unknown", strict=False)
 def test_a_full_disk_ends_the_recorder_alone(chain: Chain, tmp_path: Path) -> None:
     start_chain(chain)
-    chain.start("gateway", "gateway")
-    chain.until("images", lambda: len(chain.images) > 5)
     run = tmp_path / "run.mcap"
     arguments = f"record {run} --layout {chain.layout_path} --connect {chain.endpoint}"
-    limited = f"ulimit -f 2000; exec {sys.executable} -m skin {arguments}"  # 2000 KiB
+    limited = f"ulimit -f 2000; exec {sys.executable} -X faulthandler -m skin {arguments}"  # 2000 KiB
     environment = {**os.environ, "SKIN_BUS_DIR": str(chain.supervisor.folder)}
-    done = subprocess.run(
-        ["bash", "-c", limited], capture_output=True, text=True, check=False, timeout=240, env=environment
-    )
-    assert done.returncode == 1
-    last = done.stderr.splitlines()[-1]
+    with subprocess.Popen(["bash", "-c", limited], stderr=subprocess.PIPE, text=True, env=environment) as recorder:
+        try:
+            chain.until_alive("recorder")
+            chain.start("gateway", "gateway")
+            _, errors = recorder.communicate(timeout=240)
+        finally:
+            recorder.kill()
+    assert recorder.returncode == 1, errors
+    last = errors.splitlines()[-1]
     assert last == f"skin: {run}: the recording ends: File too large; what was written before is readable"
     said: list[str] = []
     images = [entry for entry in read_entries(run, said.append) if entry.topic == IMAGE.name]
