@@ -44,6 +44,14 @@ class Link(Protocol):
         ...
 
     @property
+    def stamp_error_ns(self) -> int | None:
+        """Bound of the error of the clock of the newest time stamps; None if times are those at which frames were read.
+
+        A time stamp of the kernel is besides later than the end of its frame, by the latency of an interrupt.
+        """
+        ...
+
+    @property
     def dropped(self) -> int:
         """Number of frames lost on the receive side since the link was opened."""
         ...

@@ -8,6 +8,7 @@ import can
 import numpy as np
 
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
+from skin.clock import wall_offset
 
 _FLAG_OF: Final = (
     ("is_extended_id", EXTENDED),
@@ -19,11 +20,6 @@ _FLAG_OF: Final = (
 )
 #: A time stamp within this time of the wall clock counts as wall-clock time.
 _PLAUSIBLE_NS: Final = 3600 * 10**9
-
-
-def epoch_offset_ns() -> int:
-    """Return wall clock minus CLOCK_MONOTONIC."""
-    return time.time_ns() - time.monotonic_ns()
 
 
 def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
@@ -51,7 +47,7 @@ def to_frame(message: can.Message) -> Frames:
     data = bytes(message.data or b"")[:64]
     frame["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
     now_ns = time.monotonic_ns()
-    stamp_ns = round(message.timestamp * 1e9) - epoch_offset_ns()
+    stamp_ns = round(message.timestamp * 1e9) - wall_offset().ns
     frame["time_ns"] = stamp_ns if abs(now_ns - stamp_ns) < _PLAUSIBLE_NS else now_ns
     return frame
 

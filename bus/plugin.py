@@ -13,9 +13,10 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from bus.arbitrated import ArbitratedLink
 from bus.error_frames import State
-from bus.messages import epoch_offset_ns, to_frame, to_message
+from bus.messages import to_frame, to_message
 from bus.protocol import Hello, runtime_folder
 from dbc.frame import ECHO, ERROR
+from skin.clock import wall_offset
 from skin.errors import SkinError
 
 #: Period in which a waiting sender checks the transmit queue; `receive` in another thread makes space.
@@ -161,7 +162,7 @@ class ArbitratedBus(can.BusABC):
         """Move received frames from the link to the queue; with `take`, return the oldest message."""
         with self._lock:
             if not self._messages or not take:
-                offset_ns = epoch_offset_ns()
+                offset_ns = wall_offset().ns
                 for record in self._link.receive():
                     flags = record["flags"]
                     if not flags & ECHO or (self._own and not flags & ERROR):

@@ -86,6 +86,11 @@ class PythonCanLink:
         return False
 
     @property
+    def stamp_error_ns(self) -> int | None:
+        """None: the echo of a frame has no time stamp."""
+        return None
+
+    @property
     def state(self) -> State:
         """State of the controller, from the interface; LOST if reading has failed."""
         if self._lost:

@@ -79,6 +79,11 @@ class ReconnectingLink(ABC):
         return True
 
     @property
+    def stamp_error_ns(self) -> int | None:
+        """Bound of the error of the clock of the newest time stamps: 0, because a virtual bus uses CLOCK_MONOTONIC."""
+        return 0
+
+    @property
     def dropped(self) -> int:
         """Number of frames lost because `receive` was not called in time."""
         return self._dropped_before + self._dropped

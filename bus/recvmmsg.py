@@ -9,10 +9,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-#: Control data of one message: a time stamp (cmsghdr 16, timespec 16) and a drop count (cmsghdr 16, u32 and padding).
-_CONTROL_BYTES: Final = 64
+#: Control data of one message, each after a cmsghdr of 16 bytes: a time stamp of the kernel (timespec, 16), of the
+#: device (three timespecs, 48), and a drop count (u32 and padding).
+_CONTROL_BYTES: Final = 128
 SO_TIMESTAMPNS: Final = 35
+SO_TIMESTAMPING: Final = 37
 SO_RXQ_OVFL: Final = 40
+#: Flags of SO_TIMESTAMPING: raw stamps of the device alone; the kernel's come by SO_TIMESTAMPNS.
+DEVICE_STAMPS: Final = 1 << 2 | 1 << 6
 
 
 class _Header(ctypes.Structure):
@@ -51,6 +55,8 @@ class Received(NamedTuple):
         Bytes and MSG_* flags of each datagram.
     time_ns : array of int64, shape (n,)
         Wall-clock time of arrival, 0 if the socket gives none.
+    device_ns : array of int64, shape (n,)
+        Time stamp of the device, on a clock of its own, 0 if it gives none.
     dropped : int or None
         Total number of datagrams that the socket has dropped; None if the batch has no count.
     """
@@ -59,6 +65,7 @@ class Received(NamedTuple):
     lengths: npt.NDArray[np.uint32]
     flags: npt.NDArray[np.int32]
     time_ns: npt.NDArray[np.int64]
+    device_ns: npt.NDArray[np.int64]
     dropped: int | None
 
 
@@ -98,8 +105,8 @@ class BatchSocket:
         self._controls[:] = self._control.ctypes.data + _CONTROL_BYTES * np.arange(len(self._rows))
         self._control_sizes[:] = _CONTROL_BYTES
         count = self._call("recvmmsg", len(self._rows), None)
-        time_ns, dropped = _read_control(self._control[:count], self._control_sizes[:count])
-        return Received(self._rows[:count], self._lengths[:count], self._flags[:count], time_ns, dropped)
+        told = _read_control(self._control[:count], self._control_sizes[:count])
+        return Received(self._rows[:count], self._lengths[:count], self._flags[:count], *told)
 
     def send(self, rows: npt.NDArray[np.uint8], lengths: npt.NDArray[np.integer]) -> int:
         """Send datagrams; return the number that the socket accepted.
@@ -139,14 +146,18 @@ def _field(records: Any, record: Any, offset: int, dtype: np.dtype[Any]) -> npt.
 
 def _read_control(
     control: npt.NDArray[np.uint8], sizes: npt.NDArray[np.uintp]
-) -> tuple[npt.NDArray[np.int64], int | None]:
-    """Read time stamps and drop counts; Linux writes them in this order and may leave out either."""
-    times = np.zeros(len(control), np.int64)
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], int | None]:
+    """Read kernel and device stamps and drop counts; Linux writes them in this order and may leave out any."""
     words = control.view(np.int64)  # cmsghdr: length 8, level 4, type 4; so word 1 is level and type
-    kinds = words[:, 1::4] >> 32
-    stamped = (sizes >= 32) & (kinds[:, 0] == SO_TIMESTAMPNS)
-    times[stamped] = words[stamped, 2] * 1_000_000_000 + words[stamped, 3]
-    second = (sizes >= 52) & stamped & (kinds[:, 1] == SO_RXQ_OVFL)
-    first = (sizes >= 20) & (kinds[:, 0] == SO_RXQ_OVFL)
-    counts = np.concatenate((words[first, 2], words[second, 6])) & 0xFFFFFFFF
-    return times, int(counts.max()) if len(counts) else None
+    kinds = words >> 32
+    stamped = (sizes >= 32) & (kinds[:, 1] == SO_TIMESTAMPNS)
+    time_ns = np.where(stamped, words[:, 2] * 1_000_000_000 + words[:, 3], 0)
+    # struct scm_timestamping: the third is the device's.
+    by_device = stamped & (sizes >= 96) & (kinds[:, 5] == SO_TIMESTAMPING)
+    device_ns = np.where(by_device, words[:, 10] * 1_000_000_000 + words[:, 11], 0)
+    counts = [
+        words[there & (sizes >= 8 * first + 20) & (kinds[:, first + 1] == SO_RXQ_OVFL), first + 2]
+        for there, first in ((~stamped, 0), (stamped & ~by_device, 4), (by_device, 12))
+    ]
+    dropped = np.concatenate(counts) & 0xFFFFFFFF
+    return time_ns, device_ns, int(dropped.max()) if len(dropped) else None

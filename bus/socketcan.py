@@ -13,11 +13,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from bus.device_clock import DeviceClock
 from bus.error_frames import state_of_report
 from bus.protocol import Filter, check_frames, in_time, pad_lengths
 from bus.reconnecting import ReconnectingLink
-from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received
+from bus.recvmmsg import DEVICE_STAMPS, SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received
+from dbc.canopen import SYNC_COB_ID
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
+from skin.clock import WallOffset, wall_offset
 from skin.errors import BusError
 
 BATCH_FRAMES: Final = 256
@@ -56,7 +59,7 @@ def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
 
 def decode(batch: Received, offset_ns: int) -> Frames:
     """Convert received datagrams to records; `offset_ns` is wall clock minus CLOCK_MONOTONIC."""
-    known = (batch.lengths == CLASSIC_BYTES) | (batch.lengths == FD_BYTES)
+    known = _is_known(batch)
     wire = np.ascontiguousarray(batch.rows[known]).view(WIRE).reshape(-1)
     is_fd = batch.lengths[known] == FD_BYTES
     word = wire["can_id"]
@@ -83,8 +86,16 @@ def decode(batch: Received, offset_ns: int) -> Frames:
     return arrived
 
 
+def _is_known(batch: Received) -> npt.NDArray[np.bool_]:
+    known: npt.NDArray[np.bool_] = (batch.lengths == CLASSIC_BYTES) | (batch.lengths == FD_BYTES)
+    return known
+
+
 class SocketCanLink(ReconnectingLink):
     """A raw CAN socket; it reconnects when a lost interface is back.
+
+    The time of a frame is that of the kernel (SO_TIMESTAMPNS), taken in the interrupt after its end. The echo of a SYNC
+    has the time stamp of the device where the interface has one (SO_TIMESTAMPING), see `bus.device_clock`.
 
     Raises
     ------
@@ -97,6 +108,9 @@ class SocketCanLink(ReconnectingLink):
         self._channel = channel
         self._fd = fd
         self._filters = tuple(filters)
+        self._offset = wall_offset()
+        self._stamp_error_ns: int | None = self._offset.error_ns
+        self._device = DeviceClock()
         try:
             self._use(self._connect())
         except OSError as error:
@@ -115,19 +129,34 @@ class SocketCanLink(ReconnectingLink):
         except (OSError, ValueError):
             return False
 
+    @property
+    def stamp_error_ns(self) -> int | None:
+        """Bound of the error of the clock of the newest time stamps; None if the kernel gives none.
+
+        From the wall clock, which the kernel uses, to CLOCK_MONOTONIC: the two are read one after the other, and the
+        wall clock may have been set or slewed since the frames before.
+        """
+        return self._stamp_error_ns
+
     def receive(self) -> Frames:
         """Return all waiting frames, own frames as echoes."""
         arrived: list[Frames] = []
-        offset_ns = time.time_ns() - time.monotonic_ns()
+        before, self._offset = self._offset, wall_offset()
+        has_stamps = True
         for _ in range(64):
             batch = self._receive_batch()
             if batch is None or not len(batch.rows):
                 break
             if batch.dropped is not None:
                 self._dropped = batch.dropped
-            arrived.append(decode(batch, offset_ns))
+            arrived.append(decode(batch, self._offset.ns))
+            has_stamps &= bool(batch.time_ns.all())
+            if batch.device_ns.any():
+                self._use_device(arrived[-1], batch)
             if len(batch.rows) < BATCH_FRAMES:
                 break
+        if arrived:
+            self._stamp_error_ns = self._clock_error_ns(before) if has_stamps else None
         together = np.concatenate(arrived) if arrived else frames(0)
         for report in together[together["flags"] & ERROR != 0]:
             self._state = state_of_report(report, self._state)
@@ -159,6 +188,16 @@ class SocketCanLink(ReconnectingLink):
                     break
                 sent += done
         return sent
+
+    def _clock_error_ns(self, before: WallOffset) -> int:
+        return self._offset.error_ns + abs(self._offset.ns - before.ns) + self._device.error_ns
+
+    def _use_device(self, arrived: Frames, batch: Received) -> None:
+        """Replace the times of SYNC's echoes by those of the device."""
+        device_ns = batch.device_ns[_is_known(batch)]
+        is_sync = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & ~np.uint8(FD | BRS | ESI) == ECHO)
+        for place in np.flatnonzero(is_sync & (device_ns > 0)):
+            arrived["time_ns"][place] = self._device.take(int(device_ns[place]), int(arrived["time_ns"][place]))
 
     def _receive_batch(self) -> Received | None:
         connection = self._reopened()
@@ -202,6 +241,8 @@ class SocketCanLink(ReconnectingLink):
         if self._filters:
             connection.setsockopt(raw, socket.CAN_RAW_FILTER, _kernel_filters(self._filters))
         connection.setsockopt(level, SO_TIMESTAMPNS, 1)
+        with contextlib.suppress(OSError):  # before Linux 2.6.30
+            connection.setsockopt(level, SO_TIMESTAMPING, DEVICE_STAMPS)
         connection.setsockopt(level, SO_RXQ_OVFL, 1)
         connection.setsockopt(level, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         with contextlib.suppress(PermissionError):  # above the system's limit, if permitted

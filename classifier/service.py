@@ -141,7 +141,7 @@ def _label_of(measurement: Measurement, decision: Decision, valid_sums: int, num
     return Label(
         cycle=measurement.cycle,
         sync_counter=measurement.sync_counter,
-        sync_mono_ns=measurement.sync_mono_ns,
+        sampled_mono_ns=measurement.sampled_mono_ns,
         label=decision.label,
         confidence=decision.confidence,
         valid_sums=valid_sums,

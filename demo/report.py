@@ -4,6 +4,8 @@ from typing import Final
 
 import msgspec
 
+from dbc.adaptive import SAMPLE_AGE_NS
+
 #: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
 
@@ -61,7 +63,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         Cycles with contact; adaptive: true forces with contact, 100 a second.
     latency_ms : Percentiles
         Time from SYNC to the published image; adaptive: from the end of the newest frame that is in the image. The
-        sample of that frame is up to 1.2 ms older.
+        sample of that frame is older by at most `dbc.adaptive.SAMPLE_AGE_NS`.
+    bus_sampling_error_us, sampling_error_us, sent_error_us : Percentiles
+        Distance of the sampling instant in the measurements from that of the nodes: by the time stamp of the SYNC on
+        their bus; by the mean over the buses; without time stamps, by the send call. None with adaptive sending.
     bus_load : list of float
         Load of each bus since SYNC started, exact stuffing.
     kbit_per_s : float or None
@@ -89,6 +94,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     contact_cycles: int
     label_accuracy: float | None
     latency_ms: Percentiles
+    bus_sampling_error_us: Percentiles = Percentiles(p50=None, p99=None)
+    sampling_error_us: Percentiles = Percentiles(p50=None, p99=None)
+    sent_error_us: Percentiles = Percentiles(p50=None, p99=None)
     sync_rate_hz: float
     bus_load: list[float]
     kbit_per_s: float | None = None
@@ -127,8 +135,16 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         latency = self.latency_ms
         if latency.p50 is not None and latency.p99 is not None:
             within = f"{latency.p50:.1f} ms, 99 % within {latency.p99:.1f} ms"
-            older = "; samples are up to 1.2 ms older than their frames"
+            older = f"; samples are up to {SAMPLE_AGE_NS * 1e-6:g} ms older than their frames"
             rows.append(("frame to image", within + older) if is_adaptive else ("SYNC to image", within))
+        if self.bus_sampling_error_us.p99 is not None:
+            bus_us, mean_us, sent_us = (
+                self.bus_sampling_error_us.p99,
+                self.sampling_error_us.p99,
+                self.sent_error_us.p99,
+            )
+            stamped = f"99 % within {bus_us:.1f} µs of the nodes', mean of the buses {mean_us:.0f} µs"
+            rows.append(("sampling instant", f"{stamped}; without time stamps {sent_us:.0f} µs"))
         if self.psnr_image_db is not None:
             sensor = f"the sensor's {self.psnr_sensor_db:.1f} dB"
             against = sensor if self.sensor_adds_noise else "what was played, which has no noise"

@@ -19,7 +19,7 @@ from demo.supervisor import Supervisor
 from skin.errors import RunError
 from skin.fabric import Fabric
 from skin.layout import Layout
-from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
+from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from skin.psnr import adds_noise
 from skin.service import StopSignal, Talk, say, talks
 from skin.sources import DEFAULT_OBJECTS
@@ -99,6 +99,7 @@ class Run:
             (GATEWAY, self._score.take_gateway),
             (NODES, self._score.take_nodes),
             (TRUTH, self._score.take_truth),
+            (MEASUREMENT, self._score.take_measurement),
             (IMAGE, self._score.take_image),
             (LABEL, self._score.take_label),
         ):

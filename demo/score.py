@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from demo.report import NodeMissing, Percentiles, Report
-from skin.ground_truth import Pairs, image_pairs, in_contact, label_pairs
+from skin.ground_truth import Pairing, Pairs, image_pairs, in_contact, label_pairs
 from skin.labels import is_measured
 from skin.layout import Layout
-from skin.messages import GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.messages import GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 from skin.psnr import adds_noise, psnr_db
 
 #: Most nodes in a report when frames are missing.
@@ -52,6 +52,11 @@ class Score:
     latency_ms : deque of float
         Time from SYNC to the published image, one entry per image with new sums, of the last `HISTORY`. Adaptive: from
         the end of the newest frame that is in the image.
+    bus_sampling_error_us, sampling_error_us, sent_error_us : deque of float
+        Distances from the SYNC that the nodes received: of the nearest of `Measurement.bus_sampled_ns`, because the
+        virtual nodes of all buses sample at the SYNC that they receive first; of `Measurement.sampled_mono_ns`, the
+        mean over the buses; of `Measurement.sent_mono_ns`. One entry per measurement, of the last `HISTORY`; none with
+        adaptive sending.
     cpu_ratio : dict of str to float
         Processor time / wall time of each process; set by the run.
     """
@@ -62,6 +67,9 @@ class Score:
     psnr_image_db: deque[float] = field(default_factory=_newest)
     psnr_sensor_db: deque[float] = field(default_factory=_newest)
     latency_ms: deque[float] = field(default_factory=_newest)
+    bus_sampling_error_us: deque[float] = field(default_factory=_newest)
+    sampling_error_us: deque[float] = field(default_factory=_newest)
+    sent_error_us: deque[float] = field(default_factory=_newest)
     contact_cycles: int = 0
     labelled: int = 0
     labelled_right: int = 0
@@ -70,12 +78,14 @@ class Score:
     cpu_ratio: dict[str, float] = field(default_factory=dict)
     _images: Pairs[Image] = field(init=False)
     _labels: Pairs[Label] = field(init=False)
+    _measurements: Pairing[Measurement] = field(init=False)
     _peak_n: float = 0.0
     _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
+        self._measurements = Pairing(self.layout.sync.period_s)
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
@@ -94,6 +104,14 @@ class Score:
                 self._compare(image, true)
             for label, true in self._labels.take_truth(truth):
                 self._count_label(label, true)
+            for measurement, true in self._measurements.take_truth(truth) if self._is_cyclic else ():
+                self._compare_times(measurement, true)
+
+    def take_measurement(self, measurement: Measurement) -> None:
+        """Compare the sampling instant of a cycle with that of the nodes."""
+        with self._lock:
+            for mine, truth in self._measurements.take(measurement) if self._is_cyclic else ():
+                self._compare_times(mine, truth)
 
     def take_image(self, image: Image) -> None:
         """Compare an image with the truth of its cycle; an image of another size is ignored."""
@@ -101,9 +119,9 @@ class Score:
             return
         with self._lock:
             # An image without any new sum, of a skin with nothing to send, has no latency.
-            if image.valid_sums and image.sync_mono_ns != self._newest_ns:
-                self.latency_ms.append((image.published_mono_ns - image.sync_mono_ns) * 1e-6)
-            self._newest_ns = image.sync_mono_ns
+            if image.valid_sums and image.sampled_mono_ns != self._newest_ns:
+                self.latency_ms.append((image.published_mono_ns - image.sampled_mono_ns) * 1e-6)
+            self._newest_ns = image.sampled_mono_ns
             for shown, truth in self._images.take(image):
                 self._compare(shown, truth)
 
@@ -113,6 +131,10 @@ class Score:
         with self._lock:
             for said, truth in self._labels.take(label):
                 self._count_label(said, truth)
+
+    @property
+    def _is_cyclic(self) -> bool:
+        return self.layout.sending == "synchronous"
 
     def label_text(self) -> str:
         """Return the newest label as text."""
@@ -134,6 +156,16 @@ class Score:
         if truth.label and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
+
+    def _compare_times(self, measurement: Measurement, truth: Truth) -> None:
+        bus_ns = np.frombuffer(measurement.bus_sampled_ns, "<i8")
+        for errors_us, estimates_ns in (
+            (self.bus_sampling_error_us, bus_ns[bus_ns > 0]),
+            (self.sampling_error_us, [measurement.sampled_mono_ns]),
+            (self.sent_error_us, [measurement.sent_mono_ns]),
+        ):
+            if len(estimates_ns):
+                errors_us.append(min(abs(int(each) - truth.sampled_mono_ns) for each in estimates_ns) * 1e-3)
 
     def _compare(self, image: Image, truth: Truth) -> None:
         true = self._grid(truth.true)
@@ -181,7 +213,10 @@ class Score:
             sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self.layout.taxels.adc_bits),
             contact_cycles=self.contact_cycles,
             label_accuracy=self.labelled_right / self.labelled if self.labelled else None,
-            latency_ms=Percentiles(p50=_percentile(self.latency_ms, 50), p99=_percentile(self.latency_ms, 99)),
+            latency_ms=_percentiles(self.latency_ms),
+            bus_sampling_error_us=_percentiles(self.bus_sampling_error_us),
+            sampling_error_us=_percentiles(self.sampling_error_us),
+            sent_error_us=_percentiles(self.sent_error_us),
             sync_rate_hz=round(gateway.sync_rate_hz, 3) if gateway else 0.0,
             bus_load=[round(load, 4) for load in loads],
             kbit_per_s=self._kbit_per_s(loads),
@@ -191,6 +226,10 @@ class Score:
 
 def _mean(values: Collection[float]) -> float | None:
     return round(sum(values) / len(values), 2) if values else None
+
+
+def _percentiles(values: Collection[float]) -> Percentiles:
+    return Percentiles(p50=_percentile(values, 50), p99=_percentile(values, 99))
 
 
 def _percentile(values: Collection[float], percent: float) -> float | None:

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from dbc.adaptive import PAUSE_MS
+from dbc.adaptive import PAUSE_MS, SAMPLE_AGE_NS
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frame_bytes, frames
 from gateway.adaptive_state import (
@@ -189,8 +189,9 @@ class AdaptiveGathering:
             Measurement(
                 cycle=self.published,
                 sync_counter=self._counter,
-                sync_mono_ns=self._newest_ns,
-                time_ns=self._newest_ns + wall_offset_ns,
+                sampled_mono_ns=self._newest_ns,
+                sampled_error_ns=SAMPLE_AGE_NS,
+                wall_offset_ns=wall_offset_ns,
                 sums=shown.sums.astype("<i4", copy=False).tobytes(),
                 valid=shown.valid.tobytes(),
                 fingerprint=self._fingerprint,

@@ -16,6 +16,7 @@ from dbc.codec import decode
 from dbc.contract import Contract, next_counter
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from gateway.outstanding import Outstanding
+from gateway.sync_times import SampledTimes, SyncTimes
 from skin.messages import FrameCounts
 
 #: Two SYNCs whose ends are nearer than this part of a period are too close. The gateway itself keeps half a period.
@@ -28,10 +29,11 @@ SWAPPED_CYCLES: Final = 5
 
 @dataclass(frozen=True)
 class Gathered:
-    """The sums of one cycle: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,)."""
+    """One cycle: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,); `times` of the sampling."""
 
     sums: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
+    times: SampledTimes
 
     @property
     def complete(self) -> bool:
@@ -93,6 +95,9 @@ class Collector:
         #: When the newest SYNC ended on each bus, 0 if unknown, and the shortest time allowed to the next.
         self._sync_ns = [0] * len(contract.layout.bus)
         self._too_close_ns = round(CLOSE * contract.layout.sync.period_s * 1e9)
+        self._times = SyncTimes(contract)
+        #: Of each bus: bound of the error of the clock of the newest time stamps, None without.
+        self._stamp_error_ns: list[int | None] = [0] * len(contract.layout.bus)
         #: Counter of the newest SYNC on each bus, 0 before the first.
         self._on_wire = [0] * len(contract.layout.bus)
 
@@ -121,8 +126,9 @@ class Collector:
         count, self._foreign_syncs[bus] = self._foreign_syncs[bus], 0
         return count
 
-    def open(self, counter: int, due_ns: int = 0) -> None:
-        """Begin the cycle of SYNC `counter`, due at `due_ns`; call it before this SYNC is sent."""
+    def open(self, counter: int, due_ns: int = 0, sent_ns: int | None = None) -> None:
+        """Begin the cycle of SYNC `counter`, due at `due_ns`; call it at `sent_ns`, before this SYNC is sent."""
+        self._times.open(counter, due_ns, sent_ns)
         slot, rows = _slot_of(counter), self._rows_of(counter)
         # A bus without SYNC since this counter was last used is not in this cycle.
         self._on_wire = [0 if now == counter else now for now in self._on_wire]
@@ -142,8 +148,12 @@ class Collector:
         waiting = self._waiting[_slot_of(counter)]
         return all(count == 0 or now == following for count, now in zip(waiting, self._on_wire, strict=True))
 
-    def take(self, bus: int, arrived: Frames) -> None:
-        """Use the frames that arrived on a bus, in bus order; the echo of a SYNC starts its cycle on the bus."""
+    def take(self, bus: int, arrived: Frames, stamp_error_ns: int | None = 0) -> None:
+        """Use the frames that arrived on a bus, in bus order; the echo of a SYNC starts its cycle on the bus.
+
+        `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.
+        """
+        self._stamp_error_ns[bus] = stamp_error_ns
         begin = 0
         is_sync = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0)
         for place in np.flatnonzero(is_sync):
@@ -180,7 +190,7 @@ class Collector:
         sums = np.zeros(self._phi.shape[0], np.int32)
         decode(self._payload[slot, good], self._table.gather[good], self._packing, sums)
         sums[~self._phi.sums_of_blocks(valid)] = 0
-        return Gathered(sums, valid)
+        return Gathered(sums, valid, self._times.close(counter))
 
     def _spoil(self, bus: int) -> None:
         """Use no sums of a bus in the open cycles, nor in the next cycle."""
@@ -198,6 +208,7 @@ class Collector:
         if counter == before:
             self._spoil(bus)  # its SYNC was on the bus already
         self._on_wire[bus] = counter
+        self._times.echo(counter, bus, time_ns, self._stamp_error_ns[bus])
         self._check_spacing(bus, time_ns)
         self._ask(bus, time_ns)
 
@@ -242,9 +253,15 @@ class Collector:
         row, arrived = row[ours], arrived[ours]
         whole = arrived["length"] == self._table.length[row]
         self.counts.malformed += int(len(row) - whole.sum())
-        self._accept(bus, row[whole], arrived["data"][whole, : self._payload.shape[2]])
+        self._accept(bus, row[whole], arrived["data"][whole, : self._payload.shape[2]], arrived["time_ns"][whole])
 
-    def _accept(self, bus: int, row: npt.NDArray[np.intp], payload: npt.NDArray[np.uint8]) -> None:
+    def _accept(
+        self,
+        bus: int,
+        row: npt.NDArray[np.intp],
+        payload: npt.NDArray[np.uint8],
+        time_ns: npt.NDArray[np.int64],
+    ) -> None:
         self.heard[self._table.node[row]] = True
         if self._outstanding is not None:
             self._outstanding.came(row)
@@ -258,6 +275,8 @@ class Collector:
         row, payload = row[in_time], payload[in_time]
         if not len(row):
             return
+        if self._stamp_error_ns[bus] is None:
+            self._times.answer(counter, bus, int(time_ns[in_time][0]))
         first = np.zeros(len(row), np.bool_)
         first[np.unique(row, return_index=True)[1]] = True
         first &= ~self._seen[slot, row]

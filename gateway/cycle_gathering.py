@@ -64,12 +64,12 @@ class CycleGathering:
         """Use the frames that arrived on a bus, in bus order."""
         if health.has_gap:
             self.collector.lost(bus)
-        self.collector.take(bus, arrived)
+        self.collector.take(bus, arrived, health.stamp_error_ns)
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles that were closed for it."""
         closed = [self._close(self._open_cycles.popleft()) for _ in range(len(self._open_cycles) - 1)]
-        self.collector.open(sync.counter, sync.mono_ns)
+        self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
         self._open_cycles.append(sync)
         return closed
 
@@ -112,13 +112,17 @@ class CycleGathering:
 
     def _close(self, sync: Sync) -> Measurement:
         gathered = self.collector.close(sync.counter)
+        times = gathered.times
         self.published += 1
         self.complete += gathered.complete
         return Measurement(
             cycle=sync.number,
             sync_counter=sync.counter,
-            sync_mono_ns=sync.mono_ns,
-            time_ns=sync.time_ns,
+            sampled_mono_ns=times.mono_ns,
+            sampled_error_ns=times.error_ns,
+            sent_mono_ns=times.sent_mono_ns,
+            wall_offset_ns=sync.wall_offset_ns,
+            bus_sampled_ns=times.bus_ns.astype("<i8", copy=False).tobytes(),
             sums=gathered.sums.astype("<i4").tobytes(),
             valid=gathered.valid.astype(np.uint8).tobytes(),
             fingerprint=self._contract.phi.fingerprint,

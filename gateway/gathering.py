@@ -21,13 +21,30 @@ _DOWN: Final = (State.BUS_OFF, State.LOST)
 
 @dataclass(frozen=True)
 class Sync:
-    """A SYNC: its number since the start, its counter byte, and when it was due."""
+    """A SYNC that is about to be sent.
+
+    Attributes
+    ----------
+    number, counter : int
+        Number since the start, and counter byte.
+    due_ns : int
+        When it was due.
+    sent_ns : int or None
+        A time just before it is sent; None in a replay.
+    wall_offset_ns : int
+        Wall clock minus monotonic clock.
+    """
 
     number: int
     counter: int
-    due_s: float
-    mono_ns: int
-    time_ns: int
+    due_ns: int
+    sent_ns: int | None
+    wall_offset_ns: int
+
+    @property
+    def due_s(self) -> float:
+        """When it was due, seconds."""
+        return self.due_ns * 1e-9
 
 
 class Gathering(Protocol):
@@ -111,13 +128,17 @@ class Health:
         The controller is off the bus.
     has_returned : bool
         The controller is back on the bus.
+    stamp_error_ns : int or None
+        Of the newest frames: bound of the error of the clock of their time stamps, None if they have none.
     """
+
+    stamp_error_ns: int | None = 0
 
     def __init__(self) -> None:
         self.has_gap = self.is_down = self.has_returned = False
         self._dropped = 0
 
-    def look(self, arrived: Frames, state: State, dropped: int) -> None:
+    def look(self, arrived: Frames, state: State, dropped: int, stamp_error_ns: int | None = 0) -> None:
         """Use what a link says after it was read.
 
         Parameters
@@ -128,7 +149,10 @@ class Health:
             Of the controller.
         dropped : int
             Frames that the receive side has lost so far.
+        stamp_error_ns : int or None
+            See `bus.link.Link`.
         """
+        self.stamp_error_ns = stamp_error_ns
         is_down = state in _DOWN
         self.has_returned = self.is_down and not is_down
         self.has_gap = is_down or self.is_down or dropped != self._dropped or _tells_loss(arrived)

@@ -110,7 +110,14 @@ class GatewayLoop:
         return min(self.sync.due_s, self.gathering.rests_until_s)
 
     def take(
-        self, number: int, arrived: Frames, now_s: float, *, state: State = State.ACTIVE, dropped: int = 0
+        self,
+        number: int,
+        arrived: Frames,
+        now_s: float,
+        *,
+        state: State = State.ACTIVE,
+        dropped: int = 0,
+        stamp_error_ns: int | None = 0,
     ) -> None:
         """Use the frames that arrived on a bus, in bus order; none is a look at the link.
 
@@ -120,9 +127,11 @@ class GatewayLoop:
             Of the gateway's controller, after these frames.
         dropped : int
             Frames that its receive side has lost so far.
+        stamp_error_ns : int or None
+            Of the clock of the frames' time stamps, see `bus.link.Link`.
         """
         bus = self._buses[number]
-        bus.health.look(arrived, state, dropped)
+        bus.health.look(arrived, state, dropped, stamp_error_ns)
         if not len(arrived) and not bus.health.has_gap:
             return
         # The master first: a frame may make it doubt the node whose sums come next.
@@ -159,7 +168,9 @@ class GatewayLoop:
         if due_s is None:
             return []
         sync_ns = round(due_s * 1e9)
-        closed = self.gathering.begin(Sync(self.sync.sent, self.sync.counter, due_s, sync_ns, sync_ns + wall_offset_ns))
+        closed = self.gathering.begin(
+            Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns)
+        )
         sync = self._contract.sync(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns

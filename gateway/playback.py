@@ -124,7 +124,7 @@ class Playback:
         self._sync_ns = time_ns
         if self._first_sync_ns is None:
             self._first_sync_ns = time_ns
-        sync = Sync(self.cycles, counter, time_ns * 1e-9, time_ns, time_ns + self._wall_offset_ns)
+        sync = Sync(self.cycles, counter, time_ns, None, self._wall_offset_ns)
         self._made += self._loop.gathering.begin(sync)
         self._open = [*self._open[1 - _CYCLES_IN_FLIGHT :], (counter, time_ns, {number})]
 

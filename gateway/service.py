@@ -12,6 +12,7 @@ from dbc.contract import Contract
 from dbc.frame import frames
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
+from skin.clock import wall_offset
 from skin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
 from skin.service import RateLimitedLog, StopSignal, request_real_time, say
 
@@ -96,9 +97,16 @@ class GatewayService:
         ready, _, _ = select.select(list(self._links.values()), [], [], timeout_s)
         for number, link in self._links.items():
             arrived = link.receive() if link in ready else _NOTHING
-            self.loop.take(number, arrived, self._clock(), state=link.state, dropped=link.dropped)
+            self.loop.take(
+                number,
+                arrived,
+                self._clock(),
+                state=link.state,
+                dropped=link.dropped,
+                stamp_error_ns=link.stamp_error_ns,
+            )
         self.loop.tick(self._clock())
-        wall_offset_ns = time.time_ns() - time.monotonic_ns()
+        wall_offset_ns = wall_offset().ns
         self._publish(self.loop.send_sync(self._clock(), wall_offset_ns))
         self._publish(self.loop.measurements(self._clock(), wall_offset_ns))
         if self._clock() >= self._status_at_s:

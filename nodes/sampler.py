@@ -111,7 +111,7 @@ class Sampler(Boards):
         self._truth = Truth(
             step=self._step,
             sync_counter=counter,
-            sync_mono_ns=time_ns,
+            sampled_mono_ns=time_ns,
             true=frame.force_n.astype("<f4").tobytes(),
             sensor=to_newtons(self._electronics.sampled, self._electronics.taxels).astype("<f4").tobytes(),
             label=frame.label,

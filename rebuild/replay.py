@@ -46,4 +46,4 @@ def replay(
         )
     counts = np.stack([np.frombuffer(each.sums, "<i4") for each in made])
     valid = np.stack([np.frombuffer(each.valid, np.uint8) != 0 for each in made])
-    return Cycles(counts, valid, np.array([each.sync_mono_ns for each in made], np.int64)), part.status.frames
+    return Cycles(counts, valid, np.array([each.sampled_mono_ns for each in made], np.int64)), part.status.frames

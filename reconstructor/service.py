@@ -97,7 +97,7 @@ class ReconstructorService:
         message = Image(
             cycle=measurement.cycle,
             sync_counter=measurement.sync_counter,
-            sync_mono_ns=measurement.sync_mono_ns,
+            sampled_mono_ns=measurement.sampled_mono_ns,
             published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
             valid=measurement.valid,
@@ -113,11 +113,11 @@ class ReconstructorService:
         started_s = time.perf_counter()
         is_blind = message.valid_sums == 0
         valid = np.frombuffer(message.valid, np.bool_)[self._block_of_taxel].reshape(image.shape)
-        found, ended = ([], []) if is_blind else self._tracker.take(image, message.sync_mono_ns, valid)
+        found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid)
         return Contacts(
             cycle=message.cycle,
             sync_counter=message.sync_counter,
-            sync_mono_ns=message.sync_mono_ns,
+            sampled_mono_ns=message.sampled_mono_ns,
             contacts=found,
             ended=ended,
             find_s=time.perf_counter() - started_s,

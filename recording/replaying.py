@@ -197,7 +197,7 @@ class Replay:
         if self._step is None or self._step.topic is not MEASUREMENT:
             return self._now_ns
         image = self._step.image
-        return image.published_mono_ns if image is not None else int(self._step.message.sync_mono_ns)
+        return image.published_mono_ns if image is not None else int(self._step.message.sampled_mono_ns)
 
 
 def _same_image(made: Image, recorded: Image | None) -> bool | None:

@@ -15,7 +15,7 @@ from dbc.contract import Contract, next_counter
 from dbc.stored_frames import from_bytes
 from gateway.playback import Playback, play
 from skin.errors import InputError
-from skin.mcap_file import FRAMES, Entry, read_entries, read_topics, wall_offset_ns
+from skin.mcap_file import FRAMES, Entry, message_decoder, read_entries, read_topics, wall_offset_ns
 from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement, Topic
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
@@ -34,9 +34,6 @@ _AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
 #: Most images and labels that wait for their measurements.
 _MOST_KEPT: Final = 10_000
 
-#: Times of one SYNC differ at most so much: that of a lost measurement is computed.
-_SAME_NS: Final = 1000
-
 _Answer = TypeVar("_Answer", Image, Label)
 
 
@@ -53,7 +50,7 @@ class Step:
     recorded : Measurement or None
         Of a measurement: the recorded one, or that before if it was lost.
     was_lost : bool
-        The measurement came not to the recorder: its number and time follow from the measurement before.
+        The measurement came not to the recorder: its number follows from the measurement before, its time from frames.
     image, label : Image or Label or None
         Of a measurement: what was recorded of it.
     makes_image, makes_label : bool
@@ -123,8 +120,7 @@ class _Recorded:
     def __init__(self, path: Path, contract: Contract, topics: set[str], *, every: bool) -> None:
         self._path, self._contract = path, contract
         self._decoders: dict[str, Callable[[bytes], Any]] = {
-            topic.name: msgspec.msgpack.Decoder(topic.message).decode
-            for topic in (MEASUREMENT, IMAGE, LABEL, *_AS_RECORDED.values())
+            topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE, LABEL, *_AS_RECORDED.values())
         }
         self._measures = MEASUREMENT.name in topics
         has_frames = any(topic.startswith(FRAMES) for topic in topics)
@@ -133,11 +129,13 @@ class _Recorded:
         #: Without counter a SYNC is known by its time alone.
         self._is_counted = contract.sync_overflow > 0
         self._far_ns = round((_FAR_CYCLES if self._is_counted else 0.5) * contract.layout.sync.period_s * 1e9)
+        #: Times of one SYNC differ by less: the recorder has time stamps of its own.
+        self._near_ns = round(0.5 * contract.layout.sync.period_s * 1e9)
         self._playback: Playback | None = None
         self._waiting: list[Step] = []
         self._unpaired: dict[int, deque[Measurement]] = {}
-        self._images: _Answers[Image] = _Answers(is_followed=IMAGE.name in topics and not every)
-        self._labels: _Answers[Label] = _Answers(is_followed=LABEL.name in topics)
+        self._images: _Answers[Image] = _Answers(self._near_ns, is_followed=IMAGE.name in topics and not every)
+        self._labels: _Answers[Label] = _Answers(self._near_ns, is_followed=LABEL.name in topics)
         #: The measurement that was played last, and the time of the newest that was read.
         self._before: Measurement | None = None
         self._measured_ns = 0
@@ -167,7 +165,7 @@ class _Recorded:
             return False
         if step.recorded is None or step.time_ns <= until_ns - _ANSWERS_NS:
             return True
-        sync_ns = step.recorded.sync_mono_ns
+        sync_ns = step.recorded.sampled_mono_ns
         return self._images.reaches(sync_ns) and self._labels.reaches(sync_ns)
 
     def _take(self, entry: Entry) -> None:
@@ -177,13 +175,10 @@ class _Recorded:
         decode = self._decoders.get(entry.topic)
         if decode is None:
             return
-        try:
-            message = decode(entry.data)
-        except msgspec.MsgspecError as error:
-            raise InputError(f"{self._path}: a message of '{entry.topic}' cannot be decoded: {error}") from error
+        message = decode(entry.data)
         if entry.topic == MEASUREMENT.name:
             if self._uses_frames:
-                self._measured_ns = message.sync_mono_ns
+                self._measured_ns = message.sampled_mono_ns
                 self._unpaired.setdefault(self._counter(message), deque()).append(message)
             else:
                 self._add(entry.time_ns, MEASUREMENT, message, message)
@@ -230,9 +225,9 @@ class _Recorded:
     def _recorded(self, made: Measurement) -> Measurement | None:
         """Return the recorded measurement of the same SYNC."""
         candidates = self._unpaired.get(self._counter(made), deque())
-        while candidates and made.sync_mono_ns - candidates[0].sync_mono_ns > self._far_ns:
+        while candidates and made.sampled_mono_ns - candidates[0].sampled_mono_ns > self._far_ns:
             candidates.popleft()
-        if candidates and abs(made.sync_mono_ns - candidates[0].sync_mono_ns) <= self._far_ns:
+        if candidates and abs(made.sampled_mono_ns - candidates[0].sampled_mono_ns) <= self._far_ns:
             return candidates.popleft()
         return None
 
@@ -246,10 +241,10 @@ class _Recorded:
         Its nodes count as proven as in the cycle before. None if it does not follow that cycle, or none follows.
         """
         before = self._before
-        if before is None or self._measured_ns <= made.sync_mono_ns:
+        if before is None or self._measured_ns <= made.sampled_mono_ns:
             return None
         period_ns = round(self._contract.layout.sync.period_s * 1e9)
-        later_ns = made.sync_mono_ns - before.sync_mono_ns
+        later_ns = made.sampled_mono_ns - before.sampled_mono_ns
         counter = next_counter(before.sync_counter)
         if (self._is_counted and made.sync_counter != counter) or later_ns > 2 * period_ns:
             return None
@@ -257,8 +252,9 @@ class _Recorded:
             before,
             cycle=before.cycle + 1,
             sync_counter=counter,
-            sync_mono_ns=before.sync_mono_ns + period_ns,
-            time_ns=before.time_ns + period_ns,
+            sampled_mono_ns=made.sampled_mono_ns,
+            bus_sampled_ns=made.bus_sampled_ns,
+            sent_mono_ns=0,
         )
 
     def _add(
@@ -282,7 +278,7 @@ class _Recorded:
                 step.label, step.makes_label = self._labels.of(step.recorded)
                 answer = step.image or step.label
                 if step.was_lost and answer is not None:
-                    step.message = msgspec.structs.replace(step.message, sync_mono_ns=answer.sync_mono_ns)
+                    step.message = msgspec.structs.replace(step.message, sampled_mono_ns=answer.sampled_mono_ns)
             yield step
 
 
@@ -293,7 +289,8 @@ class _Answers(Generic[_Answer]):
     the answers before and after it tell which; of several measurements the first count as used.
     """
 
-    def __init__(self, *, is_followed: bool) -> None:
+    def __init__(self, near_ns: int, *, is_followed: bool) -> None:
+        self._near_ns = near_ns
         self._is_followed = is_followed
         self._kept: dict[int, _Answer] = {}
         self._newest_ns = self._number = 0
@@ -301,7 +298,7 @@ class _Answers(Generic[_Answer]):
     def keep(self, answer: _Answer) -> None:
         """Keep an answer; the oldest, whose measurements are missing, go."""
         self._kept[answer.cycle] = answer
-        self._newest_ns = answer.sync_mono_ns
+        self._newest_ns = answer.sampled_mono_ns
         if len(self._kept) > _MOST_KEPT:
             del self._kept[next(iter(self._kept))]
 
@@ -311,16 +308,16 @@ class _Answers(Generic[_Answer]):
 
     def of(self, measurement: Measurement) -> tuple[_Answer | None, bool]:
         """Return the answer to the next measurement, if it was recorded, and whether there was one live."""
-        sync_ns = measurement.sync_mono_ns
+        sync_ns = measurement.sampled_mono_ns
         answer = self._kept.get(measurement.cycle)
-        if answer is not None and abs(answer.sync_mono_ns - sync_ns) <= _SAME_NS:
+        if answer is not None and abs(answer.sampled_mono_ns - sync_ns) < self._near_ns:
             del self._kept[measurement.cycle]
             self._number = answer.number
             return answer, True
         if not self._is_followed:
             return None, True
-        later = (each for each in self._kept.values() if each.sync_mono_ns > sync_ns)
-        following = min(later, key=lambda each: each.sync_mono_ns, default=None)
+        later = (each for each in self._kept.values() if each.sampled_mono_ns > sync_ns)
+        following = min(later, key=lambda each: each.sampled_mono_ns, default=None)
         if following is None or following.number <= self._number + 1:
             return None, False
         self._number += 1

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from skin.errors import InputError, RunError
 from skin.layout import Layout
-from skin.mcap_file import read_entries
+from skin.mcap_file import message_decoder, read_entries
 from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact
 
 Table = dict[str, npt.NDArray[Any]]
@@ -30,9 +30,10 @@ class Tables:
     ----------
     images : dict
         ``pixels`` float32 (n, rows, columns) in newtons, ``cycle``, ``time_ns`` of the sampling on the wall clock,
-        ``sync_mono_ns``, ``valid`` bool (n, blocks), ``valid_sums``.
+        ``sampled_mono_ns``, ``valid`` bool (n, blocks), ``valid_sums``.
     measurements : dict
-        ``sums`` int32 (n, m) in ADC counts, ``valid``, ``cycle``, ``time_ns``, ``sync_mono_ns``.
+        ``sums`` int32 (n, m) in ADC counts, ``valid``, ``cycle``, ``time_ns``, ``sampled_mono_ns``,
+        ``sampled_error_ns``.
     contacts : dict
         One row per contact and image: the fields of `skin.messages.Contact`, ``cycle`` and ``time_ns``.
     labels : dict
@@ -73,11 +74,11 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
         If there is nothing to read.
     """
     topics = {topic.name: topic for topic in (IMAGE, MEASUREMENT, CONTACTS, LABEL, TRUTH)}
-    decoders = {name: msgspec.msgpack.Decoder(topic.message) for name, topic in topics.items()}
+    decoders = {name: message_decoder(path, topic) for name, topic in topics.items()}
     read: dict[str, list[Any]] = {name: [] for name in topics}
     for entry in read_entries(path, warn):
         if entry.topic in read:
-            read[entry.topic].append(decoders[entry.topic].decode(entry.data))
+            read[entry.topic].append(decoders[entry.topic](entry.data))
     if not any(read.values()):
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
@@ -92,6 +93,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
             },
             measurements=_times(read["measurement"], offset_ns)
             | {
+                "sampled_error_ns": np.array([each.sampled_error_ns for each in read["measurement"]], np.int64),
                 "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
                 "valid": _stack([each.valid for each in read["measurement"]], np.bool_, (layout.blocks,)),
             },
@@ -102,7 +104,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
                 "confidence": np.array([each.confidence for each in read["label"]], np.float64),
             },
             truth={
-                "time_ns": np.array([each.sync_mono_ns for each in read["truth"]], np.int64) + offset_ns,
+                "time_ns": np.array([each.sampled_mono_ns for each in read["truth"]], np.int64) + offset_ns,
                 "true": _stack([each.true for each in read["truth"]], "<f4", shape),
                 "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
                 "label": np.array([each.label for each in read["truth"]], np.str_),
@@ -114,11 +116,11 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
 
 def _times(messages: list[Any], offset_ns: int) -> Table:
     """Return number and times of messages; of a contact those of its image."""
-    mono_ns = np.array([each.sync_mono_ns for each in messages], np.int64)
+    mono_ns = np.array([each.sampled_mono_ns for each in messages], np.int64)
     return {
         "cycle": np.array([each.cycle for each in messages], np.int64),
         "time_ns": mono_ns + offset_ns,
-        "sync_mono_ns": mono_ns,
+        "sampled_mono_ns": mono_ns,
     }
 
 

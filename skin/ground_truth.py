@@ -29,7 +29,7 @@ TRUTHS_KEPT: Final = 64
 #: Adaptive: a truth stands for this time to each side; one comes each 10 ms.
 NEAR_NS: Final = 10_000_000
 
-Made = TypeVar("Made", Image, Label)
+Made = TypeVar("Made", Measurement, Image, Label)
 
 
 class Pairs(Protocol[Made]):
@@ -114,17 +114,17 @@ class ShownImages:
 
     def _pairs(self) -> list[tuple[Image, Truth]]:
         found = []
-        while self._waiting and self._images and self._images[-1].published_mono_ns > self._waiting[0].sync_mono_ns:
+        while self._waiting and self._images and self._images[-1].published_mono_ns > self._waiting[0].sampled_mono_ns:
             truth = self._waiting.popleft()
-            while len(self._images) > 1 and self._images[1].published_mono_ns <= truth.sync_mono_ns:
+            while len(self._images) > 1 and self._images[1].published_mono_ns <= truth.sampled_mono_ns:
                 self._images.popleft()
-            if 0 <= truth.sync_mono_ns - self._images[0].published_mono_ns <= SHOWN_NS:
+            if 0 <= truth.sampled_mono_ns - self._images[0].published_mono_ns <= SHOWN_NS:
                 found.append((self._images[0], truth))
         return found
 
 
 class NearestTruths:
-    """Adaptive sending: pairs of a label and the truth nearest to `Label.sync_mono_ns`."""
+    """Adaptive sending: pairs of a label and the truth nearest to `Label.sampled_mono_ns`."""
 
     def __init__(self) -> None:
         self._truths: deque[Truth] = deque(maxlen=TRUTHS_KEPT)
@@ -142,11 +142,11 @@ class NearestTruths:
 
     def truth_of(self, label: Label) -> Truth | None:
         """Return the truth nearest to the label's sums, None if there is none within `NEAR_NS`."""
-        return _nearest(self._truths, label.sync_mono_ns)
+        return _nearest(self._truths, label.sampled_mono_ns)
 
     def _pairs(self) -> list[tuple[Label, Truth]]:
         found = []
-        while self._waiting and self._truths and self._truths[-1].sync_mono_ns >= self._waiting[0].sync_mono_ns:
+        while self._waiting and self._truths and self._truths[-1].sampled_mono_ns >= self._waiting[0].sampled_mono_ns:
             label = self._waiting.popleft()
             truth = self.truth_of(label)
             if truth is not None:
@@ -156,7 +156,7 @@ class NearestTruths:
 
 def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: float) -> bool:
     """Tell whether a message and a truth belong to the same SYNC: by its counter, or by its time if nodes read none."""
-    later_ns = truth.sync_mono_ns - message.sync_mono_ns
+    later_ns = truth.sampled_mono_ns - message.sampled_mono_ns
     if truth.sync_counter:
         return truth.sync_counter == message.sync_counter and abs(later_ns) < PAIRED_WITHIN_NS
     # A SYNC comes when it is due, or up to half a period later.
@@ -180,5 +180,5 @@ def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:
 
 def _nearest(truths: deque[Truth], time_ns: int) -> Truth | None:
     """Return the truth nearest to a time, None if there is none within `NEAR_NS`."""
-    found = min(truths, key=lambda truth: abs(truth.sync_mono_ns - time_ns), default=None)
-    return found if found is not None and abs(found.sync_mono_ns - time_ns) <= NEAR_NS else None
+    found = min(truths, key=lambda truth: abs(truth.sampled_mono_ns - time_ns), default=None)
+    return found if found is not None and abs(found.sampled_mono_ns - time_ns) <= NEAR_NS else None

@@ -186,6 +186,20 @@ def wall_offset_ns(path: Path) -> int:
     return int(read_about(path).metadata.get(WALL_OFFSET_NS, 0))
 
 
+def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
+    """Return what decodes the messages of a topic of a recording; it raises InputError for one that does not fit."""
+    decode = msgspec.msgpack.Decoder(topic.message).decode
+
+    def decoded(data: bytes) -> Any:
+        try:
+            return decode(data)
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+            what = f"a message of '{topic.name}' cannot be decoded"
+            raise InputError(f"{path}: {what}, it is of another version of canskin or damaged: {error}") from error
+
+    return decoded
+
+
 def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
     """Yield the messages of a recording in the order of the file.
 

@@ -3,6 +3,9 @@
 Arrays are little-endian bytes of the dtype named here, so programs in any language can read them.
 Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock (comparable between processes of
 one machine), ``time_ns`` of the wall clock.
+
+``sampled_mono_ns`` is the instant at which the boards sampled the taxels: with synchronous sending the end of the SYNC
+on the bus. Messages that follow from a measurement carry that of the measurement.
 """
 
 from enum import IntEnum
@@ -38,8 +41,20 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     sync_counter : int
         Counter of the SYNC, 1 to 240 (CiA 301, 7.2.5.1), also where SYNC has no counter on the bus; adaptive: of the
         newest SYNC.
-    sync_mono_ns, time_ns : int
-        When the SYNC was sent; adaptive: when the newest frame ended that is in the sums.
+    sampled_mono_ns : int
+        Sampling instant: when the SYNC ended on the bus, a mean over the buses. Adaptive: when the newest frame ended
+        that is in the sums; its sample is older, by at most `sampled_error_ns`.
+    sampled_error_ns : int
+        The sampling instant of every bus differs at most so much from `sampled_mono_ns`, see `gateway.sync_times`; -1
+        if unknown.
+    sent_mono_ns : int
+        What the sampling instant would be without time stamps: the time of the send call plus the time of the SYNC
+        frame. 0 if unknown, and adaptive.
+    wall_offset_ns : int
+        Wall clock minus monotonic clock.
+    bus_sampled_ns : bytes
+        int64, shape (buses,): the sampling instant of each bus, on the monotonic clock; 0 if the SYNC was not seen.
+        Empty with adaptive sending.
     sums : bytes
         int32, shape (m,), in ADC counts, block by block, in the order of Φ. Sums of invalid blocks are 0; adaptive:
         unknown sums are 0.
@@ -61,8 +76,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
 
     cycle: int
     sync_counter: int
-    sync_mono_ns: int
-    time_ns: int
+    sampled_mono_ns: int
     sums: bytes
     valid: bytes
     fingerprint: str
@@ -70,6 +84,15 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     states: bytes = b""
     since_ns: bytes = b""
     noise_n: float = 0.0
+    sampled_error_ns: int = 0
+    sent_mono_ns: int = 0
+    wall_offset_ns: int = 0
+    bus_sampled_ns: bytes = b""
+
+    @property
+    def time_ns(self) -> int:
+        """The sampling instant on the wall clock."""
+        return self.sampled_mono_ns + self.wall_offset_ns
 
 
 class Image(msgspec.Struct, frozen=True, kw_only=True):
@@ -93,7 +116,7 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
 
     cycle: int
     sync_counter: int
-    sync_mono_ns: int
+    sampled_mono_ns: int
     published_mono_ns: int
     pixels: bytes
     valid: bytes
@@ -160,7 +183,7 @@ class Contacts(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    cycle, sync_counter, sync_mono_ns : int
+    cycle, sync_counter, sampled_mono_ns : int
         Of the image.
     contacts : list of Contact
         The strongest first.
@@ -174,7 +197,7 @@ class Contacts(msgspec.Struct, frozen=True, kw_only=True):
 
     cycle: int
     sync_counter: int
-    sync_mono_ns: int
+    sampled_mono_ns: int
     contacts: list[Contact]
     ended: list[EndedContact]
     find_s: float
@@ -204,7 +227,7 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
 
     cycle: int
     sync_counter: int
-    sync_mono_ns: int
+    sampled_mono_ns: int
     label: str
     confidence: float
     valid_sums: int
@@ -219,9 +242,9 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     step : int
         Position in the taxel source.
-    sync_counter, sync_mono_ns : int
-        Of the SYNC as the nodes read it; the counter is 0 where SYNC has none. With adaptive sending the counter is 0,
-        and the time is that of the step: between two steps forces are interpolated.
+    sync_counter, sampled_mono_ns : int
+        Of the SYNC as the nodes received it: counter, 0 where SYNC has none, and time stamp. With adaptive sending the
+        counter is 0, and the time is that of the step: between two steps forces are interpolated.
     true, sensor : bytes
         float32, shape (rows, columns), newtons: before and after noise, clipping and ADC.
     label : str
@@ -230,7 +253,7 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
 
     step: int
     sync_counter: int
-    sync_mono_ns: int
+    sampled_mono_ns: int
     true: bytes
     sensor: bytes
     label: str

@@ -25,8 +25,7 @@ def adaptive_measurement(
     about: dict[str, Any] = {
         "cycle": 1,
         "sync_counter": 1,
-        "sync_mono_ns": 1_000_000,
-        "time_ns": 0,
+        "sampled_mono_ns": 1_000_000,
         "fingerprint": phi.fingerprint,
         "noise_n": 1e-3,
     }

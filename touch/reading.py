@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -113,7 +112,7 @@ def array_names(path: Path) -> tuple[str, ...]:
 def _read_mcap(path: Path, name: str) -> Counts:
     """Return the images, or the true or measured forces, of a run; frames alone have none."""
     from skin.layout import load_layout
-    from skin.mcap_file import read_entries
+    from skin.mcap_file import message_decoder, read_entries
 
     offered = array_names(path)
     if not offered:
@@ -121,7 +120,7 @@ def _read_mcap(path: Path, name: str) -> Counts:
     if name not in offered:
         raise InputError(f"'{path}' has no array '{name}': expected one of {', '.join(offered)}")
     topic, attribute = IN_MCAP[name]
-    decode = msgspec.msgpack.Decoder(topic.message).decode
+    decode = message_decoder(path, topic)
     taxels = load_layout(path, adaptive=True).taxels
     entries = (
         entry.data for entry in read_entries(path, lambda line: say("recording", line)) if entry.topic == topic.name

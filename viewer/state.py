@@ -89,13 +89,13 @@ class ViewState:
             self.ignored += 1
             return
         # An image without any new sum, of a skin with nothing to send, has no latency.
-        is_new = self._image is None or self._image.message.sync_mono_ns != image.sync_mono_ns
+        is_new = self._image is None or self._image.message.sampled_mono_ns != image.sampled_mono_ns
         self._image = Last(image, now_s)
         self._valid.add(now_s, self._valid_blocks(image))
         if image.valid_sums:
             self._rate.add(now_s, 1.0)
         if image.valid_sums and is_new:
-            self._latency_s.add(now_s, (image.published_mono_ns - image.sync_mono_ns) * 1e-9)
+            self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
         for shown, truth in self._pairing.take(image):
             self._compare(shown, truth, now_s)
 

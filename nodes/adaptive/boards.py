@@ -209,7 +209,7 @@ class AdaptiveBoards(Boards):
             Truth(
                 step=step,
                 sync_counter=0,
-                sync_mono_ns=begin_ns + step * STEP_NS,
+                sampled_mono_ns=begin_ns + step * STEP_NS,
                 true=frame.force_n.astype("<f4").tobytes(),
                 sensor=sensor_n.tobytes(),
                 label=frame.label,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.link import Filter, open_link
-from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
+from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
 from bus.socketcan import FD_BYTES, _kernel_filters, decode, encode
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames
 from skin.errors import BusError
@@ -20,10 +20,16 @@ from tests.bus.harness import burst, frame
 def through(sent: Frames, msg_flags: int = 0, stamp_ns: int = 0) -> Frames:
     rows, lengths = encode(sent)
     count = len(rows)
+    stamps = np.full(count, stamp_ns, np.int64)
     received = Received(
-        rows, lengths.astype(np.uint32), np.full(count, msg_flags, np.int32), np.full(count, stamp_ns, np.int64), None
+        rows, lengths.astype(np.uint32), np.full(count, msg_flags, np.int32), stamps, np.zeros_like(stamps), None
     )
     return decode(received, 500)
+
+
+def unstamped(rows: np.ndarray, lengths: list[int]) -> Received:
+    none = np.zeros(len(rows), np.int64)
+    return Received(rows, np.array(lengths, np.uint32), none.astype(np.int32), none, none, None)
 
 
 @pytest.mark.parametrize(
@@ -54,7 +60,7 @@ def test_own_frames_errors_and_missing_stamps() -> None:
     error = np.zeros((1, FD_BYTES), np.uint8)
     error[0, :16] = np.frombuffer(struct.pack("=IB3x8s", 0x20000204, 8, bytes([0, 0x20, 0, 0, 0, 0, 130, 0])), np.uint8)
     before_ns = time.monotonic_ns()
-    got = decode(Received(error, np.array([16], np.uint32), np.zeros(1, np.int32), np.zeros(1, np.int64), None), 0)[0]
+    got = decode(unstamped(error, [16]), 0)[0]
     assert (got["can_id"], got["flags"], got["data"][6]) == (0x204, ERROR, 130)
     assert got["time_ns"] >= before_ns
 
@@ -62,8 +68,7 @@ def test_own_frames_errors_and_missing_stamps() -> None:
 def test_what_an_older_frame_left_in_the_buffer_is_not_seen() -> None:
     rows = np.full((2, FD_BYTES), 0xAA, np.uint8)
     rows[0, :16] = np.frombuffer(struct.pack("=IB3x8s", 0x181, 3, b"\x01\x02\x03\xee\xee\xee\xee\xee"), np.uint8)
-    lengths = np.array([16, 5], np.uint32)  # the second is no CAN frame
-    got = decode(Received(rows, lengths, np.zeros(2, np.int32), np.zeros(2, np.int64), None), 0)
+    got = decode(unstamped(rows, [16, 5]), 0)  # the second is no CAN frame
     assert len(got) == 1
     assert bytes(got["data"][0]) == b"\x01\x02\x03" + bytes(61)
 
@@ -96,22 +101,27 @@ def control(*messages: tuple[int, bytes]) -> tuple[bytes, int]:
         packed += struct.pack("=Qii", 16 + len(data), socket.SOL_SOCKET, kind) + data.ljust(
             -(-len(data) // 8) * 8, b"\0"
         )
-    return packed.ljust(64, b"\xff"), len(packed)
+    return packed.ljust(128, b"\xff"), len(packed)
 
 
 def test_stamps_and_drop_counts_are_read_where_they_are() -> None:
     stamp, drops = struct.pack("=qq", 7, 5), struct.pack("=I", 42)
+    device = struct.pack("=6q", 0, 0, 0, 0, 3, 9)
     made = [
+        control((SO_TIMESTAMPNS, stamp), (SO_TIMESTAMPING, device)),
+        control((SO_TIMESTAMPNS, stamp), (SO_TIMESTAMPING, device), (SO_RXQ_OVFL, struct.pack("=I", 41))),
         control((SO_TIMESTAMPNS, stamp)),
         control((SO_TIMESTAMPNS, stamp), (SO_RXQ_OVFL, drops)),
         control((SO_RXQ_OVFL, drops[:1] + b"\0\0\0")),
         control(),
     ]
-    rows = np.frombuffer(b"".join(one for one, _ in made), np.uint8).reshape(-1, 64)
-    times, dropped = _read_control(rows, np.array([size for _, size in made], np.uintp))
-    assert times.tolist() == [7_000_000_005, 7_000_000_005, 0, 0]
+    rows = np.frombuffer(b"".join(one for one, _ in made), np.uint8).reshape(-1, 128)
+    times, devices, dropped = _read_control(rows, np.array([size for _, size in made], np.uintp))
+    assert times.tolist() == 4 * [7_000_000_005] + [0, 0]
+    assert devices.tolist() == 2 * [3_000_000_009] + 4 * [0]
     assert dropped == 42
-    assert _read_control(rows[:1], np.array([32], np.uintp))[1] is None
+    for count, dropped in ((2, 41), (1, None)):
+        assert _read_control(rows[:count], np.array([size for _, size in made[:count]], np.uintp))[2] == dropped
 
 
 def test_filters_are_laid_out_as_the_kernel_wants_them() -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from bus import socketcan
 from bus.link import Filter, State
+from bus.recvmmsg import Received
 from bus.socketcan import SocketCanLink
 from dbc.frame import ECHO, ERROR, FD
 from skin.errors import BusError, InputError
@@ -22,7 +23,9 @@ from tests.bus.harness import burst, frame
 # Numbers of the kernel, from its headers.
 AF_CAN, SOCK_RAW, CAN_RAW, SOL_CAN_RAW = 29, 3, 1, 101
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
-SO_RCVBUF, SO_RCVBUFFORCE, SO_TIMESTAMPNS, SO_RXQ_OVFL = 8, 33, 35, 40
+MSG_CONFIRM = 0x800
+SO_RCVBUF, SO_RCVBUFFORCE, SO_TIMESTAMPNS, SO_TIMESTAMPING, SO_RXQ_OVFL = 8, 33, 35, 37, 40
+SOF_TIMESTAMPING_RX_HARDWARE, SOF_TIMESTAMPING_RAW_HARDWARE = 1 << 2, 1 << 6
 
 
 class Kernel:
@@ -91,6 +94,7 @@ def test_socket_is_raw_reports_errors_and_own_frames_and_has_stamps_and_room(
         (SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS): 1,
         (SOL_CAN_RAW, CAN_RAW_ERR_FILTER): 0x1FFFFFFF,
         (socket.SOL_SOCKET, SO_TIMESTAMPNS): 1,
+        (socket.SOL_SOCKET, SO_TIMESTAMPING): SOF_TIMESTAMPING_RX_HARDWARE | SOF_TIMESTAMPING_RAW_HARDWARE,
         (socket.SOL_SOCKET, SO_RXQ_OVFL): 1,
         (socket.SOL_SOCKET, SO_RCVBUF): socketcan.RECEIVE_BUFFER_BYTES,
         (socket.SOL_SOCKET, SO_RCVBUFFORCE): socketcan.RECEIVE_BUFFER_BYTES,
@@ -107,6 +111,34 @@ def test_fd_and_filters_are_asked_for(kernel: Kernel) -> None:
     sent = kernel.far[0].recv(100)
     assert (len(sent), sent[4]) == (72, 16)  # the next length that CAN FD has
     made.close()
+
+
+def test_echoes_of_sync_have_the_times_of_the_device(link: SocketCanLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel's stamps are 10 us late, those of some frames 3 ms more."""
+    offset_ns = time.time_ns() - time.monotonic_ns()
+    first_ns = time.monotonic_ns()
+    rows, lengths = socketcan.encode(np.concatenate([frame(0x80), frame(0x181)]))
+    confirmed = np.array([MSG_CONFIRM, 0], np.int32)
+    late_ns = []
+    for number in range(500):
+        end_ns = first_ns + number * 10_000_000
+        stamp_ns = end_ns + offset_ns + 10_000 + 3_000_000 * (number % 7 == 0)
+        stamps, device = np.full(2, stamp_ns), np.full(2, 1_000 + number * 10_000_000)
+        batch = Received(rows, lengths.astype(np.uint32), confirmed, stamps, device, None)
+        monkeypatch.setattr(link, "_receive_batch", lambda batch=batch: batch)
+        sync, other = link.receive()
+        late_ns.append((int(sync["time_ns"]) - end_ns, int(other["time_ns"]) - end_ns))
+    by_device, by_kernel = np.array(late_ns)[-100:].T
+    assert np.abs(by_device - 10_000).max() < 100_000  # this machine may have slewed its wall clock meanwhile
+    assert np.ptp(by_kernel) > 2_900_000
+    assert link.stamp_error_ns is not None
+
+
+def test_without_stamps_the_time_is_that_of_reading(kernel: Kernel, link: SocketCanLink) -> None:
+    assert link.stamp_error_ns is not None
+    kernel.put(0x80)
+    assert len(link.receive()) == 1
+    assert link.stamp_error_ns is None  # the test's sockets give none
 
 
 def test_frames_go_out_and_come_in(kernel: Kernel, link: SocketCanLink) -> None:

@@ -78,10 +78,10 @@ def test_an_untouched_skin_is_called_nothing(service: AdaptiveClassifierService)
 def test_a_label_carries_the_newest_measurement_and_settles_without_more(
     service: AdaptiveClassifierService, unseen: Touches
 ) -> None:
-    touched = adaptive_measurement(unseen.force_n[1], layout=LAYOUT, cycle=7, sync_counter=9, sync_mono_ns=123)
+    touched = adaptive_measurement(unseen.force_n[1], layout=LAYOUT, cycle=7, sync_counter=9, sampled_mono_ns=123)
     label = service.label(touched)
     assert label is not None
-    assert (label.label, label.cycle, label.sync_counter, label.sync_mono_ns) == ("plate", 7, 9, 123)
+    assert (label.label, label.cycle, label.sync_counter, label.sampled_mono_ns) == ("plate", 7, 9, 123)
     # The object leaves, and the skin has nothing more to say.
     left = adaptive_measurement(np.zeros((32, 32)), layout=LAYOUT, cycle=8)
     labels = [service.label(left), *(service.label(None) for _ in range(FORGET_CYCLES))]

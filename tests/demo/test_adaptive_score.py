@@ -21,14 +21,16 @@ def pixels(force_n: float, error_n: float = 0.0) -> bytes:
 
 def truth(time_ms: int, force_n: float = 0.01, label: str = "cup") -> Truth:
     true, sensor = pixels(force_n), pixels(force_n, 0.002)
-    return Truth(step=time_ms // 10, sync_counter=0, sync_mono_ns=time_ms * MS, true=true, sensor=sensor, label=label)
+    return Truth(
+        step=time_ms // 10, sync_counter=0, sampled_mono_ns=time_ms * MS, true=true, sensor=sensor, label=label
+    )
 
 
 def image(published_ms: int, error_n: float = 0.001, latency_ms: int = 3) -> Image:
     return Image(
         cycle=published_ms,
         sync_counter=1,
-        sync_mono_ns=(published_ms - latency_ms) * MS,
+        sampled_mono_ns=(published_ms - latency_ms) * MS,
         published_mono_ns=published_ms * MS,
         pixels=pixels(0.01, error_n),
         valid=bytes([1] * 128),
@@ -38,7 +40,9 @@ def image(published_ms: int, error_n: float = 0.001, latency_ms: int = 3) -> Ima
 
 
 def label(time_ms: int, name: str) -> Label:
-    return Label(cycle=time_ms, sync_counter=1, sync_mono_ns=time_ms * MS, label=name, confidence=1.0, valid_sums=4096)
+    return Label(
+        cycle=time_ms, sync_counter=1, sampled_mono_ns=time_ms * MS, label=name, confidence=1.0, valid_sums=4096
+    )
 
 
 def status(cycles: int, complete: int) -> GatewayStatus:

@@ -7,7 +7,7 @@ import pytest
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
 from skin.layout import load_layout
-from skin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 
 LAYOUT = load_layout()
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
@@ -24,7 +24,7 @@ def truth(cycle: int, force_n: float = 0.01, label: str = "cup") -> Truth:
     return Truth(
         step=cycle,
         sync_counter=(cycle - 1) % 240 + 1,
-        sync_mono_ns=cycle * PERIOD_NS,
+        sampled_mono_ns=cycle * PERIOD_NS,
         true=pixels(force_n),
         sensor=pixels(force_n, 0.002),
         label=label,
@@ -35,7 +35,7 @@ def image(cycle: int, force_n: float = 0.01, latency_ms: int = 9) -> Image:
     return Image(
         cycle=cycle,
         sync_counter=(cycle - 1) % 240 + 1,
-        sync_mono_ns=cycle * PERIOD_NS,
+        sampled_mono_ns=cycle * PERIOD_NS,
         published_mono_ns=cycle * PERIOD_NS + latency_ms * 1_000_000,
         pixels=pixels(force_n, 0.001),
         valid=bytes(128),
@@ -49,7 +49,7 @@ def label(cycle: int, name: str) -> Label:
     return Label(
         cycle=cycle,
         sync_counter=counter,
-        sync_mono_ns=cycle * PERIOD_NS,
+        sampled_mono_ns=cycle * PERIOD_NS,
         label=name,
         confidence=1.0,
         valid_sums=1024,
@@ -123,6 +123,27 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
         (3, 9, "FF10h"),
         (2, 4, "0000h"),
     ]
+
+
+def test_the_sampling_instant_is_compared_with_that_of_the_nodes(score: Score) -> None:
+    for cycle in range(1, 101):
+        instant_ns = cycle * PERIOD_NS
+        measurement = Measurement(
+            cycle=cycle,
+            sync_counter=(cycle - 1) % 240 + 1,
+            sampled_mono_ns=instant_ns + 7_000,
+            sent_mono_ns=instant_ns - 300_000,
+            bus_sampled_ns=np.array([0, instant_ns + 1_000, instant_ns + 13_000], "<i8").tobytes(),
+            sums=b"",
+            valid=b"",
+            fingerprint="",
+        )
+        for take, message in ((score.take_measurement, measurement), (score.take_truth, truth(cycle))):
+            take(message)
+    report = score.report()
+    assert report.bus_sampling_error_us == Percentiles(p50=1.0, p99=1.0)
+    assert report.sampling_error_us == Percentiles(p50=7.0, p99=7.0)
+    assert report.sent_error_us == Percentiles(p50=300.0, p99=300.0)
 
 
 def test_nothing_measured_is_none_and_not_zero(score: Score) -> None:

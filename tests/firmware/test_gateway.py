@@ -45,7 +45,7 @@ class FirmwareWorld(World):
         if not valid.any():
             return 0
         there = valid[self.contract.phi.block_of_sum]
-        differ = (sums != self.witness.sums_at(measurement.sync_mono_ns)) & there
+        differ = (sums != self.witness.sums_at(measurement.sampled_mono_ns)) & there
         return int(np.unique(self.contract.phi.block_of_sum[differ]).size)
 
 

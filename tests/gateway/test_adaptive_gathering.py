@@ -41,7 +41,7 @@ def test_measurement_holds_the_sums_of_the_boards_in_the_order_of_phi(boards: Bo
     assert newest.fingerprint == adaptive.phi.fingerprint
     assert newest.noise_n == pytest.approx(2.5e-4)
     assert boards.gateway.sync.counter - 1 <= newest.sync_counter <= boards.gateway.sync.counter
-    assert newest.sync_mono_ns <= round(boards.now_s * 1e9)
+    assert newest.sampled_mono_ns <= round(boards.now_s * 1e9)
 
 
 def test_something_is_published_ten_times_a_second_before_any_node_is_there(adaptive: Contract) -> None:
@@ -88,7 +88,7 @@ def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(bo
         gateway.take(0, frame(cob_id(0, 5, 1, False), payload, time_ns=round(now_s * 1e9)), now_s)
         if came := gateway.measurements(now_s):
             times.append(now_s)
-            assert came[0].sync_mono_ns == round(now_s * 1e9)
+            assert came[0].sampled_mono_ns == round(now_s * 1e9)
         assert gateway.rests_until_s <= (times or [now_s])[-1] + 1e-3 + 1e-9
     assert 27 <= len(times) <= 30
     assert min(np.diff(times)) >= 1e-3 - 1e-9

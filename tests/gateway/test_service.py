@@ -26,7 +26,7 @@ class Clock:
 class Echoing:
     """A link on which nobody else speaks; what is sent comes back."""
 
-    dropped = 0
+    dropped = stamp_error_ns = 0
     state = State.ACTIVE
 
     def __init__(self, clock: Clock) -> None:

@@ -97,7 +97,7 @@ class WitnessSampler(Sampler):
         """Return the sums of the cycle of a measurement, None if no node has sampled in it."""
         if 0 not in self.truths:
             return self.truths.get(measurement.sync_counter)
-        later = {time_ns - measurement.sync_mono_ns: sums for time_ns, sums in self.truths_by_ns.items()}
+        later = {time_ns - measurement.sampled_mono_ns: sums for time_ns, sums in self.truths_by_ns.items()}
         found = [each for each in later if -0.25 < each * 1e-9 / PERIOD_S < 0.75]
         return later[max(found)] if found else None
 

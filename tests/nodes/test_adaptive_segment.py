@@ -199,7 +199,7 @@ def test_truth_is_told_for_every_step_of_the_touch(bus: Bus) -> None:
     assert [truth.step for truth in truths] == list(range(truths[0].step, truths[0].step + 10))
     assert truths[0].step in {20, 21}
     for truth in truths:
-        assert (truth.sync_counter, truth.sync_mono_ns) == (0, begin_ns + truth.step * 10_000_000)
+        assert (truth.sync_counter, truth.sampled_mono_ns) == (0, begin_ns + truth.step * 10_000_000)
         assert truth.label == "thing"
         assert np.array_equal(np.frombuffer(truth.true, "<f4"), bus.source.force_n.ravel())
     sensor_n = np.frombuffer(truths[-1].sensor, "<f4")

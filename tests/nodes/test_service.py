@@ -88,7 +88,7 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
     service.turn()
     assert len(links[0].take_sent()) == 0
     assert links[1].take_sent()["can_id"].tolist() == [0x182, 0x282]
-    assert [truth.sync_mono_ns for truth in published.truths] == [10_000_000]
+    assert [truth.sampled_mono_ns for truth in published.truths] == [10_000_000]
     assert len(published.statuses) == 1
     now_s += STATUS_PERIOD_S
     service.turn()

@@ -35,8 +35,7 @@ def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None
     return Measurement(
         cycle=cycle,
         sync_counter=cycle % 240 + 1,
-        sync_mono_ns=1000 * cycle,
-        time_ns=2000 * cycle,
+        sampled_mono_ns=1000 * cycle,
         sums=sums.astype("<i4").tobytes(),
         valid=valid.tobytes(),
         fingerprint=phi.fingerprint,
@@ -89,7 +88,7 @@ class Exchange:
 
 def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
     image = Exchange(hub).image_of(measurement(7, golf.sensor[30]))
-    assert (image.sync_counter, image.sync_mono_ns, image.valid_sums) == (8, 7000, 1024)
+    assert (image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (8, 7000, 1024)
     assert image.valid == bytes([1]) * 128
     assert image.solve_s > 0
     assert image.published_mono_ns <= time.monotonic_ns()
@@ -176,9 +175,9 @@ def test_adaptive_sums_give_an_image_of_what_is_known(hub: Fabric, endpoint: str
     try:
         known = np.ones((128, 32), np.bool_)
         known[40], known[50, 7] = False, False
-        service.take(adaptive_measurement(golf.true[30], known, cycle=7, sync_counter=3, sync_mono_ns=5))
+        service.take(adaptive_measurement(golf.true[30], known, cycle=7, sync_counter=3, sampled_mono_ns=5))
         image = images.get_nowait()
-        assert (image.cycle, image.sync_counter, image.sync_mono_ns, image.valid_sums) == (7, 3, 5, 4096 - 33)
+        assert (image.cycle, image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (7, 3, 5, 4096 - 33)
         assert np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0).tolist() == [40, 50]
         error_n = np.frombuffer(image.pixels, "<f4").reshape(64, 64) - golf.true[30]
         assert np.sqrt(np.mean(error_n**2)) < 2e-4

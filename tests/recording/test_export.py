@@ -10,6 +10,7 @@ import pytest
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
+from recording.tables import read_tables
 from skin.errors import InputError, RunError
 from skin.layout import load_layout
 from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement
@@ -27,7 +28,7 @@ def pixels(cycle: int) -> np.ndarray:
 def run(contract: Contract, out: Path) -> Path:
     sink = McapSink(out, contract, 1, OFFSET_NS)
     for cycle in range(1, COUNT + 1):
-        stamps = {"cycle": cycle, "sync_counter": cycle, "sync_mono_ns": cycle * 10}
+        stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10}
         valid = bytes([cycle > 1] * 16)
         contact = Contact(
             identity=3,
@@ -47,7 +48,6 @@ def run(contract: Contract, out: Path) -> Path:
                 MEASUREMENT,
                 Measurement(
                     **stamps,
-                    time_ns=0,
                     sums=np.full(128, cycle, "<i4").tobytes(),
                     valid=valid,
                     fingerprint=contract.phi.fingerprint,
@@ -119,6 +119,15 @@ def test_the_images_of_a_run_can_be_played(run: Path) -> None:
 
 def test_a_run_is_a_layout(run: Path, contract: Contract) -> None:
     assert load_layout(run) == contract.layout
+
+
+def test_a_message_of_another_version_is_refused_in_one_line(contract: Contract, tmp_path: Path) -> None:
+    path = tmp_path / "old.mcap"
+    sink = McapSink(path, contract, 1, 0)
+    sink.message(LABEL, 1, msgspec.msgpack.encode({"cycle": 1, "sync_counter": 1, "sync_mono_ns": 1}))
+    sink.close()
+    with pytest.raises(InputError, match=r"'label' cannot be decoded, it is of another version.*sampled_mono_ns"):
+        read_tables(path, contract.layout, 0, pytest.fail)
 
 
 def test_frames_alone_are_no_arrays(contract: Contract, out: Path) -> None:

@@ -17,7 +17,7 @@ from skin.service import Stopped, StopSignal
 
 
 def label(cycle: int) -> Label:
-    return Label(cycle=cycle, sync_counter=1, sync_mono_ns=0, label="cup", confidence=0.5, valid_sums=1024)
+    return Label(cycle=cycle, sync_counter=1, sampled_mono_ns=0, label="cup", confidence=0.5, valid_sums=1024)
 
 
 @pytest.fixture

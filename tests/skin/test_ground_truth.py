@@ -25,7 +25,7 @@ def image(published_ms: float) -> Image:
     return Image(
         cycle=1,
         sync_counter=1,
-        sync_mono_ns=round((published_ms - 3) * MS),
+        sampled_mono_ns=round((published_ms - 3) * MS),
         published_mono_ns=round(published_ms * MS),
         pixels=b"",
         valid=b"",
@@ -35,15 +35,15 @@ def image(published_ms: float) -> Image:
 
 
 def truth(time_ms: float) -> Truth:
-    return Truth(step=1, sync_counter=0, sync_mono_ns=round(time_ms * MS), true=b"", sensor=b"", label="")
+    return Truth(step=1, sync_counter=0, sampled_mono_ns=round(time_ms * MS), true=b"", sensor=b"", label="")
 
 
 def label(time_ms: float) -> Label:
-    return Label(cycle=1, sync_counter=1, sync_mono_ns=round(time_ms * MS), label="", confidence=1.0, valid_sums=0)
+    return Label(cycle=1, sync_counter=1, sampled_mono_ns=round(time_ms * MS), label="", confidence=1.0, valid_sums=0)
 
 
 def times_ms(found: list[tuple[Image, Truth]]) -> list[tuple[float, float]]:
-    return [(shown.published_mono_ns / MS, true.sync_mono_ns / MS) for shown, true in found]
+    return [(shown.published_mono_ns / MS, true.sampled_mono_ns / MS) for shown, true in found]
 
 
 def test_each_way_of_sending_has_its_pairs() -> None:
@@ -108,7 +108,7 @@ def test_the_truth_beside_an_image_is_the_nearest() -> None:
         pairs.take_truth(truth(each))
     near = pairs.truth_of(image(24))
     assert near is not None
-    assert near.sync_mono_ns == 20 * MS
+    assert near.sampled_mono_ns == 20 * MS
     assert pairs.truth_of(image(41)) is None
 
 
@@ -117,8 +117,8 @@ def test_a_label_is_judged_by_the_truth_nearest_to_its_sums() -> None:
     pairs.take_truth(truth(10))
     assert pairs.take(label(17)) == []  # the truth at 20 is nearer
     assert pairs.take(label(19)) == []
-    assert [true.sync_mono_ns for _, true in pairs.take_truth(truth(20))] == [20 * MS] * 2
-    assert [true.sync_mono_ns for _, true in pairs.take(label(12))] == [10 * MS]
+    assert [true.sampled_mono_ns for _, true in pairs.take_truth(truth(20))] == [20 * MS] * 2
+    assert [true.sampled_mono_ns for _, true in pairs.take(label(12))] == [10 * MS]
     assert pairs.take_truth(truth(100)) == []
     assert pairs.take(label(60)) == []  # no truth near
     assert len(pairs.take(label(100))) == 1

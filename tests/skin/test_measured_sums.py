@@ -15,8 +15,7 @@ SUMS = np.arange(-8, 8, dtype="<i4")
 GOOD = Measurement(
     cycle=1,
     sync_counter=1,
-    sync_mono_ns=1,
-    time_ns=1,
+    sampled_mono_ns=1,
     sums=SUMS.tobytes(),
     valid=bytes([1, 0, 1, 1, 1, 1, 1, 1]),
     fingerprint=PHI.fingerprint,

@@ -31,7 +31,7 @@ def messages(path: Path, topic: Topic) -> list[Any]:
 def as_compared(message: Any) -> Any:
     """Return a message without the times that the services took."""
     if isinstance(message, Image):
-        return message.pixels, message.valid, message.valid_sums, message.sync_mono_ns
+        return message.pixels, message.valid, message.valid_sums, message.sampled_mono_ns
     return msgspec.structs.replace(message, find_s=0.0) if isinstance(message, Contacts) else message
 
 

@@ -52,7 +52,7 @@ class Messages:
         return Image(
             cycle=cycle,
             sync_counter=(cycle - 1) % 240 + 1,
-            sync_mono_ns=sync_ns,
+            sampled_mono_ns=sync_ns,
             published_mono_ns=sync_ns + round(latency_s * SECOND_NS),
             pixels=(self.grid() if pixels is None else pixels).tobytes(),
             valid=valid.tobytes(),
@@ -72,7 +72,7 @@ class Messages:
         return Truth(
             step=cycle,
             sync_counter=(cycle - 1) % 240 + 1,
-            sync_mono_ns=round(sync_s * SECOND_NS),
+            sampled_mono_ns=round(sync_s * SECOND_NS),
             true=real.tobytes(),
             sensor=(real if sensor is None else sensor).tobytes(),
             label="golf-ball",
@@ -85,11 +85,13 @@ class Messages:
             top=2, bottom=13, left=0, right=11, onset_mono_ns=0, invalid_taxels=4,
         )  # fmt: skip
         return Contacts(
-            cycle=cycle, sync_counter=1, sync_mono_ns=0, contacts=[contact], ended=[], find_s=1e-4, blind=blind
+            cycle=cycle, sync_counter=1, sampled_mono_ns=0, contacts=[contact], ended=[], find_s=1e-4, blind=blind
         )
 
     def label(self, label: str = "golf-ball", confidence: float = 0.93, valid_sums: int = 64) -> Label:
-        return Label(cycle=1, sync_counter=1, sync_mono_ns=0, label=label, confidence=confidence, valid_sums=valid_sums)
+        return Label(
+            cycle=1, sync_counter=1, sampled_mono_ns=0, label=label, confidence=confidence, valid_sums=valid_sums
+        )
 
     def gateway(
         self,

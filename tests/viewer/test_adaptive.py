@@ -60,7 +60,7 @@ def test_an_image_without_new_sums_has_no_latency(state: ViewState, messages: An
 def test_a_thousand_images_a_second_are_counted(state: ViewState, messages: Any) -> None:
     one = image(messages, 1.0)
     for each in range(6000):
-        times_ns = {"sync_mono_ns": 1_000_000 * each, "published_mono_ns": 1_000_000 * (each + 3)}
+        times_ns = {"sampled_mono_ns": 1_000_000 * each, "published_mono_ns": 1_000_000 * (each + 3)}
         state.take_image(msgspec.structs.replace(one, **times_ns), each / 1e3)
     figures = state.snapshot(6.0)[0].figures
     assert figures.images_hz == pytest.approx(1000, abs=2)

@@ -104,7 +104,7 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
     pairing: Pairing[Image] = Pairing(0.01)
     pairs: list[int] = []
     for kind, cycle in order:
-        common: dict[str, Any] = {"sync_counter": cycle, "sync_mono_ns": cycle * 10_000_000}
+        common: dict[str, Any] = {"sync_counter": cycle, "sampled_mono_ns": cycle * 10_000_000}
         if kind == "image":
             rest: dict[str, Any] = {
                 "cycle": cycle,

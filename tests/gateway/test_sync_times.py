@@ -1,0 +1,90 @@
+"""The sampling instant of a cycle, from send calls, time stamps and answers."""
+
+import numpy as np
+import pytest
+
+from dbc.contract import Contract
+from gateway.sync_times import UNKNOWN, SampledTimes, SyncTimes
+
+SENT_NS = 1_000_000_000
+#: A SYNC without data and without stuff bits at 1 Mbit/s: 44 bits, to the last bit of end of frame.
+FRAME_NS = 44_000
+BUSES = 4
+
+
+@pytest.fixture
+def times(stock_contract: Contract) -> SyncTimes:
+    made = SyncTimes(stock_contract)
+    made.open(7, SENT_NS - 20_000, SENT_NS)
+    return made
+
+
+@pytest.fixture(scope="module")
+def stock_contract() -> Contract:
+    from skin.layout import load_layout
+
+    return Contract.from_layout(load_layout(None))
+
+
+def closed(times: SyncTimes) -> SampledTimes:
+    found = times.close(7)
+    assert found.sent_mono_ns == SENT_NS + FRAME_NS
+    return found
+
+
+def test_a_time_stamp_is_the_estimate_and_the_send_call_its_bound(times: SyncTimes) -> None:
+    for bus in range(BUSES):
+        times.echo(7, bus, SENT_NS + FRAME_NS + 30_000, 500)
+    found = closed(times)
+    assert (found.mono_ns, found.error_ns) == (SENT_NS + FRAME_NS + 30_000, 30_500)
+    assert found.bus_ns.tolist() == [found.mono_ns] * BUSES
+
+
+def test_buses_that_differ_are_within_the_error_of_their_mean(times: SyncTimes) -> None:
+    ends_ns = SENT_NS + FRAME_NS + np.array([0, 10_000, 20_000, 90_000])
+    for bus, end_ns in enumerate(ends_ns.tolist()):
+        times.echo(7, bus, end_ns, 0)
+        times.echo(7, bus, end_ns + 1_000_000, 0)  # a SYNC on the bus twice: the first counts
+    found = closed(times)
+    assert found.mono_ns == SENT_NS + FRAME_NS + 30_000
+    assert found.error_ns == 60_000 + 90_000
+    assert found.bus_ns.tolist() == ends_ns.tolist()
+
+
+def test_a_stamp_before_the_send_call_has_the_error_of_its_clock(times: SyncTimes) -> None:
+    """A virtual bus sends a SYNC that comes late at the time at which it was due."""
+    for bus in range(BUSES):
+        times.echo(7, bus, SENT_NS, 300)
+    assert closed(times)[:2] == (SENT_NS, 300)
+
+
+def test_without_stamps_the_send_call_is_the_estimate_and_the_first_answer_its_bound(times: SyncTimes) -> None:
+    for bus in range(BUSES):
+        times.echo(7, bus, SENT_NS + 5_000_000, None)
+        for answer_ns in (400_000, 600_000):
+            times.answer(7, bus, SENT_NS + FRAME_NS + answer_ns)
+    assert closed(times)[:2] == (SENT_NS + FRAME_NS, 400_000)
+
+
+def test_without_stamps_and_answers_the_error_is_unknown(times: SyncTimes) -> None:
+    for bus in range(BUSES):
+        times.echo(7, bus, SENT_NS + 5_000_000, None)
+    assert closed(times)[:2] == (SENT_NS + FRAME_NS, UNKNOWN)
+
+
+def test_a_bus_without_sync_has_no_instant(times: SyncTimes) -> None:
+    times.echo(7, 2, SENT_NS + FRAME_NS, 0)
+    found = closed(times)
+    assert found.bus_ns.tolist() == [0, 0, SENT_NS + FRAME_NS, 0]
+    assert found[:2] == (SENT_NS + FRAME_NS, 0)
+
+
+def test_a_cycle_without_any_sync_has_the_time_of_its_send_call(times: SyncTimes) -> None:
+    assert closed(times)[:2] == (SENT_NS + FRAME_NS, UNKNOWN)
+
+
+def test_a_replay_has_the_times_of_the_frames(times: SyncTimes) -> None:
+    times.open(8, SENT_NS, None)
+    times.echo(8, 0, SENT_NS + 1_000, 0)
+    times.echo(8, 1, SENT_NS + 3_000, 0)
+    assert times.close(8)[:3] == (SENT_NS + 2_000, UNKNOWN, 0)
