@@ -36,6 +36,8 @@ IDENTIFIERS: Final = GROUPS * NODES
 FIRST_COB_ID: Final = 0x181
 #: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
 PAUSE_MS: Final = 2
+#: A frame is given up for lost, with its echo, so long after it has expired.
+LOST_NS: Final = 500_000_000
 #: A budget of bits can be saved up for so long, and for so many frames at least.
 SAVING_S: Final = 0.25
 SAVED_FRAMES: Final = 2 * GROUPS
