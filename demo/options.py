@@ -46,8 +46,6 @@ class DemoOptions:
             raise InputError(f"--seed: expected 0 or more, got {self.seed}")
         if len({(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in layout.bus}) > 1:
             raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
-        if self.firmware and layout.sending == "adaptive":
-            raise InputError('--firmware is for layouts with sending = "synchronous": adaptive boards run in Python')
         if self.view and self.port is not None:
             _check_port(self.port)
         check_picture_path(self.picture)

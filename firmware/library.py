@@ -8,25 +8,35 @@ import tempfile
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from dbc.adaptive import BLOCK_SUMS
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.generate import write_files
-from firmware.tables import board_header, board_source, builds
+from firmware.adaptive_tables import adaptive_header, adaptive_source
+from firmware.tables import Build, board_header, board_source, builds
 from skin.cache import cache_folder
 from skin.errors import InputError
 
-#: Sources of the library by folder: sums and packing, a CANopen slave, and what runs many of them together.
 SOURCES: Final = files("firmware").joinpath("c")
-FOLDERS: Final = ("", "slave", "host")
-STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+#: Every operation is rounded as it is written.
+STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
 _FLAGS: Final = (*STANDARD_FLAGS, "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 #: Frames that the boards of one bus may answer at once; more are lost.
 _CAPACITY: Final = 4096
+_FUNCTIONS: Final = (
+    "skin_power_up",
+    "skin_take",
+    "skin_pass_time",
+    "skin_refuse",
+    "skin_newest_sums",
+    "skin_node_bytes",
+)
+_ADAPTIVE_FUNCTIONS: Final = ("skin_take_counts", "skin_decide_all", "skin_choose", "skin_held")
 
 
 def sources(*folders: str) -> dict[str, str]:
@@ -36,6 +46,19 @@ def sources(*folders: str) -> dict[str, str]:
         for each in sorted(SOURCES.joinpath(folder).iterdir(), key=lambda each: each.name):
             if each.name.endswith((".c", ".h")):
                 found[f"{folder}/{each.name}" if folder else each.name] = each.read_text(encoding="ascii")
+    return found
+
+
+def shared_folders(contract: Contract) -> tuple[str, ...]:
+    """Return the folders of `sources` that every board needs: sums and packing, and the parts of an adaptive board."""
+    return ("", "adaptive") if contract.layout.sending == "adaptive" else ("",)
+
+
+def constants(contract: Contract, boards: Sequence[Build]) -> dict[str, str]:
+    """Return the C texts of the constants of `boards`, by file."""
+    found = {"board.h": board_header(contract, boards), "board.c": board_source(boards)}
+    if contract.layout.sending == "adaptive":
+        found |= {"adaptive.h": adaptive_header(contract), "adaptive.c": adaptive_source(contract)}
     return found
 
 
@@ -53,15 +76,16 @@ class Firmware:
     Raises
     ------
     InputError
-        If there is no compiler, it fails, the cache folder cannot be written, or the nodes send adaptively.
+        If there is no compiler, it fails, or the cache folder cannot be written.
     """
 
     def __init__(self, contract: Contract, nodes: Sequence[NodeContract], *, compiler: str = "cc") -> None:
         boards = builds(contract, nodes)
-        texts = sources(*FOLDERS) | {"board.h": board_header(contract, boards), "board.c": board_source(boards)}
-        self._library = ctypes.CDLL(str(_compiled(texts, compiler)))
+        # With the CANopen slave, and what runs many of them together.
+        texts = sources(*shared_folders(contract), "slave", "host") | constants(contract, boards)
+        self._library = _loaded(texts, compiler)
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(nodes)}
-        for name in ("skin_power_up", "skin_take", "skin_pass_time", "skin_newest_sums", "skin_node_bytes"):
+        for name in (*_FUNCTIONS, *(_ADAPTIVE_FUNCTIONS if contract.layout.sending == "adaptive" else ())):
             getattr(self._library, name).restype = ctypes.c_size_t
         self._node_bytes = int(self._library.skin_node_bytes())
         self._taxels = contract.phi.order.size
@@ -73,30 +97,39 @@ class Firmware:
 
     def boards(self, bus: int) -> "Boards":
         """Return the boards of bus number `bus`, without power."""
+        return Boards(self._on(bus))
+
+    def adaptive_boards(self, bus: int) -> "AdaptiveBoards":
+        """Return the boards of bus number `bus`, which have not learned their noise; the layout sends adaptively."""
+        return AdaptiveBoards(self._on(bus))
+
+    def _on(self, bus: int) -> "_Place":
         places = sorted(place for (on, _), place in self._place.items() if on == bus)
-        return Boards(
-            self._library,
-            places[0],
-            len(places),
-            node_bytes=self._node_bytes,
-            taxels=self._taxels,
-            most_samples=self._most_samples,
-        )
+        return _Place(self._library, places[0], len(places), self._node_bytes, self._taxels, self._most_samples)
+
+
+class _Place(NamedTuple):
+    """Which boards of a library are those of a bus."""
+
+    library: ctypes.CDLL
+    first: int
+    boards: int
+    node_bytes: int
+    taxels: int
+    most_samples: int
 
 
 class Boards:
-    """The boards of one bus: every method takes a time in seconds and returns the frames that the boards send."""
+    """The boards of one bus: most methods take a time in seconds and return the frames that the boards send."""
 
-    def __init__(
-        self, library: ctypes.CDLL, first: int, count: int, *, node_bytes: int, taxels: int, most_samples: int
-    ) -> None:
-        self._library = library
-        self._first, self._count = ctypes.c_uint32(first), ctypes.c_uint32(count)
+    def __init__(self, place: _Place) -> None:
+        self._library = place.library
+        self._first, self._count = ctypes.c_uint32(place.first), ctypes.c_uint32(place.boards)
         # Eight bytes each, so that the memory is aligned for every C type.
-        self._memory = np.zeros(-(-count * node_bytes // 8), np.uint64)
+        self._memory = np.zeros(-(-place.boards * place.node_bytes // 8), np.uint64)
         self._nodes = ctypes.c_void_p(self._memory.ctypes.data)
-        self._node_bytes = node_bytes
-        self._taxels, self._most_samples = taxels, most_samples
+        self._node_bytes = place.node_bytes
+        self._taxels, self._most_samples = place.taxels, place.most_samples
         self._out = frames(_CAPACITY)
         self._sent = (ctypes.c_void_p(self._out.ctypes.data), ctypes.c_size_t(_CAPACITY))
 
@@ -144,6 +177,13 @@ class Boards:
         """Do what is due by time."""
         return self._taken(self._library.skin_pass_time(self._nodes, self._count, _milliseconds(now_s), *self._sent))
 
+    def refuse(self, burst: Frames) -> None:
+        """Take note of TPDOs that found no room in the transmit queue."""
+        there = np.ascontiguousarray(burst)
+        self._library.skin_refuse(
+            self._nodes, self._count, ctypes.c_void_p(there.ctypes.data), ctypes.c_size_t(len(there))
+        )
+
     def sums(self, board: int, count: int) -> npt.NDArray[np.int32]:
         """Return the newest `count` sums of board number `board` of this bus, ADC counts."""
         sums = np.zeros(count, np.int32)
@@ -156,9 +196,57 @@ class Boards:
         return taken
 
 
+class AdaptiveBoards(Boards):
+    """The boards of one bus that sample by their own clock, and send sums when these carry news."""
+
+    def __init__(self, place: _Place) -> None:
+        super().__init__(place)
+        self._library.skin_prepare.restype = None
+        self._library.skin_prepare(self._nodes, self._first, self._count)
+
+    def take_counts(self, counts: npt.NDArray[np.uint16]) -> bool:
+        """Pass one sample to the boards, shape (boards, taxels); tell whether all have learned their noise."""
+        expected = (self._count.value, BLOCK_SUMS)
+        if counts.shape != expected or counts.dtype != np.uint16:
+            raise InputError(f"expected counts of {expected}, uint16, got {counts.dtype} of {counts.shape}")
+        there = counts.copy()  # corrected in place
+        ready = self._library.skin_take_counts(self._nodes, self._count, ctypes.c_void_p(there.ctypes.data))
+        return bool(ready == self._count.value)
+
+    def decide(self, skipped: int, passed_ns: int) -> bool:
+        """Decide what to send with the newest sample, after `skipped` ones; tell whether any frame is due."""
+        passed = ctypes.c_int64(passed_ns)
+        return bool(self._library.skin_decide_all(self._nodes, self._count, ctypes.c_uint32(skipped), passed))
+
+    def choose(self, most: int, now_ns: int, until_ns: int) -> Frames:
+        """Make the most urgent frames, at most `most`, which expire at `until_ns`."""
+        times = ctypes.c_int64(now_ns), ctypes.c_int64(until_ns)
+        return self._taken(
+            self._library.skin_choose(self._nodes, self._count, ctypes.c_uint32(most), *times, *self._sent)
+        )
+
+    @property
+    def is_sending(self) -> bool:
+        """Whether a controller may hold a frame, or its echo is to be read."""
+        return bool(self._library.skin_held(self._nodes, self._count))
+
+
 def _milliseconds(now_s: float) -> ctypes.c_uint32:
     """Return a time as the boards count it: milliseconds that wrap."""
     return ctypes.c_uint32(round(now_s * 1000) & 0xFFFF_FFFF)
+
+
+def _loaded(texts: dict[str, str], compiler: str) -> ctypes.CDLL:
+    """Return the library made of `texts`; a file in the cache that cannot be loaded is made anew."""
+    path = _compiled(texts, compiler)
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError:
+        path.unlink(missing_ok=True)
+    try:
+        return ctypes.CDLL(str(_compiled(texts, compiler)))
+    except OSError as error:
+        raise InputError(f"{path}: cannot load the compiled firmware: {error}") from error
 
 
 def _compiled(texts: dict[str, str], compiler: str) -> Path:

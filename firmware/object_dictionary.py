@@ -27,9 +27,11 @@ from dbc.indices import (
     UNSIGNED8,
     UNSIGNED16,
     UNSIGNED32,
+    UNSIGNED64,
     VISIBLE_STRING,
 )
-from firmware.tables import WRITTEN, Build
+from firmware.c_text import WRITTEN
+from firmware.tables import Build
 
 _TYPES: Final = {
     INTEGER8: "int8_t",
@@ -37,6 +39,7 @@ _TYPES: Final = {
     UNSIGNED8: "uint8_t",
     UNSIGNED16: "uint16_t",
     UNSIGNED32: "uint32_t",
+    UNSIGNED64: "uint64_t",
     REAL32: "float",
     VISIBLE_STRING: "char",
 }

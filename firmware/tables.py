@@ -9,14 +9,17 @@ from typing import Final
 
 from dbc.board import Board, board
 from dbc.configuration import configuration, setting_of
-from dbc.contract import Contract, NodeContract
+from dbc.contract import Contract, NodeContract, sum_frame_bits
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, Object, dictionary
 from dbc.frame_bits import frame_time_ns
 from dbc.indices import (
+    OD_COARSE,
     OD_ERROR_FIELD,
     OD_ERROR_REGISTER,
+    OD_FINE,
     OD_HEALTH,
     OD_MANUFACTURER,
+    OD_NODE_NOISE,
     OD_RESTORE,
     OD_SIGNATURE,
     OD_STORE,
@@ -24,16 +27,15 @@ from dbc.indices import (
     VISIBLE_STRING,
     split_block,
 )
-from skin.errors import InputError
+from firmware.c_text import WRITTEN, array, defined, header
 
 #: Flags of `skin_object` (skin_board.h).
 WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
-#: Mark of generated files.
-WRITTEN: Final = "Written by `skin export firmware`: do not edit."
-_COMPUTED: Final = (OD_ERROR_REGISTER, OD_ERROR_FIELD, OD_STORE, OD_RESTORE, OD_SIGNATURE, OD_HEALTH)
-_PER_LINE: Final = 16
+_COMPUTED: Final = (OD_ERROR_REGISTER, OD_ERROR_FIELD, OD_STORE, OD_RESTORE, OD_SIGNATURE, OD_HEALTH, OD_NODE_NOISE)
+#: Arrays whose entries are computed, but not their sub-index 0.
+_COMPUTED_ENTRIES: Final = (OD_STORE, OD_RESTORE, OD_HEALTH, OD_COARSE, OD_FINE)
 
 
 @dataclass(frozen=True)
@@ -59,30 +61,32 @@ class ObjectTable:
 
 @dataclass(frozen=True)
 class Build:
-    """What the C sources of one board are made from; `frame_ns` is the longest time of one of its frames."""
+    """What the C sources of one board are made from.
+
+    `frame_ns` is the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of an
+    adaptive board.
+    """
 
     node: NodeContract
     board: Board
     objects: ObjectTable
     frame_ns: int
+    frame_bits: tuple[int, int]
 
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
-    """Return what the C sources of `nodes` are made from.
+    """Return what the C sources of `nodes` are made from."""
+    of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
+    return [Build(node, board(contract, node), _object_table(contract, node), *of_bus[node.bus]) for node in nodes]
 
-    Raises
-    ------
-    InputError
-        If the nodes send adaptively, which this firmware does not do.
-    """
-    if contract.layout.sending == "adaptive":
-        raise InputError('the firmware knows synchronous boards: expected sending = "synchronous" - at `$.sending`')
-    frame_ns = {}
-    for bus in {node.bus for node in nodes}:
-        wires = contract.layout.bus[bus]
-        times_ns = frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst")
-        frame_ns[bus] = int(times_ns.max())
-    return [Build(node, board(contract, node), _object_table(contract, node), frame_ns[node.bus]) for node in nodes]
+
+def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
+    """Return `frame_ns` and `frame_bits` of `Build` for the boards of a bus."""
+    line = contract.layout.bus[bus]
+    if contract.layout.sending != "adaptive":
+        return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
+    coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
+    return round(fine * 1e9 / line.bitrate), (coarse, fine)
 
 
 def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
@@ -115,7 +119,7 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
 
 
 def _is_computed(each: Object) -> bool:
-    if each.index in (OD_STORE, OD_RESTORE, OD_HEALTH) or _is_sums(each.index):
+    if each.index in _COMPUTED_ENTRIES or _is_sums(each.index):
         return each.subindex != 0
     return each.index in _COMPUTED
 
@@ -126,22 +130,24 @@ def _is_sums(index: int) -> bool:
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``board.h``: sizes that hold every one of `boards`."""
-    sizes = {
+    is_adaptive = contract.layout.sending == "adaptive"
+    sizes: dict[str, tuple[object, str]] = {
         "SKIN_BOARDS": (len(boards), "boards of board.c"),
         "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
         "SKIN_BLOCK_SIZE": (contract.phi.block_size, "taxels of a block"),
         "SKIN_SUMS": (max(each.node.sums for each in boards), "sums of a board"),
-        "SKIN_TPDOS": (max(len(each.node.tpdos) for each in boards), "TPDO communication records of a board"),
+        "SKIN_TPDOS": (max(_tpdos(each.node) for each in boards), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
+        "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
         "SKIN_SAMPLES": (
-            contract.layout.samples_per_sync,
+            1 if is_adaptive else contract.layout.samples_per_sync,
             "samples of each taxel in a cycle; more than 1 are averaged",
         ),
         "SKIN_WATCHED": (HEARTBEATS_WATCHED, "entries of 1016h"),
         "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
         "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),
     }
-    lines = [f"#define {name} {value} /* {meaning} */" for name, (value, meaning) in sizes.items()]
+    lines = defined(sizes)
     if len(boards) == 1:
         table = boards[0].board
         lines += [
@@ -149,22 +155,8 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
             f"#define SKIN_BITRATE {table.bitrate}",
             *([f"#define SKIN_DATA_BITRATE {table.data_bitrate}"] if table.data_bitrate else []),
         ]
-    return "\n".join(
-        [
-            f"/* Sizes of {_names(boards)}. {WRITTEN} */",
-            "#ifndef BOARD_H",
-            "#define BOARD_H",
-            "",
-            '#include "skin_board.h"',
-            "",
-            *lines,
-            "",
-            "extern const skin_board skin_boards[SKIN_BOARDS];",
-            "",
-            "#endif",
-            "",
-        ]
-    )
+    parts = ['#include "skin_board.h"', "", *lines, "", "extern const skin_board skin_boards[SKIN_BOARDS];"]
+    return header("BOARD_H", f"Sizes of {_names(boards)}.", parts)
 
 
 def board_source(boards: Sequence[Build]) -> str:
@@ -207,19 +199,15 @@ def _arrays(build: Build, number: int) -> str:
     return "\n".join(
         [
             f"/* {build.board.bus}:{build.board.node_id} */",
-            *_array("uint16_t", f"first_sum_{number}", [*(each.first_sum for each in blocks), build.node.sums]),
-            *_array("uint8_t", f"rows_{number}", [row for each in blocks for row in each.rows]),
-            *_array("uint16_t", f"taxels_{number}", [taxel for each in blocks for taxel in each.taxels]),
-            *_array("uint8_t", f"values_{number}", build.objects.values),
+            *array(
+                "static const uint16_t", f"first_sum_{number}", [*(each.first_sum for each in blocks), build.node.sums]
+            ),
+            *array("static const uint8_t", f"rows_{number}", [row for each in blocks for row in each.rows]),
+            *array("static const uint16_t", f"taxels_{number}", [taxel for each in blocks for taxel in each.taxels]),
+            *array("static const uint8_t", f"values_{number}", build.objects.values),
             "",
         ]
     )
-
-
-def _array(kind: str, name: str, numbers: Iterable[int]) -> list[str]:
-    texts = [str(number) for number in numbers]
-    lines = [f"    {', '.join(texts[at : at + _PER_LINE])}," for at in range(0, len(texts), _PER_LINE)]
-    return [f"static const {kind} {name}[] = {{", *lines, "};"]
 
 
 def _board(build: Build, number: int, objects_name: str) -> str:
@@ -234,10 +222,11 @@ def _board(build: Build, number: int, objects_name: str) -> str:
         "first_sum": f"first_sum_{number}",
         "rows": f"rows_{number}",
         "taxels": f"taxels_{number}",
-        "tpdos": len(node.tpdos),
+        "tpdos": _tpdos(node),
         "pdo_bytes": node.pdo_bytes,
         "frame_flags": node.flags,
         "frame_ns": build.frame_ns,
+        "frame_bits": "{" + ", ".join(map(str, build.frame_bits)) + "}",
         "objects": objects_name,
         "object_count": len(objects.entries),
         "values": f"values_{number}",
@@ -245,6 +234,10 @@ def _board(build: Build, number: int, objects_name: str) -> str:
         "writable_bytes": objects.writable_bytes,
     }
     return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"
+
+
+def _tpdos(node: NodeContract) -> int:
+    return len(node.tpdos) + len(node.adaptive_tpdos)
 
 
 def _names(boards: Sequence[Build]) -> str:

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from canopen import SdoAbortedError
 
+from dbc.adaptive_filter import GIVEN_NOISE_N
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import (
     BASE_ID_MASK,
@@ -76,6 +77,10 @@ def _first_block(index: int) -> int:
     return split_block(index)[1] if index >= OD_MANUFACTURER else index
 
 
+def _is_noise(value: float) -> bool:
+    return value == 0 or GIVEN_NOISE_N[0] <= value <= GIVEN_NOISE_N[1]
+
+
 #: Accepted values of the objects that do not accept every value of their type.
 _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_ERROR_FIELD: lambda value: value == 0,
@@ -88,8 +93,8 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_TEST_PATTERN: lambda value: value <= PATTERN_FULL,
     OD_REFRESH: lambda value: value < 1 << GROUPS,
     OD_SENDING: lambda value: 0 < value < math.inf,
-    OD_COEFFICIENT_NOISE: lambda value: 0 <= value < math.inf,
-    OD_TAXEL_NOISE: lambda value: 0 <= value < math.inf,
+    OD_COEFFICIENT_NOISE: _is_noise,
+    OD_TAXEL_NOISE: _is_noise,
 }
 
 

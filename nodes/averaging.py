@@ -1,6 +1,6 @@
 """What a node samples between two SYNCs, averaged taxel by taxel as far as motion allows.
 
-Every taxel runs a few of the models of `nodes.adaptive.models` on its samples. What the models need to know is learned
+Every taxel runs a few of the models of `dbc.adaptive_filter` on its samples. What the models need to know is learned
 from the samples:
 
 * The variance of a taxel's noise is the mean square of its second differences, over 6. A touch hardly adds to them, for
@@ -16,7 +16,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from nodes.adaptive.models import Floats, Models, Tracks, make_models, new_tracks, step
+from dbc.adaptive_filter import Floats, Models, make_models
+from nodes.adaptive.models import Tracks, new_tracks, step
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, ClipCorrection
 from skin.compiled import njit
 

@@ -12,6 +12,7 @@ from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
+from nodes.adaptive.firmware import FirmwarePatches
 from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler
 from nodes.service import NodesService
@@ -108,9 +109,7 @@ def nodes(
     chosen = choose_nodes(contract, only or [], without or [])
     source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed)
     compiled = _firmware(contract, chosen) if firmware else None
-    boards = _boards(
-        contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects}, counts_only=firmware
-    )
+    boards = _boards(contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects}, compiled)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
@@ -136,17 +135,18 @@ def _boards(
     chosen: dict[int, Collection[int]],
     source: TaxelSource,
     analogue: dict[str, Any],
-    *,
-    counts_only: bool,
-) -> Sampler | AdaptiveBoards:
+    firmware: Firmware | None,
+) -> Sampler | AdaptiveBoards | FirmwarePatches:
     """Return what samples the chosen nodes' taxels; `analogue` holds ``noise_n``, ``seed`` and ``defects``."""
     skin = contract.layout
     if skin.sending == "adaptive":
         blocks = [node.block for node in contract.nodes if node.node_id in chosen.get(node.bus, ())]
+        if firmware is not None:
+            return FirmwarePatches(contract, blocks, source, firmware, **analogue)
         return AdaptiveBoards(contract, blocks, source, **analogue)
     if source.has_noise:
         analogue = {**analogue, "noise_n": 0.0}
-    if counts_only:
+    if firmware is not None:
         samples = skin.samples_per_sync
         electronics = Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s, samples=samples)
         return CountSampler(contract.phi, source, electronics)

@@ -11,9 +11,10 @@ from bus.link import Link
 from dbc.contract import Contract
 from firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
+from nodes.adaptive.firmware import AdaptiveFirmwareSegment, FirmwarePatches
 from nodes.adaptive.segment import AdaptiveSegment
 from nodes.boards import NEVER_S
-from nodes.firmware_segment import FirmwareSegment
+from nodes.firmware_segment import BoardsSegment, FirmwareSegment
 from nodes.sampler import CountSampler, Sampler
 from nodes.segment import Segment
 from nodes.synchronous_segment import SynchronousSegment
@@ -40,14 +41,15 @@ class NodesService:
         By number of the bus.
     node_ids : mapping of int to collection of int
         The nodes of each bus that this process runs.
-    boards : Sampler or AdaptiveBoards
+    boards : Sampler, AdaptiveBoards or FirmwarePatches
         Adaptive boards hold the blocks of all these nodes.
     fabric : Fabric or None
         Where counters and true forces are published.
     store : Path, optional
         Folder for the parameters that 1010h stores.
     firmware : Firmware, optional
-        Compiled for these nodes: C boards run in place of nodes in Python. The boards are then a `CountSampler`.
+        Compiled for these nodes: C boards run in place of nodes in Python. The boards are then a `CountSampler` or
+        `FirmwarePatches`.
     clock : callable, optional
         Monotonic time in seconds.
     """
@@ -57,17 +59,19 @@ class NodesService:
         contract: Contract,
         links: Mapping[int, Link],
         node_ids: Mapping[int, Collection[int]],
-        boards: Sampler | AdaptiveBoards,
+        boards: Sampler | AdaptiveBoards | FirmwarePatches,
         fabric: Fabric | None = None,
         *,
         store: Path | None = None,
         firmware: Firmware | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        def new_segment(bus: int, link: Link) -> Segment | FirmwareSegment:
+        def new_segment(bus: int, link: Link) -> Segment | BoardsSegment:
             complain = RateLimitedLog("nodes").say
             if firmware is not None and isinstance(boards, CountSampler):
                 return FirmwareSegment(contract, bus, firmware, link.send, boards, complain=complain)
+            if isinstance(boards, FirmwarePatches):
+                return AdaptiveFirmwareSegment(contract, bus, link.send, boards, complain=complain)
             if isinstance(boards, AdaptiveBoards):
                 return AdaptiveSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
             return SynchronousSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)

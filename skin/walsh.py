@@ -111,6 +111,33 @@ def walsh_matrix(taxels: int) -> npt.NDArray[np.float32]:
     return _hadamard(taxels)[grouped_rows(taxels).ravel()].astype(np.float32)
 
 
+@cache
+def haar_matrix(taxels: int) -> npt.NDArray[np.float32]:
+    """Return the orthonormal Haar pyramid of a patch, coarse rows first, shape (taxels, taxels).
+
+    A patch that is twice as wide as high is first halved across; every square is then quartered, down to taxels.
+    """
+    high, wide = patch_shape(taxels)
+    rows = [np.ones((high, wide))]
+    if wide > high:
+        rows.append(np.ones((high, wide)))
+        rows[-1][:, high:] = -1
+    size = high
+    while size > 1:
+        half = size // 2
+        signs = np.ones(size)
+        signs[half:] = -1
+        for shape in (np.outer(signs, np.ones(size)), np.outer(np.ones(size), signs), np.outer(signs, signs)):
+            for down in range(0, high, size):
+                for across in range(0, wide, size):
+                    row = np.zeros((high, wide))
+                    row[down : down + size, across : across + size] = shape
+                    rows.append(row)
+        size = half
+    flat = np.stack([row.ravel() / np.linalg.norm(row) for row in rows])
+    return flat.astype(np.float32)
+
+
 def _by_sequency(size: int) -> Indices:
     """Return the rows of the Sylvester-ordered Hadamard matrix by their number of sign changes."""
     changes = (np.diff(_hadamard(size), axis=1) != 0).sum(axis=1)

@@ -348,3 +348,32 @@ void skin_average_sums(const skin_board *board, uint8_t block, float *values, in
 }
 
 #endif
+
+uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *state, uint16_t *counts, uint16_t samples,
+                      const float *gain, const int16_t *offset, uint8_t pattern, int32_t *sums)
+{
+    const uint16_t taxels = (uint16_t)(board->blocks * board->block_size);
+    const uint16_t first = (uint16_t)(block * board->block_size);
+    uint16_t *newest = &counts[(uint32_t)(samples - 1) * taxels + first];
+    uint16_t saturated;
+#if SKIN_SAMPLES > 1
+    float averages[SKIN_BLOCK_SIZE];
+    uint16_t place;
+
+    skin_take_samples(state, &counts[first], samples, taxels, averages);
+    saturated = skin_read_block(board, newest, gain, offset, pattern);
+    for (place = 0; place < board->block_size; place++) {
+        averages[place] = pattern != SKIN_PATTERN_OFF
+                              ? (float)newest[place]
+                              : skin_correct_average(averages[place], gain[place], offset[place], board->count_max);
+    }
+    skin_average_sums(board, block, averages, sums);
+#else
+    int32_t work[SKIN_BLOCK_SIZE];
+
+    (void)state;
+    saturated = skin_read_block(board, newest, gain, offset, pattern);
+    skin_block_sums(board, block, newest, work, sums);
+#endif
+    return saturated;
+}

@@ -7,7 +7,10 @@
 #ifndef SKIN_AVERAGE_H
 #define SKIN_AVERAGE_H
 
+#include <stddef.h>
+
 #include "board.h"
+#include "skin_sums.h"
 
 #define SKIN_MODELS 5
 
@@ -35,6 +38,21 @@ void skin_take_samples(skin_average *state, const uint16_t *samples, uint16_t co
 
 /* Return gain * average + offset, limited to 0 to `count_max`; no rounding to whole counts. */
 float skin_correct_average(float average, float gain, int16_t offset, uint16_t count_max);
+
+/* Sums of one block of board.h, SKIN_SAMPLES of 1 or more; returns the number of taxels at the top of their range.
+ *
+ * state: of the block, where samples are averaged, else NULL. counts: what all taxels of the board read, `samples` samples;
+ * overwritten. gain, offset, pattern: of the block. sums: room for the sums of the block, ADC counts.
+ */
+uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *state, uint16_t *counts, uint16_t samples,
+                      const float *gain, const int16_t *offset, uint8_t pattern, int32_t *sums);
+
+/* The state of a block among `states`, or NULL. */
+#if SKIN_SAMPLES > 1
+#define SKIN_AVERAGE_OF(states, block) (&(states)[block])
+#else
+#define SKIN_AVERAGE_OF(states, block) NULL
+#endif
 
 /* Sums of one block, rounded to whole counts, of `values`, which are overwritten; otherwise as `skin_block_sums`. */
 void skin_average_sums(const skin_board *board, uint8_t block, float *values, int32_t *sums);

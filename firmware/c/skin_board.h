@@ -34,6 +34,15 @@ typedef struct {
 #define SKIN_OD_PATTERN 0x2021u
 #define SKIN_OD_SUMS 0x2100u
 #define SKIN_OD_BLOCK_STRIDE 0x200u
+/* Of adaptive boards. */
+#define SKIN_OD_REFRESH 0x2030u
+#define SKIN_OD_SENDING 0x2031u
+#define SKIN_OD_COEFFICIENT_NOISE 0x2032u
+#define SKIN_OD_TAXEL_NOISE 0x2033u
+#define SKIN_OD_BUDGET 0x2034u
+#define SKIN_OD_NODE_NOISE 0x2035u
+#define SKIN_OD_COARSE 0x2110u
+#define SKIN_OD_FINE 0x2111u
 
 /* One board. All arrays are constant and may stay in flash memory. */
 typedef struct {
@@ -49,6 +58,7 @@ typedef struct {
     uint8_t pdo_bytes;           /* longest payload of a PDO: 8, or 64 with CAN FD */
     uint8_t frame_flags;         /* of a PDO's frame: SKIN_FRAME_FD, SKIN_FRAME_BRS */
     uint32_t frame_ns;           /* longest time of one of the board's frames on the bus */
+    uint16_t frame_bits[2];      /* of adaptive boards: what a coarse and a fine frame take of a budget */
     const skin_object *objects;  /* ascending by index and sub-index */
     uint16_t object_count;
     const uint8_t *values;       /* default values of the objects */

@@ -1,6 +1,5 @@
 """The adaptive boards of a process: all sample, filter and decide in one pass a millisecond."""
 
-from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -8,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
+from dbc.adaptive_filter import IDLE_SAMPLES, SETTLING_SAMPLES, Floats
 from dbc.contract import Contract, sum_frame_bits
 from dbc.frame import Frames, frame_bytes
 from dbc.indices import (
@@ -32,66 +32,21 @@ from nodes.adaptive.mailboxes import (
     take_echoes,
 )
 from nodes.adaptive.noise import IdleStatistics, Noise
+from nodes.adaptive.patch_boards import PatchBoards
 from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2, present_codes
-from nodes.adaptive.sensors import SAMPLE_NS, STEP_NS, PatchSensors
-from nodes.boards import Boards
-from nodes.electronics import Calibration
-from skin.messages import Truth
 from skin.sources import TaxelSource
-from skin.taxel import NOISE_N, TaxelModel
 from skin.walsh import GROUPS, grouped_rows
 
-#: Samples of the idle skin that a board learns from when it is switched on, and that its filter has then seen.
-IDLE_SAMPLES: Final = 2000
-SETTLING_SAMPLES: Final = 300
-#: A process that is late takes at most so many samples at once; it skips and counts the others.
-CATCH_UP: Final = 20
-#: How fast the time between two decisions is learned, and its limits, nanoseconds.
-PACE_GAIN: Final = 0.1
-PACE_NS: Final = (SAMPLE_NS, CATCH_UP * SAMPLE_NS)
-_DEFAULTS: Final = tuple(float(value) for value in SendingRule())
+#: As 2031h holds them: REAL32, or whole.
+_DEFAULTS: Final = tuple(float(np.float32(value)) for value in SendingRule())
 
 
-class AdaptiveBoards(Boards):
-    """Some boards of a skin: sensors, filters, and what each has sent.
+class AdaptiveBoards(PatchBoards):
+    """Some boards of a skin: sensors, filters, and what each has sent; parameters as for `PatchBoards`."""
 
-    Parameters
-    ----------
-    contract : Contract
-        Of a layout with adaptive sending.
-    blocks : sequence of int
-        The blocks of these boards, ascending.
-    source : TaxelSource
-        Touch in steps of 10 ms.
-    noise_n, defects, seed
-        As for `nodes.electronics.Electronics`.
-
-    Attributes
-    ----------
-    samples_skipped : int
-        Samples that were not taken, because the process was late.
-    has_due : bool
-        Whether any node had something to send at the newest decision.
-    """
-
-    def __init__(
-        self,
-        contract: Contract,
-        blocks: Sequence[int],
-        source: TaxelSource,
-        *,
-        noise_n: float = NOISE_N,
-        seed: int = 0,
-        defects: dict[str, Any] | None = None,
-    ) -> None:
-        taxels = contract.layout.taxels
-        super().__init__(contract.phi, Calibration(taxels))
-        self.samples_skipped = 0
-        self._taxels, self._law = taxels, contract.law
-        self._row = {block: row for row, block in enumerate(blocks)}
-        self._cells = contract.phi.taxels_of_blocks[list(blocks)]
-        model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, **(defects or {}))
-        self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
+    def __init__(self, contract: Contract, blocks: Sequence[int], source: TaxelSource, **analogue: Any) -> None:
+        super().__init__(contract, blocks, source, **analogue)
+        self._law = contract.law
         self._filter = PatchFilter(self._learn())
         for _ in range(SETTLING_SAMPLES):
             self._filter.take(self._sensors.sample(0))
@@ -105,11 +60,7 @@ class AdaptiveBoards(Boards):
         self._is_operational, self._has_due = np.zeros((2, nodes), np.bool_)
         self._noise: Noise | None = None
         self._threshold_n2 = np.zeros(nodes)
-        self._is_changed = self.has_due = False
-        self._now = 0  # number of the newest sample
-        self._next_ns = self._decided_ns = 0
-        self._pace_ns = float(SAMPLE_NS)
-        self._truths: deque[Truth] = deque(maxlen=CATCH_UP)
+        self._is_changed = False
 
     def _learn(self) -> Noise:
         """Learn the noise of the untouched skin, as a board does when it is switched on."""
@@ -121,62 +72,22 @@ class AdaptiveBoards(Boards):
     # --- time ----------------------------------------------------------------------------------------------
 
     @property
-    def due_s(self) -> float:
-        """When the next sample is due; before the first call of `advance`, at once."""
-        return self._next_ns * 1e-9
-
-    @property
-    def decision(self) -> int:
-        """Number of the sample at which was last decided what to send."""
-        return self._now
-
-    @property
-    def pace_ns(self) -> float:
-        """Time between two decisions: that of a sample, unless the process is late."""
-        return self._pace_ns
-
-    @property
     def is_sending(self) -> bool:
         """Whether a controller may hold a frame, or its echo is to be read."""
         return bool(self._groups.under_way.any())
 
-    def prepare(self) -> None:
-        """Do nothing: no SYNC asks for anything."""
-
-    def touched_from(self, time_ns: int) -> None:
-        """Let the touch begin, if it has not: its step 0 is at `time_ns`."""
-        if self._sensors.touch_from_ns is None:
-            self._sensors.touch_from_ns = time_ns
-
-    def advance(self, now_s: float) -> None:
-        """Take all samples that are due, and decide once what each node is to send."""
-        now_ns = round(now_s * 1e9)
-        if not self._next_ns:
-            self._next_ns = self._decided_ns = now_ns
-        due = (now_ns - self._next_ns) // SAMPLE_NS + 1
-        if due <= 0:
-            return
-        if due > CATCH_UP:
-            skipped = due - CATCH_UP
-            self.samples_skipped += skipped
-            self._next_ns += skipped * SAMPLE_NS
+    def _begin(self) -> None:
         if self._is_changed:
             self._sensors.recalibrate()
             self._is_changed = False
-        for _ in range(min(due, CATCH_UP)):
-            self._filter.take(self._sensors.sample(self._next_ns))
-            self._note_truth(self._next_ns)
-            self._next_ns += SAMPLE_NS
-        self._now += due
-        self._decide(now_ns)
 
-    def _decide(self, now_ns: int) -> None:
+    def _take(self, sample_n: Floats) -> None:
+        self._filter.take(sample_n)
+
+    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:  # noqa: ARG002  `_now` has the skipped ones
         if self._filter.noise is not self._noise:
             self._take_noise()
-        passed_ns = now_ns - self._decided_ns
-        self._decided_ns = now_ns
-        self._pace_ns += PACE_GAIN * (min(max(passed_ns, PACE_NS[0]), PACE_NS[1]) - self._pace_ns)
-        self.has_due = look_at_all(
+        due = look_at_all(
             self._now,
             now_ns,
             passed_ns * 1e-9,
@@ -190,35 +101,12 @@ class AdaptiveBoards(Boards):
             self._boxes,
             self._has_due,
         )
+        return bool(due)
 
     def _take_noise(self) -> None:
         self._noise = self._filter.noise
         ratio = self._rules[:, SendingRule._fields.index("noise_ratio")]
         self._threshold_n2 = noise_threshold_n2(self._noise.node_n, ratio)
-
-    def _note_truth(self, tick_ns: int) -> None:
-        """Keep the truth of a step that this tick is the first after."""
-        begin_ns = self._sensors.touch_from_ns
-        if begin_ns is None or tick_ns < begin_ns or (tick_ns - begin_ns) % STEP_NS >= SAMPLE_NS:
-            return
-        step = (tick_ns - begin_ns) // STEP_NS
-        frame = self._sensors.frame(step)
-        sensor_n = np.zeros(self._taxels.count, "<f4")
-        sensor_n[self._cells] = self._sensors.counts * np.float32(self._taxels.newton_per_count)
-        self._truths.append(
-            Truth(
-                step=step,
-                sync_counter=0,
-                sampled_mono_ns=begin_ns + step * STEP_NS,
-                true=frame.force_n.astype("<f4").tobytes(),
-                sensor=sensor_n.tobytes(),
-                label=frame.label,
-            )
-        )
-
-    def take_truth(self) -> Truth | None:
-        """Return the oldest truth that was not returned yet."""
-        return self._truths.popleft() if self._truths else None
 
     # --- frames ---------------------------------------------------------------------------------------------
 
@@ -321,11 +209,6 @@ class AdaptiveBoards(Boards):
         return (
             int(coarse[subindex - 1]) if index == OD_COARSE else int.from_bytes(fine[subindex - 1].tobytes(), "little")
         )
-
-    def counts(self, block: int) -> npt.NDArray[np.int32]:
-        """Return what the taxels of a block read last, in counts."""
-        counts: npt.NDArray[np.int32] = self._sensors.counts[self._row[block]].astype(np.int32)
-        return counts
 
     @property
     def sums(self) -> npt.NDArray[np.int32]:

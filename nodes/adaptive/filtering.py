@@ -1,27 +1,18 @@
 """From samples to sums: the noise of a patch filtered away, clipping undone, and the sums of what is left."""
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from dbc.adaptive_filter import DEAD_RATIO, HORIZON, UNCLIP_REACH, Floats, Models, make_models, unclip_table
 from nodes.adaptive.following import NoiseScale, Offsets, OffsetState, ScaleSums, follow, gather
-from nodes.adaptive.models import Floats, Models, Tracks, make_models, new_tracks, step
-from nodes.adaptive.noise import Noise, haar_matrix
-from skin.clipping import clipped_mean
+from nodes.adaptive.models import Tracks, new_tracks, step
+from nodes.adaptive.noise import Noise
+from nodes.adaptive.transforms import from_haar, to_haar, to_walsh, to_walsh_variance
 from skin.compiled import njit
-from skin.walsh import patch_shape, walsh_matrix
-
-#: Samples that a forecast looks ahead: the way to an image takes so long.
-HORIZON: Final = 4.0
-#: A taxel below this part of its noise is shown as 0.
-DEAD_RATIO: Final = 0.4
-#: Clipping is undone up to so many standard deviations; above, it has no effect.
-_REACH: Final = 6.0
-#: No offset below so many standard deviations is told from one at it.
-_LOWEST: Final = -2.0
-_POINTS: Final = 1024
+from skin.walsh import grouped_rows, haar_matrix, patch_shape, walsh_matrix
 
 
 class ForceFilter:
@@ -44,11 +35,10 @@ class ForceFilter:
 
     def __init__(self, noise: Noise) -> None:
         shape = noise.taxel_n.shape
-        haar = haar_matrix(shape[1])
         self._models = make_models(HORIZON)
         self._tracks = new_tracks(self._models, noise.taxel_n.size)
         self._forecast, self._variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._fixed = haar, np.ascontiguousarray(haar.T), _unclip_table()
+        self._table = unclip_table()
         self._work = np.zeros((2, *shape), np.float32)
         self._offsets = Offsets(shape[0], *patch_shape(shape[1]))
         self._scale = NoiseScale(*shape)
@@ -68,7 +58,7 @@ class ForceFilter:
         known = noise.offset_n, noise.taxel_n, noise.coefficient_n
         learning = self._scale.sums, self._offsets.state
         models = self._models, self._tracks, self._forecast, self._variance
-        _take(sample_n, known, learning, models, np.float32(HORIZON), self._fixed, self._work, self.force_n)
+        _take(sample_n, known, learning, models, np.float32(HORIZON), self._table, self._work, self.force_n)
         self._offsets.note()
         scale = self._scale.judge(self._learned.taxel_n)
         if scale is not None:
@@ -109,32 +99,22 @@ class PatchFilter(ForceFilter):
     def __init__(self, noise: Noise) -> None:
         super().__init__(noise)
         taxels = noise.taxel_n.shape[1]
-        walsh = walsh_matrix(taxels)
-        self._walsh_across = np.ascontiguousarray(walsh.T)
+        self._order = grouped_rows(taxels).ravel()
         #: Variances of Haar coefficients add up to those of sums.
-        self._spread = np.ascontiguousarray(np.square(haar_matrix(taxels) @ walsh.T))
+        self._spread = np.rint(np.square(haar_matrix(taxels) @ walsh_matrix(taxels).T))
+        self._walsh_work, self._variance_n2 = np.zeros(taxels, np.float32), np.zeros(noise.taxel_n.shape, np.float32)
         self.sums_n = np.zeros(noise.taxel_n.shape, np.float32)
 
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
         super().take(sample_n)
-        np.matmul(self.force_n, self._walsh_across, out=self.sums_n)
+        to_walsh(self.force_n, self._order, self._walsh_work, self.sums_n)
 
     @property
     def variance_n2(self) -> Floats:
-        """The variance of each of `sums_n`, newtons squared, shape (nodes, taxels)."""
-        variance: Floats = (self._variance * np.square(self.noise.coefficient_n)) @ self._spread
-        return variance
-
-
-def _unclip_table() -> Floats:
-    """Return m⁻¹, from `_LOWEST` on, at evenly spaced readings from 0 to m(`_REACH`).
-
-    m is `skin.clipping.clipped_mean`.
-    """
-    force = np.linspace(_LOWEST, _REACH, 8 * _POINTS)
-    mean = clipped_mean(force)
-    return np.interp(np.linspace(0, mean[-1], _POINTS), mean, force).astype(np.float32)
+        """The variance of each of `sums_n`, newtons squared, shape (nodes, taxels); the next call overwrites it."""
+        to_walsh_variance(self._variance, self.noise.coefficient_n, self._spread, self._variance_n2)
+        return self._variance_n2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -144,7 +124,7 @@ def _take(  # noqa: PLR0917  compiled functions take no keywords
     learning: tuple[ScaleSums, OffsetState],
     models: tuple[Models, Tracks, Floats, Floats],
     horizon: Any,
-    fixed: tuple[Floats, Floats, Floats],
+    table: Floats,
     work: Floats,
     force_n: Floats,
 ) -> None:
@@ -152,18 +132,18 @@ def _take(  # noqa: PLR0917  compiled functions take no keywords
     offset_n, taxel_n, coefficient_n = known
     scale_sums, offsets = learning
     each_model, tracks, forecast, variance = models
-    haar, haar_across, table = fixed
+    high, wide = offsets.offset.shape[1:]
     left_n, coefficients = work[0], work[1]
     _put_difference(sample_n.ravel(), offset_n.ravel(), left_n.ravel())
     gather(left_n, scale_sums)
-    np.dot(left_n, haar_across, coefficients)
+    to_haar(left_n, high, wide, coefficients)
     flat, ahead, of_noise = coefficients.ravel(), forecast.ravel(), coefficient_n.ravel()
     for c in range(flat.size):
         flat[c] /= of_noise[c]
     step(flat, each_model, tracks, horizon, ahead, variance.ravel())
     for c in range(flat.size):
         flat[c] = ahead[c] * of_noise[c]
-    np.dot(coefficients, haar, force_n)
+    from_haar(coefficients, high, wide, force_n)
     _unclip(force_n.ravel(), taxel_n.ravel(), table)
     shape = offsets.offset.shape
     follow(force_n.reshape(shape), taxel_n.reshape(shape), offsets)
@@ -179,7 +159,7 @@ def _put_difference(value: Floats, less: Floats, into: Floats) -> None:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
     """Undo the bias of clipping at 0 in place."""
-    scale, last = np.float32((table.size - 1) / _REACH), np.float32(table.size - 1)
+    scale, last = np.float32((table.size - 1) / UNCLIP_REACH), np.float32(table.size - 1)
     for k in range(force_n.size):
         reading = force_n[k] / noise_n[k]
         place = max(np.float32(0), min(reading * scale, last))

@@ -4,35 +4,24 @@ Both are learned where nothing touches. A force that grows more slowly than `RAT
 drift.
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from nodes.adaptive.noise import Floats
+from dbc.adaptive_filter import (
+    FOLLOWING,
+    IDLE_PART,
+    IDLE_RATIOS,
+    LOWEST_RATIO,
+    NOTE_SAMPLES,
+    QUIET_RATIO,
+    RATE_N,
+    WINDOW,
+    Floats,
+)
 from skin.clipping import IDLE_DEVIATION
 from skin.compiled import njit
-
-#: An offset follows this part of what is left in each sample, at most by so much, newtons: 3 mN a second.
-FOLLOWING: Final = 1 / 128
-RATE_N: Final = 3e-6
-#: An offset is followed while the taxel and its neighbours in the patch show less than this part of their noise.
-QUIET_RATIO: Final = 0.6
-#: An offset that falls so far below 0, in units of the noise, is not followed further: nothing is left to be read.
-LOWEST_RATIO: Final = -1.5
-#: Samples between two notes of the offsets. When a touch begins, what was followed since the last note but one is given
-#: back, because it may have been the touch.
-NOTE_SAMPLES: Final = 128
-#: Samples over which the size of the noise is looked at, and how far it is believed: the part by which its logarithm
-#: moves.
-WINDOW: Final = 256
-BELIEF: Final = 0.25
-#: Noise that is clipped at 0 has a mean of 0.68 standard deviations, whatever its size; a taxel outside of these bounds
-#: is touched, or has an offset. The deviation is that of samples from the ones before, so that a touch that comes and
-#: goes is no noise; nor is coloured noise, of whose size nothing more is learned.
-IDLE_RATIOS: Final = (0.5, 0.9)
-#: Part of a node's taxels that have to be idle.
-IDLE_PART: Final = 0.5
 
 
 class OffsetState(NamedTuple):
@@ -187,16 +176,34 @@ class NoiseScale:
         self._samples += 1
         if self._samples < WINDOW:
             return None
-        mean = self.sums.total / WINDOW
-        deviation = np.sqrt(self.sums.square / (2 * WINDOW))
-        idle = (deviation > 0) & (mean > IDLE_RATIOS[0] * deviation) & (mean < IDLE_RATIOS[1] * deviation)
-        ratio = np.where(idle, deviation / (IDLE_DEVIATION * noise_n), np.nan)
-        enough = idle.mean(axis=1) >= IDLE_PART
-        scale = np.ones((len(mean), 1), np.float32)
-        if enough.any():
-            scale[enough, 0] = np.nanmedian(ratio[enough], axis=1) ** BELIEF
+        scale = np.ones((len(noise_n), 1), np.float32)
+        _judge(self.sums, noise_n, scale)
         self.sums.total[:] = self.sums.square[:] = self._samples = 0
         return scale
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _judge(sums: ScaleSums, noise_n: Floats, scale: Floats) -> None:
+    """Write by what to multiply the noise of each node, shape (nodes, 1): fourth root of the median of idle taxels."""
+    nodes, size = noise_n.shape
+    lowest, highest = np.float32(IDLE_RATIOS[0]), np.float32(IDLE_RATIOS[1])
+    samples, idle_deviation, half = np.float32(WINDOW), np.float32(IDLE_DEVIATION), np.float32(0.5)
+    ratios = np.empty(size, np.float32)
+    for node in range(nodes):
+        idle = 0
+        for c in range(size):
+            mean = sums.total[node, c] / samples
+            deviation = np.sqrt(sums.square[node, c] / (samples + samples))
+            if deviation > 0 and lowest * deviation < mean < highest * deviation:
+                ratios[idle] = deviation / (idle_deviation * noise_n[node, c])
+                idle += 1
+        if idle == 0 or idle < IDLE_PART * size:
+            continue
+        ratios[:idle].sort()
+        median = ratios[idle // 2]
+        if idle % 2 == 0:
+            median = (ratios[idle // 2 - 1] + median) * half
+        scale[node, 0] = np.sqrt(np.sqrt(median))
 
 
 @njit(cache=True, nogil=True)

@@ -15,6 +15,7 @@ from dbc.adaptive import (
     FIRST_COB_ID,
     GROUP_SUMS,
     LEVELS,
+    LOST_NS,
     SAVED_FRAMES,
     SAVING_S,
     TPDOS,
@@ -42,8 +43,6 @@ from nodes.adaptive.sending import (
 from skin.compiled import borrowed, njit
 from skin.walsh import GROUPS
 
-#: A frame is given up for lost, with its echo, so long after it has expired.
-LOST_NS: Final = 500_000_000
 #: `Mailboxes.cob_id` of a TPDO that does not exist.
 NO_COB_ID: Final = 0
 #: Columns of `Mailboxes.counts`.

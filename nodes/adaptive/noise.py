@@ -1,51 +1,15 @@
 """What a node learns of its own noise while nothing touches its patch."""
 
 from dataclasses import dataclass
-from functools import cache
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from dbc.adaptive_filter import LEAST_NOISE_N, OFFSET_COUNTS, OFFSET_RATIO, SPANS, Floats
+from nodes.adaptive.transforms import to_haar
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN
+from skin.compiled import njit
 from skin.walsh import patch_shape
-
-#: Noise is looked at in means of so many samples, so that coloured and common noise show.
-SPANS: Final = (1, 4, 16)
-#: No noise is taken to be smaller, newtons: one count of the default skin.
-LEAST_NOISE_N: Final = 0.02e-3
-#: An idle taxel that reads more than clipped noise explains, by this ratio and so many counts, has an offset.
-OFFSET_RATIO: Final = 1.6
-OFFSET_COUNTS: Final = 3
-
-Floats = npt.NDArray[np.float32]
-
-
-@cache
-def haar_matrix(taxels: int) -> Floats:
-    """Return the orthonormal Haar pyramid of a patch, coarse rows first, shape (taxels, taxels).
-
-    A patch that is twice as wide as high is first halved across; every square is then quartered, down to taxels.
-    """
-    high, wide = patch_shape(taxels)
-    rows = [np.ones((high, wide))]
-    if wide > high:
-        rows.append(np.ones((high, wide)))
-        rows[-1][:, high:] = -1
-    size = high
-    while size > 1:
-        half = size // 2
-        signs = np.ones(size)
-        signs[half:] = -1
-        for shape in (np.outer(signs, np.ones(size)), np.outer(np.ones(size), signs), np.outer(signs, signs)):
-            for down in range(0, high, size):
-                for across in range(0, wide, size):
-                    row = np.zeros((high, wide))
-                    row[down : down + size, across : across + size] = shape
-                    rows.append(row)
-        size = half
-    flat = np.stack([row.ravel() / np.linalg.norm(row) for row in rows])
-    return flat.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +33,19 @@ class Noise:
     @property
     def node_n(self) -> npt.NDArray[np.float64]:
         """Root mean square of each node's coefficients, newtons, shape (nodes,)."""
-        square = np.square(self.coefficient_n, dtype=np.float64)
-        return np.asarray(np.sqrt(square.mean(axis=1)), np.float64)
+        node_n: npt.NDArray[np.float64] = _root_mean_squares(self.coefficient_n)
+        return node_n
+
+
+@njit(cache=True, nogil=True)
+def _root_mean_squares(value: Floats) -> npt.NDArray[np.float64]:
+    """Return the root mean square of each row; the squares are added in their order."""
+    found = np.zeros(value.shape[0])
+    for row in range(value.shape[0]):
+        for place in range(value.shape[1]):
+            found[row] += np.float64(value[row, place]) * np.float64(value[row, place])
+        found[row] = np.sqrt(found[row] / value.shape[1])
+    return found
 
 
 class IdleStatistics:
@@ -83,9 +58,10 @@ class IdleStatistics:
     """
 
     def __init__(self, nodes: int, taxels: int) -> None:
-        self._haar = haar_matrix(taxels)
+        self._patch = patch_shape(taxels)
         self._count = 0
         self._sum, self._square = np.zeros((2, nodes, taxels))
+        self._coefficients = np.zeros((nodes, taxels), np.float32)
         self._partial = np.zeros((len(SPANS), nodes, taxels))
         self._means, self._mean_squares = np.zeros((2, len(SPANS), nodes, taxels))
 
@@ -99,10 +75,10 @@ class IdleStatistics:
         self._count += 1
         self._sum += sample_n
         self._square += np.square(sample_n, dtype=np.float64)
-        coefficients = sample_n @ self._haar.T
+        to_haar(np.array(sample_n, np.float32), *self._patch, self._coefficients)
         for place, span in enumerate(SPANS):
             partial = self._partial[place]
-            partial += coefficients
+            partial += self._coefficients
             if self._count % span == 0:
                 partial /= span
                 self._means[place] += partial

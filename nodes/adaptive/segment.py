@@ -2,27 +2,21 @@
 
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Final, cast
+from typing import cast
 
 import numpy as np
 
 from bus.link import Send
-from dbc.adaptive import PAUSE_MS, TPDOS
+from dbc.adaptive import TPDOS
 from dbc.canopen import BASE_ID_MASK, NmtState
-from dbc.contract import Contract, frame_flags, sum_frame_bits
+from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
 from nodes.adaptive.boards import AdaptiveBoards, tpdo_places
 from nodes.adaptive.mailboxes import room_for
 from nodes.adaptive.node import AdaptiveNode
+from nodes.adaptive.timing import MOST_FRAMES, SendingTimes
 from nodes.node import SkinNode
 from nodes.segment import Segment
-
-#: No frame of sums starts so soon after a SYNC.
-PAUSE_NS: Final = PAUSE_MS * 1_000_000
-#: Frames that a bus gets beyond those that fit until the next decision.
-SPARE_FRAMES: Final = 4
-#: Most frames that a bus gets at once.
-MOST_FRAMES: Final = 64
 
 
 class AdaptiveSegment(Segment):
@@ -46,10 +40,7 @@ class AdaptiveSegment(Segment):
         self._adaptive = boards
         self._sent = self._dropped = 0
         line = contract.layout.bus[bus]
-        self._coarse_ns, self._frame_ns = (
-            sum_frame_bits(line, is_fine=is_fine) * 1e9 / line.bitrate for is_fine in (False, True)
-        )
-        self._sync_ns = -(1 << 62)
+        self._times = SendingTimes(contract, bus)
         self._decision = 0
         self._room = room_for(MOST_FRAMES)
         self._burst = frames(MOST_FRAMES)
@@ -58,7 +49,6 @@ class AdaptiveSegment(Segment):
         self._place_of = np.full(BASE_ID_MASK + 1, -1, np.int64)
         self._node_id = np.zeros(self._last, np.uint16)
         super().__init__(contract, bus, node_ids, send, boards, complain=complain, store=store)
-        self._period_ns = round(self._period_s * 1e9)
 
     @property
     def frames_sent(self) -> int:
@@ -90,13 +80,10 @@ class AdaptiveSegment(Segment):
 
     def _send_sums(self, now_ns: int) -> None:
         """Give the bus the frames that can win it until the next decision, and a few more."""
-        next_ns = self._sync_ns + self._period_ns
-        if self._sync_ns <= now_ns < self._sync_ns + PAUSE_NS or now_ns < next_ns < now_ns + self._frame_ns:
+        times = self._times.next(now_ns, self._adaptive.pace_ns)
+        if times is None:
             return
-        until_ns = now_ns + int(self._adaptive.pace_ns)
-        if now_ns < next_ns:
-            until_ns = min(until_ns, next_ns)
-        most = min(MOST_FRAMES, SPARE_FRAMES + int(-(-(until_ns - now_ns) // self._coarse_ns)))
+        until_ns, most = times
         count = self._adaptive.choose(self._first, self._last, until_ns, most, self._room)
         if not count:
             return
@@ -116,8 +103,8 @@ class AdaptiveSegment(Segment):
 
     def _answer(self, counter: int, time_ns: int) -> None:
         """Leave the bus to others for a while; the first SYNC tells when the touch began."""
-        self._sync_ns = time_ns
-        self._adaptive.touched_from(time_ns - max(0, counter - 1) * self._period_ns)
+        self._times.sync_ns = time_ns
+        self._adaptive.touched_from(time_ns - max(0, counter - 1) * self._times.period_ns)
 
     def _nmt(self, data: bytes, now_s: float) -> None:
         super()._nmt(data, now_s)

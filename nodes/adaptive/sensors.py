@@ -14,14 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
-from nodes.adaptive.noise import Floats
+from dbc.adaptive_filter import SAMPLE_NS, Floats
 from nodes.electronics import Calibration
 from skin.compiled import njit
 from skin.sources import ADAPTIVE_STEP_HZ, Frame, TaxelSource
 from skin.taxel import TaxelModel
 
-#: Time between two samples, and between two steps of the touch.
-SAMPLE_NS: Final = 1_000_000
+#: Time between two steps of the touch.
 STEP_NS: Final = round(1e9 / ADAPTIVE_STEP_HZ)
 #: Largest error of a board's clock, and standard deviation of its jitter, samples.
 DRIFT_PPM: Final = 100.0

@@ -5,6 +5,7 @@ from typing import Any, Final
 import numpy as np
 
 from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
 from nodes.adaptive.filtering import PatchFilter
@@ -20,7 +21,7 @@ from nodes.adaptive.sending import (
     noise_threshold_n2,
     note_sent,
 )
-from nodes.adaptive.sensors import SAMPLE_NS, PatchSensors
+from nodes.adaptive.sensors import PatchSensors
 from nodes.electronics import Calibration
 from skin.compiled import njit
 from skin.sources import TaxelSource

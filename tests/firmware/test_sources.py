@@ -13,16 +13,18 @@ from dbc.dictionary import dictionary
 from dbc.generate import write_files
 from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
 from firmware.export import export_files
-from firmware.library import STANDARD_FLAGS, compile_c, sources
-from firmware.tables import board_header, board_source, builds
+from firmware.library import STANDARD_FLAGS, compile_c, constants, shared_folders, sources
+from firmware.tables import builds
 from skin.errors import InputError
 from skin.layout import load_layout
 from tests.firmware.twins import needs_compiler, small_contract
 
 HERE = Path(__file__).parent / "c"
-NAMES = ("default", "fd", "one-bus-12bit")
+NAMES = ("default", "fd", "one-bus-12bit", "adaptive", "adaptive-fd")
 #: Bursts of random frames, and seeds.
 BURSTS, SEEDS = 20_000, range(1, 4)
+#: Adaptive boards filter a sample beside each burst.
+ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 #: Flash memory of the sums, and of sums and slave with the constants of one board, bytes.
@@ -31,7 +33,7 @@ SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recove
 
 
 def contract_of(name: str) -> Contract:
-    return Contract.from_layout(load_layout(Path(name)))
+    return Contract.from_layout(load_layout(Path(name), adaptive=True))
 
 
 def exported(contract: Contract, folder: Path) -> Path:
@@ -46,7 +48,8 @@ def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path)
     board = exported(contract_of(name), tmp_path)
     main = tmp_path / "main.c"
     main.write_text("int main(void)\n{\n    return 0;\n}\n")
-    parts = [*tmp_path.glob("src/*.[ch]"), *tmp_path.glob("src/slave/*.[ch]"), board / "board.h", board / "board.c"]
+    parts = [*tmp_path.glob("src/*.[ch]"), *tmp_path.glob("src/slave/*.[ch]"), *tmp_path.glob("src/adaptive/*.[ch]")]
+    parts += [path for path in board.iterdir() if not path.name.startswith("OD")]
     compile_c([*parts, main], tmp_path / "firmware", ["cc", *STANDARD_FLAGS, "-O2"])
 
 
@@ -87,17 +90,20 @@ def test_a_cortex_m0_plus_holds_sums_and_slave(tmp_path: Path) -> None:
     assert sum(sizes.values()) < SLAVE_BYTES
 
 
+FUZZED = {
+    "classic": small_contract,
+    "fd": lambda: small_contract("[encoding]\nsum_bits = 12", "nodes = 1\nblocks_per_node = 2\nfd = true"),
+    "adaptive": lambda: contract_of("adaptive"),
+    "adaptive-fd": lambda: contract_of("adaptive-fd"),
+}
+
+
 @needs_compiler
-@pytest.mark.parametrize(
-    ("more", "bus"),
-    [("", "nodes = 2"), ("[encoding]\nsum_bits = 12", "nodes = 1\nblocks_per_node = 2\nfd = true")],
-    ids=["classic", "fd"],
-)
-def test_random_frames_break_nothing(more: str, bus: str, tmp_path: Path) -> None:
-    contract = small_contract(more, bus)
-    boards = builds(contract, contract.on_bus(0))
-    texts = sources("", "slave", "host")
-    texts |= {"board.h": board_header(contract, boards), "board.c": board_source(boards)}
+@pytest.mark.parametrize("name", FUZZED)
+def test_random_frames_break_nothing(name: str, tmp_path: Path) -> None:
+    contract = FUZZED[name]()
+    texts = sources(*shared_folders(contract), "slave", "host")
+    texts |= constants(contract, builds(contract, contract.on_bus(0)[:2]))
     program = tmp_path / "fuzz"
     try:
         paths = [*write_files(texts, tmp_path), HERE / "fuzz.c"]
@@ -106,11 +112,12 @@ def test_random_frames_break_nothing(more: str, bus: str, tmp_path: Path) -> Non
         if "san" in str(error):
             pytest.skip("NOT TESTED: the compiler has no sanitizers")
         raise
+    bursts = ADAPTIVE_BURSTS if contract.layout.sending == "adaptive" else BURSTS
     for seed in SEEDS:
         # The memory of a program that preloads a library cannot be watched.
         environment = {key: value for key, value in os.environ.items() if key != "LD_PRELOAD"}
         done = subprocess.run(
-            [program, str(seed), str(BURSTS)], capture_output=True, text=True, check=False, env=environment
+            [program, str(seed), str(bursts)], capture_output=True, text=True, check=False, env=environment
         )
         assert done.returncode == 0, done.stderr + done.stdout
 
@@ -121,9 +128,3 @@ def test_a_machine_without_compiler_is_told(monkeypatch: pytest.MonkeyPatch, tmp
     contract = small_contract()
     with pytest.raises(InputError, match="expected a C compiler as 'no-such-cc'"):
         Firmware(contract, contract.nodes, compiler="no-such-cc")
-
-
-def test_adaptive_boards_have_no_firmware_yet() -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
-    with pytest.raises(InputError, match="the firmware knows synchronous boards"):
-        export_files(contract, contract.nodes[:1])

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from nodes.adaptive.filtering import HORIZON, ForceFilter, PatchFilter, _silence, _unclip, _unclip_table
-from nodes.adaptive.models import make_models, new_tracks, step
-from nodes.adaptive.noise import IdleStatistics, Noise, haar_matrix
-from skin.walsh import walsh_matrix
+from dbc.adaptive_filter import HORIZON, make_models, unclip_table
+from nodes.adaptive.filtering import ForceFilter, PatchFilter, _silence, _unclip
+from nodes.adaptive.models import new_tracks, step
+from nodes.adaptive.noise import IdleStatistics, Noise
+from skin.walsh import haar_matrix, walsh_matrix
 
 NODES, TAXELS, NOISE_N, COUNT_N = 8, 32, 1e-3, 2e-5
 SHAPE = (NODES, TAXELS)
@@ -130,10 +131,10 @@ def test_the_bias_of_clipping_is_undone_and_what_is_left_of_noise_is_shown_as_ze
     noise_n = np.linspace(0.5e-3, 2e-3, 60).astype(np.float32)
     # The mean of N(x, 1) that is clipped at 0.
     shown_n = ((force * norm.cdf(force) + norm.pdf(force)) * noise_n).astype(np.float32)
-    _unclip(shown_n, noise_n, _unclip_table())
+    _unclip(shown_n, noise_n, unclip_table())
     np.testing.assert_allclose(shown_n / noise_n, force, atol=0.01)
     ends_n = np.array([-1.0, 0.0, 6.5, 9.0], np.float32)
-    _unclip(ends_n, np.ones(4, np.float32), _unclip_table())
+    _unclip(ends_n, np.ones(4, np.float32), unclip_table())
     np.testing.assert_allclose(ends_n, [-2, -2, 6.5, 9], atol=1e-6)
     left_n = np.array([-1.0, 0.0, 0.79, 0.81, 5.0], np.float32)
     _silence(left_n, np.full(5, 2.0, np.float32))

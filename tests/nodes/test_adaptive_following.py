@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dbc.adaptive_filter import WINDOW
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
-from nodes.adaptive.following import BELIEF, WINDOW, NoiseScale, Offsets
+from nodes.adaptive.following import NoiseScale, Offsets
 from nodes.adaptive.noise import Noise
 
 NODES, TAXELS, NOISE_N = 4, 32, 1e-3
@@ -78,7 +79,7 @@ def test_nothing_is_learned_from_touched_taxels() -> None:
     assert found[:-1] == [None] * (WINDOW - 1)
     assert found[-1] is not None
     assert found[-1][0] == 1
-    np.testing.assert_allclose(found[-1][1:], 0.5**BELIEF, rtol=0.03)
+    np.testing.assert_allclose(found[-1][1:], 0.5**0.25, rtol=0.03)
 
 
 def test_taxels_without_noise_say_nothing_of_it() -> None:

@@ -5,7 +5,8 @@ import numpy.typing as npt
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
-from nodes.adaptive.models import make_models, new_tracks, step
+from dbc.adaptive_filter import make_models
+from nodes.adaptive.models import new_tracks, step
 
 #: Gains of the averages and memories of the g-h filters, as docs/adaptive.md has them.
 GAINS = (1.0, 1 / 64, 1 / 256)

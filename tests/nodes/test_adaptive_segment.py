@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dbc.adaptive import LOST_NS
+from dbc.adaptive_filter import LEAST_NOISE_N
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
-from nodes.adaptive.boards import CATCH_UP
-from nodes.adaptive.mailboxes import LOST_NS
-from nodes.adaptive.noise import LEAST_NOISE_N
-from nodes.adaptive.segment import PAUSE_NS
+from nodes.adaptive.patch_boards import CATCH_UP
+from nodes.adaptive.timing import PAUSE_NS
 from skin.layout import load_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.bus.harness import frame

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
-from nodes.adaptive.sensors import DRIFT_PPM, SAMPLE_NS, STEP_NS, PatchSensors
+from nodes.adaptive.sensors import DRIFT_PPM, STEP_NS, PatchSensors
 from nodes.electronics import Calibration
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN
 from skin.defects import make_defects

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from nodes.adaptive.models import Models, make_models, new_tracks, step
+from dbc.adaptive_filter import Models, make_models
+from nodes.adaptive.models import new_tracks, step
 from nodes.averaging import SampleFilter
 
 BLOCKS, SIZE = 16, 32

@@ -124,33 +124,8 @@ int skin_app_init(void)
     return failed;
 }
 
-/* Sums of one block, ADC counts. `newest` holds the newest sample, corrected, or the test pattern. */
-static void sum_block(uint8_t block, const uint16_t *newest, const float *averages, int32_t *found)
-{
-#if SKIN_SAMPLES > 1
-    float values[SKIN_BLOCK_SIZE];
-    uint16_t place;
-
-    for (place = 0; place < SKIN_BLOCK_SIZE; place++) {
-        values[place] = *pattern[block] != SKIN_PATTERN_OFF
-                            ? (float)newest[place]
-                            : skin_correct_average(averages[place], gain[block][place], offset[block][place],
-                                                   board->count_max);
-    }
-    skin_average_sums(board, block, values, found);
-#else
-    int32_t work[SKIN_BLOCK_SIZE];
-
-    (void)averages;
-    skin_block_sums(board, block, newest, work, found);
-#endif
-}
-
 void skin_app_sync(uint16_t *counts, uint16_t samples)
 {
-    const uint16_t taxels = (uint16_t)(board->blocks * board->block_size);
-    uint16_t *newest = &counts[(uint32_t)(samples - 1) * taxels];
-    float averages[SKIN_BLOCK_SIZE];
     int32_t found[SKIN_SUMS];
     uint16_t each;
     uint8_t block;
@@ -158,13 +133,8 @@ void skin_app_sync(uint16_t *counts, uint16_t samples)
     health[0]++;
     health[3] = 0;
     for (block = 0; block < board->blocks; block++) {
-        const uint16_t first = (uint16_t)(block * board->block_size);
-
-#if SKIN_SAMPLES > 1
-        skin_take_samples(&states[block], &counts[first], samples, taxels, averages);
-#endif
-        health[3] += skin_read_block(board, &newest[first], gain[block], offset[block], *pattern[block]);
-        sum_block(block, &newest[first], averages, found);
+        health[3] += skin_measure(board, block, SKIN_AVERAGE_OF(states, block), counts, samples, gain[block],
+                                  offset[block], *pattern[block], found);
         for (each = 0; each < board->first_sum[block + 1] - board->first_sum[block]; each++) {
             const int32_t raw = skin_raw(&board->packing, found[each]);
 

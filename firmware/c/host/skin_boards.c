@@ -2,9 +2,6 @@
 
 #include <string.h>
 
-#define REQUEST_BASE 0x600u
-#define HEARTBEAT_BASE 0x700u
-
 /* The records of the caller are 88 bytes long. */
 typedef char frame_has_its_size[sizeof(skin_frame) == 88 ? 1 : -1];
 
@@ -27,6 +24,10 @@ typedef struct {
 
 static void sample(skin_node *node, const reading *read)
 {
+#if SKIN_ADAPTIVE
+    (void)node; /* samples by its own clock */
+    (void)read;
+#else
     uint16_t chain[SKIN_MOST_SAMPLES * SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     const uint16_t size = (uint16_t)(node->board->blocks * node->board->block_size);
     uint16_t place, each;
@@ -37,7 +38,27 @@ static void sample(skin_node *node, const reading *read)
         }
     }
     skin_sample(node, chain, read->samples);
+#endif
 }
+
+#if SKIN_ADAPTIVE
+
+/* Pass what became of the boards' own TPDOs. */
+static void pass_own(skin_node *node, const skin_frame *frame)
+{
+    const uint8_t outcome = frame->flags & SKIN_FRAME_DISCARDED;
+
+    if ((frame->flags & (SKIN_FRAME_EXTENDED | SKIN_FRAME_REMOTE)) != 0) {
+        return;
+    }
+    if (outcome == SKIN_FRAME_DISCARDED) {
+        skin_given_up(node, frame);
+    } else if (outcome == SKIN_FRAME_ECHO) {
+        skin_sent(node, frame);
+    }
+}
+
+#endif
 
 /* Pass one frame to one board. */
 static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, const reading *read)
@@ -46,17 +67,19 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
     const int is_echo = (frame->flags & SKIN_FRAME_ECHO) != 0;
 
     if ((frame->flags & SKIN_FRAME_DISCARDED) == SKIN_FRAME_DISCARDED) {
+#if !SKIN_ADAPTIVE
         if (frame->port == node->board->node_id) {
             skin_given_up(node, frame);
         }
+#endif
         return;
     }
     if ((frame->flags & (SKIN_FRAME_ERROR | SKIN_FRAME_EXTENDED | SKIN_FRAME_REMOTE)) != 0) {
         return;
     }
     /* The boards of one process receive each other's heartbeats as echoes. */
-    if (HEARTBEAT_BASE < can_id && can_id <= HEARTBEAT_BASE + SKIN_HIGHEST_NODE_ID) {
-        skin_heard(node, (uint8_t)(can_id - HEARTBEAT_BASE), now_ms);
+    if (SKIN_HEARTBEAT_BASE < can_id && can_id <= SKIN_HEARTBEAT_BASE + SKIN_HIGHEST_NODE_ID) {
+        skin_heard(node, (uint8_t)(can_id - SKIN_HEARTBEAT_BASE), now_ms);
     } else if (is_echo) {
         return;
     } else if (can_id == SKIN_SYNC_COB_ID) {
@@ -66,7 +89,7 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         skin_sync(node, frame);
     } else if (can_id == 0) {
         skin_nmt(node, frame, now_ms);
-    } else if (can_id == REQUEST_BASE + node->board->node_id && frame->length == 8) {
+    } else if (can_id == SKIN_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
     }
 }
@@ -77,7 +100,12 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
     uint32_t each;
 
     for (each = 0; each < boards; each++) {
+#if SKIN_ADAPTIVE
+        nodes[each].outbox = &outbox; /* after skin_prepare and what was learned */
+        (void)first;
+#else
         skin_init(&nodes[each], &skin_boards[first + each], &outbox);
+#endif
         skin_boot(&nodes[each], now_ms, 0);
     }
     return outbox.count;
@@ -91,6 +119,13 @@ size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint1
     uint32_t each;
     size_t place;
 
+#if SKIN_ADAPTIVE
+    for (place = 0; place < count; place++) {
+        for (each = 0; (frames[place].flags & SKIN_FRAME_ECHO) != 0 && each < boards; each++) {
+            pass_own(&nodes[each], &frames[place]);
+        }
+    }
+#endif
     for (place = 0; place < count; place++) {
         for (each = 0; each < boards; each++) {
             nodes[each].outbox = &outbox;
@@ -112,11 +147,136 @@ size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_f
     return outbox.count;
 }
 
+size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, size_t count)
+{
+    uint32_t each;
+    size_t place;
+
+    for (place = 0; place < count; place++) {
+        for (each = 0; each < boards; each++) {
+            if (frames[place].port == nodes[each].board->node_id) {
+#if SKIN_ADAPTIVE
+                skin_refused(&nodes[each], &frames[place]);
+#else
+                skin_given_up(&nodes[each], &frames[place]);
+#endif
+            }
+        }
+    }
+    return count;
+}
+
+#if SKIN_ADAPTIVE
+
+void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards)
+{
+    uint32_t each;
+
+    for (each = 0; each < boards; each++) {
+        skin_init(&nodes[each], &skin_boards[first + each], NULL);
+    }
+}
+
+size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts)
+{
+    uint32_t each;
+    size_t ready = 0;
+
+    for (each = 0; each < boards; each++) {
+        ready += skin_sample(&nodes[each], &counts[each * SKIN_PATCH]) != 0;
+    }
+    return ready;
+}
+
+size_t skin_decide_all(skin_node *nodes, uint32_t boards, uint32_t skipped, int64_t passed_ns)
+{
+    uint32_t each;
+    uint8_t group;
+    size_t due = 0;
+
+    for (each = 0; each < boards; each++) {
+        nodes[each].now += skipped;
+        skin_decide(&nodes[each], passed_ns);
+        for (group = 0; group < SKIN_GROUPS; group++) {
+            due += skin_due(&nodes[each], group) != 0;
+        }
+    }
+    return due;
+}
+
+/* Insert a key into ascending ones. */
+static void insert(uint32_t *keys, size_t count, uint32_t key)
+{
+    for (; count > 0 && keys[count - 1] > key; count--) {
+        keys[count] = keys[count - 1];
+    }
+    keys[count] = key;
+}
+
+size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now_ns, int64_t expires_ns, skin_frame *out,
+                   size_t capacity)
+{
+    uint32_t keys[SKIN_HIGHEST_NODE_ID * SKIN_GROUPS], each;
+    skin_outbox outbox = new_outbox(out, most < capacity ? most : capacity);
+    size_t count = 0, place;
+
+    for (each = 0; each < boards; each++) {
+        uint32_t first = 0xFFFFFFFFu;
+        uint8_t group;
+
+        for (group = 0; group < SKIN_GROUPS; group++) {
+            const uint16_t cob_id = skin_due(&nodes[each], group);
+            /* Identifier, board and group: the most urgent frame has the lowest number. */
+            const uint32_t key = (uint32_t)cob_id << 16 | each << 8 | group;
+
+            if (cob_id != 0 && nodes[each].groups.is_fd) {
+                first = key < first ? key : first; /* one frame carries all groups */
+            } else if (cob_id != 0) {
+                insert(keys, count++, key);
+            }
+        }
+        if (first != 0xFFFFFFFFu) {
+            insert(keys, count++, first);
+        }
+    }
+    for (place = 0; place < count && outbox.count < outbox.capacity; place++) {
+        skin_node *node = &nodes[keys[place] >> 8 & 0xFFu];
+
+        node->outbox = &outbox;
+        skin_send_group(node, (uint8_t)(keys[place] & 0xFFu), now_ns, expires_ns);
+    }
+    return outbox.count;
+}
+
+size_t skin_held(const skin_node *nodes, uint32_t boards)
+{
+    uint32_t each;
+    uint8_t group;
+    size_t held = 0;
+
+    for (each = 0; each < boards; each++) {
+        for (group = 0; group < SKIN_GROUPS; group++) {
+            held += nodes[each].groups.groups[group].held_until > 0;
+        }
+    }
+    return held;
+}
+
+#endif
+
 size_t skin_newest_sums(const skin_node *node, int32_t *sums)
 {
     const uint16_t count = node->board->first_sum[node->board->blocks];
+#if SKIN_ADAPTIVE
+    uint16_t sum;
+
+    for (sum = 0; sum < count; sum++) {
+        sums[sum] = skin_adaptive_sum(node, (uint8_t)sum);
+    }
+#else
 
     memcpy(sums, node->sums, count * sizeof sums[0]);
+#endif
     return count;
 }
 

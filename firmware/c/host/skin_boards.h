@@ -21,6 +21,29 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
 size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
                  uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity);
 
+/* Take note of TPDOs that found no room in the transmit queue; returns `count`. */
+size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, size_t count);
+
+#if SKIN_ADAPTIVE
+
+/* Connect `boards` boards, from board `first` of board.c on, with their constants; samples come before skin_power_up. */
+void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards);
+
+/* Pass one sample to the boards: SKIN_PATCH counts of each board; overwritten. Returns how many boards are ready to boot. */
+size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts);
+
+/* Have the boards decide, after samples that were taken and others that were skipped; returns how many groups are due. */
+size_t skin_decide_all(skin_node *nodes, uint32_t boards, uint32_t skipped, int64_t passed_ns);
+
+/* Make the most urgent frames of the boards of one bus, `most` at most; returns their number. */
+size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now_ns, int64_t expires_ns, skin_frame *out,
+                   size_t capacity);
+
+/* Number of groups of which a controller may hold a frame. */
+size_t skin_held(const skin_node *nodes, uint32_t boards);
+
+#endif
+
 /* Do what is due by time. */
 size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity);
 

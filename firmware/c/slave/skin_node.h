@@ -1,7 +1,8 @@
 /* A small CANopen slave (CiA 301) that sends the sums of one board; no heap, no operating system.
  *
- * NMT, heartbeat producer and consumer, SYNC, TPDOs of the transmission types 0 to 240, 254 and 255, EMCY, one SDO server
- * with expedited and segmented transfers, and the objects of a skin node. Every function returns at once.
+ * NMT, heartbeat producer and consumer, SYNC, TPDOs of the transmission types 0 to 240, 254 and 255, or of adaptive sums,
+ * EMCY, one SDO server with expedited and segmented transfers, and the objects of a skin node. Every function returns at
+ * once.
  */
 #ifndef SKIN_NODE_H
 #define SKIN_NODE_H
@@ -11,6 +12,10 @@
 #include "board.h"
 #include "skin_average.h"
 #include "skin_sums.h"
+#if SKIN_ADAPTIVE
+#include "skin_filter.h"
+#include "skin_sending.h"
+#endif
 
 /* One frame, in the records of dbc/frame.py. */
 typedef struct {
@@ -41,6 +46,13 @@ enum { SKIN_INITIALISING = 0, SKIN_STOPPED = 4, SKIN_OPERATIONAL = 5, SKIN_PRE_O
 /* Errors that are reported: heartbeat of a watched node lost, SYNC of a wrong length, window missed. */
 enum { SKIN_ERROR_HEARTBEAT, SKIN_ERROR_SYNC_LENGTH, SKIN_ERROR_WINDOW, SKIN_ERRORS };
 
+#if SKIN_ADAPTIVE
+typedef struct {
+    uint16_t cob_id;  /* 0: the PDO does not exist */
+    uint16_t inhibit; /* samples */
+    int64_t made_at;  /* sample of the newest frame */
+} skin_tpdo;
+#else
 typedef struct {
     uint16_t cob_id;
     uint8_t type, start; /* transmission type, SYNC start value */
@@ -52,6 +64,7 @@ typedef struct {
     uint32_t syncs;                   /* SYNCs while the PDO existed */
     uint32_t sent_at_ms, inhibit_ms, event_ms;
 } skin_tpdo;
+#endif
 
 typedef struct {
     uint8_t node_id; /* 0: unused entry */
@@ -82,10 +95,21 @@ typedef struct {
     float gain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     uint8_t pattern[SKIN_BLOCKS];
+#if SKIN_ADAPTIVE
+    skin_filter filter;
+    skin_groups groups;
+    skin_rule rule;      /* 2031h */
+    int64_t now;         /* number of the newest sample */
+    int64_t sync_ns;     /* end of the newest SYNC */
+    uint32_t budget;     /* 2034h, bits a second */
+    double saved;        /* bits */
+    uint8_t was_operational;
+#else
 #if SKIN_SAMPLES > 1
     skin_average averages[SKIN_BLOCKS];
 #endif
     int32_t sums[SKIN_SUMS]; /* at the newest SYNC, ADC counts */
+#endif
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
     skin_tpdo tpdos[SKIN_TPDOS];
     skin_sdo sdo;
@@ -108,13 +132,42 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
 /* Do what is due by time: heartbeats, emergencies, event-driven PDOs. To be called every few milliseconds. */
 void skin_tick(skin_node *node, uint32_t now_ms);
 
+#if SKIN_ADAPTIVE
+
+/* Take one sample of all taxels in the order of the chain, ADC counts, which are overwritten: every millisecond.
+ *
+ * Returns 0 while the board learns its noise after `skin_init`: 2.3 s, in which nothing may touch it. `skin_boot` comes
+ * after that.
+ */
+int skin_sample(skin_node *node, uint16_t *counts);
+
+/* Decide what to send, `passed_ns` after the last decision, with the newest sample. */
+void skin_decide(skin_node *node, int64_t passed_ns);
+
+/* Send what is due, the most urgent first: after `skin_decide`. The frames expire at the next sample. Nothing is sent in the
+ * SKIN_PAUSE_NS after a SYNC.
+ */
+void skin_send_sums(skin_node *node, int64_t now_ns);
+
+/* Take note of a TPDO that was on the bus, and of one that a full transmit queue has refused. */
+void skin_sent(skin_node *node, const skin_frame *frame);
+void skin_refused(skin_node *node, const skin_frame *frame);
+
+/* Identifier of the frame that a group would be sent in now, 0 for none; and send that frame, unless its budget has gone. */
+uint16_t skin_due(const skin_node *node, uint8_t group);
+void skin_send_group(skin_node *node, uint8_t group, int64_t now_ns, int64_t expires_ns);
+
+#else
+
 /* Take what the taxels read since the last SYNC, ADC counts: `samples` samples, the last at this SYNC, each of all taxels
  * in the order of the chains. Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The counts are
  * overwritten.
  */
 void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples);
 
-/* Answer a SYNC, after `skin_sample`. */
+#endif
+
+/* Answer a SYNC; boards that are not adaptive do so after `skin_sample`. */
 void skin_sync(skin_node *node, const skin_frame *sync);
 
 /* Obey an NMT command; heed a heartbeat; answer an SDO request; count a frame that was given up. */
@@ -124,7 +177,15 @@ void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 void skin_given_up(skin_node *node, const skin_frame *frame);
 
 /* Between the parts of the node. */
+int skin_is_due(uint32_t now_ms, uint32_t due_ms); /* whether it is due; both may have wrapped */
+skin_frame skin_new_frame(const skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
+void skin_post(skin_node *node, const skin_frame *frame);
 void skin_send(skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
+void skin_read_tpdo(skin_node *node, uint8_t number);
+void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter);
+void skin_send_events(skin_node *node, uint32_t now_ms);
+void skin_note_state(skin_node *node);
+void skin_forget_sent(skin_node *node);
 const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex);
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
 uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex);
@@ -138,6 +199,18 @@ void skin_settle(skin_node *node, uint8_t error);
 uint8_t skin_error_register(const skin_node *node);
 uint32_t skin_get(const uint8_t *data, uint8_t bytes);
 void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
+
+/* Longest value that is computed, and room for it. */
+#define SKIN_NUMBER_BYTES 8
+
+#if SKIN_ADAPTIVE
+/* Objects of adaptive boards: their rules of writing, what a write does, and what a read returns, NULL for other objects. */
+uint32_t skin_check_adaptive(uint16_t index, uint8_t subindex, uint32_t value);
+void skin_adjust_adaptive(skin_node *node, const skin_object *object, uint32_t value);
+const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
+void skin_restore_adaptive(skin_node *node);
+int32_t skin_adaptive_sum(const skin_node *node, uint8_t number);
+#endif
 
 /* SDO abort codes (CiA 301, table 22). */
 #define SKIN_ABORT_TOGGLE 0x05030000u
@@ -176,6 +249,9 @@ void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
 #define SKIN_COB_ID_INVALID 0x80000000u
 #define SKIN_COB_ID_EXTENDED 0x20000000u
 #define SKIN_SYNC_COB_ID 0x80u
+#define SKIN_RESPONSE_BASE 0x580u
+#define SKIN_REQUEST_BASE 0x600u
+#define SKIN_HEARTBEAT_BASE 0x700u
 /* Highest cyclic synchronous transmission type, and highest SYNC counter. */
 #define SKIN_LAST_SYNCHRONOUS 240u
 /* Lowest event-driven transmission type. */

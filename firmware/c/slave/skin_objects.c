@@ -72,7 +72,7 @@ uint32_t skin_missing(const skin_board *board, uint16_t index)
 static uint32_t signature(const skin_node *node)
 {
     const skin_board *board = node->board;
-    uint8_t head[3], scratch[4];
+    uint8_t head[3], scratch[SKIN_NUMBER_BYTES];
     uint32_t crc = 0;
     uint16_t place;
 
@@ -107,13 +107,24 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     case SKIN_OD_HEALTH:
         return node->health[subindex - 1];
     default: /* the sums */
+#if SKIN_ADAPTIVE
+        return (uint32_t)skin_raw(&node->board->packing, skin_adaptive_sum(node, (uint8_t)(subindex - 1)));
+#else
         return (uint32_t)skin_raw(&node->board->packing,
                                   node->sums[node->board->first_sum[block_of(object->index)] + subindex - 1]);
+#endif
     }
 }
 
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
 {
+#if SKIN_ADAPTIVE
+    const uint8_t *adaptive = skin_adaptive_value(node, object, scratch);
+
+    if (adaptive != NULL) {
+        return adaptive;
+    }
+#endif
     if (object->at == COMPUTED) {
         if (object->index == SKIN_OD_ERROR_FIELD && object->subindex > node->history_count) {
             return NULL;
@@ -127,7 +138,7 @@ const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint
 uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex)
 {
     const skin_object *object = skin_find(node->board, index, subindex);
-    uint8_t scratch[4];
+    uint8_t scratch[SKIN_NUMBER_BYTES];
 
     return object == NULL ? 0 : skin_get(skin_value(node, object, scratch), object->bytes);
 }
@@ -280,7 +291,11 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
     case SKIN_OD_PATTERN:
         return value > SKIN_PATTERN_FULL ? SKIN_ABORT_VALUE : 0;
     default:
+#if SKIN_ADAPTIVE
+        return skin_check_adaptive(index, subindex, value);
+#else
         return 0;
+#endif
     }
 }
 
@@ -302,6 +317,9 @@ static void adjust(skin_node *node, const skin_object *object)
         node->pattern[block] = (uint8_t)value;
         break;
     default:
+#if SKIN_ADAPTIVE
+        skin_adjust_adaptive(node, object, value);
+#endif
         break;
     }
 }
@@ -352,7 +370,9 @@ void skin_restore(skin_node *node, int communication_only)
     if (communication_only) {
         return;
     }
-#if SKIN_SAMPLES > 1
+#if SKIN_ADAPTIVE
+    skin_restore_adaptive(node);
+#elif SKIN_SAMPLES > 1
     for (place = 0; place < board->blocks; place++) {
         skin_forget(&node->averages[place]);
     }
@@ -361,8 +381,8 @@ void skin_restore(skin_node *node, int communication_only)
         const skin_object *object = &board->objects[place];
 
         if (object->index >= SKIN_OD_MANUFACTURER && (object->flags & SKIN_OBJECT_WRITABLE) != 0) {
-            if (of_first_block(object->index) == SKIN_OD_PATTERN) {
-                node->values[object->at] = SKIN_PATTERN_OFF; /* never stored */
+            if (of_first_block(object->index) == SKIN_OD_PATTERN || object->index == SKIN_OD_REFRESH) {
+                node->values[object->at] = 0; /* an order, never stored; no test pattern */
             }
             adjust(node, object);
         }

@@ -3,7 +3,6 @@
 
 #include "skin_node.h"
 
-#define RESPONSE_BASE 0x580u
 /* Command specifiers, the upper three bits of the first byte. */
 enum { DOWNLOAD_SEGMENT = 0, DOWNLOAD = 1, UPLOAD = 2, UPLOAD_SEGMENT = 3, ABORT = 4, BLOCK_UPLOAD = 5, BLOCK_DOWNLOAD = 6 };
 #define TOGGLE 0x10u
@@ -17,7 +16,7 @@ enum { IDLE, SENDING, TAKING };
 
 static void respond(skin_node *node, const uint8_t *response)
 {
-    skin_send(node, RESPONSE_BASE + node->board->node_id, response, 8);
+    skin_send(node, SKIN_RESPONSE_BASE + node->board->node_id, response, 8);
 }
 
 static void abort_transfer(skin_node *node, uint32_t code)
@@ -50,7 +49,7 @@ static void upload(skin_node *node)
 {
     skin_sdo *sdo = &node->sdo;
     const skin_object *object = skin_find(node->board, sdo->index, sdo->subindex);
-    uint8_t scratch[4];
+    uint8_t scratch[SKIN_NUMBER_BYTES];
     const uint8_t *value;
 
     if (object == NULL) {
@@ -66,7 +65,10 @@ static void upload(skin_node *node)
         accept(node, (uint8_t)(0x43u | (4u - object->bytes) << 2), value, object->bytes);
         return;
     }
-    /* Only constant texts are so long: their value cannot change during the transfer. */
+    if (value == scratch) { /* a number may change during the transfer, a text does not */
+        memcpy(sdo->data, scratch, object->bytes);
+        value = sdo->data;
+    }
     sdo->mode = SENDING;
     sdo->toggle = 0;
     sdo->done = 0;
@@ -180,7 +182,7 @@ static void download_segment(skin_node *node, const uint8_t *request)
 static void block_upload(skin_node *node, const uint8_t *request)
 {
     const skin_object *object = skin_find(node->board, node->sdo.index, node->sdo.subindex);
-    uint8_t scratch[4];
+    uint8_t scratch[SKIN_NUMBER_BYTES];
 
     if ((request[0] & 3u) != 0) {
         abort_transfer(node, SKIN_ABORT_COMMAND);

@@ -68,6 +68,46 @@ static void draw_frame(skin_frame *frame)
     }
 }
 
+#if SKIN_ADAPTIVE
+
+/* Samples, decisions, and random fates of the frames that come of them. */
+static size_t sample(uint16_t *counts, int64_t now_ns)
+{
+    uint16_t read[SKIN_BOARDS * SKIN_PATCH];
+    const size_t from = drawn(65000);
+    size_t sent, kept = 0, place;
+
+    for (place = 0; place < SKIN_BOARDS * SKIN_PATCH; place++) {
+        read[place] = (uint16_t)(drawn(3) ? counts[from + place] % 1024u : 0);
+    }
+    skin_take_counts(nodes, SKIN_BOARDS, read);
+    skin_decide_all(nodes, SKIN_BOARDS, drawn(10) ? 0 : drawn(30), drawn(40000000));
+    if (drawn(2) > 0) {
+        sent = skin_choose(nodes, SKIN_BOARDS, drawn(9), now_ns, now_ns + 1000000, out, ROOM);
+    } else {
+        skin_outbox outbox = {NULL, ROOM, 0, 0};
+
+        outbox.frames = out;
+        for (place = 0; place < SKIN_BOARDS; place++) {
+            nodes[place].outbox = &outbox;
+            skin_send_sums(&nodes[place], now_ns);
+        }
+        sent = outbox.count;
+    }
+    for (place = 0; place < sent && kept < BURST; place++) {
+        in[kept] = out[place];
+        in[kept].flags |= (uint8_t)(drawn(5) ? SKIN_FRAME_ECHO : SKIN_FRAME_DISCARDED);
+        kept += drawn(4) > 0;
+    }
+    if (drawn(30) == 0) {
+        skin_refuse(nodes, SKIN_BOARDS, out, sent);
+    }
+    skin_take(nodes, SKIN_BOARDS, 0, NULL, 1, 65536, in, kept, out, ROOM);
+    return sent;
+}
+
+#endif
+
 static void check(size_t count)
 {
     size_t place;
@@ -93,6 +133,17 @@ int main(int count, char **texts)
     for (place = 0; place < 65536 * SKIN_MOST_SAMPLES; place++) {
         counts[place] = (uint16_t)drawn(65536);
     }
+#if SKIN_ADAPTIVE
+    skin_prepare(nodes, 0, SKIN_BOARDS);
+    for (turn = 0; turn < SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES; turn++) {
+        uint16_t read[SKIN_BOARDS * SKIN_PATCH];
+
+        for (place = 0; place < SKIN_BOARDS * SKIN_PATCH; place++) {
+            read[place] = (uint16_t)drawn(80);
+        }
+        skin_take_counts(nodes, SKIN_BOARDS, read);
+    }
+#endif
     check(skin_power_up(nodes, 0, SKIN_BOARDS, now_ms, out, ROOM));
     for (turn = 0; turn < turns; turn++) {
         const uint32_t burst = drawn(BURST) + 1;
@@ -104,6 +155,11 @@ int main(int count, char **texts)
                           (uint16_t)(1 + drawn(SKIN_MOST_SAMPLES)), 65536, in, burst, out, drawn(9) ? ROOM : 3);
         check(found);
         sent += found;
+#if SKIN_ADAPTIVE
+        found = sample(counts, (int64_t)now_ms * 1000000);
+        check(found);
+        sent += found;
+#endif
         now_ms += drawn(40);
         check(skin_pass_time(nodes, SKIN_BOARDS, now_ms, out, ROOM));
     }

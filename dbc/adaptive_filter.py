@@ -1,0 +1,130 @@
+"""The numbers of an adaptive board's filter, which the virtual nodes and the boards' C code share (docs/adaptive.md).
+
+Every coefficient runs a few exponential averages and a few g-h filters side by side (interacting multiple models, Blom
+and Bar-Shalom 1988). Each model's gain is constant, so its variances are known beforehand, in units of the noise's:
+
+* An average with gain g has the variance V = g / (2 - g), and its innovation 1 + V.
+* A g-h filter of fading memory θ has the gains 1 - θ² and (1 - θ)², and the variances of level V, of slope B, and
+  their covariance C below (Brookner 1998, table 1.10-2); its innovation has 1 + V + 2C + B.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from skin.clipping import clipped_mean
+
+Floats = npt.NDArray[np.float32]
+
+#: Time between two samples.
+SAMPLE_NS: Final = 1_000_000
+#: Exponents k of the averages' gains 2^-k: the first follows every jump.
+AVERAGES: Final = (0, 6, 8)
+#: Exponents k of the g-h filters' memories 1 - 2^-k.
+TRENDS: Final = (2, 3, 4, 5, 6)
+#: Innovation variance of the model that follows jumps: far more than noise, so that noise alone never prefers it.
+JUMP_VARIANCE: Final = 8.0
+#: Chance of a change of model in one sample, spread evenly over the others.
+SWITCHING: Final = 0.001
+#: No model's weight falls below.
+LEAST_WEIGHT: Final = 1e-9
+#: Samples that a forecast looks ahead: the way to an image takes so long.
+HORIZON: Final = 4.0
+
+LOG2_E: Final = np.float32(1.4426950408889634)
+#: exp(x) below is 0 for all that matters, and above has a normal exponent.
+LEAST_EXPONENT: Final = np.float32(-120.0)
+#: Polynomial of 2^f on 0 to 1 through its Chebyshev nodes, error below 2e-7.
+POWER: Final = tuple(map(np.float32, (0.9999999, 0.69315449, 0.24014182, 0.05586034, 0.00894959, 0.00189375)))
+
+#: What both halves of a patch that is twice as wide as high are weighed with.
+ROOT_HALF: Final = np.float32(0.5**0.5)
+#: A taxel below this part of its noise is shown as 0.
+DEAD_RATIO: Final = 0.4
+#: Clipping is undone up to so many standard deviations; above, it has no effect.
+UNCLIP_REACH: Final = 6.0
+#: Values of `unclip_table`.
+UNCLIP_POINTS: Final = 1024
+#: No offset below so many standard deviations is told from one at it.
+_LOWEST: Final = -2.0
+
+#: Samples of the untouched skin that a board learns from when it is switched on, and that its filter has then seen.
+IDLE_SAMPLES: Final = 2000
+SETTLING_SAMPLES: Final = 300
+#: Noise is looked at in means of so many samples, so that coloured and common noise show.
+SPANS: Final = (1, 4, 16)
+#: No noise is taken to be smaller, newtons: one count of the default skin.
+LEAST_NOISE_N: Final = 0.02e-3
+#: Noise that may be given (2032h, 2033h), besides 0 for the learned one, newtons, in REAL32.
+GIVEN_NOISE_N: Final = (float(np.float32(1e-9)), 1000.0)
+#: An idle taxel that reads more than clipped noise explains, by this ratio and so many counts, has an offset.
+OFFSET_RATIO: Final = 1.6
+OFFSET_COUNTS: Final = 3
+
+#: An offset follows this part of what is left in each sample, at most by so much, newtons: 3 mN a second.
+FOLLOWING: Final = 1 / 128
+RATE_N: Final = 3e-6
+#: An offset is followed while the taxel and its neighbours in the patch show less than this part of their noise.
+QUIET_RATIO: Final = 0.6
+#: An offset that falls so far below 0, in units of the noise, is not followed further: nothing is left to be read.
+LOWEST_RATIO: Final = -1.5
+#: Samples between two notes of the offsets. When a touch begins, what was followed since the last note but one is given
+#: back, because it may have been the touch.
+NOTE_SAMPLES: Final = 128
+#: Samples over which the size of the noise is looked at. It is believed so far: its logarithm moves by a quarter.
+WINDOW: Final = 256
+#: Noise that is clipped at 0 has a mean of 0.68 standard deviations, whatever its size; a taxel outside of these bounds
+#: is touched, or has an offset. The deviation is that of samples from the ones before, so that a touch that comes and
+#: goes is no noise; nor is coloured noise, of whose size nothing more is learned.
+IDLE_RATIOS: Final = (0.5, 0.9)
+#: Part of a node's taxels that have to be idle.
+IDLE_PART: Final = 0.5
+
+
+class Models(NamedTuple):
+    """The models, arrays of float32, shape (models,).
+
+    Attributes
+    ----------
+    gain, slope_gain : level and slope gain
+    half_precision : 1 / (2 S), S the variance of the innovation
+    log_spread : ½ ln S
+    variance : of the forecast, in units of the noise's
+    """
+
+    gain: Floats
+    slope_gain: Floats
+    half_precision: Floats
+    log_spread: Floats
+    variance: Floats
+
+
+def make_models(horizon: float) -> Models:
+    """Return the models for forecasts `horizon` samples ahead."""
+    rows = []
+    for exponent in AVERAGES:
+        gain = 2.0**-exponent
+        variance = gain / (2 - gain)
+        rows.append((gain, 0.0, JUMP_VARIANCE if exponent == 0 else 1 + variance, variance))
+    for exponent in TRENDS:
+        memory = 1 - 2.0**-exponent
+        fading, cubed = 1 - memory, (1 + memory) ** 3
+        level = fading * (5 + 4 * memory + memory**2) / cubed
+        shared = fading**2 * (3 + memory) / cubed
+        slope = 2 * fading**3 / cubed
+        forecast = level + 2 * horizon * shared + horizon**2 * slope
+        rows.append((1 - memory**2, fading**2, 1 + level + 2 * shared + slope, forecast))
+    gain, slope_gain, innovation, forecast = np.array(rows, np.float64).T
+    columns = (gain, slope_gain, 0.5 / innovation, 0.5 * np.log(innovation), forecast)
+    return Models(*(np.ascontiguousarray(each, np.float32) for each in columns))
+
+
+def unclip_table() -> Floats:
+    """Return m⁻¹, from -2 on, at evenly spaced readings from 0 to m(`UNCLIP_REACH`).
+
+    m is `skin.clipping.clipped_mean`.
+    """
+    force = np.linspace(_LOWEST, UNCLIP_REACH, 8 * UNCLIP_POINTS)
+    mean = clipped_mean(force)
+    return np.interp(np.linspace(0, mean[-1], UNCLIP_POINTS), mean, force).astype(np.float32)

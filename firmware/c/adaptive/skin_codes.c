@@ -1,0 +1,97 @@
+#include "skin_codes.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "skin_sums.h"
+
+#define CRC_8 0x2Fu
+#define FINE_BITS 7u
+#define FINE_MASK 0x7Fu
+
+/* Number of the `count` ascending values that are at most `value`. */
+static uint8_t rank_of(double value, const double *least, uint8_t count)
+{
+    uint8_t low = 0, high = count;
+
+    while (low < high) {
+        const uint8_t middle = (uint8_t)((low + high) / 2);
+
+        if (least[middle] <= value) {
+            low = (uint8_t)(middle + 1);
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+uint8_t skin_coarse_code(double sum_n, uint8_t place)
+{
+    if (place == 0) {
+        return rank_of(sum_n, skin_mean_least, SKIN_MEAN_CODES);
+    }
+    return sum_n < 0 ? (uint8_t)(SKIN_OTHER_CODES + 1 - rank_of(-sum_n, skin_other_least, SKIN_OTHER_CODES))
+                     : (uint8_t)(SKIN_OTHER_CODES + 1 + rank_of(sum_n, skin_other_least, SKIN_OTHER_CODES));
+}
+
+double skin_coarse_value(uint8_t code, uint8_t place)
+{
+    const int distance = code - (SKIN_OTHER_CODES + 1);
+
+    if (place == 0) {
+        return skin_mean_value[code];
+    }
+    /* Code 0 is never sent. */
+    return distance < 0 ? -skin_other_value[distance < -SKIN_OTHER_CODES ? SKIN_OTHER_CODES : -distance]
+                        : skin_other_value[distance];
+}
+
+double skin_coarse_step(double sum_n, uint8_t place)
+{
+    const double knee_n = place == 0 ? SKIN_MEAN_KNEE_N : SKIN_KNEE_N;
+
+    return sqrt(sum_n * sum_n + knee_n * knee_n) / (place == 0 ? SKIN_MEAN_SLOPE : SKIN_SLOPE);
+}
+
+int32_t skin_fine_steps(double sum_n)
+{
+    return (int32_t)rint(sum_n / SKIN_FINE_N);
+}
+
+uint8_t skin_check_of(const uint8_t *codes)
+{
+    uint8_t crc = 0xFF, place, bit;
+
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        crc = (uint8_t)(crc ^ codes[place]);
+        for (bit = 0; bit < 8; bit++) {
+            crc = (uint8_t)((crc << 1) ^ ((crc & 0x80u) != 0 ? CRC_8 : 0u));
+        }
+    }
+    return crc;
+}
+
+void skin_pack_fine(const int32_t *steps, uint8_t check, uint8_t *payload)
+{
+    uint8_t place;
+
+    memset(payload, 0, SKIN_GROUP_SUMS);
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        skin_put_bits(payload, (uint16_t)(FINE_BITS * place), (uint32_t)steps[place] & FINE_MASK, FINE_BITS);
+    }
+    payload[SKIN_GROUP_SUMS - 1] = check;
+}
+
+double skin_fine_value(const uint8_t *payload, uint8_t place, double coarse_n)
+{
+    const uint8_t bit = (uint8_t)(FINE_BITS * place);
+    const uint32_t two = payload[bit / 8u] | (uint32_t)payload[bit / 8u + 1u] << 8;
+    const int32_t near = skin_fine_steps(coarse_n);
+    int32_t away = (int32_t)(((two >> (bit % 8u)) - (uint32_t)near) & FINE_MASK);
+
+    if (away >= SKIN_FINE_REACH) {
+        away -= 2 * SKIN_FINE_REACH;
+    }
+    return (near + away) * SKIN_FINE_N;
+}

@@ -1,0 +1,41 @@
+/* Bytes of an adaptive board's sums: coarse and fine codes ("Frames" in docs/adaptive.md). Sums are newtons. */
+#ifndef SKIN_CODES_H
+#define SKIN_CODES_H
+
+#include "adaptive.h"
+
+#define SKIN_GROUPS 4
+#define SKIN_GROUP_SUMS 8
+#define SKIN_PATCH_SUMS 32 /* sums of a board, in the order of the frames; the first is that of all taxels */
+#define SKIN_LEVELS 6      /* of urgency, of coarse frames */
+#define SKIN_FINE_LEVELS 2
+#define SKIN_MEAN_CODES 255  /* highest code of the first sum */
+#define SKIN_OTHER_CODES 127 /* codes on each side of 0 of the others */
+#define SKIN_FINE_REACH 64   /* fine steps that seven bits tell on each side */
+#define SKIN_FINE_LIMIT 62   /* most fine steps from the coarse value that a frame is made for */
+#define SKIN_NO_CHECK (-1)   /* in place of a check: no coarse frame was sent */
+
+/* Least sums of the codes 1, 2, ...; values of the codes 0, 1, ... (of the others: 128, 129, ...). */
+extern const double skin_mean_least[SKIN_MEAN_CODES], skin_mean_value[SKIN_MEAN_CODES + 1];
+extern const double skin_other_least[SKIN_OTHER_CODES], skin_other_value[SKIN_OTHER_CODES + 1];
+
+/* Code of sum number `place` in a coarse frame, and the value of a code. */
+uint8_t skin_coarse_code(double sum_n, uint8_t place);
+double skin_coarse_value(uint8_t code, uint8_t place);
+
+/* Distance of neighbouring coarse values at a value. */
+double skin_coarse_step(double sum_n, uint8_t place);
+
+/* A sum in fine steps. */
+int32_t skin_fine_steps(double sum_n);
+
+/* CRC-8 of eight coarse codes. */
+uint8_t skin_check_of(const uint8_t *codes);
+
+/* Write eight fine codes: the low seven bits of each number of steps, then the check. */
+void skin_pack_fine(const int32_t *steps, uint8_t check, uint8_t *payload);
+
+/* Value of sum `place` of a group in a fine frame: of all numbers with the sent bits that nearest to the coarse value. */
+double skin_fine_value(const uint8_t *payload, uint8_t place, double coarse_n);
+
+#endif

@@ -1,0 +1,390 @@
+#include "skin_filter.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Polynomial of 2^f for f from 0 to 1. */
+static const float power[] = SKIN_POWER;
+
+static float least_of(float one, float other)
+{
+    return one < other ? one : other;
+}
+
+static float most_of(float one, float other)
+{
+    return one > other ? one : other;
+}
+
+/* Mix, predict and update all models; write how surprised each is. */
+static void update(skin_tracks *tracks, const float *sample, float surprise[][SKIN_PATCH])
+{
+    const float change = SKIN_CHANGE, keep = SKIN_STAY - SKIN_CHANGE;
+    float level_mean[SKIN_PATCH] = {0}, slope_mean[SKIN_PATCH] = {0};
+    uint8_t model, c;
+
+    for (model = 0; model < SKIN_FILTERS; model++) {
+        const float *level = tracks->level[model], *weight = tracks->weight[model];
+
+        for (c = 0; c < SKIN_PATCH; c++) {
+            level_mean[c] += weight[c] * level[c];
+        }
+        if (model >= SKIN_AVERAGES) {
+            const float *slope = tracks->slope[model - SKIN_AVERAGES];
+
+            for (c = 0; c < SKIN_PATCH; c++) {
+                slope_mean[c] += weight[c] * slope[c];
+            }
+        }
+    }
+    for (model = 0; model < SKIN_FILTERS; model++) {
+        float *level = tracks->level[model], *weight = tracks->weight[model];
+        const float gain = skin_gain[model], slope_gain = skin_slope_gain[model];
+        const float half_precision = skin_half_precision[model], log_spread = skin_log_spread[model];
+        float mixed_slope[SKIN_PATCH] = {0}, kept[SKIN_PATCH], scale[SKIN_PATCH];
+
+        for (c = 0; c < SKIN_PATCH; c++) {
+            kept[c] = keep * weight[c];
+            weight[c] = change + kept[c];
+            scale[c] = 1.0f / weight[c];
+        }
+        if (model >= SKIN_AVERAGES) {
+            const float *slope = tracks->slope[model - SKIN_AVERAGES];
+
+            for (c = 0; c < SKIN_PATCH; c++) {
+                mixed_slope[c] = (change * slope_mean[c] + kept[c] * slope[c]) * scale[c];
+            }
+        }
+        for (c = 0; c < SKIN_PATCH; c++) {
+            const float predicted = (change * level_mean[c] + kept[c] * level[c]) * scale[c] + mixed_slope[c];
+            const float innovation = sample[c] - predicted;
+
+            level[c] = predicted + gain * innovation;
+            mixed_slope[c] += slope_gain * innovation;
+            surprise[model][c] = innovation * innovation * half_precision + log_spread;
+        }
+        if (model >= SKIN_AVERAGES) {
+            memcpy(tracks->slope[model - SKIN_AVERAGES], mixed_slope, sizeof mixed_slope);
+        }
+    }
+}
+
+/* Multiply the weights by the likelihoods exp(-surprise), relative to the likeliest, and make their sum 1. */
+static void weigh(skin_tracks *tracks, float surprise[][SKIN_PATCH])
+{
+    float least[SKIN_PATCH], total[SKIN_PATCH] = {0}, scale[SKIN_PATCH];
+    int32_t bits[SKIN_PATCH];
+    uint8_t model, c;
+
+    memcpy(least, surprise[0], sizeof least);
+    for (model = 1; model < SKIN_FILTERS; model++) {
+        for (c = 0; c < SKIN_PATCH; c++) {
+            least[c] = least_of(surprise[model][c], least[c]);
+        }
+    }
+    for (model = 0; model < SKIN_FILTERS; model++) {
+        float *weight = tracks->weight[model];
+
+        for (c = 0; c < SKIN_PATCH; c++) {
+            /* 2^x as exponent bits times a polynomial. */
+            const float exponent = most_of((least[c] - surprise[model][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT);
+            const int32_t cut = (int32_t)exponent, whole = cut - ((float)cut > exponent);
+            const float f = exponent - (float)whole;
+            const float high = power[2] + f * (power[3] + f * (power[4] + f * power[5]));
+
+            bits[c] = (whole + 127) * (1 << 23);
+            scale[c] = power[0] + f * (power[1] + f * high);
+        }
+        for (c = 0; c < SKIN_PATCH; c++) {
+            float two_to;
+
+            memcpy(&two_to, &bits[c], sizeof two_to);
+            weight[c] *= scale[c] * two_to;
+            total[c] += weight[c];
+        }
+    }
+    for (model = 0; model < SKIN_FILTERS; model++) {
+        for (c = 0; c < SKIN_PATCH; c++) {
+            tracks->weight[model][c] = most_of(tracks->weight[model][c] / total[c], SKIN_LEAST_WEIGHT);
+        }
+    }
+}
+
+/* Take one sample of every coefficient, in units of its noise; write forecasts, and their variances. */
+static void step(skin_tracks *tracks, const float *sample, float *forecast, float *variance)
+{
+    float surprise[SKIN_FILTERS][SKIN_PATCH];
+    uint8_t model, c;
+
+    update(tracks, sample, surprise);
+    weigh(tracks, surprise);
+    for (c = 0; c < SKIN_PATCH; c++) {
+        forecast[c] = variance[c] = 0;
+    }
+    for (model = 0; model < SKIN_FILTERS; model++) {
+        const float *level = tracks->level[model], *weight = tracks->weight[model];
+        const float spread = skin_forecast_variance[model];
+
+        for (c = 0; c < SKIN_PATCH; c++) {
+            variance[c] += weight[c] * spread;
+        }
+        if (model < SKIN_AVERAGES) {
+            for (c = 0; c < SKIN_PATCH; c++) {
+                forecast[c] += weight[c] * level[c];
+            }
+        } else {
+            const float *slope = tracks->slope[model - SKIN_AVERAGES];
+
+            for (c = 0; c < SKIN_PATCH; c++) {
+                forecast[c] += weight[c] * (level[c] + SKIN_HORIZON * slope[c]);
+            }
+        }
+    }
+}
+
+/* Undo the bias of clipping at 0 in place. */
+static void unclip(float *force_n, const float *noise_n)
+{
+    const float last = SKIN_UNCLIP_POINTS - 1;
+    uint8_t c;
+
+    for (c = 0; c < SKIN_PATCH; c++) {
+        const float reading = force_n[c] / noise_n[c], at = reading * SKIN_UNCLIP_SCALE;
+        const float place = most_of(0.0f, least_of(at, last));
+        const int32_t low = (int32_t)least_of(place, last - 1.0f);
+        const float part = place - (float)low;
+        const float unclipped = skin_unclip[low] + part * (skin_unclip[low + 1] - skin_unclip[low]);
+
+        force_n[c] = noise_n[c] * (at < last ? unclipped : reading);
+    }
+}
+
+/* Take the offsets from the forces, in place, and follow them where a taxel and its neighbours are quiet. Where a touch
+ * begins, what was new is given back.
+ */
+static void follow(skin_filter *filter, float *force_n)
+{
+    uint8_t is_quiet[SKIN_PATCH], place;
+    int8_t row, column, down, across;
+
+    for (place = 0; place < SKIN_PATCH; place++) {
+        force_n[place] -= filter->offset_n[place];
+        is_quiet[place] = force_n[place] < SKIN_QUIET_RATIO * filter->taxel_n[place];
+    }
+    for (place = 0; place < SKIN_PATCH; place++) {
+        uint8_t follows = 1;
+
+        row = (int8_t)(place / SKIN_PATCH_WIDE);
+        column = (int8_t)(place % SKIN_PATCH_WIDE);
+        for (down = (int8_t)(row - 1); down <= row + 1; down++) {
+            for (across = (int8_t)(column - 1); across <= column + 1; across++) {
+                if (0 <= down && down < SKIN_PATCH_HIGH && 0 <= across && across < SKIN_PATCH_WIDE) {
+                    follows &= is_quiet[SKIN_PATCH_WIDE * down + across];
+                }
+            }
+        }
+        if (follows != 0) {
+            const float change = least_of(SKIN_RATE_N, most_of(-SKIN_RATE_N, SKIN_FOLLOWING * force_n[place]));
+
+            filter->offset_n[place] =
+                most_of(SKIN_LOWEST_RATIO * filter->taxel_n[place], filter->offset_n[place] + change);
+        } else if (filter->was_followed[place] != 0) {
+            filter->offset_n[place] = filter->noted_n[place] = filter->older_n[place];
+        }
+        filter->was_followed[place] = follows;
+    }
+}
+
+/* Look at raw samples; every SKIN_WINDOW samples return by what to multiply the noise, else 0. */
+static float judge(skin_filter *filter)
+{
+    float ratios[SKIN_PATCH], median;
+    uint8_t c, idle = 0, place;
+
+    if (++filter->in_window < SKIN_WINDOW) {
+        return 0;
+    }
+    filter->in_window = 0;
+    for (c = 0; c < SKIN_PATCH; c++) {
+        const float mean = filter->total_n[c] / (float)SKIN_WINDOW;
+        const float deviation = sqrtf(filter->square_n2[c] / (float)(2 * SKIN_WINDOW));
+
+        filter->total_n[c] = filter->square_n2[c] = 0;
+        if (deviation > 0 && SKIN_IDLE_LOW * deviation < mean && mean < SKIN_IDLE_HIGH * deviation) {
+            const float ratio = deviation / ((float)SKIN_IDLE_DEVIATION * filter->learned_taxel_n[c]);
+
+            for (place = idle++; place > 0 && ratios[place - 1] > ratio; place--) { /* in ascending order */
+                ratios[place] = ratios[place - 1];
+            }
+            ratios[place] = ratio;
+        }
+    }
+    if (idle == 0 || (float)idle < SKIN_IDLE_PART * SKIN_PATCH) {
+        return 1;
+    }
+    median = idle % 2 != 0 ? ratios[idle / 2] : (ratios[idle / 2 - 1] + ratios[idle / 2]) * 0.5f;
+    return sqrtf(sqrtf(median));
+}
+
+/* Find the noise in use; levels and slopes are in units of the coefficients' noise. */
+static void use(skin_filter *filter)
+{
+    skin_tracks *tracks = &filter->u.tracks;
+    double square = 0;
+    uint8_t c, model;
+
+    for (c = 0; c < SKIN_PATCH; c++) {
+        const float before_n = filter->coefficient_n[c];
+        float ratio;
+
+        filter->taxel_n[c] = filter->given_taxel_n[c] > 0 ? filter->given_taxel_n[c] : filter->learned_taxel_n[c];
+        filter->coefficient_n[c] =
+            filter->given_coefficient_n[c] > 0 ? filter->given_coefficient_n[c] : filter->learned_coefficient_n[c];
+        square += (double)filter->coefficient_n[c] * (double)filter->coefficient_n[c];
+        ratio = filter->coefficient_n[c] / before_n;
+        for (model = 0; model < SKIN_FILTERS; model++) {
+            tracks->level[model][c] /= ratio;
+            if (model >= SKIN_AVERAGES) {
+                tracks->slope[model - SKIN_AVERAGES][c] /= ratio;
+            }
+        }
+    }
+    filter->noise_n = sqrt(square / SKIN_PATCH);
+}
+
+void skin_filter_begin(skin_filter *filter)
+{
+    memset(filter, 0, sizeof *filter);
+    memset(filter->was_followed, 1, sizeof filter->was_followed);
+}
+
+/* Go over from learning to filtering. */
+static void begin_tracks(skin_filter *filter)
+{
+    skin_tracks *tracks = &filter->u.tracks;
+    uint8_t model, c;
+
+    skin_learned_noise(filter);
+    memcpy(filter->taxel_n, filter->learned_taxel_n, sizeof filter->taxel_n);
+    memcpy(filter->coefficient_n, filter->learned_coefficient_n, sizeof filter->coefficient_n);
+    for (c = 0; c < SKIN_PATCH; c++) {
+        for (model = 0; model < SKIN_FILTERS; model++) {
+            tracks->level[model][c] = 0;
+            tracks->weight[model][c] = 1.0f / SKIN_FILTERS;
+            if (model >= SKIN_AVERAGES) {
+                tracks->slope[model - SKIN_AVERAGES][c] = 0;
+            }
+        }
+    }
+    use(filter);
+}
+
+void skin_filter_give(skin_filter *filter)
+{
+    if (filter->taken >= SKIN_IDLE_SAMPLES) {
+        use(filter);
+    }
+}
+
+/* Filter one sample, newtons, which is overwritten. */
+static void take(skin_filter *filter, float *sample_n)
+{
+    float coefficients[SKIN_PATCH], forecast[SKIN_PATCH];
+    float scale;
+    uint8_t c;
+
+    for (c = 0; c < SKIN_PATCH; c++) {
+        const float left_n = sample_n[c] - filter->idle_offset_n[c], change_n = left_n - filter->last_n[c];
+
+        filter->square_n2[c] += change_n * change_n;
+        filter->total_n[c] += left_n;
+        filter->last_n[c] = sample_n[c] = left_n;
+    }
+    skin_to_haar(sample_n, coefficients);
+    for (c = 0; c < SKIN_PATCH; c++) {
+        coefficients[c] /= filter->coefficient_n[c];
+    }
+    step(&filter->u.tracks, coefficients, forecast, filter->variance);
+    for (c = 0; c < SKIN_PATCH; c++) {
+        coefficients[c] = forecast[c] * filter->coefficient_n[c];
+    }
+    skin_from_haar(coefficients, sample_n);
+    unclip(sample_n, filter->taxel_n);
+    follow(filter, sample_n);
+    for (c = 0; c < SKIN_PATCH; c++) {
+        sample_n[c] = sample_n[c] < SKIN_DEAD_RATIO * filter->taxel_n[c] ? 0 : sample_n[c];
+    }
+    if (++filter->since_note == SKIN_NOTE_SAMPLES) {
+        filter->since_note = 0;
+        memcpy(filter->older_n, filter->noted_n, sizeof filter->older_n);
+        memcpy(filter->noted_n, filter->offset_n, sizeof filter->noted_n);
+    }
+    scale = judge(filter);
+    if (scale > 0) {
+        for (c = 0; c < SKIN_PATCH; c++) {
+            filter->learned_taxel_n[c] *= scale;
+            filter->learned_coefficient_n[c] *= scale;
+        }
+        use(filter);
+    }
+}
+
+/* The Walsh sums of `value`, which is overwritten. */
+static void to_walsh(float *value, float *sums)
+{
+    uint8_t half, first, place;
+
+    for (half = 1; half < SKIN_PATCH; half = (uint8_t)(2 * half)) {
+        for (first = 0; first < SKIN_PATCH; first = (uint8_t)(first + 2 * half)) {
+            for (place = first; place < first + half; place++) {
+                const float above = value[place], below = value[place + half];
+
+                value[place] = above + below;
+                value[place + half] = above - below;
+            }
+        }
+    }
+    for (place = 0; place < SKIN_PATCH_SUMS; place++) {
+        sums[place] = value[skin_row_of_sum[place]];
+    }
+}
+
+int skin_filter_take(skin_filter *filter, const uint16_t *counts)
+{
+    float sample_n[SKIN_PATCH];
+    uint8_t c;
+
+    for (c = 0; c < SKIN_PATCH; c++) {
+        sample_n[c] = (float)counts[c] * (float)SKIN_NEWTON_PER_COUNT;
+    }
+    if (filter->taken < SKIN_IDLE_SAMPLES) {
+        filter->taken++;
+        skin_learn_idle(&filter->u.idle, filter->taken, sample_n);
+        if (filter->taken == SKIN_IDLE_SAMPLES) {
+            begin_tracks(filter);
+        }
+        return 0;
+    }
+    take(filter, sample_n);
+    to_walsh(sample_n, filter->sums_n);
+    if (filter->taken < SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES) {
+        filter->taken++;
+        return filter->taken == SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES;
+    }
+    return 1;
+}
+
+void skin_filter_variance(const skin_filter *filter, float *variance_n2)
+{
+    uint8_t place, c;
+
+    for (place = 0; place < SKIN_PATCH_SUMS; place++) {
+        const uint8_t first = skin_band_of_sum[place], count = skin_band_size[place];
+        float total = 0;
+
+        for (c = first; c < first + count; c++) {
+            total += filter->variance[c] * (filter->coefficient_n[c] * filter->coefficient_n[c]);
+        }
+        variance_n2[place] = total * (float)(SKIN_PATCH / count);
+    }
+}

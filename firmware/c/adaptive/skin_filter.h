@@ -1,0 +1,75 @@
+/* From the samples of a patch to its sums: noise that is learned and filtered away, clipping undone, drifts followed
+ * ("What a board computes each millisecond" in docs/adaptive.md).
+ *
+ * All arithmetic on forces is binary32, every operation rounded as written: compile without -ffast-math and with
+ * -ffp-contract=off. One sample takes about 8,000 operations: a floating point unit is needed.
+ */
+#ifndef SKIN_FILTER_H
+#define SKIN_FILTER_H
+
+#include "skin_codes.h"
+
+#define SKIN_PATCH_HIGH 4
+#define SKIN_PATCH_WIDE 8
+#define SKIN_PATCH 32 /* taxels, row by row */
+#define SKIN_SPANS 3  /* lengths of the means in which noise is looked at: 1, 4 and 16 samples */
+
+/* What is learned of an untouched patch at power-up. */
+typedef struct {
+    double sum[SKIN_PATCH], square[SKIN_PATCH];
+    double partial[SKIN_SPANS][SKIN_PATCH], mean[SKIN_SPANS][SKIN_PATCH], mean_square[SKIN_SPANS][SKIN_PATCH];
+} skin_idle;
+
+/* Every Haar coefficient runs all models; averages have no slope. */
+typedef struct {
+    float level[SKIN_FILTERS][SKIN_PATCH], slope[SKIN_FILTERS - SKIN_AVERAGES][SKIN_PATCH];
+    float weight[SKIN_FILTERS][SKIN_PATCH];
+} skin_tracks;
+
+typedef struct {
+    union { /* learning ends before filtering begins */
+        skin_idle idle;
+        skin_tracks tracks;
+    } u;
+    uint16_t taken; /* samples since power-up, at most SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES */
+    float idle_offset_n[SKIN_PATCH];
+    float learned_taxel_n[SKIN_PATCH], learned_coefficient_n[SKIN_PATCH];
+    float given_taxel_n[SKIN_PATCH], given_coefficient_n[SKIN_PATCH]; /* 2033h and 2032h as written; 0: learned */
+    float taxel_n[SKIN_PATCH], coefficient_n[SKIN_PATCH];             /* in use */
+    double noise_n;                                                   /* 2035h: root mean square of coefficient_n */
+    float offset_n[SKIN_PATCH], noted_n[SKIN_PATCH], older_n[SKIN_PATCH];
+    uint8_t was_followed[SKIN_PATCH];
+    uint16_t since_note, in_window;
+    float total_n[SKIN_PATCH], square_n2[SKIN_PATCH], last_n[SKIN_PATCH];
+    float variance[SKIN_PATCH]; /* of the forecast of each coefficient, in units of its noise's */
+    float sums_n[SKIN_PATCH_SUMS];
+} skin_filter;
+
+extern const float skin_gain[SKIN_FILTERS], skin_slope_gain[SKIN_FILTERS], skin_half_precision[SKIN_FILTERS],
+    skin_log_spread[SKIN_FILTERS], skin_forecast_variance[SKIN_FILTERS];
+extern const float skin_unclip[SKIN_UNCLIP_POINTS];
+/* Hadamard row of each sum; first coefficient and number of coefficients whose variances make up that of the sum. */
+extern const uint8_t skin_row_of_sum[SKIN_PATCH_SUMS], skin_band_of_sum[SKIN_PATCH_SUMS], skin_band_size[SKIN_PATCH_SUMS];
+
+/* Begin at power-up: nothing is known of the noise. */
+void skin_filter_begin(skin_filter *filter);
+
+/* Take one sample, corrected counts of all taxels; afterwards sums_n are those of now.
+ *
+ * Returns 0 while the board learns its noise and its filter settles: nothing may touch the patch, and there are no sums.
+ */
+int skin_filter_take(skin_filter *filter, const uint16_t *counts);
+
+/* Use given_taxel_n and given_coefficient_n from now on. */
+void skin_filter_give(skin_filter *filter);
+
+/* Write the variance of each sum, newtons squared. */
+void skin_filter_variance(const skin_filter *filter, float *variance_n2);
+
+/* Between the parts of the filter. */
+void skin_to_haar(float *value, float *coefficients);
+void skin_from_haar(const float *coefficients, float *value);
+void skin_learn_idle(skin_idle *idle, uint16_t count, const float *sample_n);
+void skin_learned_noise(skin_filter *filter);
+
+#endif

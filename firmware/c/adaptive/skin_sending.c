@@ -1,0 +1,340 @@
+#include "skin_sending.h"
+
+#include <math.h>
+#include <string.h>
+
+#define LONG_AGO (-((int64_t)1 << 30))
+#define NEVER ((int64_t)1 << 60)
+
+void skin_groups_forget(skin_groups *all, uint8_t is_fd)
+{
+    uint8_t group;
+
+    memset(all, 0, sizeof *all);
+    all->is_fd = is_fd;
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        skin_group *each = &all->groups[group];
+
+        each->since = -1;
+        each->sent_at = LONG_AGO;
+        each->refresh_at = NEVER;
+        each->check = SKIN_NO_CHECK;
+        each->level = SKIN_SILENT;
+    }
+}
+
+void skin_ask(skin_groups *all, uint8_t group, int64_t now)
+{
+    skin_group *each = &all->groups[group];
+
+    each->is_wanted = 1;
+    each->refresh_at = now;
+    each->refreshes = each->refreshes < 1 ? 1 : each->refreshes;
+}
+
+/* Tell whether a fine frame can tell all sums of a group: it refines the newest coarse codes, with CAN FD its own. */
+static int is_in_reach(const skin_groups *all, uint8_t group, const float *sums_n)
+{
+    uint8_t place;
+
+    if (all->groups[group].check == SKIN_NO_CHECK && !all->is_fd) {
+        return 0;
+    }
+    for (place = (uint8_t)(SKIN_GROUP_SUMS * group); place < SKIN_GROUP_SUMS * (group + 1); place++) {
+        const double now_n = sums_n[place];
+        const double coarse_n =
+            all->is_fd ? skin_coarse_value(skin_coarse_code(now_n, place), place) : all->coarse_n[place];
+        const int32_t apart = skin_fine_steps(now_n) - skin_fine_steps(coarse_n);
+
+        if (apart > SKIN_FINE_LIMIT || apart < -SKIN_FINE_LIMIT) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* Level of news; the highest is for what waited, so that no motion of others holds it back for ever. */
+static int8_t urgency(double ratio, int64_t waited, const skin_rule *rule)
+{
+    double level;
+
+    if (waited >= rule->patience) {
+        return SKIN_LEVELS - 1;
+    }
+    level = (log2(ratio) + (double)waited / rule->doubling) / rule->level_ratio;
+    return (int8_t)(level < SKIN_LEVELS - 2 ? level : SKIN_LEVELS - 2);
+}
+
+/* What a group asks for by time: a refresh. */
+static int is_refresh_due(const skin_group *each, int64_t now)
+{
+    return each->refreshes > 0 && now >= each->refresh_at;
+}
+
+static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *sums_n, const float *variance_n2,
+                    double noise_n2, const skin_rule *rule)
+{
+    skin_group *each = &all->groups[group];
+    const uint8_t first = (uint8_t)(SKIN_GROUP_SUMS * group);
+    const int64_t wait = now - each->sent_at;
+    const double bound_n = rule->rounding * SKIN_FINE_N;
+    double coarse_n2 = 0, fine_n2 = 0, variance = 0, threshold_n2;
+    uint8_t place;
+
+    each->level = SKIN_SILENT;
+    each->reason = SKIN_NEWS;
+    each->is_fine = 0;
+    for (place = first; place < first + SKIN_GROUP_SUMS; place++) {
+        const double now_n = sums_n[place], known_n = all->known_n[place], error_n = now_n - known_n;
+
+        variance += variance_n2[place];
+        if (fabs(error_n) <= bound_n) {
+            continue; /* less than the least coarse step, too */
+        }
+        fine_n2 += error_n * error_n;
+        if (fabs(error_n) > rule->rounding * skin_coarse_step(known_n, place) &&
+            skin_coarse_code(now_n, place) != skin_coarse_code(known_n, place)) {
+            coarse_n2 += error_n * error_n;
+        }
+    }
+    threshold_n2 = noise_n2 + rule->variance_ratio * variance;
+    if (coarse_n2 > threshold_n2) {
+        if (each->since < 0) {
+            each->since = now;
+        }
+        if (wait >= rule->inhibit) {
+            each->level = urgency(coarse_n2 / threshold_n2, now - each->since, rule);
+        }
+        if (each->is_wanted != 0) {
+            each->reason = SKIN_REPEATED; /* what was asked for is sent whatever the budget */
+        }
+        return;
+    }
+    each->since = -1;
+    if (is_refresh_due(each, now)) {
+        const int64_t overdue = (now - each->refresh_at) / rule->overdue;
+
+        each->level = (int8_t)(overdue < SKIN_LEVELS - 1 ? overdue : SKIN_LEVELS - 1);
+        each->reason = SKIN_REPEATED;
+        /* With CAN FD a fine frame has the coarse codes, too: there is no turn to take. A fine frame knows no higher
+         * level: a refresh that waits longer is coarse, whoever's turn it is.
+         */
+        each->is_fine = (each->fine_turn != 0 || all->is_fd) && each->is_wanted == 0 &&
+                        each->level < SKIN_FINE_LEVELS && is_in_reach(all, group, sums_n);
+    } else if (wait >= rule->fine_wait && fine_n2 > rule->fine_ratio * noise_n2 + rule->variance_ratio * variance &&
+               is_in_reach(all, group, sums_n)) {
+        each->level = 0;
+        each->reason = SKIN_DETAIL;
+        each->is_fine = 1;
+    }
+}
+
+void skin_look(skin_groups *all, int64_t now, const float *sums_n, const float *variance_n2, double noise_n,
+               const skin_rule *rule)
+{
+    const double part_n = rule->noise_ratio * noise_n;
+    uint8_t group;
+
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        if (all->groups[group].held_until == 0) {
+            look_at(all, group, now, sums_n, variance_n2, SKIN_GROUP_SUMS * SKIN_PATCH_SUMS * (part_n * part_n), rule);
+        }
+    }
+}
+
+uint8_t skin_tpdo_of(const skin_groups *all, uint8_t group)
+{
+    const skin_group *each = &all->groups[group];
+    const int level = each->is_fine && each->level > SKIN_FINE_LEVELS - 1 ? SKIN_FINE_LEVELS - 1 : each->level;
+    const int kind = (each->is_fine ? SKIN_KINDS : SKIN_LEVELS) - 1 - level;
+
+    return (uint8_t)(all->is_fd ? kind : SKIN_GROUPS * kind + group);
+}
+
+uint8_t skin_group_of(const skin_groups *all, uint8_t tpdo)
+{
+    return (uint8_t)(all->is_fd ? 0 : tpdo % SKIN_GROUPS);
+}
+
+uint8_t skin_is_fine(const skin_groups *all, uint8_t tpdo)
+{
+    return (all->is_fd ? tpdo : tpdo / SKIN_GROUPS) >= SKIN_LEVELS;
+}
+
+static void make_coarse(uint8_t group, const float *sums_n, uint8_t *payload)
+{
+    uint8_t place;
+
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        const uint8_t sum = (uint8_t)(SKIN_GROUP_SUMS * group + place);
+
+        payload[place] = skin_coarse_code(sums_n[sum], sum);
+    }
+}
+
+/* Write the fine payload of a group; `coarse` holds the codes of the same CAN FD frame. With CAN FD all groups are refined as
+ * soon as one has details: a sum out of reach is brought as near as the reach allows.
+ */
+static void make_fine(const skin_groups *all, uint8_t group, const float *sums_n, const uint8_t *coarse,
+                      uint8_t *payload)
+{
+    int32_t steps[SKIN_GROUP_SUMS];
+    uint8_t place;
+
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        const uint8_t sum = (uint8_t)(SKIN_GROUP_SUMS * group + place);
+
+        steps[place] = skin_fine_steps(sums_n[sum]);
+        if (all->is_fd) {
+            const int32_t near = skin_fine_steps(skin_coarse_value(coarse[place], sum));
+            const int32_t least = near - SKIN_FINE_LIMIT, most = near + SKIN_FINE_LIMIT;
+
+            steps[place] = steps[place] < least ? least : steps[place] > most ? most : steps[place];
+        }
+    }
+    skin_pack_fine(steps, all->is_fd ? skin_check_of(coarse) : (uint8_t)all->groups[group].check, payload);
+}
+
+static uint8_t is_zero(uint8_t group, const float *sums_n)
+{
+    uint8_t place, found = 1;
+
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        found &= sums_n[SKIN_GROUP_SUMS * group + place] == 0;
+    }
+    return found;
+}
+
+uint8_t skin_make_payload(skin_groups *all, uint8_t group, const float *sums_n, uint8_t *payload)
+{
+    const uint8_t is_fine = all->groups[group].is_fine;
+    uint8_t each;
+
+    if (!all->is_fd) {
+        if (is_fine) {
+            make_fine(all, group, sums_n, NULL, payload);
+            all->groups[group].is_zero = is_zero(group, sums_n);
+        } else {
+            make_coarse(group, sums_n, payload);
+        }
+        return SKIN_GROUP_SUMS;
+    }
+    for (each = 0; each < SKIN_GROUPS; each++) {
+        make_coarse(each, sums_n, &payload[SKIN_GROUP_SUMS * each]);
+    }
+    for (each = 0; is_fine && each < SKIN_GROUPS; each++) {
+        make_fine(all, each, sums_n, &payload[SKIN_GROUP_SUMS * each], &payload[SKIN_GROUP_SUMS * (SKIN_GROUPS + each)]);
+        all->groups[each].is_zero = is_zero(each, sums_n);
+    }
+    return (uint8_t)(is_fine ? 2 * SKIN_PATCH_SUMS : SKIN_PATCH_SUMS);
+}
+
+void skin_present_codes(const skin_groups *all, const float *sums_n, uint8_t *coarse, uint8_t *fine)
+{
+    uint8_t group;
+
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        make_coarse(group, sums_n, &coarse[SKIN_GROUP_SUMS * group]);
+        make_fine(all, group, sums_n, &coarse[SKIN_GROUP_SUMS * group], &fine[SKIN_GROUP_SUMS * group]);
+    }
+}
+
+/* Hold the sums of a coarse payload: a finer value that the code does not contradict stays. */
+static void hold_coarse(skin_groups *all, uint8_t group, const uint8_t *payload)
+{
+    uint8_t place;
+
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        const uint8_t sum = (uint8_t)(SKIN_GROUP_SUMS * group + place);
+        const double value_n = skin_coarse_value(payload[place], sum);
+
+        if (all->groups[group].check == SKIN_NO_CHECK || value_n == 0 ||
+            skin_coarse_code(all->known_n[sum], sum) != payload[place]) {
+            all->known_n[sum] = value_n;
+        }
+        all->coarse_n[sum] = value_n;
+    }
+    all->groups[group].check = skin_check_of(payload);
+}
+
+static void hold_fine(skin_groups *all, uint8_t group, const uint8_t *payload)
+{
+    uint8_t place;
+
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        const uint8_t sum = (uint8_t)(SKIN_GROUP_SUMS * group + place);
+
+        all->known_n[sum] = skin_fine_value(payload, place, all->coarse_n[sum]);
+    }
+}
+
+static void plan_refresh(const skin_groups *all, skin_group *each, int64_t now, uint8_t is_fine, int is_at_zero,
+                         const skin_rule *rule)
+{
+    uint8_t reason = each->reason;
+
+    if (is_fine && each->is_wanted != 0 && !all->is_fd) {
+        return; /* the coarse frame was asked for while this one was under way */
+    }
+    if (all->is_fd && each->refresh_after == 0) {
+        reason = SKIN_NEWS; /* the first frame that carries the group */
+    } else if (all->is_fd && each->level == SKIN_SILENT && each->since < 0) {
+        reason = SKIN_DETAIL; /* the group had no news: the frame was sent for another one */
+    }
+    if (reason == SKIN_NEWS || each->is_wanted != 0) {
+        each->is_wanted = 0;
+        each->refresh_after = rule->refresh;
+        each->refreshes = rule->zero_refreshes;
+        each->fine_turn = 0;
+    } else if (reason == SKIN_REPEATED) {
+        each->refresh_after *= 2;
+        each->refresh_after = each->refresh_after < rule->refresh_max ? each->refresh_after : rule->refresh_max;
+        each->refreshes--;
+        each->refreshes = each->refreshes < rule->zero_refreshes ? each->refreshes : rule->zero_refreshes;
+        each->fine_turn = !each->fine_turn;
+    }
+    if (!is_at_zero) {
+        each->refreshes = NEVER;
+    }
+    if (reason != SKIN_DETAIL || !is_fine || all->is_fd) {
+        each->refresh_at = now + each->refresh_after;
+    }
+}
+
+static int is_coarse_zero(const skin_groups *all, uint8_t group)
+{
+    uint8_t place;
+
+    for (place = 0; place < SKIN_GROUP_SUMS; place++) {
+        if (all->coarse_n[SKIN_GROUP_SUMS * group + place] != 0) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+void skin_note_sent(skin_groups *all, uint8_t tpdo, int64_t now, const skin_rule *rule, const uint8_t *payload)
+{
+    const uint8_t is_fine = skin_is_fine(all, tpdo), of_frame = skin_group_of(all, tpdo);
+    const uint8_t end = (uint8_t)(all->is_fd ? SKIN_GROUPS : of_frame + 1);
+    uint8_t group;
+
+    if (!all->is_fd && is_fine && all->groups[of_frame].check != payload[SKIN_GROUP_SUMS - 1]) {
+        return; /* it refines another coarse frame */
+    }
+    for (group = of_frame; group < end; group++) {
+        skin_group *each = &all->groups[group];
+        const uint8_t *coarse = all->is_fd ? &payload[SKIN_GROUP_SUMS * group] : payload;
+
+        if (all->is_fd || !is_fine) {
+            hold_coarse(all, group, coarse);
+        }
+        if (is_fine) {
+            hold_fine(all, group, all->is_fd ? &payload[SKIN_PATCH_SUMS + SKIN_GROUP_SUMS * group] : payload);
+        }
+        plan_refresh(all, each, now, is_fine, is_fine ? each->is_zero : is_coarse_zero(all, group), rule);
+        each->sent_at = now;
+        each->since = -1;
+        each->level = SKIN_SILENT;
+    }
+}

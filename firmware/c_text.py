@@ -1,0 +1,26 @@
+"""Parts of generated C texts."""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+#: Mark of generated files.
+WRITTEN: Final = "Written by `skin export firmware`: do not edit."
+_PER_LINE: Final = 16
+
+
+def array(kind: str, name: str, numbers: Iterable[object], *, per_line: int = _PER_LINE) -> list[str]:
+    """Return the lines of the definition of an array; `kind` is the type of its elements with its qualifiers."""
+    texts = [str(number) for number in numbers]
+    lines = [f"    {', '.join(texts[at : at + per_line])}," for at in range(0, len(texts), per_line)]
+    return [f"{kind} {name}[] = {{", *lines, "};"]
+
+
+def header(mark: str, comment: str, lines: Sequence[str]) -> str:
+    """Return the text of a header whose include guard is `mark`."""
+    parts = [f"/* {comment} {WRITTEN} */", f"#ifndef {mark}", f"#define {mark}", "", *lines, "", "#endif", ""]
+    return "\n".join(parts)
+
+
+def defined(values: dict[str, tuple[object, str]]) -> list[str]:
+    """Return a line for each macro: its value, and what it means."""
+    return [f"#define {name} {value} /* {meaning} */" for name, (value, meaning) in values.items()]

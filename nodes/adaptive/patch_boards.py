@@ -1,0 +1,154 @@
+"""The adaptive boards of a process by their clock: all sample in one pass a millisecond, and decide once in a pass."""
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from dbc.adaptive_filter import SAMPLE_NS, Floats
+from dbc.contract import Contract
+from nodes.adaptive.sensors import STEP_NS, PatchSensors
+from nodes.boards import Boards
+from nodes.electronics import Calibration
+from skin.messages import Truth
+from skin.sources import TaxelSource
+from skin.taxel import NOISE_N, TaxelModel
+
+#: A process that is late takes at most so many samples at once; it skips and counts the others.
+CATCH_UP: Final = 20
+#: How fast the time between two decisions is learned, and its limits, nanoseconds.
+PACE_GAIN: Final = 0.1
+PACE_NS: Final = (SAMPLE_NS, CATCH_UP * SAMPLE_NS)
+
+
+class PatchBoards(Boards):
+    """Some boards of a skin, and the sensors of their patches.
+
+    Parameters
+    ----------
+    contract : Contract
+        Of a layout with adaptive sending.
+    blocks : sequence of int
+        The blocks of these boards, ascending.
+    source : TaxelSource
+        Touch in steps of 10 ms.
+    noise_n, defects, seed
+        As for `nodes.electronics.Electronics`.
+
+    Attributes
+    ----------
+    samples_skipped : int
+        Samples that were not taken, because the process was late.
+    has_due : bool
+        Whether any node had something to send at the newest decision.
+    """
+
+    def __init__(
+        self,
+        contract: Contract,
+        blocks: Sequence[int],
+        source: TaxelSource,
+        *,
+        noise_n: float = NOISE_N,
+        seed: int = 0,
+        defects: dict[str, Any] | None = None,
+    ) -> None:
+        taxels = contract.layout.taxels
+        super().__init__(contract.phi, Calibration(taxels))
+        self.samples_skipped = 0
+        self.has_due = False
+        self._taxels = taxels
+        self._row = {block: row for row, block in enumerate(blocks)}
+        self._cells = contract.phi.taxels_of_blocks[list(blocks)]
+        model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, **(defects or {}))
+        self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
+        self._now = 0  # number of the newest sample
+        self._next_ns = self._decided_ns = 0
+        self._pace_ns = float(SAMPLE_NS)
+        self._truths: deque[Truth] = deque(maxlen=CATCH_UP)
+
+    @property
+    def due_s(self) -> float:
+        """When the next sample is due; before the first call of `advance`, at once."""
+        return self._next_ns * 1e-9
+
+    @property
+    def decision(self) -> int:
+        """Number of the sample at which was last decided what to send."""
+        return self._now
+
+    @property
+    def pace_ns(self) -> float:
+        """Time between two decisions: that of a sample, unless the process is late."""
+        return self._pace_ns
+
+    def prepare(self) -> None:
+        """Do nothing: no SYNC asks for anything."""
+
+    def touched_from(self, time_ns: int) -> None:
+        """Let the touch begin, if it has not: its step 0 is at `time_ns`."""
+        if self._sensors.touch_from_ns is None:
+            self._sensors.touch_from_ns = time_ns
+
+    def advance(self, now_s: float) -> None:
+        """Take all samples that are due, and decide once what each node is to send."""
+        now_ns = round(now_s * 1e9)
+        if not self._next_ns:
+            self._next_ns = self._decided_ns = now_ns
+        due = (now_ns - self._next_ns) // SAMPLE_NS + 1
+        if due <= 0:
+            return
+        skipped = max(0, due - CATCH_UP)
+        self.samples_skipped += skipped
+        self._next_ns += skipped * SAMPLE_NS
+        self._begin()
+        for _ in range(due - skipped):
+            self._take(self._sensors.sample(self._next_ns))
+            self._note_truth(self._next_ns)
+            self._next_ns += SAMPLE_NS
+        self._now += due
+        passed_ns = now_ns - self._decided_ns
+        self._decided_ns = now_ns
+        self._pace_ns += PACE_GAIN * (min(max(passed_ns, PACE_NS[0]), PACE_NS[1]) - self._pace_ns)
+        self.has_due = self._decide(now_ns, passed_ns, skipped)
+
+    def _begin(self) -> None:
+        """Do what samples need that are about to be taken."""
+
+    @abstractmethod
+    def _take(self, sample_n: Floats) -> None:
+        """Take one sample of every taxel, newtons, shape (boards, taxels); `_sensors.counts` has it in counts."""
+
+    @abstractmethod
+    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:
+        """Decide what each node is to send, after `skipped` samples were left out; tell whether any has a frame."""
+
+    def _note_truth(self, tick_ns: int) -> None:
+        """Keep the truth of a step that this tick is the first after."""
+        begin_ns = self._sensors.touch_from_ns
+        if begin_ns is None or tick_ns < begin_ns or (tick_ns - begin_ns) % STEP_NS >= SAMPLE_NS:
+            return
+        step = (tick_ns - begin_ns) // STEP_NS
+        frame = self._sensors.frame(step)
+        sensor_n = np.zeros(self._taxels.count, "<f4")
+        sensor_n[self._cells] = self._sensors.counts * np.float32(self._taxels.newton_per_count)
+        self._truths.append(
+            Truth(
+                step=step,
+                sync_counter=0,
+                sampled_mono_ns=begin_ns + step * STEP_NS,
+                true=frame.force_n.astype("<f4").tobytes(),
+                sensor=sensor_n.tobytes(),
+                label=frame.label,
+            )
+        )
+
+    def take_truth(self) -> Truth | None:
+        """Return the oldest truth that was not returned yet."""
+        return self._truths.popleft() if self._truths else None
+
+    def counts(self, block: int) -> Any:
+        """Return what the taxels of a block read last, in counts."""
+        return self._sensors.counts[self._row[block]].astype(np.int32)
