@@ -64,7 +64,7 @@ mutants: .venv/.mutants
 
 # The quick loop while working: no slow tests.
 loop: setup
-	$(BIN)/pytest -q -m "not slow" --numprocesses auto --dist loadfile
+	$(BIN)/pytest -q -m "not slow" --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 check: setup
 	$(BIN)/ruff check .
