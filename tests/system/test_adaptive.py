@@ -18,6 +18,7 @@ wiring = "board"
 
 
 @pytest.mark.slow
+@pytest.mark.chain
 def test_golf_ball(tmp_path: Path) -> None:
     path = tmp_path / "small.toml"
     path.write_text(LAYOUT)
@@ -33,6 +34,7 @@ def test_golf_ball(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.chain
 def test_golf_ball_on_can_fd(tmp_path: Path) -> None:
     path = tmp_path / "small.toml"
     path.write_text(LAYOUT + '[[bus]]\nname = "bus0"\nnodes = 16\nfd = true\ndata_bitrate = 5_000_000\n')

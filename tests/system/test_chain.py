@@ -11,7 +11,7 @@ import pytest
 from tests.processes import free_port
 from tests.system.conftest import Chain, invalid_blocks
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.chain]
 
 
 def await_steady(chain: Chain, blocks: list[int], in_a_row: int = 10) -> None:
