@@ -52,9 +52,13 @@ demo: .venv/.demo
 figures: setup
 	@$(BIN)/python -m docs.figures $(ARGS)
 
-# Whole chains need the machine for themselves, so only the quick tests share its cores.
-test: check loop
-	$(BIN)/pytest -m slow
+# On all cores. Files in the order of their names: neighbours use the same kernels, which one of them compiles.
+ON_ALL_CORES := --numprocesses auto --dist loadfile --no-loadscope-reorder
+
+# Whole chains need the machine for themselves; all other tests share its cores.
+test: check
+	$(BIN)/pytest -q -m "not chain" $(ON_ALL_CORES)
+	$(BIN)/pytest -m chain
 
 test-vcan: setup
 	tests/vcan/run
@@ -64,7 +68,7 @@ mutants: .venv/.mutants
 
 # The quick loop while working: no slow tests.
 loop: setup
-	$(BIN)/pytest -q -m "not slow" --numprocesses auto --dist loadfile
+	$(BIN)/pytest -q -m "not slow" $(ON_ALL_CORES)
 
 check: setup
 	$(BIN)/ruff check .

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bandwidth.adaptive_log import AGAIN, EARLY, NEW, REFINING, UNREFINED, sum_frames
+from bandwidth.adaptive_plan import touched_load
 from dbc.adaptive import FIRST_COB_ID, TPDOS, SendingRule
 from dbc.contract import Contract
 from dbc.frame import BRS, FD, FRAME, Frames, frame_bytes, frames
@@ -26,7 +27,8 @@ FIRST_BYTE = FRAME.fields["can_id"][1]  # type: ignore[index]
 
 @pytest.fixture(autouse=True)
 def _brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bandwidth.adaptive_plan.TOUCHED_S", 2.0)
+    """Simulate no touch, which takes seconds; one test brings the simulation back."""
+    monkeypatch.setattr("bandwidth.adaptive_plan.touched_load", lambda _contract, _bus: 0.0625)
 
 
 def arbitrated(seed: int, layout: str = "adaptive") -> Frames:
@@ -97,14 +99,20 @@ def broken(buses: list[Frames], tmp_path: Path, change: Callable[[Frames], Frame
     return written(tmp_path / "broken.log", changed)
 
 
+def test_the_load_of_a_touch_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bandwidth.adaptive_plan.TOUCHED_S", 2.0)
+    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    # The first object presses: a few percent of the bus, more than heartbeats and SYNC, and far from full.
+    assert 0.0036 < touched_load(contract, 2) < 0.2
+
+
 def test_a_plan_has_loads_and_bounds(skin: Run) -> None:
     status, out, said = skin("plan", "adaptive", "--json", "--node-budget", 24_000)
     document = json.loads(out)
     assert (status, said, document["fits"]) == (0, "", True)
     bus = document["buses"][2]
     assert bus["load_idle"] == pytest.approx(0.0024, abs=1e-4)
-    # The first object presses: a few percent of the bus, and far from full.
-    assert 1.5 * bus["load_idle"] < bus["load_touched"] < 0.2 < bus["load_worst"] == 1
+    assert (bus["load_touched"], bus["load_worst"]) == (pytest.approx(0.0625 + bus["load_idle"], abs=1e-4), 1)
     assert bus["coarse_ms"] == max(node["coarse_ms"] for node in bus["node_plans"])
     assert bus["coarse_ms"] == pytest.approx(43.7, abs=0.1)
     assert bus["heartbeat_response_ms"] < 200
@@ -206,8 +214,9 @@ def test_check_names_each_difference(skin: Run, buses: list[Frames], tmp_path: P
         sent["can_id"][sent["can_id"] == 0x701] = 0x7F1
         return sent
 
-    assert "node 4: " in checked(unchecked)
-    assert "do not refine the newest coarse frame" in checked(unchecked)
+    said = checked(unchecked)
+    assert "node 4: " in said
+    assert "do not refine the newest coarse frame" in said
     assert "have another length or format" in checked(short)
     assert "began in the 2 ms after a SYNC" in checked(early)
     assert "was silent for" in checked(silent)
@@ -242,7 +251,6 @@ def test_plan_load_and_check_of_can_fd(skin: Run, fd_buses: list[Frames], tmp_pa
     bus = json.loads(out)["buses"][0]
     assert (status, bus["nodes"], bus["budget"]["full_ms"] is not None) == (0, 64, True)
     assert bus["coarse_ms"] == pytest.approx(33.1, abs=0.1)
-    assert bus["load_idle"] < bus["load_touched"] < 0.1
     path = written(tmp_path / "fd.log", fd_buses)
     status, out, said = skin("load", path, "--layout", "adaptive-fd", "--json")
     assert (status, said) == (0, "")

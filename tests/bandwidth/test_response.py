@@ -189,5 +189,5 @@ def test_simulated_responses_stay_below_the_bound_and_reach_it() -> None:
 
 
 @pytest.mark.slow
-def test_ten_thousand_task_sets() -> None:
-    assert compare(range(300, 10_300)) > 0.9
+def test_many_task_sets() -> None:
+    assert compare(range(300, 2300)) > 0.9

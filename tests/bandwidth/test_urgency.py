@@ -26,7 +26,7 @@ MS = 1_000_000
 NODES, TICKS = 32, 330
 RULE = SendingRule()
 #: Overloads of the long test; docs/bandwidth.md names ten thousand.
-OVERLOADS = int(os.environ.get("SKIN_OVERLOADS", "1000"))
+OVERLOADS = int(os.environ.get("SKIN_OVERLOADS", "200"))
 #: Of a frame, where `evaluation.schemes.adaptive_bus` writes.
 FIRST_BYTE = FRAME.fields["can_id"][1]  # type: ignore[index]
 QUIET = Disturbance(0.0, 0.0, 0.0)

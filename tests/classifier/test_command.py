@@ -53,6 +53,12 @@ def offer(monkeypatch: pytest.MonkeyPatch, touches: tuple[np.ndarray, np.ndarray
     return made
 
 
+@pytest.fixture
+def trained(monkeypatch: pytest.MonkeyPatch, model: Model) -> None:
+    """Give out a model that was trained before, for the tests of the cache."""
+    monkeypatch.setattr("classifier.training.train", lambda *_, **__: model)
+
+
 @pytest.fixture(autouse=True)
 def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setenv("SKIN_CACHE", str(tmp_path / "cache"))
@@ -82,6 +88,7 @@ def test_train_writes_a_model_and_tells(
     assert load_model(out, skin, skin.phi()).metadata.fingerprint == told["fingerprint"]
 
 
+@pytest.mark.usefixtures("trained")
 def test_train_prints_a_table_and_keeps_the_model_for_classify(
     offer: Offer, small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -94,6 +101,7 @@ def test_train_prints_a_table_and_keeps_the_model_for_classify(
     assert len(offer.calls) == 1  # not trained again
 
 
+@pytest.mark.usefixtures("trained")
 def test_missing_model_is_trained_once_with_a_word(
     offer: Offer, layout: Layout, phi: Sbhe, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,6 +112,7 @@ def test_missing_model_is_trained_once_with_a_word(
     assert capsys.readouterr().err.count("training a model of this skin for dome, plate") == 1
 
 
+@pytest.mark.usefixtures("trained")
 def test_damaged_cache_is_replaced(offer: Offer, layout: Layout, phi: Sbhe, capsys: pytest.CaptureFixture[str]) -> None:
     path = cached_path(layout, phi, NAMES)
     path.parent.mkdir(parents=True)
@@ -113,6 +122,7 @@ def test_damaged_cache_is_replaced(offer: Offer, layout: Layout, phi: Sbhe, caps
     assert load_model(path, layout, phi).metadata == model.metadata
 
 
+@pytest.mark.usefixtures("trained")
 def test_cache_that_cannot_be_written_is_no_obstacle(
     offer: Offer, layout: Layout, phi: Sbhe, cache: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

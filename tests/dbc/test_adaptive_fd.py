@@ -93,9 +93,12 @@ def test_a_fine_frame_alone_tells_all_sums(seed: int, size_n: float) -> None:
         assert abs(value_n[place] - sum_n) <= (0.51 * law.fine_n if is_in_reach else abs(coarse - sum_n))
 
 
-def test_cantools_decodes_all_groups(contract: Contract) -> None:
+def test_cantools_decodes_all_groups() -> None:
+    lines = "".join(f'[[bus]]\nname = "{name}"\nnodes = 4\nfd = true\n' for name in "ab")
+    layout = parse_layout((LARGE.replace("= 64", "= 16") + lines).encode(), "small")
+    contract = Contract.from_layout(layout)
     described: Any = cantools.database.load_string(database(contract, 1), "dbc", strict=True)
-    node, law = contract.on_bus(1)[40], contract.law
+    node, law = contract.on_bus(1)[3], contract.law
     coarse, fine = (next(each for each in node.adaptive_tpdos if each.is_fine is kind) for kind in (False, True))
     groups, payload = new_groups(1, True), np.zeros(64, np.uint8)
     groups.is_fine[:] = 1

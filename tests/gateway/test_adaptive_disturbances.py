@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.adaptive import coarse_step
@@ -19,11 +19,11 @@ from nodes.adaptive.segment import AdaptiveSegment
 from skin.messages import Measurement
 from skin.walsh import grouped_rows
 from tests.gateway.boards import small_adaptive, sums_of
-from tests.gateway.test_disturbances import drive
+from tests.gateway.test_disturbances import DISTURBANCES, RANDOM, drive
 from tests.gateway.world import Wire, World, valid
 from tests.nodes.adaptive_bus import Press
 
-EXAMPLES, ACTIONS = 10, 100
+ACTIONS = 100
 #: Time between two disturbances.
 PAUSE_S = 0.05
 
@@ -117,8 +117,8 @@ def with_identifiers(actions: list[tuple]) -> list[tuple]:
 
 
 @pytest.mark.slow
-def test_a_thousand_disturbances() -> None:
-    @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+def test_random_disturbances() -> None:
+    @settings(RANDOM, max_examples=max(1, DISTURBANCES // 2 // ACTIONS))
     @given(st.lists(action, min_size=ACTIONS, max_size=ACTIONS))
     def run(actions: list[tuple]) -> None:
         with TemporaryDirectory() as folder:

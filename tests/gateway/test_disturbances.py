@@ -1,5 +1,6 @@
 """Whatever is written, commanded, stored and lost: no wrong sum is valid, and the skin becomes whole again."""
 
+import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,7 +18,15 @@ from tests.gateway.test_proof import little, swap_mapping
 from tests.gateway.world import STEP_S, EndOfWire, Wire, World, small_contract
 from tests.identity import IDENTITIES
 
-EXAMPLES, STEPS = 50, 200  # 10,000 steps
+#: Disturbances in each case: the same ones in every run, or as many random ones as wanted.
+DISTURBANCES = int(os.environ.get("SKIN_DISTURBANCES", "1000"))
+RANDOM = settings(
+    derandomize="SKIN_DISTURBANCES" not in os.environ,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+    phases=(Phase.explicit, Phase.generate),  # to shrink an example takes longer than all tests
+)
+STEPS = 200
 #: After the last disturbance and the pause of a node that is out: a heartbeat, another pause, a proof that runs out.
 BOUND_S = 1.0 + max(PAUSES_S) + 5.0
 
@@ -131,10 +140,8 @@ def skip_pauses(world: World) -> None:
     ("gateway_loses", "identity"),
     [(False, "window"), (False, "alternating"), (True, "window"), (True, "alternating")],
 )
-def test_ten_thousand_steps(gateway_loses: bool, identity: str) -> None:
-    phases = (Phase.explicit, Phase.generate)  # to shrink an example takes longer than all tests
-
-    @settings(max_examples=EXAMPLES // 2, deadline=None, suppress_health_check=list(HealthCheck), phases=phases)
+def test_random_disturbances(gateway_loses: bool, identity: str) -> None:
+    @settings(RANDOM, max_examples=max(1, DISTURBANCES // STEPS))
     @given(st.lists(action, min_size=STEPS, max_size=STEPS))
     def run(actions: list[tuple]) -> None:
         with TemporaryDirectory() as folder:

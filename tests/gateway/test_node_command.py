@@ -34,6 +34,7 @@ def test_wrong_input_is_one_line_and_exit_code_2(
 
 
 @pytest.mark.slow
+@pytest.mark.chain
 def test_boards_on_a_bus_are_checked(tmp_path: Path) -> None:
     with Processes(tmp_path) as processes, pytest.MonkeyPatch.context() as patch:
         patch.setenv("SKIN_BUS_DIR", str(tmp_path))

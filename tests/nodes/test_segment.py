@@ -315,17 +315,16 @@ def test_lost_heartbeat_of_a_watched_node(segment: Segment, link: ArrayLink) -> 
     assert give(segment, link, sync(1)) == []  # 1029h: pre-operational
 
 
-@pytest.mark.slow
-def test_a_million_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None:
+def test_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None:
     """Random and mutated frames: no exception leaves the loop, and the nodes still work afterwards."""
     random = np.random.default_rng(11)
     real = np.concatenate([sync(1), frame(0x601, bytes.fromhex("4018100100000000")), frame(0, b"\1\0")])
-    for _ in range(500):
-        wild = np.frombuffer(random.bytes(2000 * FRAME.itemsize), FRAME).copy()
+    for _ in range(100):
+        wild = np.frombuffer(random.bytes(400 * FRAME.itemsize), FRAME).copy()
         wild["can_id"] &= np.uint32(0x7FF)
-        wild["flags"] &= random.choice(np.array([0, 0, REMOTE | EXTENDED, 0xFF], np.uint8), 2000)
-        wild["length"] = random.integers(0, 65, 2000)
-        wild["time_ns"] = random.integers(0, 2**50, 2000)
+        wild["flags"] &= random.choice(np.array([0, 0, REMOTE | EXTENDED, 0xFF], np.uint8), len(wild))
+        wild["length"] = random.integers(0, 65, len(wild))
+        wild["time_ns"] = random.integers(0, 2**50, len(wild))
         mutated = wild[::4]
         mutated[:] = real[random.integers(0, len(real), len(mutated))]
         mutated["data"][:, random.integers(0, 8)] ^= random.integers(0, 256, len(mutated)).astype(np.uint8)

@@ -15,6 +15,7 @@ from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 
 
+@pytest.mark.slow  # no service uses the kernels in double precision, and to compile them takes half a minute
 @given(st.sampled_from([16, 32, 64, 128]), st.integers(0, 2**32 - 1))
 @settings(max_examples=15, deadline=None)
 def test_transforms_are_equal(size: int, seed: int) -> None:
@@ -25,7 +26,9 @@ def test_transforms_are_equal(size: int, seed: int) -> None:
     np.testing.assert_allclose(compiled.adjoint(s), plain.adjoint(s), atol=1e-13)
 
 
-@pytest.mark.parametrize(("dtype", "error"), [(np.float64, 1e-13), (np.float32, 1e-6)])
+@pytest.mark.parametrize(
+    ("dtype", "error"), [pytest.param(np.float64, 1e-13, marks=pytest.mark.slow), (np.float32, 1e-6)]
+)
 def test_solver_is_the_reference_with_rows_deleted(dtype: type, error: float) -> None:
     phi, rng = sbhe(1024, 256, block_size=32, selection="uniform", seed=3), np.random.default_rng(0)
     sums, valid = rng.normal(0, 0.03, 256), rng.random(256) > 0.2

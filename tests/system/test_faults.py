@@ -7,7 +7,7 @@ from skin.ground_truth import of_one_cycle
 from skin.messages import TRUTH, Measurement, Truth
 from tests.system.conftest import Chain, invalid_blocks
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.chain]
 
 CYCLES = 120
 #: SYNC comes every 50 ms; the delay carries frames across one.

@@ -17,7 +17,7 @@ from skin.mcap_file import read_entries
 from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contacts, Image, Topic
 from tests.system.conftest import PATIENCE_S, Chain
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.chain]
 
 #: Where nothing is lost but what was not flushed: the longest time between two flushes, and a turn.
 LAST_S = 1.0

@@ -12,6 +12,7 @@ def test_golf_ball_is_exact(basis: str) -> None:
     assert (round(found["mean"], 1), found["max"]) == TABLE_ONE[basis]["golf-ball"]
 
 
+@pytest.mark.slow
 def test_contourlet_of_the_golf_ball_is_within_a_coefficient() -> None:
     found = count(name="golf-ball", meshes=None, basis="contourlet", stride=150)
     mean, most = TABLE_ONE["contourlet"]["golf-ball"]

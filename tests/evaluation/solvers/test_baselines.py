@@ -85,6 +85,7 @@ def test_basis_pursuit_is_the_linear_programme() -> None:
     assert np.abs(s).sum() < 0.97 * np.abs(psi.analyse(image)).sum()
 
 
+@pytest.mark.slow
 def test_golf_ball_has_the_sparsity_of_table_i() -> None:
     """At full depth, |s| > 0.001: 23 at most and 17.4 on average over the trajectory."""
     s = basis_pursuit(CompiledContourlet(64, 64), ball(0.01, 0.02, 0.00999), relative_error=1e-2)
