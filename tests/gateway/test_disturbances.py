@@ -18,7 +18,7 @@ from tests.gateway.test_proof import little, swap_mapping
 from tests.gateway.world import STEP_S, EndOfWire, Wire, World, small_contract
 from tests.identity import IDENTITIES
 
-#: Disturbances in each of four cases, ten thousand in all: the same ones in every run, or as many random ones as wanted.
+#: Disturbances in each of the four cases: the same ones in every run, or as many random ones as wanted.
 DISTURBANCES = int(os.environ.get("SKIN_DISTURBANCES", "2600"))
 RANDOM = settings(
     derandomize="SKIN_DISTURBANCES" not in os.environ,
