@@ -17,6 +17,7 @@ from dbc.canopen import (
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
+    TIME_COB_ID,
 )
 from dbc.contract import Contract, frame_flags
 from dbc.dictionary import HEARTBEAT_MS
@@ -165,6 +166,8 @@ def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
     """Return the planned rate of each identifier with a fixed rate, Hz."""
     rate_hz = contract.layout.sync.rate_hz
     rates = {SYNC_COB_ID: rate_hz}
+    if contract.layout.sync.time_s is not None:
+        rates[TIME_COB_ID] = 1 / contract.layout.sync.time_s
     for node in contract.on_bus(bus):
         rates[HEARTBEAT_BASE + node.node_id] = 1000 / HEARTBEAT_MS
         phases = len({tpdo.phase for tpdo in node.tpdos})
@@ -183,6 +186,8 @@ def kind_of(contract: Contract, bus: int, cob_id: int) -> tuple[str, int | None]
         return "TPDO", contract.nodes[int(contract.table.node[row])].node_id
     if cob_id in {NMT_COB_ID, SYNC_COB_ID}:
         return ("NMT" if cob_id == NMT_COB_ID else "SYNC"), 0
+    if cob_id == TIME_COB_ID and contract.layout.sync.time_s is not None:
+        return "TIME", 0
     for base, kind in _SERVICES:
         if base < cob_id <= base + HIGHEST_NODE_ID:
             is_node = cob_id - base <= contract.layout.bus[bus].nodes

@@ -73,7 +73,7 @@ class BusPlan:
 
 @dataclass(frozen=True)
 class BusTime:
-    """Time and bits of one cycle on a bus, and time of the heartbeats of one second."""
+    """Time and bits of one cycle on a bus, and time of the heartbeats and of TIME in one second."""
 
     cycle_s: float
     cycle_bits: float
@@ -170,14 +170,14 @@ def sync_bits(length: int) -> float:
 
 
 def _mean_bus_time(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> BusTime:
-    """Add SYNC and heartbeats to the mean bits of the TPDOs."""
+    """Add SYNC, heartbeats and TIME to the mean bits of the TPDOs."""
     sync = sync_bits(int(streams.frames["length"][streams.frames["can_id"] == SYNC_COB_ID][0]))
     return _bus_time(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
 
 
 def _bus_time(streams: Traffic, nominal: float, data: float, stuffing: Stuffing) -> BusTime:
     bus = streams.bus
-    beats = streams.is_heartbeat
+    beats = streams.has_own_period
     beat_bits = wire_bits(streams.frames[beats], stuffing)[0]
     return BusTime(
         cycle_s=nominal / bus.bitrate + data / (bus.data_bitrate or bus.bitrate),

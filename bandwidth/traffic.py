@@ -8,11 +8,12 @@ import numpy.typing as npt
 from cyclopts import Parameter
 
 from bandwidth.response import blocking_ns, response_times_ns
-from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtState
+from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, TIME_COB_ID, NmtState
 from dbc.contract import CLASSIC_BYTES, Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from dbc.frame_bits import frame_time_ns, nominal_ns
+from dbc.time_of_day import time_frame
 from skin.errors import InputError
 from skin.layout import Bus, Layout
 
@@ -21,6 +22,8 @@ PER_SECOND_MAX: Final = 20_000.0
 #: Default of the jitter: a stock CANopen stack handles SYNC in a timer of 1 ms; firmware of one's own answers at once.
 STOCK_JITTER_S: Final = 1e-3
 OWN_JITTER_S: Final = 100e-6
+#: Any instant, for the TIME of a plan: stuff bits of its data hardly differ from day to day.
+_ANY_NS: Final = 1_750_000_000 * 10**9
 #: Upper limit of the jitter: a later answer is no answer to this SYNC.
 JITTER_MAX_S: Final = 1.0
 
@@ -73,7 +76,7 @@ class Traffic:
     Attributes
     ----------
     frames : array of FRAME, shape (n,)
-        One frame of each stream, by identifier: SYNC, TPDOs, SDO, heartbeats.
+        One frame of each stream, by identifier: SYNC, TIME if the layout has it, TPDOs, SDO, heartbeats.
     period_s, jitter_s : array of float, shape (n,)
     node : array of int, shape (n,)
         Sender's node-ID; 0 is the gateway.
@@ -93,6 +96,12 @@ class Traffic:
     def is_heartbeat(self) -> npt.NDArray[np.bool_]:
         """Which streams are heartbeats."""
         return self.frames["can_id"] >= HEARTBEAT_BASE
+
+    @property
+    def has_own_period(self) -> npt.NDArray[np.bool_]:
+        """Which streams come at a rate of their own, whatever that of SYNC: heartbeats and TIME."""
+        is_time: npt.NDArray[np.bool_] = self.frames["can_id"] == TIME_COB_ID
+        return self.is_heartbeat | is_time
 
     @property
     def is_sdo_response(self) -> npt.NDArray[np.bool_]:
@@ -136,12 +145,17 @@ def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance |
     transfers = frames(2 if allowed.sdo_per_s else 0)
     transfers["can_id"] = [SDO_RESPONSE_BASE + last, SDO_REQUEST_BASE + last][: len(transfers)]
     transfers["length"] = CLASSIC_BYTES
-    streams = np.concatenate([cycle, transfers, beats])
-    sizes = len(cycle), len(transfers), len(beats)
-    periods = contract.layout.sync.period_s, 1 / allowed.sdo_per_s if allowed.sdo_per_s else 1.0, HEARTBEAT_MS * 1e-3
-    cyclic = np.repeat([True, False, False], sizes)
+    time_s = contract.layout.sync.time_s
+    times = time_frame(_ANY_NS)[: int(time_s is not None)]
+    streams = np.concatenate([cycle, transfers, beats, times])
+    sizes = len(cycle), len(transfers), len(beats), len(times)
+    sdo_s = 1 / allowed.sdo_per_s if allowed.sdo_per_s else 1.0
+    periods = contract.layout.sync.period_s, sdo_s, HEARTBEAT_MS * 1e-3, time_s or 1.0
+    cyclic = np.repeat([True, False, False, False], sizes)
     senders = [owner.get(int(can_id), 0) for can_id in cycle["can_id"]]
-    node = np.array([*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes)], np.intp)
+    node = np.array(
+        [*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes), *[0][: len(times)]], np.intp
+    )
     is_tpdo = cyclic & (node > 0)
     order = np.argsort(streams["can_id"], kind="stable")
     return Traffic(

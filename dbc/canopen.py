@@ -11,6 +11,7 @@ from skin.messages import NmtState as NmtState  # noqa: PLC0414 - re-exported
 #: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and bases to which a node adds its node-ID.
 NMT_COB_ID: Final = 0x000
 SYNC_COB_ID: Final = 0x080
+TIME_COB_ID: Final = 0x100
 EMCY_BASE: Final = 0x080
 SDO_RESPONSE_BASE: Final = 0x580
 SDO_REQUEST_BASE: Final = 0x600

@@ -19,6 +19,7 @@ from dbc.canopen import (
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
+    TIME_COB_ID,
     NmtCommand,
     NmtState,
 )
@@ -179,6 +180,12 @@ def _network(contract: Contract) -> list["Message"]:
     command = _signal("Command", 0, 8, receiver=None, meanings=_in_words(NmtCommand))
     node_id = _signal("NodeId", 8, 8, receiver=None)
     is_counted = contract.sync_overflow > 0
+    time_s = contract.layout.sync.time_s
+    parts = [
+        _signal("AfterMidnight", 0, 28, receiver=None, unit="ms"),
+        _signal("Days", 32, 16, receiver=None, unit="d"),
+    ]
+    about = "TIME_OF_DAY in UTC; days since 1984-01-01"
     return [
         _message("NMT", NMT_COB_ID, 2, GATEWAY, [command, node_id], comment="NMT command; node-ID 0 is all nodes"),
         _message(
@@ -189,6 +196,10 @@ def _network(contract: Contract) -> list["Message"]:
             [_signal("Counter", 0, 8, receiver=None)] if is_counted else [],
             comment="All blocks measure now" + (f"; the counter goes from 1 to {SYNC_OVERFLOW}" if is_counted else ""),
             cycle_ms=_milliseconds(contract.layout.sync.period_s),
+        ),
+        *(
+            _message("TIME", TIME_COB_ID, 6, GATEWAY, parts, comment=about, cycle_ms=_milliseconds(each_s))
+            for each_s in ([] if time_s is None else [time_s])
         ),
     ]
 

@@ -8,6 +8,7 @@ from typing import Final
 from bus.link import Send, State
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, one_frame
+from dbc.time_of_day import time_frame
 from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
@@ -91,7 +92,8 @@ class GatewayLoop:
         )
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
-        self._look_s = self._account_s = now_s
+        self._look_s = self._account_s = self._time_due_s = now_s
+        self._time_period_s = contract.layout.sync.time_s
         self._accounted = 0
 
     @property
@@ -182,6 +184,7 @@ class GatewayLoop:
                 bus.refused_syncs = 0
             else:
                 bus.refused_syncs += 1
+        self._send_time(now_s, wall_offset_ns)
         return closed
 
     def measurements(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
@@ -193,6 +196,14 @@ class GatewayLoop:
             self._accounted += 1
             self._buses[self._numbers[self._accounted % len(self._numbers)]].load.account()
         return made
+
+    def _send_time(self, now_s: float, wall_offset_ns: int) -> None:
+        """Send TIME if it is due. After SYNC: SYNC never waits for it, and with adaptive sending the bus is free."""
+        if self._time_period_s is None or now_s < self._time_due_s:
+            return
+        self._time_due_s = now_s + self._time_period_s - self._period_s / 2
+        for bus in self._buses.values():
+            bus.send(time_frame(round(now_s * 1e9) + wall_offset_ns))
 
     def stop(self) -> None:
         """Command all nodes to PRE-OPERATIONAL."""

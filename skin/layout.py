@@ -95,11 +95,13 @@ class Sync(_Table, frozen=True, kw_only=True):
 
     `identity` tells how the gateway knows the cycle of a frame: by the SYNC before it (``window``), or besides by the
     identifiers of odd and even cycles (``alternating``). Adaptive sending has no cycles and does not use the key.
+    With `time_s` the gateway produces TIME, too (CiA 301, 7.2.6): after a SYNC, once in so many seconds.
     """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.
     rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=RATE_MAX_HZ)] = 100.0
     identity: Literal["window", "alternating"] = "window"
+    time_s: Annotated[float, msgspec.Meta(ge=0.1, le=86_400.0)] | None = None
 
     @property
     def period_s(self) -> float:

@@ -3,13 +3,14 @@
 import contextlib
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bandwidth.departures import departures, sync
-from bandwidth.measured import kind_of, measure, misfits, tpdo_rows, whole_cycles
+from bandwidth.measured import kind_of, measure, misfits, planned_rates, tpdo_rows, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
 from dbc.contract import Contract
@@ -244,6 +245,14 @@ def test_services_have_their_names(contract: Contract) -> None:
     assert kind_of(contract, 1, 0x585) == ("SDO response", 5)
     assert kind_of(contract, 1, 0x585 + 32) == ("foreign", None)
     assert kind_of(contract, 1, 0x7FF) == ("foreign", None)
+
+
+def test_time_is_planned_if_the_layout_has_it(contract: Contract) -> None:
+    assert kind_of(contract, 1, 0x100) == ("foreign", None)
+    layout = contract.layout
+    timed = Contract.from_layout(msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, time_s=2.0)))
+    assert kind_of(timed, 1, 0x100) == ("TIME", 0)
+    assert planned_rates(timed, 1)[0x100] == 0.5
 
 
 @pytest.mark.parametrize("seen", [frames(0), frames(1), frames(5)])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bandwidth.alternatives import alternatives, with_bits, with_buses
-from bandwidth.plan import plan
-from bandwidth.traffic import Disturbance
+from bandwidth.plan import bus_time, plan, plan_bus
+from bandwidth.traffic import Disturbance, traffic
 from bus.simulated_bus import SimulatedBus
 from dbc.codec import encode
 from dbc.contract import SYNC_OVERFLOW, Contract
@@ -32,6 +32,33 @@ def test_rates_of_the_shipped_layouts(name: str, average_hz: float, worst_hz: fl
         assert each.problems == []
         assert each.load_touched <= each.load_worst
         assert each.max_rate_hz_worst_80 < each.max_rate_hz_worst < each.max_rate_hz_touched
+
+
+@pytest.mark.parametrize("name", ["default", "fd", "adaptive"])
+def test_time_is_part_of_the_load(name: str) -> None:
+    """TIME of 6 bytes ten times a second: 34 + 48 bits, at most 20 stuff bits, 10 + 3 bits of the end."""
+    before, timed = (with_time(name, time_s) for time_s in (None, 0.1))
+    more = load_worst(timed) - load_worst(before)
+    assert more == pytest.approx(10 * 115e-6)
+
+
+def test_time_does_not_fit_a_full_window() -> None:
+    before, timed = (plan_bus(with_time("default", time_s), 0, None, Disturbance()) for time_s in (None, 60.0))
+    assert before.problems == []
+    assert 0.09 < timed.window_needed_ms - before.window_needed_ms < 0.14
+    assert "0.04 ms are missing" in timed.problems[0]
+    assert plan_bus(with_time("fd", 60.0), 0, None, Disturbance()).problems == []
+
+
+def with_time(name: str, time_s: float | None) -> Contract:
+    layout = load_layout(Path(name), adaptive=True)
+    return Contract.from_layout(
+        msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, time_s=time_s))
+    )
+
+
+def load_worst(contract: Contract) -> float:
+    return bus_time(traffic(contract, 0), "worst").load(contract.layout.sync.rate_hz)
 
 
 @pytest.mark.parametrize("name", IN_CYCLES)
