@@ -159,8 +159,8 @@ def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: f
     later_ns = truth.sampled_mono_ns - message.sampled_mono_ns
     if truth.sync_counter:
         return truth.sync_counter == message.sync_counter and abs(later_ns) < PAIRED_WITHIN_NS
-    # A SYNC comes when it is due, or up to half a period later.
-    return -period_s / 4 <= later_ns * 1e-9 < 3 * period_s / 4
+    # The nodes of one bus received SYNC before the mean over the buses, or after.
+    return -period_s / 2 <= later_ns * 1e-9 < period_s / 2
 
 
 def image_pairs(layout: Layout) -> Pairs[Image]:
