@@ -115,6 +115,20 @@ def test_a_station_that_left_in_bus_off_does_not_recover() -> None:
     assert len(bus.run_until().frames) == 0
 
 
+def test_errors_of_a_station_that_left_are_counted_no_more() -> None:
+    bus = SimulatedBus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)])
+    bad, good, leaver = bus.attach("bad"), bus.attach("good"), bus.attach("leaver")
+    bus.attach("listener")
+    bus.submit(bad, burst([0x100]), 0)
+    bus.run_until(90_000_000)
+    assert good.controllers[0].receive_errors == leaver.controllers[0].receive_errors == 32
+    bus.detach(leaver)
+    bus.submit(good, burst([0x181] * 10), bus.now_ns)
+    bus.run_until(100_000_000)
+    assert bus.counts.transmitted == 10
+    assert leaver.controllers[0].receive_errors == 32
+
+
 def test_good_frames_heal_sender_and_receivers() -> None:
     bus = SimulatedBus(faults=[Fault(controller="one:0", bit_error_rate=0.01)], seed=3)
     one, two = bus.attach("one"), bus.attach("two")

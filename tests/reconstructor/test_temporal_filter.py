@@ -49,6 +49,14 @@ def test_gain_rises_with_the_speed_and_the_lag_stays_below_the_noise() -> None:
     assert means[-1] > 0.7
 
 
+def test_surprise_is_the_size_of_a_change_in_standard_deviations_of_the_noise() -> None:
+    filtered = TemporalFilter(1024, np.float64)
+    feed(filtered, noise(3, 100))
+    assert filtered.surprise == pytest.approx(1, rel=0.1)
+    feed(filtered, noise(4, 1, 0.03))
+    assert filtered.surprise == pytest.approx(10, rel=0.15)
+
+
 def test_sudden_change_is_taken_over_at_once() -> None:
     filtered = TemporalFilter(1024, np.float64)
     feed(filtered, noise(3, 50))

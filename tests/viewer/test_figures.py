@@ -85,6 +85,14 @@ def test_truth_shown_is_that_of_the_image_while_images_come(state: ViewState, me
     assert (snapshot.truth.step, snapshot.truth.of_image, snapshot.truth.stale) == (3, False, False)
 
 
+def test_truth_of_the_image_is_shown_until_the_image_is_half_a_second_old(state: ViewState, messages: Any) -> None:
+    state.take_truth(messages.truth(1), 1.0)
+    state.take_image(messages.image(1), 1.0)
+    state.take_truth(messages.truth(2, sync_s=1.25), 1.25)
+    shown = [state.snapshot(now_s)[0].truth for now_s in (1.5, 1.50001)]
+    assert [truth and truth.step for truth in shown] == [1, 2]
+
+
 def test_truth_goes_stale_and_then_away(state: ViewState, messages: Any) -> None:
     state.take_truth(messages.truth(1), 1.0)
     snapshot, pictures = state.snapshot(2.0)

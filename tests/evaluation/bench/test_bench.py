@@ -107,7 +107,10 @@ def test_ours_is_as_close_to_the_minimum_as_dense_fista() -> None:
 
 
 @pytest.mark.slow
-def test_missing_blocks_cost_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_blocks_cost_little(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(missing, "make_scenes", lambda phi, speed: itertools.islice(make_scenes(phi, 2 * speed), 2))
     bench("missing", rounds=1, figure=tmp_path / "curves.svg", json=True)
     rows = json.loads(capsys.readouterr().out)["rows"]
     curves = {
