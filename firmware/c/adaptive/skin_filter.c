@@ -92,7 +92,7 @@ static void weigh(skin_tracks *tracks, float surprise[][SKIN_PATCH])
             const float f = exponent - (float)whole;
             const float high = power[2] + f * (power[3] + f * (power[4] + f * power[5]));
 
-            bits[c] = (whole + 127) * (1 << 23);
+            bits[c] = (int32_t)((uint32_t)(whole + 127) << 23);
             scale[c] = power[0] + f * (power[1] + f * high);
         }
         for (c = 0; c < SKIN_PATCH; c++) {

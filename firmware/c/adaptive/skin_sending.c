@@ -12,6 +12,7 @@ void skin_groups_forget(skin_groups *all, uint8_t is_fd)
 
     memset(all, 0, sizeof *all);
     all->is_fd = is_fd;
+    memset(&all->known_code[1], SKIN_OTHER_CODES + 1, sizeof all->known_code - 1); /* the codes of 0 */
     for (group = 0; group < SKIN_GROUPS; group++) {
         skin_group *each = &all->groups[group];
 
@@ -42,9 +43,9 @@ static int is_in_reach(const skin_groups *all, uint8_t group, const float *sums_
     }
     for (place = (uint8_t)(SKIN_GROUP_SUMS * group); place < SKIN_GROUP_SUMS * (group + 1); place++) {
         const double now_n = sums_n[place];
-        const double coarse_n =
-            all->is_fd ? skin_coarse_value(skin_coarse_code(now_n, place), place) : all->coarse_n[place];
-        const int32_t apart = skin_fine_steps(now_n) - skin_fine_steps(coarse_n);
+        const int32_t near = all->is_fd ? skin_fine_steps(skin_coarse_value(skin_coarse_code(now_n, place), place))
+                                        : all->coarse_steps[place];
+        const int32_t apart = skin_fine_steps(now_n) - near;
 
         if (apart > SKIN_FINE_LIMIT || apart < -SKIN_FINE_LIMIT) {
             return 0;
@@ -78,6 +79,7 @@ static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *s
     const uint8_t first = (uint8_t)(SKIN_GROUP_SUMS * group);
     const int64_t wait = now - each->sent_at;
     const double bound_n = rule->rounding * SKIN_FINE_N;
+    const float quiet_n = (float)bound_n * 0.999f;
     double coarse_n2 = 0, fine_n2 = 0, variance = 0, threshold_n2;
     uint8_t place;
 
@@ -85,16 +87,22 @@ static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *s
     each->reason = SKIN_NEWS;
     each->is_fine = 0;
     for (place = first; place < first + SKIN_GROUP_SUMS; place++) {
-        const double now_n = sums_n[place], known_n = all->known_n[place], error_n = now_n - known_n;
+        const double known_n = all->known_n[place];
+        double error_n, square_n2;
 
         variance += variance_n2[place];
+        if (fabsf(sums_n[place] - (float)known_n) < quiet_n - fabsf(sums_n[place]) * 1e-6f) {
+            continue; /* clear by single precision */
+        }
+        error_n = sums_n[place] - known_n;
         if (fabs(error_n) <= bound_n) {
             continue; /* less than the least coarse step, too */
         }
-        fine_n2 += error_n * error_n;
-        if (fabs(error_n) > rule->rounding * skin_coarse_step(known_n, place) &&
-            skin_coarse_code(now_n, place) != skin_coarse_code(known_n, place)) {
-            coarse_n2 += error_n * error_n;
+        square_n2 = error_n * error_n;
+        fine_n2 += square_n2;
+        if (skin_is_beyond(error_n, rule->rounding, known_n, place) &&
+            skin_coarse_code(sums_n[place], place) != all->known_code[place]) {
+            coarse_n2 += square_n2;
         }
     }
     threshold_n2 = noise_n2 + rule->variance_ratio * variance;
@@ -248,11 +256,11 @@ static void hold_coarse(skin_groups *all, uint8_t group, const uint8_t *payload)
         const uint8_t sum = (uint8_t)(SKIN_GROUP_SUMS * group + place);
         const double value_n = skin_coarse_value(payload[place], sum);
 
-        if (all->groups[group].check == SKIN_NO_CHECK || value_n == 0 ||
-            skin_coarse_code(all->known_n[sum], sum) != payload[place]) {
+        if (all->groups[group].check == SKIN_NO_CHECK || value_n == 0 || all->known_code[sum] != payload[place]) {
             all->known_n[sum] = value_n;
+            all->known_code[sum] = skin_coarse_code(value_n, sum);
         }
-        all->coarse_n[sum] = value_n;
+        all->coarse_steps[sum] = skin_fine_steps(value_n);
     }
     all->groups[group].check = skin_check_of(payload);
 }
@@ -264,7 +272,8 @@ static void hold_fine(skin_groups *all, uint8_t group, const uint8_t *payload)
     for (place = 0; place < SKIN_GROUP_SUMS; place++) {
         const uint8_t sum = (uint8_t)(SKIN_GROUP_SUMS * group + place);
 
-        all->known_n[sum] = skin_fine_value(payload, place, all->coarse_n[sum]);
+        all->known_n[sum] = skin_fine_value(payload, place, all->coarse_steps[sum]);
+        all->known_code[sum] = skin_coarse_code(all->known_n[sum], sum);
     }
 }
 
@@ -306,7 +315,7 @@ static int is_coarse_zero(const skin_groups *all, uint8_t group)
     uint8_t place;
 
     for (place = 0; place < SKIN_GROUP_SUMS; place++) {
-        if (all->coarse_n[SKIN_GROUP_SUMS * group + place] != 0) {
+        if (all->coarse_steps[SKIN_GROUP_SUMS * group + place] != 0) {
             return 0;
         }
     }

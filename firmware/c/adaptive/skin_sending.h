@@ -36,8 +36,9 @@ typedef struct {
 
 typedef struct {
     uint8_t is_fd; /* one frame carries all groups */
-    double known_n[SKIN_PATCH_SUMS];  /* what a receiver without losses holds */
-    double coarse_n[SKIN_PATCH_SUMS]; /* values of the newest coarse frames */
+    double known_n[SKIN_PATCH_SUMS];       /* what a receiver without losses holds */
+    uint8_t known_code[SKIN_PATCH_SUMS];   /* its coarse code */
+    int32_t coarse_steps[SKIN_PATCH_SUMS]; /* values of the newest coarse frames, fine steps */
     skin_group groups[SKIN_GROUPS];
 } skin_groups;
 
