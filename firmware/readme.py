@@ -11,7 +11,8 @@ from firmware.tables import Build
 def readme(contract: Contract, boards: Sequence[Build]) -> str:
     """Return the text, with the figures of the first of `boards`."""
     node, board = boards[0].node, boards[0].board
-    template = Template(SOURCES.joinpath("README.md").read_text(encoding="utf-8"))
+    folder = SOURCES.joinpath("adaptive") if board.sending == "adaptive" else SOURCES
+    template = Template(folder.joinpath("README.md").read_text(encoding="utf-8"))
     return template.substitute(
         skin=board.skin,
         blocks=node.blocks,

@@ -46,7 +46,7 @@ def node(
     layout
         TOML of the skin; without it the default skin.
     can
-        CAN interface and channels.
+        CAN interface and channels; a single channel is that of the bus.
     json
         Print one JSON object.
 
@@ -66,7 +66,10 @@ def node(
         raise InputError(
             f"expected a node-ID from 1 to {skin.bus[number].nodes} of {skin.bus[number].name}, got {node_id}"
         )
-    link = open_links(skin, can or BusOptions(), [number], name="node check", stop=stop)[number]
+    options = can or BusOptions()
+    if len(options.channel) == 1:
+        options = dataclasses.replace(options, channel=options.channel * len(skin.bus))
+    link = open_links(skin, options, [number], name="node check", stop=stop)[number]
     try:
         check = NodeCheck(contract, wanted[0], link.send, time.monotonic())
         _run(check, link, stop)

@@ -13,7 +13,7 @@ from dbc.dictionary import dictionary
 from dbc.generate import write_files
 from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
 from firmware.export import export_files
-from firmware.library import STANDARD_FLAGS, compile_c, constants, shared_folders, sources
+from firmware.library import STANDARD_FLAGS, Firmware, compile_c, constants, shared_folders, sources
 from firmware.tables import builds
 from skin.errors import InputError
 from skin.layout import load_layout
@@ -122,9 +122,20 @@ def test_random_frames_break_nothing(name: str, tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr + done.stdout
 
 
-def test_a_machine_without_compiler_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from firmware.library import Firmware
+@needs_compiler
+def test_a_damaged_library_in_the_cache_is_made_anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    contract, first, damaged = small_contract(), tmp_path / "first", tmp_path / "damaged"
+    monkeypatch.setenv("SKIN_CACHE", str(first))
+    Firmware(contract, contract.nodes)
+    (kept,) = first.glob("*.so")
+    damaged.mkdir()
+    damaged.joinpath(kept.name).write_bytes(b"damaged")
+    monkeypatch.setenv("SKIN_CACHE", str(damaged))
+    Firmware(contract, contract.nodes)
+    assert damaged.joinpath(kept.name).stat().st_size == kept.stat().st_size
 
+
+def test_a_machine_without_compiler_is_told() -> None:
     contract = small_contract()
     with pytest.raises(InputError, match="expected a C compiler as 'no-such-cc'"):
         Firmware(contract, contract.nodes, compiler="no-such-cc")

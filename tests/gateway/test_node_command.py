@@ -33,6 +33,16 @@ def test_wrong_input_is_one_line_and_exit_code_2(
     assert len(shown.err.splitlines()) == 1
 
 
+def test_a_single_channel_is_that_of_the_bus(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["check", "--node", "1", "--bus", "bus2", "-i", "socketcan", "-c", "nothing7"]
+    monkeypatch.setattr(sys, "argv", ["skin", "node", *arguments])
+    with pytest.raises(SystemExit):
+        main()
+    assert "nothing7" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 @pytest.mark.chain
 def test_boards_on_a_bus_are_checked(tmp_path: Path) -> None:

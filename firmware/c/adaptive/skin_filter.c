@@ -159,30 +159,38 @@ static void unclip(float *force_n, const float *noise_n)
     }
 }
 
+/* Tell whether a taxel and its neighbours in the patch are quiet. */
+static uint8_t is_quiet_around(const uint8_t *is_quiet, uint8_t place)
+{
+    const int8_t row = (int8_t)(place / SKIN_PATCH_WIDE), column = (int8_t)(place % SKIN_PATCH_WIDE);
+    int8_t down, across;
+
+    for (down = (int8_t)(row - 1); down <= row + 1; down++) {
+        for (across = (int8_t)(column - 1); across <= column + 1; across++) {
+            if (0 <= down && down < SKIN_PATCH_HIGH && 0 <= across && across < SKIN_PATCH_WIDE &&
+                !is_quiet[SKIN_PATCH_WIDE * down + across]) {
+                return 0;
+            }
+        }
+    }
+    return 1;
+}
+
 /* Take the offsets from the forces, in place, and follow them where a taxel and its neighbours are quiet. Where a touch
  * begins, what was new is given back.
  */
 static void follow(skin_filter *filter, float *force_n)
 {
-    uint8_t is_quiet[SKIN_PATCH], place;
-    int8_t row, column, down, across;
+    uint8_t is_quiet[SKIN_PATCH], loud = 0, place;
 
     for (place = 0; place < SKIN_PATCH; place++) {
         force_n[place] -= filter->offset_n[place];
         is_quiet[place] = force_n[place] < SKIN_QUIET_RATIO * filter->taxel_n[place];
+        loud = (uint8_t)(loud + !is_quiet[place]);
     }
     for (place = 0; place < SKIN_PATCH; place++) {
-        uint8_t follows = 1;
+        const uint8_t follows = loud == 0 || is_quiet_around(is_quiet, place);
 
-        row = (int8_t)(place / SKIN_PATCH_WIDE);
-        column = (int8_t)(place % SKIN_PATCH_WIDE);
-        for (down = (int8_t)(row - 1); down <= row + 1; down++) {
-            for (across = (int8_t)(column - 1); across <= column + 1; across++) {
-                if (0 <= down && down < SKIN_PATCH_HIGH && 0 <= across && across < SKIN_PATCH_WIDE) {
-                    follows &= is_quiet[SKIN_PATCH_WIDE * down + across];
-                }
-            }
-        }
         if (follows != 0) {
             const float change = least_of(SKIN_RATE_N, most_of(-SKIN_RATE_N, SKIN_FOLLOWING * force_n[place]));
 
