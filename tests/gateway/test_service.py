@@ -3,6 +3,7 @@
 import socket
 from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -178,6 +179,13 @@ def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(
     for link in links:
         link.send = noting(link)  # type: ignore[method-assign]
     service = GatewayService(small, dict(enumerate(links)), fabric, clock=clock)
+    taken, take = [], service.loop.take
+
+    def counted(number: int, arrived: Frames, now_s: float, **options: Any) -> None:
+        taken.append(len(arrived))
+        take(number, arrived, now_s, **options)
+
+    monkeypatch.setattr(service.loop, "take", counted)
     service.run(StopAfter(0))  # type: ignore[arg-type]
     assert not links[0].syncs_s
     assert len(fabric.statuses) == 1
@@ -188,6 +196,7 @@ def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(
     assert len(fabric.measurements) == service.loop.sync.sent > 3
     assert fabric.statuses[-1].cycles == len(fabric.measurements)
     assert sent[-2:] == [(0, b"\x80\0")] * 2
+    assert 0 < sum(taken) <= len(sent)  # echoes alone
     for link in links:
         link.close()
 
