@@ -73,7 +73,7 @@ def test_signals_say_what_they_are() -> None:
     described = read(contract, 1)
     message = described.get_message_by_name("Node6_TPDO3_Phase2")
     assert (message.senders, message.cycle_time) == (["Node6"], 20)
-    assert "after SYNC counters 2, 4, 6" in message.comment
+    assert "after SYNC counters 2, 4, 6, ..." in message.comment
     first = message.signals[0]
     assert (first.scale, first.offset, first.unit) == (16, -0x555 * 16, "count")
     assert (first.minimum, first.maximum) == (-0x555 * 16, (4095 - 0x555) * 16)

@@ -2,14 +2,18 @@
 
 import socket
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
 
 from bus.link import State
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
+from gateway.collector import Collector
 from gateway.service import GatewayService
 from skin.messages import GATEWAY, GatewayStatus, Measurement, Topic
 
@@ -157,7 +161,10 @@ class Quick(Clock):
         return self.now_s
 
 
-def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(small: Contract) -> None:
+def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(
+    small: Contract, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Collector, "is_settled", lambda _self, _counter: False)  # as if nodes were late
     clock = Quick()
     fabric, links = Keeping(clock), [Echoing(clock) for _ in small.layout.bus]
     sent: list[tuple[int, bytes]] = []
@@ -172,15 +179,24 @@ def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(sma
     for link in links:
         link.send = noting(link)  # type: ignore[method-assign]
     service = GatewayService(small, dict(enumerate(links)), fabric, clock=clock)
+    taken, take = [], service.loop.take
+
+    def counted(number: int, arrived: Frames, now_s: float, **options: Any) -> None:
+        taken.append(len(arrived))
+        take(number, arrived, now_s, **options)
+
+    monkeypatch.setattr(service.loop, "take", counted)
     service.run(StopAfter(0))  # type: ignore[arg-type]
     assert not links[0].syncs_s
     assert len(fabric.statuses) == 1
     assert sent == [(0, b"\x80\0")] * 2
-    service.run(StopAfter(700))  # type: ignore[arg-type]
+    stop = SimpleNamespace(is_set=lambda: service.loop.sync.sent > 3 and service.loop.in_flight > 0)
+    service.run(stop)  # type: ignore[arg-type]
     assert service.loop.in_flight == 0
     assert len(fabric.measurements) == service.loop.sync.sent > 3
     assert fabric.statuses[-1].cycles == len(fabric.measurements)
     assert sent[-2:] == [(0, b"\x80\0")] * 2
+    assert 0 < sum(taken) <= len(sent)  # echoes alone
     for link in links:
         link.close()
 
