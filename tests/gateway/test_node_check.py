@@ -1,12 +1,13 @@
 """`skin node check` finds what differs, and leaves the board as it was."""
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from dbc.board_sums import PATTERN_FULL
-from dbc.canopen import NmtState
+from dbc.canopen import NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.indices import OD_TEST_PATTERN
 from gateway.node_check import CYCLES, NodeCheck, NodeReport
@@ -66,6 +67,10 @@ def test_a_board_that_keeps_the_contract(bus: str, identity: str) -> None:
     assert report.objects > len(node.tpdos) * 3
     assert 0 < report.latest_s < bench.contract.layout.sync.period_s
     assert (bench.node.state, pattern_of(bench)) == (NmtState.PRE_OPERATIONAL, 0)
+    # Patterns are written while the board is PRE-OPERATIONAL, as its writer may expect.
+    commands = [data[0] for can_id, data in bench.wire.log if can_id == 0]
+    before_start = [first for first, second in itertools.pairwise(commands) if second == NmtCommand.START]
+    assert before_start == [NmtCommand.ENTER_PRE_OPERATIONAL] * 3
 
 
 def test_a_test_pattern_that_was_on_is_noted_and_on_again() -> None:
