@@ -127,9 +127,12 @@ class Collector:
         return count
 
     def open(self, counter: int, due_ns: int = 0, sent_ns: int | None = None) -> None:
-        """Begin the cycle of SYNC `counter`, due at `due_ns`; call it at `sent_ns`, before this SYNC is sent."""
+        """Begin the cycle of SYNC `counter`, due at `due_ns`; call it at `sent_ns`, before this SYNC is sent.
+
+        No cycle of the same slot (`slot_of`) may be open.
+        """
         self._times.open(counter, due_ns, sent_ns)
-        slot, rows = _slot_of(counter), self._rows_of(counter)
+        slot, rows = slot_of(counter), self._rows_of(counter)
         # A bus without SYNC since this counter was last used is not in this cycle.
         self._on_wire = [0 if now == counter else now for now in self._on_wire]
         self._due.append((counter, due_ns))
@@ -145,7 +148,7 @@ class Collector:
     def is_settled(self, counter: int) -> bool:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or the next SYNC."""
         following = next_counter(counter)
-        waiting = self._waiting[_slot_of(counter)]
+        waiting = self._waiting[slot_of(counter)]
         return all(count == 0 or now == following for count, now in zip(waiting, self._on_wire, strict=True))
 
     def take(self, bus: int, arrived: Frames, stamp_error_ns: int | None = 0) -> None:
@@ -177,7 +180,7 @@ class Collector:
 
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums."""
-        slot, rows = _slot_of(counter), self._rows_of(counter)
+        slot, rows = slot_of(counter), self._rows_of(counter)
         self._gathering[slot] = 0
         missing = rows[~self._seen[slot, rows]]
         self.counts.missing += len(missing)
@@ -224,7 +227,7 @@ class Collector:
         """With one phase: use no frame in the new cycle that may be of an earlier one."""
         if self._outstanding is not None:
             doubtful = self._outstanding.ask(bus, time_ns)
-            slot = _slot_of(self._on_wire[bus])
+            slot = slot_of(self._on_wire[bus])
             if self._on_wire[bus] and self._gathering[slot] == self._on_wire[bus]:
                 self._spoilt[slot, doubtful] = True
 
@@ -266,7 +269,7 @@ class Collector:
         if self._outstanding is not None:
             self._outstanding.came(row)
         counter = self._on_wire[bus]
-        slot, right = _slot_of(counter), self._table.phase[row] == self._contract.phase_of(counter)
+        slot, right = slot_of(counter), self._table.phase[row] == self._contract.phase_of(counter)
         in_time = right & (counter != 0 and self._gathering[slot] == counter)
         self.counts.late += int(len(row) - in_time.sum())
         np.add.at(self.late_of_node, self._table.node[row[~in_time]], 1)
@@ -295,6 +298,6 @@ class Collector:
         self._spoilt[slot, row[differs]] = True
 
 
-def _slot_of(counter: int) -> int:
+def slot_of(counter: int) -> int:
     """Return the slot of a cycle; with two phases it is the phase."""
     return (counter - 1) % SLOTS

@@ -10,7 +10,7 @@ import numpy as np
 from dbc.canopen import NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
-from gateway.collector import Collector
+from gateway.collector import Collector, slot_of
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
 from skin.messages import FrameCounts, Measurement
@@ -68,7 +68,10 @@ class CycleGathering:
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles that were closed for it."""
-        closed = [self._close(self._open_cycles.popleft()) for _ in range(len(self._open_cycles) - 1)]
+        closed = []
+        slot = slot_of(sync.counter)
+        while any(slot_of(each.counter) == slot for each in self._open_cycles):
+            closed.append(self._close(self._open_cycles.popleft()))
         self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
         self._open_cycles.append(sync)
         return closed

@@ -113,7 +113,9 @@ class Playback:
         counter = int(self._ready[number].frames["data"][place, 0])
         for known, begun_ns, buses in self._open:
             is_same = known == counter if self._is_counted else time_ns - begun_ns < self._near_ns
-            if is_same and number not in buses:
+            # The same SYNC twice is no new cycle: the collector does not use its sums.
+            is_again = number in buses and self._is_counted and time_ns - begun_ns < self._near_ns
+            if is_same and (number not in buses or is_again):
                 buses.add(number)
                 return
         if self._sync_ns is not None and self._sync_ns + self._grace_ns < time_ns:

@@ -69,3 +69,27 @@ def test_lost_frames_cost_their_block_alone(contract: Contract, bus_frames: dict
     lost = [each.valid.count(b"\0") for each in whole(contract, logged)]
     assert sum(lost) == 2
     assert max(lost) == 1
+
+
+@pytest.mark.parametrize(("later_ns", "cycles_more"), [(20_000, 0), (4_000_000, 0), (6_000_000, 1)])
+def test_a_sync_comes_again(
+    contract: Contract, bus_frames: dict[int, Frames], later_ns: int, cycles_more: int
+) -> None:
+    """Within half a period: its cycle and the next are not valid. Later: another cycle begins."""
+    assert contract.sync_overflow
+    expected = whole(contract, bus_frames)
+    logged = {}
+    for bus, seen in bus_frames.items():
+        place = int(np.flatnonzero(seen["can_id"] == 0x80)[4])
+        again = seen[place : place + 1].copy()
+        again["time_ns"] += later_ns
+        # The cycle has lost a frame: it is open when its SYNC comes again.
+        less = np.delete(seen, place + 1)
+        logged[bus] = np.insert(less, int(np.searchsorted(less["time_ns"], again["time_ns"][0])), again)
+    made = whole(contract, logged)
+    assert len(made) == len(expected) + cycles_more
+    assert made[:4] == expected[:4]
+    if not cycles_more:
+        assert not any(made[4].valid + made[5].valid)
+    found, known = ([(each.sums, each.valid) for each in part] for part in (made[7 + cycles_more :], expected[7:]))
+    assert found == known
