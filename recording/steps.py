@@ -253,6 +253,7 @@ class _Recorded:
             cycle=before.cycle + 1,
             sync_counter=counter,
             sampled_mono_ns=made.sampled_mono_ns,
+            sampled_error_ns=made.sampled_error_ns,
             bus_sampled_ns=made.bus_sampled_ns,
             sent_mono_ns=0,
         )
