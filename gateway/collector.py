@@ -97,7 +97,7 @@ class Collector:
         self._too_close_ns = round(CLOSE * contract.layout.sync.period_s * 1e9)
         self._times = SyncTimes(contract)
         #: Of each bus: bound of the error of the clock of the newest time stamps, None without.
-        self._stamp_error_ns: list[int | None] = [0] * len(contract.layout.bus)
+        self._stamp_error_ns: list[int | None] = [None] * len(contract.layout.bus)
         #: Counter of the newest SYNC on each bus, 0 before the first.
         self._on_wire = [0] * len(contract.layout.bus)
 
@@ -151,7 +151,7 @@ class Collector:
         waiting = self._waiting[slot_of(counter)]
         return all(count == 0 or now == following for count, now in zip(waiting, self._on_wire, strict=True))
 
-    def take(self, bus: int, arrived: Frames, stamp_error_ns: int | None = 0) -> None:
+    def take(self, bus: int, arrived: Frames, stamp_error_ns: int | None) -> None:
         """Use the frames that arrived on a bus, in bus order; the echo of a SYNC starts its cycle on the bus.
 
         `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.

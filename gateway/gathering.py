@@ -132,13 +132,12 @@ class Health:
         Of the newest frames: bound of the error of the clock of their time stamps, None if they have none.
     """
 
-    stamp_error_ns: int | None = 0
-
     def __init__(self) -> None:
         self.has_gap = self.is_down = self.has_returned = False
+        self.stamp_error_ns: int | None = None
         self._dropped = 0
 
-    def look(self, arrived: Frames, state: State, dropped: int, stamp_error_ns: int | None = 0) -> None:
+    def look(self, arrived: Frames, state: State, dropped: int, stamp_error_ns: int | None) -> None:
         """Use what a link says after it was read.
 
         Parameters

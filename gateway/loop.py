@@ -119,7 +119,7 @@ class GatewayLoop:
         *,
         state: State = State.ACTIVE,
         dropped: int = 0,
-        stamp_error_ns: int | None = 0,
+        stamp_error_ns: int | None,
     ) -> None:
         """Use the frames that arrived on a bus, in bus order; none is a look at the link.
 

@@ -143,7 +143,8 @@ class Playback:
         for number, ready in self._ready.items():
             seen = ready.take(ends[number] if number in ends else ready.place_of(time_ns))
             if len(seen):
-                self._loop.take(number, seen, time_ns * 1e-9)
+                # Of which clock the time stamps were, a file does not tell.
+                self._loop.take(number, seen, time_ns * 1e-9, stamp_error_ns=None)
 
     def _measure(self, time_ns: int) -> None:
         self._now_ns = time_ns

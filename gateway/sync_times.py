@@ -11,16 +11,14 @@ estimate is the send call plus the time of the frame, and the first answer is th
 """
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from dbc.contract import Contract
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
-
-#: Error of a sampling instant of which nothing is known but the order of the frames.
-UNKNOWN: Final = -1
+from skin.messages import UNKNOWN_ERROR_NS
 
 
 class SampledTimes(NamedTuple):
@@ -98,20 +96,20 @@ class SyncTimes:
         sent_ns = 0 if cycle.sent_ns is None else cycle.sent_ns + sum(self._frame_ns) // len(self._frame_ns)
         known = [(end_ns, error_ns) for end_ns, error_ns in found if end_ns]
         if not known:
-            return SampledTimes(sent_ns or cycle.due_ns, UNKNOWN, sent_ns, bus_ns)
+            return SampledTimes(sent_ns or cycle.due_ns, UNKNOWN_ERROR_NS, sent_ns, bus_ns)
         first_ns = known[0][0]
         mono_ns = first_ns + round(sum(end_ns - first_ns for end_ns, _ in known) / len(known))
-        if any(error_ns == UNKNOWN for _, error_ns in known):
-            return SampledTimes(mono_ns, UNKNOWN, sent_ns, bus_ns)
+        if any(error_ns == UNKNOWN_ERROR_NS for _, error_ns in known):
+            return SampledTimes(mono_ns, UNKNOWN_ERROR_NS, sent_ns, bus_ns)
         return SampledTimes(mono_ns, max(abs(end - mono_ns) + error for end, error in known), sent_ns, bus_ns)
 
     def _end_of(self, cycle: _Cycle, bus: int) -> tuple[int, int]:
         """Return the end of SYNC on a bus, and the bound of its error; 0 if there was no SYNC."""
         echo_ns, stamp_error_ns = cycle.echo_ns[bus], cycle.stamp_error_ns[bus]
         if not echo_ns or cycle.sent_ns is None:
-            return echo_ns, UNKNOWN
+            return echo_ns, UNKNOWN_ERROR_NS
         earliest_ns = cycle.sent_ns + self._frame_ns[bus]
         if stamp_error_ns is not None:
             return echo_ns, max(0, echo_ns - earliest_ns) + stamp_error_ns
         answer_ns = cycle.answer_ns[bus]
-        return earliest_ns, max(0, answer_ns - earliest_ns) if answer_ns else UNKNOWN
+        return earliest_ns, max(0, answer_ns - earliest_ns) if answer_ns else UNKNOWN_ERROR_NS

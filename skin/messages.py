@@ -14,6 +14,10 @@ from typing import Final
 import msgspec
 
 
+#: `Measurement.sampled_error_ns` of a sampling instant whose error has no proven bound.
+UNKNOWN_ERROR_NS: Final = -1
+
+
 class BlockState(IntEnum):
     """How an adaptive block's sums stand."""
 
@@ -45,8 +49,8 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         Sampling instant: when the SYNC ended on the bus, a mean over the buses. Adaptive: when the newest frame ended
         that is in the sums; its sample is older, by at most `sampled_error_ns`.
     sampled_error_ns : int
-        The sampling instant of every bus differs at most so much from `sampled_mono_ns`, see `gateway.sync_times`; -1
-        if unknown.
+        The sampling instant of every bus whose SYNC was seen differs at most so much from `sampled_mono_ns`, see
+        `gateway.sync_times`; `UNKNOWN_ERROR_NS` if no bound is proven.
     sent_mono_ns : int
         What the sampling instant would be without time stamps: the time of the send call plus the time of the SYNC
         frame. 0 if unknown, and adaptive.
@@ -84,7 +88,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     states: bytes = b""
     since_ns: bytes = b""
     noise_n: float = 0.0
-    sampled_error_ns: int = 0
+    sampled_error_ns: int = UNKNOWN_ERROR_NS
     sent_mono_ns: int = 0
     wall_offset_ns: int = 0
     bus_sampled_ns: bytes = b""

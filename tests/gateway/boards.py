@@ -231,7 +231,7 @@ class BoardWorld:
 
     def receive(self, bus: int) -> None:
         arrived = self.wires[bus].gateway.receive()
-        self.gateway.take(bus, arrived, self.now_s, state=self.link[bus], dropped=self.dropped[bus])
+        self.gateway.take(bus, arrived, self.now_s, state=self.link[bus], dropped=self.dropped[bus], stamp_error_ns=0)
 
     def run(self, seconds: float) -> list[Measurement]:
         first = len(self.measured)

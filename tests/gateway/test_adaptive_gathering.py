@@ -85,7 +85,7 @@ def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(bo
     payload, times = b"\x90" * 8, []
     for step in range(300):
         now_s = first_s + 1e-4 * step
-        gateway.take(0, frame(cob_id(0, 5, 1, False), payload, time_ns=round(now_s * 1e9)), now_s)
+        gateway.take(0, frame(cob_id(0, 5, 1, False), payload, time_ns=round(now_s * 1e9)), now_s, stamp_error_ns=0)
         if came := gateway.measurements(now_s):
             times.append(now_s)
             assert came[0].sampled_mono_ns == round(now_s * 1e9)
@@ -184,7 +184,7 @@ def test_controller_reports_a_gap_that_is_over(boards: BoardWorld, why: ErrorCla
     """Bus-off and return within one turn, or an overflow of the controller's own buffer."""
     at_rest(boards)
     report = frame(int(why), bytes((0, control, 0, 0, 0, 0, 0, 0)), ERROR)
-    boards.gateway.take(0, report, boards.now_s)
+    boards.gateway.take(0, report, boards.now_s, stamp_error_ns=0)
     (came,) = boards.gateway.measurements(boards.gateway.due_s)
     assert states(came) == [STALE, STALE, QUIET, QUIET]
     boards.until_whole(0.1)
@@ -192,7 +192,7 @@ def test_controller_reports_a_gap_that_is_over(boards: BoardWorld, why: ErrorCla
 
 def test_other_reports_of_the_controller_change_nothing(boards: BoardWorld) -> None:
     at_rest(boards)
-    boards.gateway.take(0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s)
+    boards.gateway.take(0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s, stamp_error_ns=0)
     boards.run(0.2)
     assert states(boards.measured[-1]) == [QUIET] * 4
 

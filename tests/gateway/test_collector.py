@@ -43,7 +43,7 @@ def burst(bus: int, counter: int, sums: np.ndarray = SUMS) -> Frames:
 def whole_cycle(collector: Collector, counter: int) -> Gathered:
     collector.open(counter)
     for bus in range(4):
-        collector.take(bus, np.concatenate((echo(counter), burst(bus, counter))))
+        collector.take(bus, np.concatenate((echo(counter), burst(bus, counter))), 0)
     return collector.close(counter)
 
 
@@ -56,7 +56,7 @@ def test_a_whole_cycle() -> None:
     collector.open(1)
     for bus in range(4):
         assert not collector.is_settled(1)
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
     assert collector.is_settled(1)
     gathered = collector.close(1)
     assert gathered.complete
@@ -68,9 +68,9 @@ def test_frame_after_the_next_sync_never_counts() -> None:
     collector = new_collector()
     collector.open(1)
     first = burst(0, 1)
-    collector.take(0, np.concatenate((echo(1), first[:60])))
+    collector.take(0, np.concatenate((echo(1), first[:60])), 0)
     collector.open(2)
-    collector.take(0, np.concatenate((echo(2), first[60:], burst(0, 2, SUMS - 1))))
+    collector.take(0, np.concatenate((echo(2), first[60:], burst(0, 2, SUMS - 1))), 0)
     old, new = collector.close(1), collector.close(2)
     assert collector.counts.late == 4
     assert not old.valid[30:32].any()
@@ -84,7 +84,7 @@ def test_frame_on_the_wire_before_the_next_sync_counts_however_late_it_is_read()
     collector.open(1)
     collector.open(2)
     everything = [echo(1), burst(0, 1), echo(2), burst(0, 2)]
-    collector.take(0, np.concatenate(everything))
+    collector.take(0, np.concatenate(everything), 0)
     assert collector.close(1).valid[:32].all()
     assert collector.close(2).valid[:32].all()
     assert collector.counts.late == 0
@@ -94,9 +94,9 @@ def test_node_that_missed_a_sync_is_invalid_and_its_answer_to_the_old_one_is_lat
     collector = new_collector()
     for counter in (1, 2):
         collector.open(counter)
-        collector.take(0, echo(counter))
+        collector.take(0, echo(counter), 0)
     node = burst(0, 1)[:1]
-    collector.take(0, node)
+    collector.take(0, node, 0)
     assert collector.counts.late == 1
     assert not collector.close(2).valid[:32].any()
 
@@ -107,7 +107,7 @@ def test_old_values_are_never_used_again() -> None:
         collector.open(counter)
         for bus in range(4):
             sent = burst(bus, counter)
-            collector.take(bus, np.concatenate((echo(counter), sent if counter == 1 else sent[:-2])))
+            collector.take(bus, np.concatenate((echo(counter), sent if counter == 1 else sent[:-2])), 0)
         gathered = collector.close(counter)
     assert list(np.flatnonzero(~gathered.valid)) == [31, 63, 95, 127]
     for block in (31, 63, 95, 127):
@@ -120,7 +120,7 @@ def test_second_copy_is_ignored_and_a_differing_one_spoils_the_block() -> None:
     sent = burst(0, 1)
     other = sent[10:11].copy()
     other["data"][0, 0] ^= 1
-    collector.take(0, np.concatenate((echo(1), sent, sent[:4], other)))
+    collector.take(0, np.concatenate((echo(1), sent, sent[:4], other)), 0)
     gathered = collector.close(1)
     assert collector.counts.duplicate == 5
     assert collector.counts.accepted == 64
@@ -134,7 +134,7 @@ def test_untrusted_block_is_never_valid() -> None:
     collector.trust(slice(3, 4), proven=False)
     collector.open(1)
     for bus in range(4):
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
     gathered = collector.close(1)
     assert list(np.flatnonzero(~gathered.valid)) == [3]
     assert not gathered.sums[CONTRACT.phi.block_of_sum == 3].any()
@@ -147,7 +147,7 @@ def test_proof_counts_from_the_next_sync_on_and_a_doubt_from_the_cycle_under_way
     collector.trust(slice(3, 4), proven=True)
     collector.trust(slice(7, 8), proven=False)
     for bus in range(4):
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
     assert np.flatnonzero(~collector.close(1).valid).tolist() == [3, 4, 7]
     assert np.flatnonzero(~whole_cycle(collector, 2).valid).tolist() == [4, 7]
 
@@ -158,7 +158,7 @@ def test_frames_of_another_kind_are_foreign(flags: int) -> None:
     collector.open(1)
     sent = burst(0, 1)
     sent["flags"] = flags
-    collector.take(0, np.concatenate((echo(1), sent)))
+    collector.take(0, np.concatenate((echo(1), sent)), 0)
     assert collector.counts.foreign == 64
     assert not collector.close(1).valid.any()
 
@@ -178,7 +178,7 @@ def test_any_frames_are_counted_and_never_raise(seed: int) -> None:
             mixed = np.concatenate((echo(counter), burst(bus, counter), wild, burst(bus, counter)[:9]))
             mixed[1:] = random.permutation(mixed[1:])
             given_frames += int((mixed["flags"] & (ERROR | ECHO) == 0).sum())
-            collector.take(bus, mixed)
+            collector.take(bus, mixed, 0)
         collector.close(counter)
         counter = next_counter(counter)
     assert received(collector) == given_frames
@@ -193,7 +193,7 @@ def test_syncs_that_waited_in_the_controller_spoil_their_bus() -> None:
         for bus in range(4):
             start = echo(counter)
             start["time_ns"] = end_ns if bus == 0 else counter * 10_000_000
-            collector.take(bus, np.concatenate((start, burst(bus, counter))))
+            collector.take(bus, np.concatenate((start, burst(bus, counter))), 0)
     assert not collector.close(2).valid[:32].any()
     late = collector.close(3)
     assert not late.valid[:32].any()
@@ -207,7 +207,7 @@ def test_syncs_closer_than_four_tenths_of_a_period_spoil_their_bus(gap_ns: int, 
         collector.open(counter)
         start = echo(counter)
         start["time_ns"] = end_ns
-        collector.take(0, np.concatenate((start, burst(0, counter))))
+        collector.take(0, np.concatenate((start, burst(0, counter))), 0)
     assert collector.close(2).valid[:32].all() == is_valid
 
 
@@ -218,7 +218,7 @@ def test_node_that_answers_with_the_other_phase_five_times_is_found_once(cycles:
         collector.open(counter)
         sent, other = burst(0, counter), burst(0, next_counter(counter))
         of_node_3 = TABLE.node[TABLE.row_of[0, sent["can_id"]]] == 2
-        collector.take(0, np.concatenate((echo(counter), sent[~of_node_3], other[of_node_3])))
+        collector.take(0, np.concatenate((echo(counter), sent[~of_node_3], other[of_node_3])), 0)
         collector.close(counter)
     assert collector.take_swapped() == ([2] if cycles == 5 else [])
     assert collector.take_swapped() == []
@@ -258,8 +258,8 @@ def test_whatever_befalls_a_frame_its_block_alone_is_invalid_and_the_next_cycle_
     collector = new_collector()
     collector.open(1)
     for bus in range(1, 4):
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
-    collector.take(0, np.concatenate(LOSSES[loss](burst(0, 1))))
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
+    collector.take(0, np.concatenate(LOSSES[loss](burst(0, 1))), 0)
     gathered = collector.close(1)
     assert np.flatnonzero(~gathered.valid).tolist() == [0]
     assert not gathered.sums[CONTRACT.phi.block_of_sum == 0].any()
@@ -270,30 +270,30 @@ def test_whatever_befalls_a_frame_its_block_alone_is_invalid_and_the_next_cycle_
 def test_frames_of_more_bytes_than_their_pdo_are_malformed() -> None:
     collector = new_collector()
     collector.open(1)
-    collector.take(0, np.concatenate((echo(1), changed(burst(0, 1), length=12))))
+    collector.take(0, np.concatenate((echo(1), changed(burst(0, 1), length=12))), 0)
     assert (collector.counts.malformed, collector.counts.accepted) == (1, 0)
 
 
 def test_frames_without_any_sync_are_late() -> None:
     collector = new_collector()
-    collector.take(0, burst(0, 1))
+    collector.take(0, burst(0, 1), 0)
     assert (collector.counts.late, collector.counts.accepted) == (64, 0)
 
 
 def test_sync_that_the_controller_gave_back_begins_no_cycle() -> None:
     collector = new_collector()
     collector.open(1)
-    collector.take(0, np.concatenate((frame(SYNC_COB_ID, b"\1", ECHO | ERROR), burst(0, 1))))
+    collector.take(0, np.concatenate((frame(SYNC_COB_ID, b"\1", ECHO | ERROR), burst(0, 1))), 0)
     assert (collector.counts.late, collector.counts.accepted) == (64, 0)
 
 
 def test_bus_without_sync_is_not_in_the_cycle_whose_counter_comes_round() -> None:
     collector = new_collector()
     collector.open(1)
-    collector.take(0, echo(1))
+    collector.take(0, echo(1), 0)
     collector.close(1)
     collector.open(1)
-    collector.take(0, burst(0, 1))
+    collector.take(0, burst(0, 1), 0)
     assert (collector.counts.late, collector.counts.accepted) == (64, 0)
     assert not collector.close(1).valid[:32].any()
 
@@ -302,9 +302,9 @@ def test_frames_after_the_close_are_late() -> None:
     collector = new_collector()
     collector.open(1)
     sent = burst(0, 1)
-    collector.take(0, np.concatenate((echo(1), sent[:60])))
+    collector.take(0, np.concatenate((echo(1), sent[:60])), 0)
     collector.close(1)
-    collector.take(0, sent[60:])
+    collector.take(0, sent[60:], 0)
     assert (collector.counts.accepted, collector.counts.late, collector.counts.missing) == (60, 4, 196)
 
 
@@ -313,11 +313,11 @@ def test_late_and_missing_are_counted_by_node() -> None:
     collector.open(1)
     sent = burst(0, 1)
     of_node_3 = TABLE.node[TABLE.row_of[0, sent["can_id"]]] == 2
-    collector.take(0, np.concatenate((echo(1), sent[~of_node_3])))
+    collector.take(0, np.concatenate((echo(1), sent[~of_node_3])), 0)
     for bus in range(1, 4):
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
     collector.close(1)
-    collector.take(0, sent[of_node_3][:1])
+    collector.take(0, sent[of_node_3][:1], 0)
     assert np.flatnonzero(collector.missing_of_node).tolist() == np.flatnonzero(collector.late_of_node).tolist() == [2]
     assert (collector.missing_of_node[2], collector.late_of_node[2]) == (2, 1)
     assert (collector.counts.missing, collector.counts.late) == (2, 1)
@@ -329,18 +329,18 @@ def test_cycle_waits_for_expected_nodes_only() -> None:
     of_node_1 = TABLE.node[TABLE.row_of[0, burst(0, 1)["can_id"]]] == 0
     collector.open(1)
     for bus in range(1, 4):
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))))
+        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
     sent = burst(0, 1)
     others = sent[~of_node_1]
-    collector.take(0, np.concatenate((echo(1), sent[of_node_1], others[2:])))
+    collector.take(0, np.concatenate((echo(1), sent[of_node_1], others[2:])), 0)
     assert not collector.is_settled(1)  # the frames of node 1 count for nobody else
-    collector.take(0, others[:2])
+    collector.take(0, others[:2], 0)
     assert collector.is_settled(1)
     assert collector.close(1).complete
     collector.open(2)
     for bus in range(4):
         sent = burst(bus, 2)
-        collector.take(bus, np.concatenate((echo(2), sent[~of_node_1] if bus == 0 else sent)))
+        collector.take(bus, np.concatenate((echo(2), sent[~of_node_1] if bus == 0 else sent)), 0)
     assert collector.is_settled(2)
 
 
@@ -348,19 +348,19 @@ def test_cycle_settles_where_the_next_sync_is_seen_also_when_the_counter_comes_r
     collector = new_collector()
     collector.open(240)
     for bus in range(4):
-        collector.take(bus, echo(240))
+        collector.take(bus, echo(240), 0)
     assert not collector.is_settled(240)
     collector.open(1)
     for bus in range(4):
         assert not collector.is_settled(240)
-        collector.take(bus, echo(1))
+        collector.take(bus, echo(1), 0)
     assert collector.is_settled(240)
     assert not collector.is_settled(1)
 
 
 def test_nodes_that_send_are_heard() -> None:
     collector = new_collector()
-    collector.take(1, burst(1, 1)[:1])
+    collector.take(1, burst(1, 1)[:1], 0)
     assert np.flatnonzero(collector.heard).tolist() == [32]
 
 
@@ -370,6 +370,6 @@ def test_skin_of_can_fd_takes_frames_of_can_fd() -> None:
     collector.trust(slice(None), proven=True)
     collector.open(1)
     for bus in range(len(contract.layout.bus)):
-        collector.take(bus, np.concatenate((echo(1), contract.cycle(bus, 0)[1:])))
+        collector.take(bus, np.concatenate((echo(1), contract.cycle(bus, 0)[1:])), 0)
     assert collector.close(1).complete
     assert collector.counts.foreign == 0

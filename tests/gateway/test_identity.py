@@ -47,11 +47,11 @@ class Bus:
         """Open the next cycle, with all frames of the second bus."""
         self.counter += 1
         self.collector.open(self.counter, self.counter * PERIOD_NS)
-        self.collector.take(1, np.concatenate([self.sync(), self._frames(1, self.counter)]))
+        self.collector.take(1, np.concatenate([self.sync(), self._frames(1, self.counter)]), 0)
         return self.counter
 
     def take(self, *parts: Frames) -> None:
-        self.collector.take(0, np.concatenate(parts))
+        self.collector.take(0, np.concatenate(parts), 0)
 
     def valid(self, cycle: int) -> list[bool]:
         """Close a cycle; check its valid sums; return whether the blocks of the first bus are valid."""
@@ -189,7 +189,7 @@ def test_frames_lost_by_the_gateway_itself_cost_the_cycles_between_which_a_sync_
     bus.take(bus.sync(), bus.frames_of(old, 1))
     new = bus.begin()
     health = Health()
-    health.look(frames(0), State.ACTIVE, 1)
+    health.look(frames(0), State.ACTIVE, 1, 0)
     gathering.take(0, bus.frames_of(new, 0, 1), health, 0.0)
     assert bus.valid(old) == ([False, True] if identity == "alternating" else [False, False])
     assert bus.valid(new) == [False, False]

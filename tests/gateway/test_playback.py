@@ -6,8 +6,7 @@ import pytest
 from dbc.contract import Contract
 from dbc.frame import Frames
 from gateway.playback import Playback, play
-from gateway.sync_times import UNKNOWN
-from skin.messages import Measurement
+from skin.messages import UNKNOWN_ERROR_NS, Measurement
 from tests.recording.conftest import OFFSET_NS, bus_frames, contract, force_n, sums
 
 __all__ = ["bus_frames", "contract", "force_n", "sums"]
@@ -32,7 +31,7 @@ def test_measurements_are_the_sums_of_the_nodes(
     assert np.frombuffer(made[0].bus_sampled_ns, "<i8").tolist() == ends_ns
     assert made[0].sampled_mono_ns == pytest.approx(np.mean(ends_ns), abs=1)
     assert made[0].time_ns == made[0].sampled_mono_ns + OFFSET_NS
-    assert made[0].sampled_error_ns == UNKNOWN  # frames do not tell when the SYNC was sent
+    assert made[0].sampled_error_ns == UNKNOWN_ERROR_NS  # frames do not tell when the SYNC was sent
     status = playback.status()
     assert status.cycles_complete == len(sums)
     assert status.sync_rate_hz == pytest.approx(100, rel=0.15)

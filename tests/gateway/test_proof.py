@@ -258,7 +258,7 @@ def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
     world.segments[0] = world.new_segment(0, small)
     world.segments[0].boot(world.now_s)
     world.wires[0].deliver()
-    world.gateway.take(0, world.wires[0].gateway.receive(), world.now_s)
+    world.gateway.take(0, world.wires[0].gateway.receive(), world.now_s, stamp_error_ns=0)
     assert world.status().buses[0].refused == []
     world.until_whole(1.0)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from dbc.contract import Contract
-from gateway.sync_times import UNKNOWN, SampledTimes, SyncTimes
+from gateway.sync_times import SampledTimes, SyncTimes
+from skin.messages import UNKNOWN_ERROR_NS
 
 SENT_NS = 1_000_000_000
 #: A SYNC without data and without stuff bits at 1 Mbit/s: 44 bits, to the last bit of end of frame.
@@ -69,7 +70,7 @@ def test_without_stamps_the_send_call_is_the_estimate_and_the_first_answer_its_b
 def test_without_stamps_and_answers_the_error_is_unknown(times: SyncTimes) -> None:
     for bus in range(BUSES):
         times.echo(7, bus, SENT_NS + 5_000_000, None)
-    assert closed(times)[:2] == (SENT_NS + FRAME_NS, UNKNOWN)
+    assert closed(times)[:2] == (SENT_NS + FRAME_NS, UNKNOWN_ERROR_NS)
 
 
 def test_a_bus_without_sync_has_no_instant(times: SyncTimes) -> None:
@@ -80,11 +81,11 @@ def test_a_bus_without_sync_has_no_instant(times: SyncTimes) -> None:
 
 
 def test_a_cycle_without_any_sync_has_the_time_of_its_send_call(times: SyncTimes) -> None:
-    assert closed(times)[:2] == (SENT_NS + FRAME_NS, UNKNOWN)
+    assert closed(times)[:2] == (SENT_NS + FRAME_NS, UNKNOWN_ERROR_NS)
 
 
 def test_a_replay_has_the_times_of_the_frames(times: SyncTimes) -> None:
     times.open(8, SENT_NS, None)
     times.echo(8, 0, SENT_NS + 1_000, 0)
     times.echo(8, 1, SENT_NS + 3_000, 0)
-    assert times.close(8)[:3] == (SENT_NS + 2_000, UNKNOWN, 0)
+    assert times.close(8)[:3] == (SENT_NS + 2_000, UNKNOWN_ERROR_NS, 0)

@@ -244,7 +244,7 @@ class World:
     def _receive(self) -> None:
         for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
             segment.take(wire.nodes.receive(), self.now_s)
-            self.gateway.take(bus, wire.gateway.receive(), self.now_s)
+            self.gateway.take(bus, wire.gateway.receive(), self.now_s, stamp_error_ns=0)
 
     def run(self, seconds: float) -> list[Measurement]:
         """Go on for some time; return the measurements of it."""

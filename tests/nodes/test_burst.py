@@ -81,7 +81,7 @@ def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, obje
             for key in ("can_id", "length", "flags"):
                 assert np.array_equal(by_id[key], planned[key])
             sync = frame(SYNC_COB_ID, bytes((counter,)), ECHO)
-            collector.take(bus, np.concatenate((sync, burst)))
+            collector.take(bus, np.concatenate((sync, burst)), 0)
         gathered = collector.close(counter)
         assert gathered.complete
         assert np.array_equal(gathered.sums, contract.packing.counts(contract.packing.raw(sums)))
@@ -96,7 +96,7 @@ def test_lost_frame_spoils_the_blocks_in_it_and_no_other(name: str) -> None:
     collector.trust(slice(None), proven=True)
     collector.open(1)
     sync = frame(SYNC_COB_ID, b"\1", ECHO)
-    collector.take(0, np.concatenate((sync, np.delete(burst, 5))))
+    collector.take(0, np.concatenate((sync, np.delete(burst, 5))), 0)
     gathered = collector.close(1)
     there = contract.table.gather[contract.table.row_of[0, burst["can_id"][5]]]
     lost = np.unique(contract.phi.block_of_sum[there[there >= 0]])
@@ -113,7 +113,7 @@ def test_frame_of_the_other_kind_is_foreign() -> None:
     burst["flags"] = 0
     collector = Collector(contract)
     collector.open(1)
-    collector.take(0, burst)
+    collector.take(0, burst, 0)
     assert collector.counts.foreign == 32
 
 

@@ -20,7 +20,7 @@ from recording.sinks import McapSink, open_sink
 from recording.steps import steps_of
 from skin.fabric import Mailbox
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
-from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
+from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS, Image, Label, Measurement, Topic
 from skin.service import StopSignal
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
@@ -202,7 +202,7 @@ def test_messages_that_the_recorder_lost_change_nothing(
     _, out = replayed(without(run, tmp_path / "lossy.mcap", topic, FIRST + 6))
     expected = messages(run, MEASUREMENT)
     if topic is MEASUREMENT:
-        expected[5] = msgspec.structs.replace(expected[5], sampled_error_ns=-1)  # nothing tells its bound
+        expected[5] = msgspec.structs.replace(expected[5], sampled_error_ns=UNKNOWN_ERROR_NS)  # nothing tells its bound
     assert messages(out, MEASUREMENT) == expected
     assert [each.pixels for each in messages(out, IMAGE)] == [each.pixels for each in messages(run, IMAGE)]
 

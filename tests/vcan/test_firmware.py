@@ -62,7 +62,7 @@ class Skin:
         if self.links[1] in ready:
             self.boards.take(self._without_lost(self.links[1].receive()), now_s)
         if self.links[0] in ready:
-            self.gateway.take(0, self.links[0].receive(), now_s)
+            self.gateway.take(0, self.links[0].receive(), now_s, stamp_error_ns=self.links[0].stamp_error_ns)
         self.boards.tick(now_s)
         self.gateway.tick(now_s)
         self.measured += self.gateway.send_sync(time.monotonic())
