@@ -8,6 +8,10 @@ because a frame waits for the frame that is on the bus, and an interrupt comes a
 rare, for the bus is free at the end of a window, and the latency of the interrupt is small beside the wait. So the time
 stamp is the estimate, and the whole interval is the bound of its error. Where an interface gives no time stamps, the
 estimate is the send call plus the time of the frame, and the first answer is the upper limit.
+
+A time stamp that contradicts this order is of a clock that was set or is wrong: no bound is proven. On a virtual bus the
+order does not hold, because a SYNC that was sent late ends as if sent when it was due. Nodes have the same time stamp,
+so it is exact.
 """
 
 from dataclasses import dataclass
@@ -109,7 +113,11 @@ class SyncTimes:
         if not echo_ns or cycle.sent_ns is None:
             return echo_ns, UNKNOWN_ERROR_NS
         earliest_ns = cycle.sent_ns + self._frame_ns[bus]
-        if stamp_error_ns is not None:
-            return echo_ns, max(0, echo_ns - earliest_ns) + stamp_error_ns
-        answer_ns = cycle.answer_ns[bus]
-        return earliest_ns, max(0, answer_ns - earliest_ns) if answer_ns else UNKNOWN_ERROR_NS
+        if stamp_error_ns is None:
+            answer_late_ns = cycle.answer_ns[bus] - earliest_ns
+            return earliest_ns, answer_late_ns if answer_late_ns >= 0 else UNKNOWN_ERROR_NS
+        late_ns = echo_ns - earliest_ns
+        # A clock without error is that of a virtual bus, whose stamp of a late SYNC is as if sent when it was due.
+        if stamp_error_ns and late_ns < -stamp_error_ns:
+            return echo_ns, UNKNOWN_ERROR_NS
+        return echo_ns, max(0, late_ns) + stamp_error_ns

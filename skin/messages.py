@@ -13,7 +13,6 @@ from typing import Final
 
 import msgspec
 
-
 #: `Measurement.sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1
 

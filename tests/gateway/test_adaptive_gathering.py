@@ -192,7 +192,9 @@ def test_controller_reports_a_gap_that_is_over(boards: BoardWorld, why: ErrorCla
 
 def test_other_reports_of_the_controller_change_nothing(boards: BoardWorld) -> None:
     at_rest(boards)
-    boards.gateway.take(0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s, stamp_error_ns=0)
+    boards.gateway.take(
+        0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s, stamp_error_ns=0
+    )
     boards.run(0.2)
     assert states(boards.measured[-1]) == [QUIET] * 4
 

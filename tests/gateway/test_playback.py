@@ -71,9 +71,7 @@ def test_lost_frames_cost_their_block_alone(contract: Contract, bus_frames: dict
 
 
 @pytest.mark.parametrize(("later_ns", "cycles_more"), [(20_000, 0), (4_000_000, 0), (6_000_000, 1)])
-def test_a_sync_comes_again(
-    contract: Contract, bus_frames: dict[int, Frames], later_ns: int, cycles_more: int
-) -> None:
+def test_a_sync_comes_again(contract: Contract, bus_frames: dict[int, Frames], later_ns: int, cycles_more: int) -> None:
     """Within half a period: its cycle and the next are not valid. Later: another cycle begins."""
     assert contract.sync_overflow
     expected = whole(contract, bus_frames)

@@ -52,11 +52,25 @@ def test_buses_that_differ_are_within_the_error_of_their_mean(times: SyncTimes) 
     assert found.bus_ns.tolist() == ends_ns.tolist()
 
 
-def test_a_stamp_before_the_send_call_has_the_error_of_its_clock(times: SyncTimes) -> None:
+def test_an_exact_stamp_before_the_send_call_is_exact(times: SyncTimes) -> None:
     """A virtual bus sends a SYNC that comes late at the time at which it was due."""
     for bus in range(BUSES):
-        times.echo(7, bus, SENT_NS, 300)
-    assert closed(times)[:2] == (SENT_NS, 300)
+        times.echo(7, bus, SENT_NS, 0)
+    assert closed(times)[:2] == (SENT_NS, 0)
+
+
+@pytest.mark.parametrize(("early_ns", "error_ns"), [(0, 300), (300, 300), (301, UNKNOWN_ERROR_NS)])
+def test_a_stamp_that_contradicts_the_send_call_proves_nothing(times: SyncTimes, early_ns: int, error_ns: int) -> None:
+    for bus in range(BUSES):
+        times.echo(7, bus, SENT_NS + FRAME_NS - early_ns, 300)
+    assert closed(times)[:2] == (SENT_NS + FRAME_NS - early_ns, error_ns)
+
+
+def test_an_answer_that_contradicts_the_send_call_proves_nothing(times: SyncTimes) -> None:
+    for bus in range(BUSES):
+        times.echo(7, bus, SENT_NS + 5_000_000, None)
+        times.answer(7, bus, SENT_NS + FRAME_NS - 1 if bus == 2 else SENT_NS + 9_000_000)
+    assert closed(times)[:2] == (SENT_NS + FRAME_NS, UNKNOWN_ERROR_NS)
 
 
 def test_without_stamps_the_send_call_is_the_estimate_and_the_first_answer_its_bound(times: SyncTimes) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from skin.messages import UNKNOWN_ERROR_NS
 from tests.vcan.chain import running_chain
 
 CYCLES = 50
@@ -22,7 +23,10 @@ def test_the_sampling_instant_is_that_of_the_nodes(tmp_path: Path) -> None:
             # The nodes of all buses are one process: its truth is of the bus that it read first.
             by_stamp_ns = np.abs(bus_ns - truth.sampled_mono_ns).min()
             errors_ns.append((by_stamp_ns, abs(each.sent_mono_ns - truth.sampled_mono_ns), each.sampled_error_ns))
-            assert abs(each.sampled_mono_ns - truth.sampled_mono_ns) <= each.sampled_error_ns + STEP_NS
+            # On vcan a SYNC takes no time: its stamp may be too early to prove a bound.
+            if each.sampled_error_ns != UNKNOWN_ERROR_NS:
+                assert abs(each.sampled_mono_ns - truth.sampled_mono_ns) <= each.sampled_error_ns + STEP_NS
+        assert sum(bound_ns != UNKNOWN_ERROR_NS for _, _, bound_ns in errors_ns) > len(errors_ns) // 2
         with_stamps, without, bound = np.percentile(errors_ns, 99, axis=0) / 1000
         print(
             f"sampling instant, 99 %: {with_stamps:.1f} us with kernel stamps, {without:.1f} us without, "
