@@ -36,9 +36,6 @@ IDENTIFIERS: Final = GROUPS * NODES
 FIRST_COB_ID: Final = 0x181
 #: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
 PAUSE_MS: Final = 2
-#: At the end of a frame its sample is at most so old: a frame that has not won the bus within a sample, 1 ms, is made
-#: anew of the next. Boards sample by clocks of their own, so the gateway knows no more.
-SAMPLE_AGE_NS: Final = 1_200_000
 #: A frame is given up for lost, with its echo, so long after it has expired.
 LOST_NS: Final = 500_000_000
 #: A budget of bits can be saved up for so long, and for so many frames at least.

@@ -18,9 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, NODES, TPDOS, Companding, companding, frame_of, payload_bytes
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames, one_frame
-from dbc.frame_bits import wire_bits
+from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
 from skin.errors import LayoutError
 from skin.layout import Bus, Layout
@@ -242,6 +243,16 @@ def sum_frame_bits(line: Bus, *, is_fine: bool) -> int:
     """Return the longest time of a frame of adaptive sums in bits at the nominal rate: what it takes of a budget."""
     nominal, data = wire_bits(sum_frame(line, is_fine=is_fine), "worst")
     return int(nominal[0]) + math.ceil(int(data[0]) * line.bitrate / (line.data_bitrate or line.bitrate))
+
+
+def sample_age_ns(line: Bus) -> int:
+    """Return how old the sample of a frame of adaptive sums is at most when the frame ends, nanoseconds.
+
+    A frame that has not won the bus within a sample is made anew of the next sample. Boards sample by clocks of their
+    own, so a gateway knows no more.
+    """
+    longest = sum_frame(line, is_fine=True)
+    return SAMPLE_NS + int(frame_time_ns(longest, line.bitrate, line.data_bitrate, "worst")[0])
 
 
 def next_counter(sync_counter: int) -> int:

@@ -1,10 +1,9 @@
 """The figures of a run, as a value for programs and as rows of a table."""
 
+import math
 from typing import Final
 
 import msgspec
-
-from dbc.adaptive import SAMPLE_AGE_NS
 
 #: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
@@ -63,7 +62,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         Cycles with contact; adaptive: true forces with contact, 100 a second.
     latency_ms : Percentiles
         Time from SYNC to the published image; adaptive: from the end of the newest frame that is in the image. The
-        sample of that frame is older by at most `dbc.adaptive.SAMPLE_AGE_NS`.
+        sample of that frame is older by at most `sample_age_ms`.
+    sample_age_ms : float or None
+        Adaptive: bound of the age of a sample at the end of its frame, of the bus with the longest frames. None with
+        synchronous sending.
     bus_sampling_error_us, sampling_error_us, sent_error_us : Percentiles
         Distance of the sampling instant in the measurements from that of the nodes: by the time stamp of the SYNC on
         their bus; by the mean over the buses; without time stamps, by the send call. None with adaptive sending.
@@ -94,6 +96,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     contact_cycles: int
     label_accuracy: float | None
     latency_ms: Percentiles
+    sample_age_ms: float | None = None
     bus_sampling_error_us: Percentiles = Percentiles(p50=None, p99=None)
     sampling_error_us: Percentiles = Percentiles(p50=None, p99=None)
     sent_error_us: Percentiles = Percentiles(p50=None, p99=None)
@@ -135,8 +138,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         latency = self.latency_ms
         if latency.p50 is not None and latency.p99 is not None:
             within = f"{latency.p50:.1f} ms, 99 % within {latency.p99:.1f} ms"
-            older = f"; samples are up to {SAMPLE_AGE_NS * 1e-6:g} ms older than their frames"
-            rows.append(("frame to image", within + older) if is_adaptive else ("SYNC to image", within))
+            if self.sample_age_ms is not None:
+                within += f"; samples are up to {math.ceil(self.sample_age_ms * 10) / 10:g} ms older than their frames"
+            rows.append(("frame to image" if is_adaptive else "SYNC to image", within))
         if self.bus_sampling_error_us.p99 is not None:
             bus_us, mean_us, sent_us = (
                 self.bus_sampling_error_us.p99,

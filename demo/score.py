@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dbc.contract import sample_age_ns
 from demo.report import NodeMissing, Percentiles, Report
 from skin.ground_truth import Pairing, Pairs, image_pairs, in_contact, label_pairs
 from skin.labels import is_measured
@@ -190,6 +191,12 @@ class Score:
         bits = (load * bus.bitrate for load, bus in zip(loads, self.layout.bus, strict=False))
         return round(sum(bits) / 1000, 1)
 
+    def _sample_age_ms(self) -> float | None:
+        """Return the bound of the age of an adaptive sample at the end of its frame."""
+        if self.layout.sending == "synchronous":
+            return None
+        return round(max(sample_age_ns(bus) for bus in self.layout.bus) * 1e-6, 3)
+
     def report(self) -> Report:
         """Return the figures of the run so far."""
         gateway = self.gateway
@@ -214,6 +221,7 @@ class Score:
             contact_cycles=self.contact_cycles,
             label_accuracy=self.labelled_right / self.labelled if self.labelled else None,
             latency_ms=_percentiles(self.latency_ms),
+            sample_age_ms=self._sample_age_ms(),
             bus_sampling_error_us=_percentiles(self.bus_sampling_error_us),
             sampling_error_us=_percentiles(self.sampling_error_us),
             sent_error_us=_percentiles(self.sent_error_us),

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from dbc.adaptive import PAUSE_MS, SAMPLE_AGE_NS
-from dbc.contract import Contract, NodeContract
+from dbc.adaptive import PAUSE_MS
+from dbc.contract import Contract, NodeContract, sample_age_ns
 from dbc.frame import Frames, frame_bytes, frames
 from gateway.adaptive_state import (
     FOREIGN,
@@ -27,7 +27,7 @@ from gateway.errands import Errands
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
 from skin.errors import InputError
-from skin.messages import FrameCounts, Measurement
+from skin.messages import UNKNOWN_ERROR_NS, FrameCounts, Measurement
 from skin.walsh import GROUPS
 
 #: Measurements in a second, with news and at least; the limits of other rates.
@@ -41,6 +41,7 @@ class _Bus:
     """One bus: its nodes' blocks, and views of what is held of them."""
 
     is_fd: bool
+    sample_age_ns: int
     blocks: slice
     sums: BusSums
     is_proven: Flags
@@ -111,6 +112,8 @@ class AdaptiveGathering:
         self._counter = 0
         #: When the newest frame ended that is in the sums; before the first, the start.
         self._newest_ns = round(now_s * 1e9)
+        #: Bound of the age of its sample, with the error of its time stamp.
+        self._newest_error_ns = UNKNOWN_ERROR_NS
         self._published_s, self._has_news = now_s, False
         self._compile()
 
@@ -156,7 +159,10 @@ class AdaptiveGathering:
         rows = frame_bytes(arrived)
         parts = self._law, mine.is_proven, mine.sums, mine.has_changed, mine.is_fd
         newest_ns = take_all(rows, health.has_gap, *parts)
-        self._newest_ns = max(self._newest_ns, newest_ns)
+        if newest_ns > self._newest_ns:
+            stamp_error_ns = health.stamp_error_ns
+            self._newest_ns = newest_ns
+            self._newest_error_ns = UNKNOWN_ERROR_NS if stamp_error_ns is None else mine.sample_age_ns + stamp_error_ns
         is_still_down = health.is_down and mine.is_down
         self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
         mine.is_down = health.is_down
@@ -190,7 +196,7 @@ class AdaptiveGathering:
                 cycle=self.published,
                 sync_counter=self._counter,
                 sampled_mono_ns=self._newest_ns,
-                sampled_error_ns=SAMPLE_AGE_NS,
+                sampled_error_ns=self._newest_error_ns,
                 wall_offset_ns=wall_offset_ns,
                 sums=shown.sums.astype("<i4", copy=False).tobytes(),
                 valid=shown.valid.tobytes(),
@@ -216,7 +222,7 @@ class AdaptiveGathering:
         return 0, 0
 
     def _bus(self, contract: Contract, number: int, master: NmtMaster) -> _Bus:
-        first = contract.layout.first_block(number)
+        line, first = contract.layout.bus[number], contract.layout.first_block(number)
         blocks = slice(first, first + len(master.node_ids))
 
         def take_noise(node: int, noise_n: float) -> None:
@@ -224,7 +230,8 @@ class AdaptiveGathering:
             self._median_n = float(np.nanmedian(self._noise_n))
 
         return _Bus(
-            is_fd=contract.layout.bus[number].fd,
+            is_fd=line.fd,
+            sample_age_ns=sample_age_ns(line),
             blocks=blocks,
             sums=self._sums.of(blocks),
             is_proven=self._is_proven[blocks],

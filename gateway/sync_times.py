@@ -9,9 +9,9 @@ rare, for the bus is free at the end of a window, and the latency of the interru
 stamp is the estimate, and the whole interval is the bound of its error. Where an interface gives no time stamps, the
 estimate is the send call plus the time of the frame, and the first answer is the upper limit.
 
-A time stamp that contradicts this order is of a clock that was set or is wrong: no bound is proven. On a virtual bus the
-order does not hold, because a SYNC that was sent late ends as if sent when it was due. Nodes have the same time stamp,
-so it is exact.
+A time stamp that contradicts this order is of a clock that was set or is wrong: no bound is proven. On a virtual bus
+the order does not hold, because a SYNC that was sent late ends as if sent when it was due. Nodes have the same time
+stamp, so this time stamp is exact.
 """
 
 from dataclasses import dataclass

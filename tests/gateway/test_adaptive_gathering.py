@@ -15,9 +15,10 @@ from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
 from gateway.nmt_master import SILENT_AFTER_S
 from skin.errors import InputError
+from skin.layout import parse_layout
 from skin.messages import BlockState
 from tests.bus.harness import frame
-from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
+from tests.gateway.boards import SMALL, STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
 
 DEAD, STALE, QUIET, FRESH = BlockState
 #: The times that docs/adaptive.md promises.
@@ -93,6 +94,29 @@ def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(bo
     assert 27 <= len(times) <= 30
     assert min(np.diff(times)) >= 1e-3 - 1e-9
     assert gateway.due_s <= now_s + 0.1
+
+
+@pytest.mark.parametrize(
+    ("line", "stamp_error_ns", "error_ns"),
+    [
+        # 135 bits, with all stuff bits, after a sample of 1 ms.
+        ("bitrate = 1_000_000", 0, 1_135_000),
+        ("bitrate = 500_000", 40_000, 1_310_000),
+        ("bitrate = 500_000", None, -1),
+    ],
+)
+def test_the_sample_of_the_newest_frame_is_older_by_a_sample_and_a_frame(
+    line: str, stamp_error_ns: int | None, error_ns: int
+) -> None:
+    layout = parse_layout(SMALL.replace("nodes = 2", f"nodes = 2\n{line}").encode(), "slow.toml")
+    boards = BoardWorld(Contract.from_layout(layout))
+    assert boards.run(0.3)[0].sampled_error_ns == -1  # no frame has come
+    boards.until_whole(1.0)
+    now_s = boards.now_s + 1.0
+    newest = frame(cob_id(0, 5, 1, False), b"\x90" * 8, time_ns=round(now_s * 1e9))
+    boards.gateway.take(0, newest, now_s, stamp_error_ns=stamp_error_ns)
+    made = boards.gateway.measurements(now_s)
+    assert (made[0].sampled_mono_ns, made[0].sampled_error_ns) == (round(now_s * 1e9), error_ns)
 
 
 def test_block_is_fresh_for_a_tenth_of_a_second_and_quiet_from_then_on(boards: BoardWorld) -> None:
