@@ -12,7 +12,7 @@ import numpy.typing as npt
 from skin.errors import InputError, RunError
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
-from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact
+from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
 
 Table = dict[str, npt.NDArray[Any]]
 
@@ -62,7 +62,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
     layout : Layout
         Of the recording.
     offset_ns : int
-        Wall clock minus CLOCK_MONOTONIC.
+        Wall clock minus CLOCK_MONOTONIC at the beginning: for messages without a measurement that has its own.
     warn : callable
         Receives one line of text if the file is cut.
 
@@ -82,29 +82,30 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
     if not any(read.values()):
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
+    wall = _WallClock(read["measurement"], offset_ns)
     try:
         return Tables(
             # The pixels first: programs that read one array of a file take the first.
             images={"pixels": _stack([each.pixels for each in read["image"]], "<f4", shape)}
-            | _times(read["image"], offset_ns)
+            | _times(read["image"], wall)
             | {
                 "valid": _stack([each.valid for each in read["image"]], np.bool_, (layout.blocks,)),
                 "valid_sums": np.array([each.valid_sums for each in read["image"]], np.int64),
             },
-            measurements=_times(read["measurement"], offset_ns)
+            measurements=_times(read["measurement"], wall)
             | {
                 "sampled_error_ns": np.array([each.sampled_error_ns for each in read["measurement"]], np.int64),
                 "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
                 "valid": _stack([each.valid for each in read["measurement"]], np.bool_, (layout.blocks,)),
             },
-            contacts=_contacts(read["contacts"], offset_ns),
-            labels=_times(read["label"], offset_ns)
+            contacts=_contacts(read["contacts"], wall),
+            labels=_times(read["label"], wall)
             | {
                 "label": np.array([each.label for each in read["label"]], np.str_),
                 "confidence": np.array([each.confidence for each in read["label"]], np.float64),
             },
             truth={
-                "time_ns": np.array([each.sampled_mono_ns for each in read["truth"]], np.int64) + offset_ns,
+                "time_ns": wall.time_ns(np.array([each.sampled_mono_ns for each in read["truth"]], np.int64)),
                 "true": _stack([each.true for each in read["truth"]], "<f4", shape),
                 "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
                 "label": np.array([each.label for each in read["truth"]], np.str_),
@@ -114,19 +115,34 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
         raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
 
 
-def _times(messages: list[Any], offset_ns: int) -> Table:
+class _WallClock:
+    """The wall clock of a run by the offsets of its measurements: a wall clock may be set during a run."""
+
+    def __init__(self, measurements: list[Measurement], offset_ns: int) -> None:
+        known = sorted((each.sampled_mono_ns, each.wall_offset_ns) for each in measurements if each.wall_offset_ns)
+        self._mono_ns = np.array([mono_ns for mono_ns, _ in known], np.int64)
+        self._offset_ns = np.array([offset for _, offset in known] or [offset_ns], np.int64)
+
+    def time_ns(self, mono_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Return the wall time of instants, by the offset of the newest measurement that is not later."""
+        before = np.searchsorted(self._mono_ns, mono_ns, "right") - 1
+        found: npt.NDArray[np.int64] = mono_ns + self._offset_ns[np.maximum(before, 0)]
+        return found
+
+
+def _times(messages: list[Any], wall: _WallClock) -> Table:
     """Return number and times of messages; of a contact those of its image."""
     mono_ns = np.array([each.sampled_mono_ns for each in messages], np.int64)
     return {
         "cycle": np.array([each.cycle for each in messages], np.int64),
-        "time_ns": mono_ns + offset_ns,
+        "time_ns": wall.time_ns(mono_ns),
         "sampled_mono_ns": mono_ns,
     }
 
 
-def _contacts(messages: list[Any], offset_ns: int) -> Table:
+def _contacts(messages: list[Any], wall: _WallClock) -> Table:
     found = [(each, contact) for each in messages for contact in each.contacts]
-    return _times([each for each, _ in found], offset_ns) | {
+    return _times([each for each, _ in found], wall) | {
         name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in CONTACT_FIELDS.items()
     }
 

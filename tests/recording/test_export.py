@@ -18,6 +18,8 @@ from tests.recording.conftest import OFFSET_NS
 from touch.sources import recording
 
 COUNT = 4
+#: The wall clock is set by so much during cycle 2.
+SET_NS = 7_000
 
 
 def pixels(cycle: int) -> np.ndarray:
@@ -51,6 +53,7 @@ def run(contract: Contract, out: Path) -> Path:
                     sums=np.full(128, cycle, "<i4").tobytes(),
                     valid=valid,
                     fingerprint=contract.phi.fingerprint,
+                    wall_offset_ns=OFFSET_NS + SET_NS * (cycle > 2),
                 ),
             ),
             (
@@ -76,7 +79,10 @@ def test_npz(run: Path) -> None:
     export(str(run))
     with np.load(run.with_suffix(".npz")) as made:
         np.testing.assert_array_equal(made["images_pixels"], [pixels(cycle) for cycle in range(1, COUNT + 1)])
-        assert made["images_time_ns"].tolist() == [OFFSET_NS + 10 * cycle for cycle in range(1, COUNT + 1)]
+        times_ns = [OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2) for cycle in range(1, COUNT + 1)]
+        for table in ("measurements", "images", "labels"):
+            assert made[f"{table}_time_ns"].tolist() == times_ns
+        assert made["contacts_time_ns"].tolist() == times_ns[1:2]
         assert made["images_valid"].all(axis=1).tolist() == [False, True, True, True]
         np.testing.assert_array_equal(made["measurements_sums"][:, 5], [1, 2, 3, 4])
         assert (made["contacts_cycle"].tolist(), made["contacts_force_n"].tolist()) == ([2], [0.25])
