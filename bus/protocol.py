@@ -18,7 +18,7 @@ import numpy as np
 from bus.error_frames import State
 from dbc.frame import BRS, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
 from dbc.frame_bits import padded_length
-from skin.errors import InputError
+from skin.errors import UNDECODABLE, InputError
 
 MAGIC: Final = b"CSK1"
 #: Most frames in a packet; a packet must fit a default send buffer.
@@ -122,7 +122,7 @@ def unpack_json(payload: memoryview, body: type[Body]) -> Body:
     """
     try:
         return msgspec.json.decode(payload, type=body)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except UNDECODABLE as error:
         raise ProtocolError(str(error)) from error
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from classifier.dag import pairs
 from classifier.features import widths_for
 from classifier.model import ARRAYS, VERSION, Metadata, Model
-from skin.errors import ModelError
+from skin.errors import UNDECODABLE, ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.output import write_file
@@ -68,7 +68,7 @@ def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
         if version != VERSION:
             raise ModelError(f"{path}: version {version} of the model format, expected {VERSION}: train it again")
         about = msgspec.json.decode(metadata, type=Metadata)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except UNDECODABLE as error:
         raise ModelError(f"{path}: damaged model: {error}") from error
     _check_skin(path, about, layout, phi)
     _check_arrays(path, about, arrays)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import msgspec
 
-from skin.errors import InputError
+from skin.errors import UNDECODABLE, InputError
 from skin.output import write_file
 
 #: Values by index and sub-index, in the bytes of an SDO transfer.
@@ -87,7 +87,7 @@ class Storage:
             return {}
         except OSError as error:
             raise InputError(f"{path}: cannot read the stored parameters: {error.strerror or error}") from error
-        except (msgspec.MsgspecError, ValueError) as error:
+        except (*UNDECODABLE, ValueError) as error:
             raise InputError(f"{path}: expected parameters stored by a node: {error}; remove the file") from error
         if stored.phi != self._phi:
             raise InputError(

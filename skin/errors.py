@@ -12,6 +12,13 @@ Every deliberate error derives from one class. The message is one line: what was
 The command line prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
 """
 
+from typing import Final
+
+import msgspec
+
+#: What msgspec raises for content that it cannot decode, such as text that is no UTF-8, or lists in lists in lists.
+UNDECODABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+
 
 class SkinError(Exception):
     """Base of every error whose message is meant for the user."""

@@ -16,7 +16,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import msgspec
 import zenoh
 
-from skin.errors import BusError
+from skin.errors import UNDECODABLE, BusError
 from skin.messages import Topic
 from skin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
 from skin.service import Stopped, StopSignal, Talk, say
@@ -138,7 +138,7 @@ class Fabric:
         def receive(content: bytes) -> None:
             try:
                 message = decoder.decode(content)
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            except UNDECODABLE:
                 self.malformed += 1
                 return
             handler(message)

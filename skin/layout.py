@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from skin.errors import InputError, LayoutError
+from skin.errors import UNDECODABLE, InputError, LayoutError
 from skin.measurement import Sbhe, sbhe
 from skin.output import RECORDING_SUFFIX
 from skin.toml_errors import in_words
@@ -258,7 +258,7 @@ def parse_layout(content: bytes, origin: str) -> Layout:
     """Decode and check a layout; `origin` names the file in messages."""
     try:
         document = _with_sizes(msgspec.toml.decode(content))
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except UNDECODABLE as error:
         raise LayoutError(f"{origin}: {error}") from error
     try:
         layout = msgspec.convert(document, Layout)

@@ -21,7 +21,7 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from skin.errors import InputError
+from skin.errors import UNDECODABLE, InputError
 from skin.messages import Topic
 
 #: Profile in the header: what the topics and messages are.
@@ -193,7 +193,7 @@ def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     def decoded(data: bytes) -> Any:
         try:
             return decode(data)
-        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        except UNDECODABLE as error:
             what = f"a message of '{topic.name}' cannot be decoded"
             raise InputError(f"{path}: {what}, it is of another version of canskin or damaged: {error}") from error
 

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from skin.errors import InputError
-from skin.mcap_file import EVENTS, File, RecordingWriter, read_about, read_entries, read_topics
+from skin.mcap_file import EVENTS, File, RecordingWriter, message_decoder, read_about, read_entries, read_topics
 from skin.messages import LABEL
 
 COUNT = 20
@@ -90,6 +90,12 @@ def test_a_damaged_chunk_ends_the_reading(tmp_path: Path) -> None:
     data, said = read(path)
     assert 0 < len(data) < COUNT
     assert said
+
+
+@pytest.mark.parametrize("content", [b"\xc1", b"\x81\xa5label\xa1\xff", b"\x81\xa5other" + 100_000 * b"\x91" + b"\0"])
+def test_a_message_that_cannot_be_decoded_is_one_line(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(InputError, match=r"run.mcap: a message of 'label' cannot be decoded"):
+        message_decoder(tmp_path / "run.mcap", LABEL)(content)
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

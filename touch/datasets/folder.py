@@ -16,7 +16,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from skin.errors import InputError, RunError
+from skin.errors import UNDECODABLE, InputError, RunError
 from touch.contact import Force
 
 FORMAT: Final = "canskin data set 1"
@@ -88,7 +88,7 @@ class DatasetFolder:
             found = msgspec.json.decode(path.read_bytes())
         except OSError as error:
             raise InputError(f"'{self.path}' cannot be used as a folder: {error}; give another --out") from error
-        except msgspec.DecodeError as error:
+        except UNDECODABLE as error:
             raise InputError(f"'{path}' is no manifest: {error}; delete the folder or give another --out") from error
         self._need_same(found)
         return dict(found["chunks"])

@@ -75,7 +75,9 @@ def test_other_settings_are_refused(tmp_path: Path, change: dict[str, Any], mess
     assert (tmp_path / "manifest.json").read_bytes() == before
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b'{"chunks": []}', b'{"chunks": {}}', b"\xff"])
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"[]", b"{}", b'{"chunks": []}', b'{"chunks": {}}', b"\xff", 100_000 * b"["]
+)
 def test_manifests_that_are_none_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "manifest.json").write_bytes(content)
     with pytest.raises(InputError, match="delete"):
