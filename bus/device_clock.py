@@ -21,6 +21,8 @@ BUCKET_NS: Final = 1_000_000_000
 BUCKETS: Final = 16
 #: Buckets before the line is used.
 LEAST_BUCKETS: Final = 3
+#: After a longer pause the line is not used: nothing told how the clocks drifted.
+PAUSE_NS: Final = 2 * BUCKET_NS
 #: A device stamp so far from the line means that the device's clock began anew, or that the wall clock was set.
 JUMP_NS: Final = 100_000_000
 
@@ -53,7 +55,8 @@ class DeviceClock:
         difference_ns = kernel_ns - device_ns
         last = self._least
         if last is not None and (
-            device_ns <= last.device_ns - BUCKET_NS or abs(difference_ns - last.difference_ns) > JUMP_NS
+            not -BUCKET_NS < device_ns - last.device_ns <= PAUSE_NS
+            or abs(difference_ns - last.difference_ns) > JUMP_NS
         ):
             self._begin_anew()
         bucket = device_ns // BUCKET_NS

@@ -51,3 +51,23 @@ def test_a_clock_that_begins_anew_is_followed_anew(jump_ns: int) -> None:
     found_ns = followed(DeviceClock(), device_ns, kernel_ns)
     assert (found_ns[1000:1100] == kernel_ns[1000:1100]).all()
     assert np.abs(found_ns - end_ns - LEAST_NS)[2000:].max() < 10_000
+
+
+def test_the_line_is_not_used_after_a_pause() -> None:
+    """Minutes without a frame: the clock has drifted elsewhere, by less than a jump, and no bucket tells."""
+    _, device_ns, kernel_ns = stamps(30, 20e-6)
+    pause_ns = 200_000_000_000
+    later_device_ns, later_kernel_ns = device_ns[2000:] + pause_ns, kernel_ns[2000:] + pause_ns + 9_000_000
+    clock = DeviceClock()
+    followed(clock, device_ns[:2000], kernel_ns[:2000])
+    assert clock.error_ns > 0
+    found_ns = followed(clock, later_device_ns[:100], later_kernel_ns[:100])
+    assert (found_ns == later_kernel_ns[:100]).all()
+    assert clock.error_ns == 0
+
+
+def test_the_line_is_used_after_a_second_without_frames() -> None:
+    end_ns, device_ns, kernel_ns = stamps(30, 20e-6)
+    there = (end_ns - START_NS < 20e9) | (end_ns - START_NS > 21e9)
+    found_ns = followed(DeviceClock(), device_ns[there], kernel_ns[there])
+    assert np.abs(found_ns - end_ns[there] - LEAST_NS)[2000:].max() < 10_000
