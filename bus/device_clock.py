@@ -55,8 +55,7 @@ class DeviceClock:
         difference_ns = kernel_ns - device_ns
         last = self._least
         if last is not None and (
-            not -BUCKET_NS < device_ns - last.device_ns <= PAUSE_NS
-            or abs(difference_ns - last.difference_ns) > JUMP_NS
+            not -BUCKET_NS < device_ns - last.device_ns <= PAUSE_NS or abs(difference_ns - last.difference_ns) > JUMP_NS
         ):
             self._begin_anew()
         bucket = device_ns // BUCKET_NS

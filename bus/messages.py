@@ -8,7 +8,6 @@ import can
 import numpy as np
 
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
-from skin.clock import wall_offset
 
 _FLAG_OF: Final = (
     ("is_extended_id", EXTENDED),
@@ -38,8 +37,11 @@ def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
     return message
 
 
-def to_frame(message: can.Message) -> Frames:
-    """Convert a message to one record; without a plausible wall-clock time stamp the time is now."""
+def to_frame(message: can.Message, offset_ns: int) -> Frames:
+    """Convert a message to one record; without a plausible wall-clock time stamp the time is now.
+
+    `offset_ns` is the wall clock minus CLOCK_MONOTONIC.
+    """
     frame = frames(1)
     frame["can_id"] = message.arbitration_id
     frame["flags"] = flags_of(message)
@@ -47,7 +49,7 @@ def to_frame(message: can.Message) -> Frames:
     data = bytes(message.data or b"")[:64]
     frame["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
     now_ns = time.monotonic_ns()
-    stamp_ns = round(message.timestamp * 1e9) - wall_offset().ns
+    stamp_ns = round(message.timestamp * 1e9) - offset_ns
     frame["time_ns"] = stamp_ns if abs(now_ns - stamp_ns) < _PLAUSIBLE_NS else now_ns
     return frame
 

@@ -4,6 +4,7 @@ import contextlib
 import os
 import select
 import threading
+import time
 from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final
@@ -15,6 +16,7 @@ from bus.error_frames import State
 from bus.messages import to_frame, to_message
 from bus.protocol import Filter, check_frames, in_time
 from dbc.frame import ECHO, Frames, frames
+from skin.clock import wall_offset
 from skin.errors import BusError
 
 #: Most frames kept until `receive`; later frames are lost and counted.
@@ -103,9 +105,7 @@ class PythonCanLink:
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of sent frames included."""
         if self._thread is None and not self._lost:
-            for _ in range(FRAMES_PER_CALL):
-                if not self._take_one(0.0):
-                    break
+            self._take(0.0)
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._wake)
         arrived = [self._queue.popleft() for _ in range(len(self._queue))]
@@ -129,10 +129,9 @@ class PythonCanLink:
                 self._bus.send(message)
             except can.CanError:
                 return place
-            message.timestamp = 0.0
-            echo = to_frame(message)
+            echo = burst[place : place + 1].copy()
             echo["flags"] |= ECHO
-            echo["port"] = record["port"]
+            echo["time_ns"], echo["expires_ns"] = time.monotonic_ns(), 0
             self._put(echo)
         return len(burst)
 
@@ -155,21 +154,27 @@ class PythonCanLink:
 
     def _read(self) -> None:
         while not self._closing and not self._lost:
-            self._take_one(0.1)
+            self._take(0.1)
 
-    def _take_one(self, timeout_s: float) -> bool:
+    def _take(self, timeout_s: float) -> None:
+        """Take the messages that wait; wait for the first."""
+        message = self._receive(timeout_s)
+        offset_ns = wall_offset().ns if message is not None else 0
+        for _ in range(FRAMES_PER_CALL):
+            if message is None:
+                return
+            self._put(to_frame(message, offset_ns))
+            message = self._receive(0.0)
+
+    def _receive(self, timeout_s: float) -> can.Message | None:
         try:
-            message = self._bus.recv(timeout_s)
+            return self._bus.recv(timeout_s)
         except (can.CanError, OSError):
             self._lost = True
             if self._descriptor >= 0:  # else the descriptor would stay readable
                 self._epoll.unregister(self._descriptor)
                 self._descriptor = -1
-            return False
-        if message is None:
-            return False
-        self._put(to_frame(message))
-        return True
+            return None
 
     def _put(self, frame: Frames) -> None:
         if len(self._queue) >= QUEUE_FRAMES:

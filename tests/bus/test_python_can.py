@@ -85,5 +85,5 @@ def test_what_python_can_says_becomes_one_line(interface: str, what: str) -> Non
 
 
 def test_fd_messages_keep_their_flags() -> None:
-    record = to_frame(can.Message(arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(12)))[0]
+    record = to_frame(can.Message(arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(12)), 0)[0]
     assert (record["flags"], record["length"]) == (FD, 12)
