@@ -12,7 +12,6 @@
 #define SKIN_PATCH_HIGH 4
 #define SKIN_PATCH_WIDE 8
 #define SKIN_PATCH 32 /* taxels, row by row */
-#define SKIN_SPANS 3  /* lengths of the means in which noise is looked at: 1, 4 and 16 samples */
 
 /* What is learned of an untouched patch at power-up. */
 typedef struct {

@@ -3,7 +3,7 @@
 
 #include "skin_filter.h"
 
-static const uint8_t spans[SKIN_SPANS] = {1, 4, 16};
+static const uint8_t spans[SKIN_SPANS] = SKIN_SPAN_SAMPLES;
 
 /* The additions stand in the order of nodes/adaptive/transforms.py, so that both round alike. */
 

@@ -7,7 +7,6 @@
 #include <string.h>
 
 #define LONG_AGO (-((int64_t)1 << 40))
-#define SAMPLE_NS 1000000
 
 /* TPDOs. */
 
@@ -150,7 +149,7 @@ void skin_send_sums(skin_node *node, int64_t now_ns)
 {
     const int64_t period_ns = (int64_t)skin_unsigned(node, SKIN_OD_CYCLE_PERIOD, 0) * 1000;
     const int64_t next_ns = node->sync_ns + period_ns;
-    int64_t expires_ns = now_ns + SAMPLE_NS;
+    int64_t expires_ns = now_ns + SKIN_SAMPLE_NS;
     uint8_t turn;
 
     if ((node->sync_ns <= now_ns && now_ns < node->sync_ns + SKIN_PAUSE_NS) ||
