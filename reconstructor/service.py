@@ -129,21 +129,19 @@ class _Cycles:
     """Images of cycles."""
 
     def __init__(self, layout: Layout, solver: Reconstructor) -> None:
-        self._phi = layout.phi()
         self._newton_per_count = np.float32(layout.taxels.newton_per_count)
         self._solver = solver
-        self.reader = MeasurementReader(self._phi, "reconstructor", decode_measurement)
+        self.reader = MeasurementReader(layout.phi(), "reconstructor", decode_measurement)
 
     def solve(self, measurement: Measurement) -> tuple[Image_n, int, float] | None:
         """Return image, number of sums used, and time of the solver; None if the measurement is refused."""
         sums = self.reader.read(measurement)
         if sums is None:
             return None
-        valid = self._phi.sums_of_blocks(sums.valid)
         started_s = time.perf_counter()
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        image = self._solver.solve(sums_n, valid)
-        return image, int(valid.sum()), time.perf_counter() - started_s
+        image = self._solver.solve(sums_n, sums.valid_sums)
+        return image, int(np.count_nonzero(sums.valid_sums)), time.perf_counter() - started_s
 
 
 class _Adaptive:

@@ -23,13 +23,16 @@ class MeasuredSums(NamedTuple):
     Attributes
     ----------
     counts : array of int32, shape (m,)
-        Sums in ADC counts; read-only.
+        Sums less their offsets in ADC counts; 0 if not valid; read-only.
     valid : array of bool, shape (blocks,)
-        True if every sum of the block came in this cycle.
+        True if every sum of the block came in this cycle, and none is defective.
+    valid_sums : array of bool, shape (m,)
+        True if the sum came in this cycle, and is not defective.
     """
 
     counts: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
+    valid_sums: npt.NDArray[np.bool_]
 
 
 class AdaptiveSums(NamedTuple):
@@ -74,7 +77,24 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
     _check_sums(measurement, phi)
     if measurement.known or measurement.states or measurement.since_ns:
         raise InputError("a measurement of adaptive sending, expected synchronous: give both ends the same --layout")
-    return MeasuredSums(np.frombuffer(measurement.sums, "<i4"), np.frombuffer(measurement.valid, np.uint8) != 0)
+    valid = np.frombuffer(measurement.valid, np.uint8) != 0
+    valid_sums = phi.sums_of_blocks(valid)
+    if measurement.usable:
+        usable = np.frombuffer(measurement.usable, np.uint8) != 0
+        valid = valid & np.logical_and.reduceat(usable, phi.starts[:-1])
+        valid_sums &= usable
+    return MeasuredSums(corrected_counts(measurement, valid_sums), valid, valid_sums)
+
+
+def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Return the sums of a synchronous measurement less their offsets, 0 if not valid, ADC counts, shape (m,)."""
+    counts = np.frombuffer(measurement.sums, "<i4")
+    if measurement.offsets:
+        counts = counts - np.frombuffer(measurement.offsets, "<i4")
+        counts[~valid_sums] = 0
+    elif measurement.usable:
+        counts = np.where(valid_sums, counts, 0)
+    return counts
 
 
 def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
@@ -118,6 +138,12 @@ def _check_sums(measurement: Measurement, phi: Sbhe) -> None:
         raise InputError(
             f"sums and validity of {lengths[0]} and {lengths[1]} bytes, expected {expected[0]} and {expected[1]}"
         )
+    for name, found, wanted in (
+        ("offsets", measurement.offsets, 4 * phi.shape[0]),
+        ("usable", measurement.usable, phi.shape[0]),
+    ):
+        if found and len(found) != wanted:
+            raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
 
 
 class MeasurementReader(Generic[Sums]):

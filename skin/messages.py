@@ -13,6 +13,8 @@ from typing import Final
 
 import msgspec
 
+from skin.calibration_messages import CalibrationStatus
+
 #: `Measurement.sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1
 
@@ -75,6 +77,11 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         int64, shape (blocks,): monotonic time since when the block is in its state.
     noise_n : float
         Adaptive: median of the nodes' noise, newtons; 0 if it is not known.
+    offsets : bytes
+        int32, shape (m,), in ADC counts: what an untouched skin reads; `skin.measured_sums` takes it off the sums.
+        Empty if it is not known, and with adaptive sending, whose nodes take it off.
+    usable : bytes
+        uint8, shape (m,): 0 for sums that are defective, whatever came. Empty if there are none.
     """
 
     cycle: int
@@ -87,6 +94,8 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     states: bytes = b""
     since_ns: bytes = b""
     noise_n: float = 0.0
+    offsets: bytes = b""
+    usable: bytes = b""
     sampled_error_ns: int = UNKNOWN_ERROR_NS
     sent_mono_ns: int = 0
     wall_offset_ns: int = 0
@@ -353,6 +362,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
         Number of cycles that have ended, and of cycles in which every block was valid.
     syncs_skipped : int
         Number of SYNCs that were not sent because they were too late.
+    calibration : CalibrationStatus or None
+        None from a gateway without calibration, as in a replay.
     """
 
     time_ns: int
@@ -362,6 +373,7 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     sync_rate_hz: float
     buses: list[BusState]
     syncs_skipped: int = 0
+    calibration: CalibrationStatus | None = None
 
 
 class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):

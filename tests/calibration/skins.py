@@ -1,0 +1,77 @@
+"""Cycles of the default skin whose taxels have offsets, for the tests of this folder."""
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from calibration.calibrator import Calibrator
+from skin.layout import Layout, load_layout
+from skin.messages import Measurement
+
+LAYOUT = load_layout()
+PHI = LAYOUT.phi()
+ROWS, COLUMNS = LAYOUT.taxels.rows, LAYOUT.taxels.columns
+NEWTON_PER_COUNT = LAYOUT.taxels.newton_per_count
+#: Noise of one averaged taxel, newtons.
+NOISE_N = 0.05e-3
+Force = Callable[[float], npt.NDArray[np.floating]]
+
+
+def offsets_n(seed: int = 0) -> npt.NDArray[np.float64]:
+    """Offsets of 0 to 13 % of the range."""
+    taxels = LAYOUT.taxels
+    return np.random.default_rng(seed).uniform(0, 0.13 * taxels.force_max_n, taxels.count)
+
+
+def pressed(row: int, column: int, size: int, force_n: float) -> npt.NDArray[np.float64]:
+    """A square of taxels under equal force."""
+    force = np.zeros((ROWS, COLUMNS))
+    force[row : row + size, column : column + size] = force_n
+    return force.ravel()
+
+
+class Skin:
+    """A skin whose cycles go through a calibrator, one after the other."""
+
+    def __init__(self, calibrator: Calibrator, *, layout: Layout = LAYOUT, seed: int = 0) -> None:
+        self.calibrator, self.layout = calibrator, layout
+        self.time_s = 0.0
+        self._phi = layout.phi()
+        self._random = np.random.default_rng(seed)
+
+    def run(self, seconds: float, force: Force, *, valid: npt.NDArray[np.bool_] | None = None) -> Measurement:
+        """Let the skin feel ``force(time_s)``, newtons, offsets included; return the last measurement."""
+        valid = np.ones(self.layout.blocks, np.bool_) if valid is None else valid
+        for _ in range(round(seconds / self.layout.sync.period_s)):
+            self.time_s += self.layout.sync.period_s
+            felt_n = force(self.time_s) + self._random.normal(0, NOISE_N, self.layout.taxels.count)
+            counts = np.rint(self._phi.forward(felt_n) / NEWTON_PER_COUNT).astype("<i4")
+            counts[~self._phi.sums_of_blocks(valid)] = 0
+            time_ns = round(self.time_s * 1e9)
+            made = self.calibrator.apply(
+                Measurement(
+                    cycle=1,
+                    sync_counter=1,
+                    sync_mono_ns=time_ns,
+                    time_ns=time_ns,
+                    sums=counts.tobytes(),
+                    valid=valid.astype(np.uint8).tobytes(),
+                    fingerprint=self._phi.fingerprint,
+                )
+            )
+            self.calibrator.take(made)
+            self.calibrator.work()
+        return made
+
+
+def error_n(measurement: Measurement, force: npt.NDArray[np.floating]) -> float:
+    """Return the root mean square error of the corrected sums, newtons, for the forces without offsets."""
+    sums = np.frombuffer(measurement.sums, "<i4") - np.frombuffer(measurement.offsets, "<i4")
+    return float(np.std(sums * NEWTON_PER_COUNT - PHI.forward(force)))
+
+
+def without_offsets(measurement: Measurement) -> Measurement:
+    """Return a measurement as the gateway made it."""
+    return msgspec.structs.replace(measurement, offsets=b"")
