@@ -112,11 +112,6 @@ class Calibrator:
         """Median noise of one cycle's sum, newtons; 0 if unknown."""
         return self._noise_n
 
-    @property
-    def is_waiting(self) -> bool:
-        """Whether there is something for `work` to do."""
-        return self._waiting is not None
-
     def load(self, offsets_n: Floats) -> None:
         """Take stored offsets, shape (m,), newtons; NaN for unknown ones."""
         known = np.isfinite(offsets_n)

@@ -83,6 +83,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
     wall = _WallClock(read["measurement"], offset_ns)
+    none = bytes(4 * layout.measurement.sums)
     try:
         return Tables(
             # The pixels first: programs that read one array of a file take the first.
@@ -96,6 +97,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
             | {
                 "sampled_error_ns": np.array([each.sampled_error_ns for each in read["measurement"]], np.int64),
                 "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
+                "offsets": _stack([each.offsets or none for each in read["measurement"]], "<i4", (len(none) // 4,)),
                 "valid": _stack([each.valid for each in read["measurement"]], np.bool_, (layout.blocks,)),
             },
             contacts=_contacts(read["contacts"], wall),

@@ -1,6 +1,7 @@
 """What the gateway tells of the zero of its skin, and what it can be asked for."""
 
 from enum import StrEnum
+from typing import Literal
 
 import msgspec
 
@@ -45,3 +46,41 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
     noise_n: float = 0.0
     held_blocks: int = 0
     defects: list[str] = []
+
+
+class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """What a program asks the gateway for.
+
+    Attributes
+    ----------
+    action : str
+        ``tare``: measure the zero; ``show``: tell it; ``load``: use another; ``write``: write it to the nodes.
+    force : bool
+        Of ``tare``: whatever touches the skin is part of its zero.
+    content : bytes
+        Of ``load`` and ``write``: a file of `calibration.stored`.
+    """
+
+    action: Literal["tare", "show", "load", "write"]
+    force: bool = False
+    content: bytes = b""
+
+
+class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
+    """The gateway's answer.
+
+    Attributes
+    ----------
+    is_done : bool
+        Whether all that was asked for was done.
+    text : str
+        The result in words.
+    status : CalibrationStatus or None
+    content : bytes
+        Of ``show``: the calibration as a file of `calibration.stored`.
+    """
+
+    is_done: bool
+    text: str
+    status: CalibrationStatus | None = None
+    content: bytes = b""

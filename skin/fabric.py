@@ -17,7 +17,7 @@ import msgspec
 import zenoh
 
 from skin.errors import UNDECODABLE, BusError
-from skin.messages import Topic
+from skin.messages import Question, Topic
 from skin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
 from skin.service import Stopped, StopSignal, Talk, say
 
@@ -33,6 +33,8 @@ PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
 HIGHEST_PORT: Final = 65535
 
 Message = TypeVar("Message", bound=msgspec.Struct)
+#: Sends the answer to a request, once.
+Reply = Callable[[msgspec.Struct], None]
 
 
 class Mailbox(Generic[Message]):
@@ -158,6 +160,43 @@ class Fabric:
         mailbox: Mailbox[Any] = Mailbox(depth)
         self.subscribe(topic, mailbox.put)
         return mailbox
+
+    def answer(self, question: Question, handler: Callable[[Any, Reply], None]) -> None:
+        """Call ``handler(request, reply)`` with every request, in a thread of the fabric.
+
+        The handler, or another thread later, calls `reply` once with the answer. Requests that cannot be decoded are
+        counted in `malformed`.
+        """
+        decoder = msgspec.msgpack.Decoder(question.request)
+
+        def receive(query: Any) -> None:
+            try:
+                request = decoder.decode(query.payload.to_bytes() if query.payload is not None else b"")
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                self.malformed += 1
+                return
+
+            def reply(message: msgspec.Struct) -> None:
+                query.reply(query.key_expr, self._encoder.encode(message))
+                query.drop()
+
+            handler(request, reply)
+
+        self._kept.append(self._session.declare_queryable(f"{self._prefix}/{question.name}", receive))
+
+    def ask(self, question: Question, request: msgspec.Struct, timeout_s: float) -> Any:
+        """Return the answer to a request.
+
+        Raises
+        ------
+        BusError
+            If no service answers in time.
+        """
+        key, payload = f"{self._prefix}/{question.name}", self._encoder.encode(request)
+        for reply in self._session.get(key, payload=payload, timeout=timeout_s):
+            if reply.ok is not None:
+                return msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=question.reply)
+        raise BusError(f"no service of skin '{self._peer.skin}' answers: is 'skin gateway' of this layout running?")
 
     def watch(self, changed: Callable[[str, bool], None]) -> None:
         """Call ``changed(service, alive)`` for every service that is present, comes or goes.

@@ -24,8 +24,9 @@ from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS,
 from skin.service import StopSignal
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
-#: Of the live run: the number of its first cycle, a block whose node was not proven, and cycles without an image.
-FIRST, UNPROVEN, SKIPPED = 500, 5, {502, 503}
+#: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
+#: cycles without an image. Its offsets change every four cycles.
+FIRST, UNPROVEN, DEFECTIVE, SKIPPED = 500, 5, 3, {502, 503}
 
 
 class Live:
@@ -59,8 +60,12 @@ def as_published(contract: Contract, made: Measurement) -> Measurement:
     valid[UNPROVEN] = 0
     sums = np.frombuffer(made.sums, "<i4").copy()
     sums[~contract.phi.sums_of_blocks(valid != 0)] = 0
+    usable = np.ones(sums.size, np.uint8)
+    usable[DEFECTIVE] = 0
     return msgspec.structs.replace(
         made,
+        offsets=(np.arange(sums.size) % 7 * 10 + made.cycle // 4).astype("<i4").tobytes(),
+        usable=usable.tobytes(),
         cycle=FIRST + made.cycle,
         sampled_mono_ns=made.sampled_mono_ns - 123_456,
         sampled_error_ns=150_000,

@@ -1,0 +1,133 @@
+"""Files with a calibration: JSON with the fingerprint of the skin that it belongs to."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from calibration.windows import Floats
+from skin.errors import InputError
+from skin.layout import Layout
+from skin.output import write_file
+
+#: No gain is stored that is not between these.
+LEAST_GAIN, MOST_GAIN = 0.01, 100.0
+
+_Gain = Annotated[float, msgspec.Meta(ge=LEAST_GAIN, le=MOST_GAIN)]
+
+
+class StoredCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is known of a skin's sums and taxels; parts that are not known are empty.
+
+    Attributes
+    ----------
+    skin, fingerprint, force_max_n
+        Name of the layout, fingerprint of its Φ, and end of its taxels' range in newtons.
+    saved : str
+        When, in UTC.
+    offsets_n : list of float or None
+        Of each sum, newtons; None for unknown ones.
+    gains : list of float
+        Reading / force of each taxel, row-major.
+    taxel_offsets_n : list of float
+        Of each taxel, row-major, newtons: for nodes.
+    defects : list of str
+        In words.
+    """
+
+    skin: str
+    fingerprint: str
+    force_max_n: float
+    saved: str = ""
+    offsets_n: list[float | None] = []
+    gains: list[_Gain] = []
+    taxel_offsets_n: list[float] = []
+    defects: list[str] = []
+
+    def sum_offsets_n(self) -> Floats | None:
+        """Return the offsets of the sums, shape (m,), NaN for unknown ones; None without any."""
+        return np.array(self.offsets_n, np.float64) if self.offsets_n else None
+
+
+def store(
+    layout: Layout,
+    *,
+    offsets_n: Floats | None = None,
+    gains: Floats | None = None,
+    defects: list[str] | None = None,
+) -> StoredCalibration:
+    """Return a calibration of a skin, made now."""
+    return StoredCalibration(
+        skin=layout.name,
+        fingerprint=layout.phi().fingerprint,
+        force_max_n=layout.taxels.force_max_n,
+        saved=datetime.now(UTC).isoformat(timespec="seconds"),
+        offsets_n=[] if offsets_n is None else [float(each) if np.isfinite(each) else None for each in offsets_n],
+        gains=[] if gains is None else np.clip(gains, LEAST_GAIN, MOST_GAIN).tolist(),
+        defects=defects or [],
+    )
+
+
+def encoded(stored: StoredCalibration) -> bytes:
+    """Return the content of a file."""
+    return msgspec.json.encode(stored) + b"\n"
+
+
+def save_calibration(path: Path, stored: StoredCalibration) -> None:
+    """Write a file in one step.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    write_file(path, encoded(stored))
+
+
+def load_calibration(path: Path, layout: Layout) -> StoredCalibration:
+    """Read a file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or belongs to another skin.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the calibration: {error.strerror or error}") from error
+    return parse_calibration(content, layout, str(path))
+
+
+def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCalibration:
+    """Decode and check the content of a file; `origin` names the file in messages.
+
+    Raises
+    ------
+    InputError
+        If it is no calibration, or belongs to another skin.
+    """
+    try:
+        stored = msgspec.json.decode(content, type=StoredCalibration)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{origin}: expected a file of 'skin calibration save': {error}") from error
+    phi = layout.phi()
+    mine = (phi.fingerprint, layout.taxels.force_max_n)
+    if (stored.fingerprint, stored.force_max_n) != mine:
+        raise InputError(
+            f"{origin}: the calibration of another layout, '{stored.skin[:64]}' with Φ {stored.fingerprint[:32]} and"
+            f" {stored.force_max_n:g} N: expected Φ {mine[0]} and {mine[1]:g} N"
+        )
+    for name, found, wanted in (
+        ("offsets_n", stored.offsets_n, phi.shape[0]),
+        ("gains", stored.gains, phi.shape[1]),
+        ("taxel_offsets_n", stored.taxel_offsets_n, phi.shape[1]),
+    ):
+        if found and len(found) != wanted:
+            raise InputError(f"{origin}: expected {wanted} {name}, or none, got {len(found)}")
+        limit = layout.taxels.count * layout.taxels.force_max_n
+        if any(each is not None and not abs(each) <= max(limit, MOST_GAIN) for each in found):
+            raise InputError(f"{origin}: {name} that no taxel of this skin can have")
+    return stored
