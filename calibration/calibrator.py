@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from calibration.defects import DefectFinder, Defects
 from calibration.drift import DriftFollower, line_through
 from calibration.touched import Touch, TouchFinder
 from calibration.windows import Bools, Floats, Window, WindowMeans
@@ -28,6 +29,8 @@ NEGATIVE_WINDOWS: Final = 4
 LEAST_NOISE_RATIO: Final = 0.3
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
 LEAST_STEP: Final = 0.3
+#: Sums with a noise of so many counts have no defect: averages of an untouched taxel are 0 but for rare cycles.
+QUIET_COUNTS: Final = 3.0
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,9 @@ class Calibrator:
         self._newton_per_count = layout.taxels.newton_per_count
         self._windows = WindowMeans(self._phi, layout.sync.period_s, self._newton_per_count)
         self._finder = TouchFinder(self._phi, layout.taxels.rows, layout.taxels.columns)
+        least_n = QUIET_COUNTS * self._newton_per_count
+        self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
+        self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
         self._waiting: Window | None = None
         self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._forced = False
@@ -134,11 +140,16 @@ class Calibrator:
         self.state = CalibrationState.MEASURING
 
     def apply(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with the offsets of its instant."""
+        """Return a measurement with the offsets of its instant, and without defective sums."""
         offsets = self._offsets_at(measurement.sync_mono_ns)
         if offsets is None:
             return measurement
-        return msgspec.structs.replace(measurement, offsets=offsets.astype("<i4").tobytes())
+        usable = self._defects.usable
+        return msgspec.structs.replace(
+            measurement,
+            offsets=offsets.astype("<i4").tobytes(),
+            usable=b"" if usable.all() else usable.astype(np.uint8).tobytes(),
+        )
 
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement; most of it is left to `work`."""
@@ -175,6 +186,7 @@ class Calibrator:
             drift_rms_n_per_s=_rms(follower.slope_n) * per_s if follower is not None else 0.0,
             noise_n=self._noise_n,
             held_blocks=self._held_blocks,
+            defects=self._defects.words,
         )
 
     def _offsets_at(self, time_ns: int) -> npt.NDArray[np.int32] | None:
@@ -191,9 +203,10 @@ class Calibrator:
         for _ in range(min(skipped, TARE_WINDOWS)):
             follower.take(window.mean_n, nothing, everything)
         mean_n = window.mean_n - self._bias_n
-        known = window.known & follower.known
+        known = window.known & follower.known & self._defects.usable
         touch = self._finder.look(mean_n - follower.predicted_n(1.0), known, follower.noise_n)
         follower.take(mean_n, window.known, touch.blocks)
+        self._look_for_defects(window, touch.blocks)
         self._centre_ns = window.centre_ns
         self._held_blocks = int(touch.blocks.sum())
         self._negative = self._negative + 1 if touch.is_negative else 0
@@ -201,6 +214,15 @@ class Calibrator:
             self._negative = 0
             self._say("forces below zero: what touched the skin when its zero was measured is gone; measures it anew")
             self.tare()
+
+    def _look_for_defects(self, window: Window, held: Bools) -> None:
+        """Find defects; log those that are new."""
+        found = self._defect_finder.take(window, held)
+        told = {_subject(each) for each in self._defects.words}
+        for text in found.words:
+            if _subject(text) not in told:
+                self._say(text)
+        self._defects = found
 
     def _measure(self, window: Window) -> None:
         """Measure the zero, when the skin has been untouched for long enough."""
@@ -276,6 +298,11 @@ class Calibrator:
         return DriftFollower(
             self._phi.block_of_sum, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n
         )
+
+
+def _subject(text: str) -> str:
+    """Return what a defect is of: its first two words."""
+    return " ".join(text.split()[:2])
 
 
 def _typical(deviation_n: Floats) -> float:

@@ -6,6 +6,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 from cyclopts import Parameter
 
+from calibration.gain_files import stored_gains
 from calibration.stored import StoredCalibration, encoded, load_calibration, parse_calibration, save_calibration
 from skin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
 from skin.errors import InputError, RunError
@@ -67,23 +68,30 @@ def calibration(
     layout: Path | None = None,
     connect: str = DEFAULT_ENDPOINT,
     to_nodes: Annotated[bool, Parameter(negative=())] = False,
+    force_n: float | None = None,
+    out: Path | None = None,
     json: Json = False,
-) -> int:
-    """Show, save or load the calibration of a running gateway.
+) -> None:
+    """Show, save or load the calibration of a running gateway; find the gains of taxels.
 
     Parameters
     ----------
     action
         ``show`` a file's calibration, or without a file the gateway's; ``save`` the gateway's into a file; ``load`` a
-        file into the gateway.
+        file into the gateway; ``gain`` finds the gains of the taxels.
     path
-        File (.json). It belongs to its layout: other layouts refuse it.
+        File (.json). It belongs to its layout: other layouts refuse it. Of ``gain``: a recording (.mcap) of a round
+        weight that was rolled over a tared skin, or a .csv with the gains, one row of taxels a line.
     layout
         TOML of the skin; without it the default skin.
     connect
         Endpoint of the fabric's hub.
     to_nodes
         Of ``load``: write gains (2010h) and offsets of taxels (2011h) to all nodes, which store them (1010h).
+    force_n
+        Of ``gain``: the force of the weight, newtons.
+    out
+        Of ``gain``: the file (.json) for the gains.
     json
         Print one JSON object.
 
@@ -91,6 +99,7 @@ def calibration(
     --------
     skin calibration show
     skin calibration save palm.json --layout palm.toml
+    skin calibration gain rolled.mcap --force-n 0.4 --out palm.json
     skin calibration load palm.json --layout palm.toml --to-nodes
     """
     skin = load_layout(layout, adaptive=True)
@@ -98,29 +107,39 @@ def calibration(
         raise InputError(f"expected a file: skin calibration {action} FILE")
     if to_nodes and action != "load":
         raise InputError("--to-nodes is for 'skin calibration load'")
-    if action == "load" and path is not None:
-        stored = load_calibration(path, skin)
-        request = CalibrationRequest(action="write" if to_nodes else "load", content=encoded(stored))
+    if action != "gain" and (force_n is not None or out is not None):
+        raise InputError("--force-n and --out are for 'skin calibration gain'")
+    if path is None or action == "show":
+        _show(skin, connect, path, as_json=json)
+    elif action == "gain":
+        if out is None:
+            raise InputError("expected a file for the gains: --out FILE")
+        check_output_path(out, "calibration")
+        _save(out, stored_gains(skin, path, force_n))
+    elif action == "save":
+        check_output_path(path, "calibration")
+        stored = _gateways(skin, connect)[0]
+        if not stored.offsets_n and not stored.gains:
+            raise RunError("the gateway has no calibration yet: is the skin untouched? See 'skin calibration show'")
+        _save(path, stored)
+    else:
+        content = encoded(load_calibration(path, skin))
+        request = CalibrationRequest(action="write" if to_nodes else "load", content=content)
         reply = _ask(skin, connect, request, WRITING_S if to_nodes else ANSWER_S)
         if not reply.is_done:
             raise RunError(reply.text)
         say("calibration", reply.text)
-        return 0
-    if action == "save" and path is not None:
-        check_output_path(path, "calibration")
-    if action == "show" and path is not None:
-        _show(load_calibration(path, skin), None, as_json=json)
-        return 0
+
+
+def _gateways(skin: Layout, connect: str) -> tuple[StoredCalibration, CalibrationStatus | None]:
+    """Return the calibration of the gateway, and its status."""
     reply = _ask(skin, connect, CalibrationRequest(action="show"), ANSWER_S)
-    stored = parse_calibration(reply.content, skin, "the gateway")
-    if action == "save" and path is not None:
-        if not stored.offsets_n and not stored.gains:
-            raise RunError("the gateway has no calibration yet: is the skin untouched? See 'skin calibration show'")
-        save_calibration(path, stored)
-        say("calibration", f"{path}: {_words(stored)}")
-        return 0
-    _show(stored, reply.status, as_json=json)
-    return 0
+    return parse_calibration(reply.content, skin, "the gateway"), reply.status
+
+
+def _save(path: Path, stored: StoredCalibration) -> None:
+    save_calibration(path, stored)
+    say("calibration", f"{path}: {_words(stored)}")
 
 
 def _ask(skin: Layout, connect: str, request: CalibrationRequest, timeout_s: float) -> CalibrationReply:
@@ -139,8 +158,9 @@ def _words(stored: StoredCalibration) -> str:
     return ", ".join(parts) or "nothing"
 
 
-def _show(stored: StoredCalibration, status: CalibrationStatus | None, *, as_json: bool) -> None:
-    """Print a calibration; `status` is that of the gateway, None for a file."""
+def _show(skin: Layout, connect: str, path: Path | None, *, as_json: bool) -> None:
+    """Print the calibration of a file, or of the gateway."""
+    stored, status = _gateways(skin, connect) if path is None else (load_calibration(path, skin), None)
     if as_json:
         print_json({"calibration": msgspec.to_builtins(stored), "status": msgspec.to_builtins(status)})
         return

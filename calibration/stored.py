@@ -10,7 +10,11 @@ import numpy as np
 from calibration.windows import Floats
 from skin.errors import InputError
 from skin.layout import Layout
-from skin.output import write_file
+from skin.mcap_file import read_entries
+from skin.measured_sums import check_measurement
+from skin.messages import MEASUREMENT, Measurement
+from skin.output import RECORDING_SUFFIX, write_file
+from skin.service import say
 
 #: No gain is stored that is not between these.
 LEAST_GAIN, MOST_GAIN = 0.01, 100.0
@@ -87,18 +91,34 @@ def save_calibration(path: Path, stored: StoredCalibration) -> None:
 
 
 def load_calibration(path: Path, layout: Layout) -> StoredCalibration:
-    """Read a file.
+    """Read a file, or the newest offsets in a recording.
 
     Raises
     ------
     InputError
         If the file cannot be read, or belongs to another skin.
     """
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        return _recorded(path, layout)
     try:
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot read the calibration: {error.strerror or error}") from error
     return parse_calibration(content, layout, str(path))
+
+
+def _recorded(path: Path, layout: Layout) -> StoredCalibration:
+    """Return the newest offsets in a recording."""
+    phi = layout.phi()
+    newest: Measurement | None = None
+    decode = msgspec.msgpack.Decoder(Measurement).decode
+    for entry in read_entries(path, lambda line: say("calibration", line)):
+        if entry.topic == MEASUREMENT.name:
+            newest = decode(entry.data)
+    if newest is None or not newest.offsets:
+        raise InputError(f"{path}: the recorded gateway had no calibration")
+    check_measurement(newest, phi)
+    return store(layout, offsets_n=np.frombuffer(newest.offsets, "<i4") * layout.taxels.newton_per_count)
 
 
 def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCalibration:

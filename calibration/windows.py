@@ -33,6 +33,8 @@ class Window(NamedTuple):
         Mean of each sum, newtons; 0 where `known` is False.
     noise_n : array, shape (m,)
         Standard deviation of one cycle's sum, from differences of consecutive cycles, newtons.
+    difference_n : array, shape (m,)
+        Change of each sum in the last cycle, newtons.
     known : array of bool, shape (m,)
         False for sums of blocks that were not valid, or not for long enough.
     """
@@ -40,6 +42,7 @@ class Window(NamedTuple):
     centre_ns: int
     mean_n: Floats
     noise_n: Floats
+    difference_n: Floats
     known: Bools
 
 
@@ -61,7 +64,7 @@ class WindowMeans:
         self._block_of_sum = phi.block_of_sum
         self._begin_ns = self._end_ns = 0
         self._total, self._difference = np.zeros((2, phi.shape[0]))
-        self._last = np.zeros(phi.shape[0])
+        self._last, self._newest = np.zeros((2, phi.shape[0]))
         self._count, self._differences = np.zeros((2, phi.blocks), np.int64)
         self._was_valid = np.zeros(phi.blocks, np.bool_)
         self._valid_since_ns = np.zeros(phi.blocks, np.int64)
@@ -87,7 +90,9 @@ class WindowMeans:
         of_sums = settled[self._block_of_sum]
         self._total += np.where(of_sums, counts, 0)
         both = settled & self._was_valid
-        self._difference += np.where(both[self._block_of_sum], np.abs(counts - self._last), 0)
+        np.subtract(counts, self._last, out=self._newest)
+        self._newest[~both[self._block_of_sum]] = 0
+        self._difference += np.abs(self._newest)
         self._count += settled
         self._differences += both
         self._last[:] = counts
@@ -109,4 +114,5 @@ class WindowMeans:
         count, differences = (np.maximum(each, 1)[self._block_of_sum] for each in (self._count, self._differences))
         mean_n = np.where(known, self._total / count, 0) * self._newton_per_count
         noise_n = np.where(known, self._difference / differences, 0) * self._newton_per_count / _SIZE_OF_DIFFERENCE
-        return Window((self._begin_ns + self._end_ns) // 2, mean_n, noise_n, known)
+        newest_n = self._newest * self._newton_per_count
+        return Window((self._begin_ns + self._end_ns) // 2, mean_n, noise_n, newest_n, known)

@@ -74,7 +74,7 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
         If the sums were measured with another Φ, or sums or validity have another length, or the measurement is one of
         adaptive sending.
     """
-    _check_sums(measurement, phi)
+    check_measurement(measurement, phi)
     if measurement.known or measurement.states or measurement.since_ns:
         raise InputError("a measurement of adaptive sending, expected synchronous: give both ends the same --layout")
     valid = np.frombuffer(measurement.valid, np.uint8) != 0
@@ -106,7 +106,7 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
         If the sums were measured with another Φ, or an array has another length or values that it cannot have, or the
         measurement is one of synchronous sending.
     """
-    _check_sums(measurement, phi)
+    check_measurement(measurement, phi)
     if not (measurement.known or measurement.states or measurement.since_ns):
         raise InputError("a measurement of synchronous sending, expected adaptive: give both ends the same --layout")
     lengths = (len(measurement.known), len(measurement.states), len(measurement.since_ns))
@@ -127,8 +127,14 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     return AdaptiveSums(np.frombuffer(measurement.sums, "<i4"), valid, known, states, since_ns, measurement.noise_n)
 
 
-def _check_sums(measurement: Measurement, phi: Sbhe) -> None:
-    """Check what measurements of both ways of sending have."""
+def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
+    """Check what measurements of both ways of sending have.
+
+    Raises
+    ------
+    InputError
+        If the sums were measured with another Φ, or an array has another length.
+    """
     if measurement.fingerprint != phi.fingerprint:
         came = measurement.fingerprint[:32]
         raise InputError(f"measured with Φ {came!r}, expected {phi.fingerprint}: give both ends the same --layout")

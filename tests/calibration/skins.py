@@ -35,7 +35,10 @@ def pressed(row: int, column: int, size: int, force_n: float) -> npt.NDArray[np.
 class Skin:
     """A skin whose cycles go through a calibrator, one after the other."""
 
-    def __init__(self, calibrator: Calibrator, *, layout: Layout = LAYOUT, seed: int = 0) -> None:
+    def __init__(
+        self, calibrator: Calibrator, *, layout: Layout = LAYOUT, seed: int = 0, stuck: int | None = None
+    ) -> None:
+        self._stuck = stuck
         self.calibrator, self.layout = calibrator, layout
         self.time_s = 0.0
         self._phi = layout.phi()
@@ -48,6 +51,8 @@ class Skin:
             self.time_s += self.layout.sync.period_s
             felt_n = force(self.time_s) + self._random.normal(0, NOISE_N, self.layout.taxels.count)
             counts = np.rint(self._phi.forward(felt_n) / NEWTON_PER_COUNT).astype("<i4")
+            if self._stuck is not None:
+                counts[self._stuck] = 1234
             counts[~self._phi.sums_of_blocks(valid)] = 0
             time_ns = round(self.time_s * 1e9)
             made = self.calibrator.apply(

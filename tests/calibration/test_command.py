@@ -55,16 +55,16 @@ def test_tare_tells_what_was_found(gateway: Gateway, endpoint: str, capsys: pyte
 def test_the_calibration_of_a_gateway_is_shown_saved_and_loaded(
     gateway: Gateway, endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert calibration("show", connect=endpoint) == 0
+    calibration("show", connect=endpoint)
     shown = capsys.readouterr().out
     assert "1024 of 1024" in shown
     assert "following" in shown
     path = tmp_path / "it.json"
-    assert calibration("save", path, connect=endpoint) == 0
+    calibration("save", path, connect=endpoint)
     assert load_calibration(path, LAYOUT).offsets_n == STORED.offsets_n
-    assert calibration("show", path) == 0
-    assert calibration("load", path, connect=endpoint) == 0
-    assert calibration("load", path, connect=endpoint, to_nodes=True) == 0
+    calibration("show", path)
+    calibration("load", path, connect=endpoint)
+    calibration("load", path, connect=endpoint, to_nodes=True)
     assert [each.action for each in gateway.requests] == ["show", "show", "load", "write"]
     assert parse_calibration(gateway.requests[-1].content, LAYOUT, "test") == load_calibration(path, LAYOUT)
 
@@ -94,6 +94,11 @@ def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
         (["calibration", "show", "--to-nodes"], "--to-nodes is for 'skin calibration load'"),
         (["calibration", "load", "none.json"], "none.json: cannot read the calibration"),
         (["calibration", "forget"], '"show"'),
+        (["calibration", "show", "--force-n", "1"], "--force-n and --out are for 'skin calibration gain'"),
+        (["calibration", "gain", "run.mcap", "--force-n", "1"], "expected a file for the gains: --out FILE"),
+        (["calibration", "gain", "run.log", "--out", "/dev/null"], "run.log: expected a recording (.mcap)"),
+        (["calibration", "gain", "run.mcap", "--out", "/dev/null"], "expected the force of the weight"),
+        (["calibration", "gain", "none.csv", "--out", "/dev/null"], "none.csv: cannot read a table of gains"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
