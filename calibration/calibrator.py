@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -19,6 +19,8 @@ from skin.layout import Layout
 from skin.messages import Measurement
 from skin.taxel import NOISE_N
 
+#: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
+Tare = Literal["at-start", "never"]
 #: The zero is measured over so many windows.
 TARE_WINDOWS: Final = 8
 #: Sums with a zero, part of all, with which the skin counts as tared; the others follow when their blocks are valid.

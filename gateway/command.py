@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
 
 from bus.link import Link
 from bus.options import BusOptions, open_links
+from calibration.calibrator import Tare
 from calibration.stored import load_calibration
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
@@ -16,8 +16,6 @@ from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.messages import CALIBRATION
 from skin.service import StopSignal, say
-
-Tare = Literal["at-start", "never"]
 
 
 def gateway(

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.calibrator import Calibrator
+from calibration.offline import measurement_of
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from evaluation.result import Options, Result, Row
@@ -119,8 +120,8 @@ def measure_calibration(place: int, meshes: str | None, seed: int, *, labels: bo
         zip(_sums(layout, ideal, truth, seed), _sums(layout, case, truth, seed), strict=True)
     ):
         true_n = truth[cycle][-1]
-        without.take(_measurement(layout, cycle, fine), true_n)
-        made = _measurement(layout, cycle, sums)
+        without.take(measurement_of(layout, cycle, fine), true_n)
+        made = measurement_of(layout, cycle, sums)
         raw.take(made, true_n)
         calibrated.take(calibrator.apply(made), true_n)
         calibrator.take(made)
@@ -219,16 +220,3 @@ def _sums(layout: Layout, case: Case, truth: list[Force], seed: int) -> Iterator
         if case.sum_drift:
             sums += drift * (cycle * period_s / taxels.newton_per_count)
         yield np.rint(sums).astype(np.int32)
-
-
-def _measurement(layout: Layout, cycle: int, sums: npt.NDArray[np.int32]) -> Measurement:
-    time_ns = round((cycle + 1) * layout.sync.period_s * 1e9)
-    return Measurement(
-        cycle=cycle + 1,
-        sync_counter=cycle % 240 + 1,
-        sync_mono_ns=time_ns,
-        time_ns=time_ns,
-        sums=sums.astype("<i4").tobytes(),
-        valid=bytes([1]) * layout.blocks,
-        fingerprint=layout.phi().fingerprint,
-    )

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from calibration.calibrator import Calibrator
+from calibration.offline import measurement_of
 from skin.layout import Layout, load_layout
 from skin.messages import Measurement
 
@@ -40,7 +40,7 @@ class Skin:
     ) -> None:
         self._stuck = stuck
         self.calibrator, self.layout = calibrator, layout
-        self.time_s = 0.0
+        self.time_s, self._cycle = 0.0, 0
         self._phi = layout.phi()
         self._random = np.random.default_rng(seed)
 
@@ -54,18 +54,8 @@ class Skin:
             if self._stuck is not None:
                 counts[self._stuck] = 1234
             counts[~self._phi.sums_of_blocks(valid)] = 0
-            time_ns = round(self.time_s * 1e9)
-            made = self.calibrator.apply(
-                Measurement(
-                    cycle=1,
-                    sync_counter=1,
-                    sync_mono_ns=time_ns,
-                    time_ns=time_ns,
-                    sums=counts.tobytes(),
-                    valid=valid.astype(np.uint8).tobytes(),
-                    fingerprint=self._phi.fingerprint,
-                )
-            )
+            made = self.calibrator.apply(measurement_of(self.layout, self._cycle, counts, valid))
+            self._cycle += 1
             self.calibrator.take(made)
             self.calibrator.work()
         return made
@@ -75,8 +65,3 @@ def error_n(measurement: Measurement, force: npt.NDArray[np.floating]) -> float:
     """Return the root mean square error of the corrected sums, newtons, for the forces without offsets."""
     sums = np.frombuffer(measurement.sums, "<i4") - np.frombuffer(measurement.offsets, "<i4")
     return float(np.std(sums * NEWTON_PER_COUNT - PHI.forward(force)))
-
-
-def without_offsets(measurement: Measurement) -> Measurement:
-    """Return a measurement as the gateway made it."""
-    return msgspec.structs.replace(measurement, offsets=b"")
