@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from calibration.calibrator import Calibrator
 from classifier.service import ClassifierService
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -18,6 +19,7 @@ from recording.recorder import Recorder
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink, open_sink
 from recording.steps import steps_of
+from skin.errors import InputError
 from skin.fabric import Mailbox
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS, Image, Label, Measurement, Topic
@@ -237,3 +239,26 @@ def test_a_log_has_the_sums_of_its_frames(
         assert replay.report.measurements.compared == 0
         pixels.append([each.pixels for each in messages(out, IMAGE)])
     assert pixels[0] == pixels[1] == pixels[2]
+
+
+def test_frames_alone_take_stored_offsets_and_a_recorded_run_has_its_own(
+    contract: Contract, bus_frames: dict[int, Frames], run: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "frames.mcap"
+    sink = open_sink(path, contract, 1, OFFSET_NS)
+    for bus, seen in bus_frames.items():
+        sink.frames(bus, seen, int(seen["time_ns"][-1]) + OFFSET_NS, OFFSET_NS)
+    sink.close()
+    offsets = np.arange(contract.phi.shape[0], dtype=np.int32)
+    calibrator = Calibrator(contract.layout, offsets_n=offsets * contract.layout.taxels.newton_per_count, tares=False)
+
+    def measured(source: Path) -> list[Measurement]:
+        steps = steps_of(source, contract, [], named_by_user=False, calibrator=calibrator)
+        return [step.message for step in steps if step.topic is MEASUREMENT]
+
+    found = measured(path)
+    assert found
+    for each in found:
+        np.testing.assert_array_equal(np.frombuffer(each.offsets, "<i4"), offsets)
+    with pytest.raises(InputError, match="measurements have the offsets of the run"):
+        measured(run)
