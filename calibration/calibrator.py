@@ -143,7 +143,7 @@ class Calibrator:
 
     def apply(self, measurement: Measurement) -> Measurement:
         """Return a measurement with the offsets of its instant, and without defective sums."""
-        offsets = self._offsets_at(measurement.sync_mono_ns)
+        offsets = self._offsets_at(measurement.sampled_mono_ns)
         if offsets is None:
             return measurement
         usable = self._defects.usable
@@ -159,7 +159,7 @@ class Calibrator:
             return
         counts = np.frombuffer(measurement.sums, "<i4")
         valid = np.frombuffer(measurement.valid, np.uint8) != 0
-        window = self._windows.take(measurement.sync_mono_ns, counts, valid)
+        window = self._windows.take(measurement.sampled_mono_ns, counts, valid)
         if window is not None:
             self.work()  # what has not been done by now
             self._waiting = window

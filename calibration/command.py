@@ -8,11 +8,10 @@ from cyclopts import Parameter
 
 from calibration.gain_files import stored_gains
 from calibration.stored import StoredCalibration, encoded, load_calibration, parse_calibration, save_calibration
-from skin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
+from skin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, CalibrationStatus
 from skin.errors import InputError, RunError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
-from skin.messages import CALIBRATION
 from skin.output import check_output_path
 from skin.service import say
 from skin.terminal import Json, print_json, print_table

@@ -76,8 +76,7 @@ def measurement_of(
     return Measurement(
         cycle=cycle + 1,
         sync_counter=cycle % 240 + 1,
-        sync_mono_ns=time_ns,
-        time_ns=time_ns,
+        sampled_mono_ns=time_ns,
         sums=counts.astype("<i4").tobytes(),
         valid=whole.tobytes(),
         fingerprint=layout.phi().fingerprint,

@@ -11,10 +11,10 @@ from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
+from skin.calibration_messages import CALIBRATION
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
-from skin.messages import CALIBRATION
 from skin.service import StopSignal, say
 
 
@@ -64,9 +64,9 @@ def gateway(
     if skin.sending != "adaptive" and (max_rate, min_rate) != (None, None):
         raise InputError("--max-rate and --min-rate are for adaptive sending: this layout has a measurement per cycle")
     contract = Contract.from_layout(skin)
-    stored = None if calibration is None else load_calibration(calibration, skin)
     if calibration is not None and skin.sending == "adaptive":
         raise InputError("--calibration is for synchronous sending: adaptive boards measure their own offsets")
+    stored = None if calibration is None else load_calibration(calibration, skin)
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     require_order(skin, links)
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start")

@@ -1,7 +1,7 @@
 """What the gateway tells of the zero of its skin, and what it can be asked for."""
 
 from enum import StrEnum
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 
@@ -84,3 +84,14 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
     text: str
     status: CalibrationStatus | None = None
     content: bytes = b""
+
+
+class Question(msgspec.Struct, frozen=True):
+    """A request that one service answers: its name, and the types of request and reply."""
+
+    name: str
+    request: type[msgspec.Struct]
+    reply: type[msgspec.Struct]
+
+
+CALIBRATION: Final = Question("calibration", CalibrationRequest, CalibrationReply)

@@ -16,8 +16,9 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import msgspec
 import zenoh
 
+from skin.calibration_messages import Question
 from skin.errors import UNDECODABLE, BusError
-from skin.messages import Question, Topic
+from skin.messages import Topic
 from skin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
 from skin.service import Stopped, StopSignal, Talk, say
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from skin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
+from skin.calibration_messages import CalibrationStatus
 
 #: `Measurement.sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1
@@ -400,14 +400,3 @@ LABEL: Final = Topic("label", Label)
 TRUTH: Final = Topic("truth", Truth)
 GATEWAY: Final = Topic("gateway", GatewayStatus)
 NODES: Final = Topic("nodes", NodesStatus)
-
-
-class Question(msgspec.Struct, frozen=True):
-    """A request that one service answers: its name, and the types of request and reply."""
-
-    name: str
-    request: type[msgspec.Struct]
-    reply: type[msgspec.Struct]
-
-
-CALIBRATION: Final = Question("calibration", CalibrationRequest, CalibrationReply)

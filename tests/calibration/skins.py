@@ -1,16 +1,17 @@
-"""Cycles of the default skin whose taxels have offsets, for the tests of this folder."""
+"""Cycles of the default skin, fewer in a second, whose taxels have offsets, for the tests of this folder."""
 
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from calibration.calibrator import Calibrator
 from calibration.offline import measurement_of
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, Sync, load_layout
 from skin.messages import Measurement
 
-LAYOUT = load_layout()
+LAYOUT = msgspec.structs.replace(load_layout(), sync=Sync(rate_hz=40.0))
 PHI = LAYOUT.phi()
 ROWS, COLUMNS = LAYOUT.taxels.rows, LAYOUT.taxels.columns
 NEWTON_PER_COUNT = LAYOUT.taxels.newton_per_count

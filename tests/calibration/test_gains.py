@@ -78,12 +78,11 @@ def recording(path: Path, gains: np.ndarray, *, images: bool = True) -> Path:
     newton_per_count = LAYOUT.taxels.newton_per_count
     offsets = np.arange(PHI.shape[0], dtype="<i4")
     for cycle, (sums_n, image) in enumerate(zip(*felt(gains), strict=True), 1):
-        stamps = {"cycle": cycle, "sync_counter": 1, "sync_mono_ns": cycle}
+        stamps = {"cycle": cycle, "sync_counter": 1, "sampled_mono_ns": cycle}
         valid = b"\1" * PHI.blocks
         counts = np.rint(sums_n / newton_per_count).astype("<i4") + offsets
         made = Measurement(
             **stamps,
-            time_ns=1,
             sums=counts.tobytes(),
             valid=valid,
             fingerprint=PHI.fingerprint,
