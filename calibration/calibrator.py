@@ -95,6 +95,8 @@ class Calibrator:
         self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
         self._waiting: Window | None = None
         self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
+        self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
+        self._still = np.zeros(self._phi.blocks, np.intp)
         self._forced = False
         self._follower: DriftFollower | None = None
         self._centre_ns = 0
@@ -103,10 +105,10 @@ class Calibrator:
         self._noise_n = 0.0
         self._tared_ns = 0
         self._bias_n: Floats | float = 0.0
-        self.result: TareResult | None = None
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
         if offsets_n is not None:
             self.load(offsets_n)
+        self.result: TareResult | None = None
 
     @property
     def offsets_n(self) -> Floats | None:
@@ -116,6 +118,11 @@ class Calibrator:
         return np.where(self._follower.known, self._follower.level_n, np.nan)
 
     @property
+    def _known(self) -> Bools:
+        """Sums with an offset."""
+        return np.zeros(self._phi.shape[0], np.bool_) if self._follower is None else self._follower.known
+
+    @property
     def noise_n(self) -> float:
         """Median noise of one cycle's sum, newtons; 0 if unknown."""
         return self._noise_n
@@ -123,9 +130,24 @@ class Calibrator:
     def load(self, offsets_n: Floats) -> None:
         """Take stored offsets, shape (m,), newtons; NaN for unknown ones."""
         known = np.isfinite(offsets_n)
+        self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
         self._follower = self._new_follower(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 1, 0.0)
         if not self._tares:
             self.state = CalibrationState.LOADED
+
+    def forget(self) -> None:
+        """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
+        self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
+        self._follower = None
+
+    def _start_anew(self, result: TareResult) -> None:
+        """Go back to the state of the start; `result` ends a measurement of the zero."""
+        is_measuring = self.state in {CalibrationState.MEASURING, CalibrationState.TOUCHED}
+        self.tare()
+        self.result = result if is_measuring else None
+        self._centre_ns = self._tared_ns = self._negative = 0
+        if not self._tares:
+            self.state = CalibrationState.OFF
 
     def tare(self, *, force: bool = False) -> None:
         """Measure the zero anew; `result` has the outcome, None meanwhile.
@@ -142,11 +164,11 @@ class Calibrator:
         self.state = CalibrationState.MEASURING
 
     def apply(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with the offsets of its instant, and without defective sums."""
+        """Return a measurement with the offsets of its instant, and without sums that are defective or have none."""
         offsets = self._offsets_at(measurement.sampled_mono_ns)
         if offsets is None:
             return measurement
-        usable = self._defects.usable
+        usable = self._defects.usable & self._known
         return msgspec.structs.replace(
             measurement,
             offsets=offsets.astype("<i4").tobytes(),
@@ -170,7 +192,7 @@ class Calibrator:
         if window is None:
             return
         self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
-        if self._follower is not None and self._centre_ns:
+        if self._follower is not None and self._centre_ns and self._tares:
             self._follow(self._follower, window)
         if self.state is not CalibrationState.FOLLOWING:
             self._measure(window)
@@ -200,14 +222,14 @@ class Calibrator:
     def _follow(self, follower: DriftFollower, window: Window) -> None:
         """Follow the drift of blocks that nothing touches."""
         skipped = round((window.centre_ns - self._centre_ns) / self._windows.length_ns) - 1
-        nothing = np.zeros(self._phi.shape[0], np.bool_)
-        everything = np.ones(self._phi.blocks, np.bool_)
-        for _ in range(min(skipped, TARE_WINDOWS)):
-            follower.take(window.mean_n, nothing, everything)
+        if skipped > 0:
+            follower.skip(skipped)
+            self._still[:] = 0
         mean_n = window.mean_n - self._bias_n
         known = window.known & follower.known & self._defects.usable
         touch = self._finder.look(mean_n - follower.predicted_n(1.0), known, follower.noise_n)
         follower.take(mean_n, window.known, touch.blocks)
+        self._begin_late(follower, window._replace(mean_n=mean_n), touch.blocks)
         self._look_for_defects(window, touch.blocks)
         self._centre_ns = window.centre_ns
         self._held_blocks = int(touch.blocks.sum())
@@ -216,6 +238,27 @@ class Calibrator:
             self._negative = 0
             self._say("forces below zero: what touched the skin when its zero was measured is gone; measures it anew")
             self.tare()
+
+    def _begin_late(self, follower: DriftFollower, window: Window, held: Bools) -> None:
+        """Give blocks that came late their zero, by the same test as at the start."""
+        self._recent.append(window)
+        starts = self._phi.starts[:-1]
+        late = ~np.logical_and.reduceat(follower.known, starts)
+        self._still = np.where(late & ~held & np.logical_and.reduceat(window.known, starts), self._still + 1, 0)
+        ready = self._still >= TARE_WINDOWS
+        if not ready.any():
+            return
+        means_n = np.stack([each.mean_n for each in self._recent])
+        level_n, slope_n, _ = line_through(means_n)
+        sums = self._phi.sums_of_blocks(ready)
+        known = np.logical_and.reduce([each.known for each in self._recent]) & (follower.known | sums)
+        changed_n = _change(means_n)
+        touched = np.zeros_like(ready)
+        for each_n in (np.where(sums, level_n, follower.level_n), changed_n, -changed_n):
+            touched |= self._finder.look(each_n, known, follower.noise_n).blocks
+        free = ready & ~touched
+        if free.any():
+            follower.begin(self._phi.sums_of_blocks(free), level_n, slope_n, TARE_WINDOWS)
 
     def _look_for_defects(self, window: Window, held: Bools) -> None:
         """Find defects; log those that are new."""
@@ -241,8 +284,10 @@ class Calibrator:
             return
         self._bias_n = self._clip_bias_n()
         level_n -= self._bias_n
-        self._follower = self._new_follower(level_n, slope_n, known, TARE_WINDOWS, noise_n)
+        slope_n = slope_n if self._tares else np.zeros_like(slope_n)  # nothing follows the drift then
+        self._follower = self._new_follower(np.where(known, level_n, 0.0), slope_n, known, TARE_WINDOWS, noise_n)
         self._measured.clear()
+        self._still[:] = 0
         self._centre_ns = window.centre_ns
         self._forced = False
         self._tared_ns = window.centre_ns
@@ -255,8 +300,7 @@ class Calibrator:
 
     def _touch_of(self, means_n: Floats, level_n: Floats, known: Bools, noise_n: float) -> Touch | None:
         """Return what touches the skin or moves on it, None for nothing."""
-        half = len(means_n) // 2
-        moved = self._finder.look(means_n[half:].mean(axis=0) - means_n[:half].mean(axis=0), known, noise_n)
+        moved = self._finder.look(_change(means_n), known, noise_n)
         if moved.is_touched or moved.is_negative:
             return moved
         follower = self._follower
@@ -305,6 +349,13 @@ class Calibrator:
 def _subject(text: str) -> str:
     """Return what a defect is of: its first two words."""
     return " ".join(text.split()[:2])
+
+
+def _change(means_n: Floats) -> Floats:
+    """Return the change from the first to the second half of windows, shape (windows, m)."""
+    half = len(means_n) // 2
+    change: Floats = means_n[half:].mean(axis=0) - means_n[:half].mean(axis=0)
+    return change
 
 
 def _typical(deviation_n: Floats) -> float:

@@ -72,11 +72,33 @@ class DriftFollower:
         return np.where(of_sums & moving, factor * self._slope_n, 0.0)
 
     def predicted_n(self, windows: float) -> Floats:
-        """Return the offsets so many windows after the centre of the newest, newtons."""
-        return self.level_n + windows * self.slope_n
+        """Return the offsets so many windows after the centre of the newest, newtons.
+
+        They stop where a touch would stop them: after `LONGEST_HELD` windows without a measurement.
+        """
+        return self.level_n + np.minimum(windows, self._left) * self.slope_n
+
+    def skip(self, windows: int) -> None:
+        """Let the offsets go on along their slopes for so many windows, in which nothing was measured."""
+        self.level_n = self.predicted_n(windows)
+        self._held = self._held + windows
+
+    def begin(self, sums: Bools, level_n: Floats, slope_n: Floats, age: int) -> None:
+        """Give sums of shape (m,), all those of some blocks, their first offsets: a line through `age` windows."""
+        self.level_n = np.where(sums, level_n, self.level_n)
+        self._slope_n = np.where(sums, slope_n, self._slope_n)
+        self.known = self.known | sums
+        blocks = np.unique(self._block_of_sum[sums])
+        self._age[blocks], self._held[blocks] = age, 0
+
+    @property
+    def _left(self) -> Ages:
+        """Windows for which each sum still goes on along its slope."""
+        left: Ages = np.maximum(LONGEST_HELD - self._held, 0)[self._block_of_sum]
+        return left
 
     def take(self, mean_n: Floats, known: Bools, held: Bools) -> None:
-        """Follow the means of the next window.
+        """Follow the means of the next window. Sums without an offset wait for `begin`.
 
         Parameters
         ----------
@@ -98,15 +120,10 @@ class DriftFollower:
         n = age[self._block_of_sum]
         self.level_n = np.where(follows, ahead + 2 * (2 * n - 1) / (n * (n + 1)) * residual, ahead)
         self._slope_n = np.where(follows, self._slope_n + 6 / (n * (n + 1)) * residual, self._slope_n)
-        begins = ~is_held & ~self.known
-        self.level_n[begins], self._slope_n[begins] = mean_n[begins], 0.0
-        self.known |= begins
         followed = np.zeros_like(held)
         followed[self._block_of_sum[follows]] = True
-        begun = np.zeros_like(held)
-        begun[self._block_of_sum[begins]] = True
-        self._age = np.where(begun, 1, np.where(followed, age, self._age))
-        self._held = np.where(followed | begun, 0, self._held + 1)
+        self._age = np.where(followed, age, self._age)
+        self._held = np.where(followed, 0, self._held + 1)
 
     def _learn(self, residual_n: Floats) -> None:
         """Learn the noise from what the line did not foresee; shorten the memory when that is too much."""

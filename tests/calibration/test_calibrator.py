@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -10,8 +11,9 @@ from calibration.calibrator import Calibrator
 from skin.calibration_messages import CalibrationState
 from skin.clipping import IDLE_MEAN
 from skin.layout import load_layout, parse_layout
+from skin.measured_sums import decode_measurement
 from skin.taxel import NOISE_N as SENSOR_NOISE_N
-from tests.calibration.skins import LAYOUT, NOISE_N, PHI, Skin, error_n, offsets_n, pressed
+from tests.calibration.skins import LAYOUT, NEWTON_PER_COUNT, NOISE_N, PHI, Skin, error_n, offsets_n, pressed
 
 ZERO = np.zeros(LAYOUT.taxels.count)
 OFFSETS = offsets_n()
@@ -114,6 +116,55 @@ def test_a_block_that_comes_later_gets_its_zero_later() -> None:
     last = skin.run(4.0, still(OFFSETS))
     assert skin.calibrator.status().known_sums == PHI.shape[0]
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
+
+
+def test_a_block_that_comes_under_a_touch_is_left_out_until_the_touch_ends() -> None:
+    skin, late = Skin(Calibrator(LAYOUT)), 5
+    touch = np.zeros(LAYOUT.taxels.count)
+    touch[PHI.taxels_of_blocks[late]] = 0.02
+    skin.run(4.0, still(OFFSETS), valid=np.arange(LAYOUT.blocks) != late)
+    for _ in range(8):
+        sums = decode_measurement(skin.run(0.5, still(OFFSETS + touch)), PHI)
+        assert not sums.valid[late]
+        assert not sums.counts[PHI.block_of_sum == late].any()
+        assert sums.valid.sum() == LAYOUT.blocks - 1
+    last = skin.run(4.0, still(OFFSETS))
+    assert decode_measurement(last, PHI).valid.all()
+    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
+
+
+def test_without_measurements_offsets_go_on_for_a_minute_at_most() -> None:
+    rate_n = np.random.default_rng(3).normal(0, 1e-3, LAYOUT.taxels.count)
+    skin = Skin(Calibrator(LAYOUT))
+    last = skin.run(10.0, lambda time_s: OFFSETS + rate_n * time_s)
+    hour_ns = 3600 * 10**9
+    later = [
+        skin.calibrator.apply(msgspec.structs.replace(last, sampled_mono_ns=last.sampled_mono_ns + each)).offsets
+        for each in (hour_ns, 2 * hour_ns)
+    ]
+    assert later[0] == later[1]
+
+
+def test_a_zero_that_is_not_followed_has_no_drift() -> None:
+    rate_n = np.random.default_rng(3).normal(0, 1e-3, LAYOUT.taxels.count)
+    skin = Skin(Calibrator(LAYOUT, tares=False))
+    skin.calibrator.tare()
+    tared = skin.run(4.0, lambda time_s: OFFSETS + rate_n * time_s)
+    assert skin.calibrator.state is CalibrationState.LOADED
+    assert skin.run(4.0, still(OFFSETS)).offsets == tared.offsets
+
+
+def test_loaded_offsets_are_used_until_a_zero_is_measured() -> None:
+    skin, hand, wrong = Skin(Calibrator(LAYOUT)), pressed(10, 20, 20, 0.005), offsets_n(seed=1)
+    skin.run(4.0, still(OFFSETS))
+    skin.calibrator.load(PHI.forward(wrong))
+    assert skin.calibrator.state is CalibrationState.MEASURING
+    last = skin.run(4.0, still(OFFSETS + hand))
+    assert skin.calibrator.state is CalibrationState.TOUCHED
+    np.testing.assert_allclose(
+        np.frombuffer(last.offsets, "<i4") * NEWTON_PER_COUNT, PHI.forward(wrong), atol=NEWTON_PER_COUNT
+    )
+    assert error_n(skin.run(4.0, still(OFFSETS)), ZERO) < 1.2 * SUM_NOISE_N
 
 
 def test_without_tare_stored_offsets_stay() -> None:

@@ -52,17 +52,31 @@ def test_under_a_touch_offsets_go_on_along_their_slopes() -> None:
     assert (mine.level_n == stopped).all()
 
 
-def test_a_sum_without_offset_begins_when_nothing_touches_it() -> None:
-    known = ALL & (BLOCK_OF_SUM > 0)
-    mine = follower(known)
-    offset_n = np.full(SUMS, 3e-3) * (BLOCK_OF_SUM == 0)
-    held = np.arange(SUMS // 4) == 0
-    mine.take(noise(0) + offset_n, ALL, held)
+def test_a_sum_without_offset_waits_for_its_zero() -> None:
+    of_first = BLOCK_OF_SUM == 0
+    mine = follower(~of_first)
+    offset_n = np.full(SUMS, 3e-3) * of_first
+    mine.take(noise(0) + offset_n, ALL, NO_BLOCK)
     assert not mine.known[:4].any()
+    mine.begin(of_first, offset_n, np.zeros(SUMS), 8)
     for k in range(20):
         mine.take(noise(k) + offset_n, ALL, NO_BLOCK)
     assert mine.known.all()
     assert mine.level_n[:4] == pytest.approx(np.full(4, 3e-3), abs=3 * NOISE_N)
+
+
+def test_offsets_stop_after_the_longest_hold_whoever_asks() -> None:
+    rate_n = np.random.default_rng(5).normal(0, 5 * NOISE_N, SUMS)
+    mine = follower()
+    for k in range(60):
+        mine.take(rate_n * k + noise(k), ALL, NO_BLOCK)
+    last = mine.predicted_n(LONGEST_HELD)
+    np.testing.assert_array_equal(mine.predicted_n(100 * LONGEST_HELD), last)
+    mine.skip(LONGEST_HELD // 2)
+    np.testing.assert_allclose(mine.predicted_n(100 * LONGEST_HELD), last)
+    mine.skip(LONGEST_HELD)
+    np.testing.assert_allclose(mine.level_n, last)
+    np.testing.assert_array_equal(mine.predicted_n(100), mine.level_n)
 
 
 def test_line_through_points_of_which_one_is_wrong() -> None:
