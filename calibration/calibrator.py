@@ -104,6 +104,7 @@ class Calibrator:
         self._held_blocks = 0
         self._noise_n = 0.0
         self._tared_ns = 0
+        self._valid_ratio = 0.0
         self._bias_n: Floats | float = 0.0
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
         if offsets_n is not None:
@@ -121,6 +122,16 @@ class Calibrator:
     def _known(self) -> Bools:
         """Sums with an offset."""
         return np.zeros(self._phi.shape[0], np.bool_) if self._follower is None else self._follower.known
+
+    @property
+    def tare_s(self) -> float:
+        """Time for which the skin must be untouched, seconds."""
+        return TARE_WINDOWS * self._windows.length_ns * 1e-9
+
+    @property
+    def has_few_sums(self) -> bool:
+        """Whether a zero waits for valid sums."""
+        return self._valid_ratio < LEAST_KNOWN
 
     @property
     def noise_n(self) -> float:
@@ -158,6 +169,7 @@ class Calibrator:
             Whatever touches the skin is part of its zero.
         """
         self.result, self._forced = None, force
+        self._valid_ratio = 0.0
         self._measured.clear()
         self._waiting = None
         self._windows.restart()
@@ -272,6 +284,7 @@ class Calibrator:
     def _measure(self, window: Window) -> None:
         """Measure the zero, when the skin has been untouched for long enough."""
         self._measured.append(window)
+        self._valid_ratio = float(window.known.mean())
         known = np.logical_and.reduce([each.known for each in self._measured])
         if len(self._measured) < TARE_WINDOWS or known.mean() < LEAST_KNOWN:
             return
@@ -314,7 +327,7 @@ class Calibrator:
         """Keep the zero there is; try again with the next window unless there is one."""
         text = (
             f"something touches the skin or moves on it, around row {touch.row}, column {touch.column}: its zero is"
-            " measured when it has been untouched for 2 s"
+            f" measured when it has been untouched for {self.tare_s:.3g} s"
         )
         if self._tared_ns and self._tares:
             self.state = CalibrationState.FOLLOWING

@@ -31,7 +31,7 @@ def tare(
     force: Annotated[bool, Parameter(negative=())] = False,
     json: Json = False,
 ) -> int:
-    """Have a running gateway measure the zero of its skin anew; nothing may touch the skin for 3 s.
+    """Have a running gateway measure the zero of its skin anew; nothing may touch the skin for 2 s, or 64 cycles.
 
     Ends with 1 if there is no new zero, because something touches the skin or moves on it.
 
@@ -98,8 +98,8 @@ def calibration(
     --------
     skin calibration show
     skin calibration save palm.json --layout palm.toml
-    skin calibration gain rolled.mcap --force-n 0.4 --out palm.json
-    skin calibration load palm.json --layout palm.toml --to-nodes
+    skin calibration gain rolled.mcap --force-n 0.4 --out gains.json
+    skin calibration load gains.json --layout palm.toml --to-nodes
     """
     skin = load_layout(layout, adaptive=True)
     if action != "show" and path is None:

@@ -2,18 +2,17 @@
 
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from calibration.gains import defects_of, find_gains
+from calibration.gains import LEAST_FELT, defects_of, find_gains
 from calibration.stored import LEAST_GAIN, MOST_GAIN, StoredCalibration, store
 from calibration.windows import Floats
 from skin.errors import InputError, RunError
 from skin.layout import Layout
-from skin.mcap_file import read_entries
+from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement
-from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from skin.messages import IMAGE, MEASUREMENT
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
@@ -58,28 +57,38 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None) -> StoredCalib
     found = find_gains(skin.phi(), sums_n, images_n, force_n)
     known = found.gains[found.known]
     say("calibration", f"{found.cycles} cycles; gains of {known.size} of {taxels.count} taxels, others stay 1")
-    return store(skin, gains=found.gains, defects=defects_of(found, taxels.columns))
+    # What feels next to nothing is no matter of gain: a node would make its noise a force.
+    gains = np.where(found.gains < LEAST_FELT, 1.0, found.gains)
+    return store(skin, gains=gains, defects=defects_of(found, taxels.columns))
 
 
 def _rolled(skin: Layout, path: Path) -> tuple[Floats, npt.NDArray[np.float32]]:
     """Return the sums and images of the complete cycles of a recording, newtons."""
     phi, taxels = skin.phi(), skin.taxels
-    measurements: dict[int, npt.NDArray[np.int32]] = {}
-    images: dict[int, bytes] = {}
+    measured: dict[tuple[int, int], npt.NDArray[np.int32]] = {}
+    images: dict[tuple[int, int], bytes] = {}
+    decoders = {topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE)}
+    has_zero = True
     for entry in read_entries(path, lambda line: say("calibration", line)):
-        if entry.topic == MEASUREMENT.name:
-            measurement = msgspec.msgpack.decode(entry.data, type=Measurement)
-            sums = decode_measurement(measurement, phi)
-            if sums.valid_sums.all():
-                measurements[measurement.cycle] = sums.counts
-        elif entry.topic == IMAGE.name:
-            image = msgspec.msgpack.decode(entry.data, type=Image)
-            images[image.cycle] = image.pixels
-    both = sorted(measurements.keys() & images.keys())
+        if entry.topic not in decoders:
+            continue
+        message = decoders[entry.topic](entry.data)
+        key = message.cycle, message.sampled_mono_ns  # a gateway that starts again counts cycles from 1 again
+        if entry.topic == IMAGE.name:
+            images[key] = message.pixels
+            continue
+        sums = decode_measurement(message, phi)
+        if sums.valid_sums.all():
+            if message.offsets:
+                measured[key] = sums.counts
+            else:
+                has_zero = False
+    both = sorted(measured.keys() & images.keys())
+    if not both and not has_zero:
+        raise InputError(f"{path}: its measurements have no offsets: record while the gateway follows the zero")
     if not both:
         raise RunError(f"{path}: no complete cycle with its image: play frames alone with 'skin replay --out' first")
     shape = (taxels.rows, taxels.columns)
-    counts = np.stack([measurements[cycle] for cycle in both])
-    return counts * taxels.newton_per_count, np.stack(
-        [np.frombuffer(images[each], "<f4").reshape(shape) for each in both]
-    )
+    sums_n = np.stack([measured[each] for each in both]) * float(taxels.newton_per_count)
+    pixels: npt.NDArray[np.float32] = np.stack([np.frombuffer(images[each], "<f4").reshape(shape) for each in both])
+    return sums_n, pixels

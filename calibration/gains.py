@@ -28,7 +28,7 @@ PASSES: Final = 2
 LEAST_RATIO: Final = 25.0
 #: Fewest cycles with the whole weight on the skin.
 LEAST_CYCLES: Final = 100
-#: A taxel that feels less than this is defective.
+#: A taxel that feels less than this is defective: no gain is stored for it.
 LEAST_FELT: Final = 0.3
 #: Cycles that are worked on at the same time.
 _PART: Final = 128
@@ -101,7 +101,8 @@ def defects_of(found: Gains, columns: int) -> list[str]:
 
 
 def _contact(images_n: Images) -> Bools:
-    return images_n > CONTACT_PART * images_n.max(axis=(1, 2), keepdims=True)
+    contact: Bools = images_n > CONTACT_PART * images_n.max(axis=(1, 2), keepdims=True)
+    return contact
 
 
 def _is_whole(images_n: Images) -> Bools:
@@ -109,7 +110,8 @@ def _is_whole(images_n: Images) -> Bools:
     contact = _contact(images_n)
     border = contact[:, 0].any(axis=1) | contact[:, -1].any(axis=1)
     border |= contact[:, :, 0].any(axis=1) | contact[:, :, -1].any(axis=1)
-    return contact.any(axis=(1, 2)) & ~border
+    whole: Bools = contact.any(axis=(1, 2)) & ~border
+    return whole
 
 
 def _forces(images_n: Images, force_n: float) -> npt.NDArray[np.float32]:
@@ -138,7 +140,8 @@ def _centres(images_n: Images) -> Floats:
     """Return the centre of force of each image, shape (cycles, 2)."""
     rows, columns = (np.arange(size) for size in images_n.shape[1:])
     by_row, by_column = images_n.sum(axis=2), images_n.sum(axis=1)
-    return np.stack([by_row @ rows, by_column @ columns], axis=1) / by_row.sum(axis=1)[:, None]
+    centres: Floats = np.stack([by_row @ rows, by_column @ columns], axis=1) / by_row.sum(axis=1)[:, None]
+    return centres
 
 
 def _distances(centres: Floats, shape: tuple[int, ...]) -> Floats:
@@ -148,7 +151,7 @@ def _distances(centres: Floats, shape: tuple[int, ...]) -> Floats:
 
 def _solved(phi: Sbhe, sums_n: Floats, forces_n: npt.NDArray[np.float32], before: Floats) -> tuple[Floats, Bools]:
     """Return the gains by least squares, and which are known; `before` are those of the pass before."""
-    residual = sums_n - phi.forward(forces_n * before.astype(np.float32))
+    residual: Floats = sums_n - np.asarray(phi.forward(forces_n * before.astype(np.float32)), np.float64)
     pull = float(np.mean(np.square(residual, dtype=np.float64))) / SPREAD**2
     gains, known = np.ones(phi.shape[1]), np.zeros(phi.shape[1], np.bool_)
     hadamard = np.asarray(fast_hadamard(np.eye(phi.block_size)), np.float64)

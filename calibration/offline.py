@@ -28,7 +28,7 @@ def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str)
         return None
     if layout.sending == "adaptive":
         raise InputError("--calibration and --tare are for synchronous sending: adaptive boards have their own zero")
-    offsets_n = load_calibration(path, layout).sum_offsets_n() if path is not None else None
+    offsets_n = load_calibration(path, layout).required_offsets_n(str(path)) if path is not None else None
     return Calibrator(layout, offsets_n=offsets_n, tares=tare == "at-start", say=lambda text: say(service, text))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.windows import Floats
 from skin.errors import InputError
 from skin.layout import Layout
-from skin.mcap_file import read_entries
+from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import check_measurement
 from skin.messages import MEASUREMENT, Measurement
 from skin.output import RECORDING_SUFFIX, write_file
@@ -54,6 +54,21 @@ class StoredCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         """Return the offsets of the sums, shape (m,), NaN for unknown ones; None without any."""
         return np.array(self.offsets_n, np.float64) if self.offsets_n else None
 
+    def required_offsets_n(self, origin: str) -> Floats:
+        """Return the offsets of the sums; `origin` names the calibration in the message.
+
+        Raises
+        ------
+        InputError
+            If there are none.
+        """
+        offsets_n = self.sum_offsets_n()
+        if offsets_n is None:
+            raise InputError(
+                f"{origin}: has no offsets of sums: gains are used by nodes, with 'skin calibration load --to-nodes'"
+            )
+        return offsets_n
+
 
 def store(
     layout: Layout,
@@ -68,10 +83,18 @@ def store(
         fingerprint=layout.phi().fingerprint,
         force_max_n=layout.taxels.force_max_n,
         saved=datetime.now(UTC).isoformat(timespec="seconds"),
-        offsets_n=[] if offsets_n is None else [float(each) if np.isfinite(each) else None for each in offsets_n],
+        offsets_n=[] if offsets_n is None else _or_none(offsets_n),
         gains=[] if gains is None else np.clip(gains, LEAST_GAIN, MOST_GAIN).tolist(),
         defects=defects or [],
     )
+
+
+def _or_none(values: Floats) -> list[float | None]:
+    """Return values as JSON has them: None for NaN."""
+    listed: list[float | None] = values.tolist()
+    for each in np.flatnonzero(~np.isfinite(values)).tolist():
+        listed[each] = None
+    return listed
 
 
 def encoded(stored: StoredCalibration) -> bytes:
@@ -111,7 +134,7 @@ def _recorded(path: Path, layout: Layout) -> StoredCalibration:
     """Return the newest offsets in a recording."""
     phi = layout.phi()
     newest: Measurement | None = None
-    decode = msgspec.msgpack.Decoder(Measurement).decode
+    decode = message_decoder(path, MEASUREMENT)
     for entry in read_entries(path, lambda line: say("calibration", line)):
         if entry.topic == MEASUREMENT.name:
             newest = decode(entry.data)
@@ -140,14 +163,14 @@ def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCali
             f"{origin}: the calibration of another layout, '{stored.skin[:64]}' with Φ {stored.fingerprint[:32]} and"
             f" {stored.force_max_n:g} N: expected Φ {mine[0]} and {mine[1]:g} N"
         )
-    for name, found, wanted in (
-        ("offsets_n", stored.offsets_n, phi.shape[0]),
-        ("gains", stored.gains, phi.shape[1]),
-        ("taxel_offsets_n", stored.taxel_offsets_n, phi.shape[1]),
+    most_n = layout.taxels.force_max_n
+    for name, found, wanted, most in (
+        ("offsets_n", stored.offsets_n, phi.shape[0], phi.block_size * most_n),
+        ("gains", stored.gains, phi.shape[1], MOST_GAIN),
+        ("taxel_offsets_n", stored.taxel_offsets_n, phi.shape[1], most_n),
     ):
         if found and len(found) != wanted:
             raise InputError(f"{origin}: expected {wanted} {name}, or none, got {len(found)}")
-        limit = layout.taxels.count * layout.taxels.force_max_n
-        if any(each is not None and not abs(each) <= max(limit, MOST_GAIN) for each in found):
-            raise InputError(f"{origin}: {name} that no taxel of this skin can have")
+        if (np.abs(np.array(found, np.float64)) > most).any():  # None becomes NaN, which JSON does not have
+            raise InputError(f"{origin}: {name} that this skin cannot have: expected -{most:g} to {most:g}")
     return stored

@@ -1,6 +1,7 @@
 """``skin gateway``: bus master and collector."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bus.link import Link
@@ -48,8 +49,10 @@ def gateway(
     calibration
         File of ``skin calibration save``: the offsets that are used until the zero is measured.
     tare
-        ``at-start``: measure the offsets of the sums as soon as the skin has been untouched for 2 s, and follow them;
-        ``never``: those of ``--calibration`` stay as they are. Adaptive boards measure their own.
+        ``at-start``: measure the offsets of the sums as soon as the skin has been untouched for 2 s or
+        64 cycles, and follow them;
+        ``never``: those of ``--calibration`` stay as they are, and no defects are found. Adaptive boards
+        measure their own.
 
     Examples
     --------
@@ -67,9 +70,13 @@ def gateway(
     if calibration is not None and skin.sending == "adaptive":
         raise InputError("--calibration is for synchronous sending: adaptive boards measure their own offsets")
     stored = None if calibration is None else load_calibration(calibration, skin)
+    if stored is not None:
+        stored.required_offsets_n(str(calibration))
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     require_order(skin, links)
-    calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start")
+    answers = ThreadPoolExecutor(1, "calibration")
+    answers.submit(int)  # the thread starts before the gateway's loop asks for real time, which threads inherit
+    calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", run_aside=answers.submit)
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     fabric.answer(CALIBRATION, calibrates.ask)
@@ -79,6 +86,7 @@ def gateway(
     finally:
         for link in links.values():
             link.close()
+        answers.shutdown()
         fabric.close()
 
 

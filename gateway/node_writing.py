@@ -19,9 +19,8 @@ MOST_AT_ONCE: Final = 4
 ATTEMPTS: Final = 3
 #: A node that cannot be written to for so long is given up: it is not there, or not proven.
 PATIENCE_S: Final = 20.0
-_LIMITS: Final = np.iinfo(np.int16)
 
-Floats = npt.NDArray[np.floating]
+Floats = npt.NDArray[np.float64]
 
 
 class NodeWriting:
@@ -33,8 +32,8 @@ class NodeWriting:
     masters : mapping of int to NmtMaster
         By number of the bus. Their SDO dialogues are used, one at a time with a node.
     gains, offsets : array, shape (n,), or None
-        Row-major: the factor that a node applies to a taxel's counts, and what the node adds then, counts; None leaves
-        what the nodes have.
+        Row-major: the factor that a node applies to a taxel's counts, and what the node adds then, whole counts that
+        fit int16; None leaves what the nodes have.
     now_s : float
     """
 
@@ -118,8 +117,6 @@ class NodeWriting:
                 if values is None:
                     continue
                 for subindex, taxel in enumerate(chain, 1):
-                    value = float(values[taxel])
-                    if form == "<h":
-                        value = int(np.clip(round(value), _LIMITS.min, _LIMITS.max))
+                    value = float(values[taxel]) if form == "<f" else int(values[taxel])
                     yield Write(of_block(index, place), subindex, struct.pack(form, value))
         yield Write(OD_STORE, 1, SIGNATURE_SAVE.to_bytes(4, "little"))

@@ -75,7 +75,7 @@ def rebuild(
     calibration
         File of ``skin calibration save``, or a recording with offsets, which are taken off the sums.
     tare
-        ``at-start``: measure the offsets as the gateway does, once the skin is untouched for 2 s, and follow them.
+        ``at-start``: measure the offsets as the gateway does, once the skin is untouched for 2 s or 64 cycles.
 
     Examples
     --------

@@ -169,6 +169,7 @@ class Fabric:
         counted in `malformed`.
         """
         decoder = msgspec.msgpack.Decoder(question.request)
+        encode = msgspec.msgpack.encode  # in any thread
 
         def receive(query: Any) -> None:
             try:
@@ -178,8 +179,11 @@ class Fabric:
                 return
 
             def reply(message: msgspec.Struct) -> None:
-                query.reply(query.key_expr, self._encoder.encode(message))
-                query.drop()
+                try:
+                    query.reply(query.key_expr, encode(message))
+                    query.drop()
+                except zenoh.ZError as error:  # the asker may be gone for minutes
+                    say(self._peer.service, f"an answer to '{question.name}' is lost: {_first_sentence(error)}")
 
             handler(request, reply)
 
@@ -191,12 +195,17 @@ class Fabric:
         Raises
         ------
         BusError
-            If no service answers in time.
+            If no service answers in time, or the answer cannot be decoded.
         """
         key, payload = f"{self._prefix}/{question.name}", self._encoder.encode(request)
         for reply in self._session.get(key, payload=payload, timeout=timeout_s):
             if reply.ok is not None:
-                return msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=question.reply)
+                try:
+                    return msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=question.reply)
+                except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+                    raise BusError(
+                        f"the answer cannot be decoded, it is of another version of canskin: {error}"
+                    ) from error
         raise BusError(f"no service of skin '{self._peer.skin}' answers: is 'skin gateway' of this layout running?")
 
     def watch(self, changed: Callable[[str, bool], None]) -> None:

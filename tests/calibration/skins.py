@@ -1,12 +1,12 @@
 """Cycles of the default skin, fewer in a second, whose taxels have offsets, for the tests of this folder."""
 
 from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from calibration.calibrator import Calibrator
 from calibration.offline import measurement_of
 from skin.layout import Layout, Sync, load_layout
 from skin.messages import Measurement
@@ -33,11 +33,22 @@ def pressed(row: int, column: int, size: int, force_n: float) -> npt.NDArray[np.
     return force.ravel()
 
 
-class Skin:
+class Calibrates(Protocol):
+    """A calibrator, or a gateway's."""
+
+    def apply(self, measurement: Measurement) -> Measurement: ...
+    def take(self, measurement: Measurement) -> None: ...
+    def work(self) -> None: ...
+
+
+Calibrating = TypeVar("Calibrating", bound=Calibrates)
+
+
+class Skin(Generic[Calibrating]):
     """A skin whose cycles go through a calibrator, one after the other."""
 
     def __init__(
-        self, calibrator: Calibrator, *, layout: Layout = LAYOUT, seed: int = 0, stuck: int | None = None
+        self, calibrator: Calibrating, *, layout: Layout = LAYOUT, seed: int = 0, stuck: int | None = None
     ) -> None:
         self._stuck = stuck
         self.calibrator, self.layout = calibrator, layout

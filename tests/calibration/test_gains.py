@@ -71,14 +71,14 @@ def test_too_few_cycles_or_no_force_are_refused(gains: np.ndarray) -> None:
         find_gains(PHI, sums, images, -1.0)
 
 
-def recording(path: Path, gains: np.ndarray, *, images: bool = True) -> Path:
+def recording(path: Path, gains: np.ndarray, *, images: bool = True, zero: bool = True, restart: int = 0) -> Path:
     writer = RecordingWriter(path, {}, [], 1)
     writer.add_topic(MEASUREMENT.name, "msgpack", {})
     writer.add_topic(IMAGE.name, "msgpack", {})
     newton_per_count = LAYOUT.taxels.newton_per_count
     offsets = np.arange(PHI.shape[0], dtype="<i4")
     for cycle, (sums_n, image) in enumerate(zip(*felt(gains), strict=True), 1):
-        stamps = {"cycle": cycle, "sync_counter": 1, "sampled_mono_ns": cycle}
+        stamps = {"cycle": cycle - restart if cycle > restart else cycle, "sync_counter": 1, "sampled_mono_ns": cycle}
         valid = b"\1" * PHI.blocks
         counts = np.rint(sums_n / newton_per_count).astype("<i4") + offsets
         made = Measurement(
@@ -86,7 +86,7 @@ def recording(path: Path, gains: np.ndarray, *, images: bool = True) -> Path:
             sums=counts.tobytes(),
             valid=valid,
             fingerprint=PHI.fingerprint,
-            offsets=offsets.tobytes(),
+            offsets=offsets.tobytes() if zero else b"",
         )
         writer.add_message(MEASUREMENT, cycle, msgspec.msgpack.encode(made))
         if images:
@@ -108,6 +108,25 @@ def test_gains_of_a_recording(gains: np.ndarray, tmp_path: Path) -> None:
     inner = np.zeros((SIDE, SIDE), np.bool_)
     inner[6:-6, 6:-6] = True
     assert (np.array(stored.gains) / gains - 1)[inner.ravel()].std() < 0.03
+
+
+def test_cycles_of_a_gateway_that_started_again_are_other_cycles(gains: np.ndarray, tmp_path: Path) -> None:
+    whole = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains), WHOLE_N)
+    twice = stored_gains(LAYOUT, recording(tmp_path / "twice.mcap", gains, restart=len(FORCES) // 2), WHOLE_N)
+    assert twice.gains == pytest.approx(whole.gains)
+
+
+def test_a_dead_taxel_gets_no_gain(gains: np.ndarray, tmp_path: Path) -> None:
+    broken, dead = gains.copy(), 16 * SIDE + 12
+    broken[dead] = 0
+    stored = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", broken), WHOLE_N)
+    assert stored.gains[dead] == 1
+    assert len(stored.defects) == 1
+
+
+def test_a_recording_without_a_zero_is_refused(gains: np.ndarray, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="have no offsets"):
+        stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains, zero=False), WHOLE_N)
 
 
 def test_a_recording_tells_its_offsets(gains: np.ndarray, tmp_path: Path) -> None:

@@ -39,5 +39,8 @@ def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:
     stored = make_calibrator(LAYOUT, path, "never", "test")
     assert stored is not None
     assert stored.offsets_n == pytest.approx(OFFSETS)
+    save_calibration(path, store(LAYOUT, gains=np.ones(PHI.shape[1])))
+    with pytest.raises(InputError, match=r"it\.json: has no offsets of sums"):
+        make_calibrator(LAYOUT, path, "never", "test")
     with pytest.raises(InputError, match="adaptive boards"):
         make_calibrator(load_layout(Path("adaptive"), adaptive=True), None, "at-start", "test")

@@ -26,7 +26,8 @@ BAD = (
     ({"fingerprint": "0" * 16}, "the calibration of another layout"),
     ({"force_max_n": 0.04}, "and 0.04 N: expected"),
     ({"offsets_n": [1.0]}, "expected 1024 offsets_n, or none, got 1"),
-    ({"offsets_n": [1e9] * PHI.shape[0]}, "offsets_n that no taxel of this skin can have"),
+    ({"offsets_n": [1.0] * PHI.shape[0]}, "offsets_n that this skin cannot have: expected -0.64 to 0.64"),
+    ({"taxel_offsets_n": [0.03] * PHI.shape[1]}, "taxel_offsets_n that this skin cannot have: expected -0.02 to 0.02"),
     ({"gains": [0.0] * PHI.shape[1]}, "expected a file of 'skin calibration save'"),
     ({"more": 1}, "expected a file of 'skin calibration save'"),
 )

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bus.options import BusOptions
@@ -94,6 +95,9 @@ def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(
     path = tmp_path / "it.json"
     save_calibration(path, store(load_layout(Path("adaptive"), adaptive=True)))
     with pytest.raises(InputError, match="the calibration of another layout"):
+        command.gateway(calibration=path)
+    save_calibration(path, store(load_layout(), gains=np.ones(4096)))
+    with pytest.raises(InputError, match="has no offsets of sums"):
         command.gateway(calibration=path)
     with pytest.raises(InputError, match="adaptive boards measure their own offsets"):
         command.gateway(layout=Path("adaptive"), calibration=path)
