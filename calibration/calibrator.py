@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.defects import DefectFinder, Defects
-from calibration.drift import DriftFollower, line_through
+from calibration.drift import LONGEST_HELD, DriftFollower, line_through
 from calibration.touched import Touch, TouchFinder
 from calibration.windows import Bools, Floats, Window, WindowMeans
 from skin.calibration_messages import CalibrationState, CalibrationStatus
@@ -25,7 +25,8 @@ Tare = Literal["at-start", "never"]
 TARE_WINDOWS: Final = 8
 #: Sums with a zero, part of all, with which the skin counts as tared; the others follow when their blocks are valid.
 LEAST_KNOWN: Final = 0.5
-#: Forces below zero for so many windows: the zero was measured under a touch.
+#: Forces below zero for so many windows: the zero was measured under a touch. Twice as many after every attempt that
+#: found a touch, up to `LONGEST_HELD`.
 NEGATIVE_WINDOWS: Final = 4
 #: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
 LEAST_NOISE_RATIO: Final = 0.3
@@ -101,6 +102,7 @@ class Calibrator:
         self._follower: DriftFollower | None = None
         self._centre_ns = 0
         self._negative = 0
+        self._patience = NEGATIVE_WINDOWS
         self._held_blocks = 0
         self._noise_n = 0.0
         self._tared_ns = 0
@@ -246,8 +248,9 @@ class Calibrator:
         self._centre_ns = window.centre_ns
         self._held_blocks = int(touch.blocks.sum())
         self._negative = self._negative + 1 if touch.is_negative else 0
-        if self._negative >= NEGATIVE_WINDOWS and self.state is CalibrationState.FOLLOWING:
+        if self._negative >= self._patience and self.state is CalibrationState.FOLLOWING:
             self._negative = 0
+            self._patience = min(2 * self._patience, LONGEST_HELD)
             self._say("forces below zero: what touched the skin when its zero was measured is gone; measures it anew")
             self.tare()
 
@@ -303,6 +306,7 @@ class Calibrator:
         self._still[:] = 0
         self._centre_ns = window.centre_ns
         self._forced = False
+        self._patience = NEGATIVE_WINDOWS
         self._tared_ns = window.centre_ns
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
         self._tell(

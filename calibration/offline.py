@@ -11,8 +11,10 @@ from calibration.stored import load_calibration
 from calibration.windows import Bools
 from skin.errors import InputError
 from skin.layout import Layout
+from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement
-from skin.messages import Measurement
+from skin.messages import MEASUREMENT, Measurement
+from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
 
@@ -32,6 +34,22 @@ def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str)
     return Calibrator(layout, offsets_n=offsets_n, tares=tare == "at-start", say=lambda text: say(service, text))
 
 
+def has_offsets(path: Path) -> bool:
+    """Tell whether a file is a recording whose measurements have offsets.
+
+    Raises
+    ------
+    InputError
+        If it is a recording that cannot be read.
+    """
+    if path.suffix.lower() != RECORDING_SUFFIX:
+        return False
+    decode = message_decoder(path, MEASUREMENT)
+    return any(
+        decode(entry.data).offsets for entry in read_entries(path, lambda _: None) if entry.topic == MEASUREMENT.name
+    )
+
+
 def calibrated(measurements: Iterable[Measurement], calibrator: Calibrator | None) -> Iterator[Measurement]:
     """Yield measurements with offsets; without a calibrator, as they are."""
     for each in measurements:
@@ -47,6 +65,7 @@ def calibrated_cycles(
     layout: Layout,
     counts: npt.NDArray[np.int32],
     valid: Bools,
+    time_ns: npt.NDArray[np.int64],
     calibrator: Calibrator,
 ) -> tuple[npt.NDArray[np.int32], Bools]:
     """Return the sums of all cycles less their offsets, and the validity of their blocks.
@@ -56,11 +75,13 @@ def calibrated_cycles(
     layout : Layout
     counts : array of int32, shape (cycles, m)
     valid : array of bool, shape (cycles, blocks)
+    time_ns : array of int64, shape (cycles,)
     calibrator : Calibrator
     """
     phi = layout.phi()
     corrected, whole = np.empty_like(counts), np.empty_like(valid)
-    measured = (measurement_of(layout, cycle, *each) for cycle, each in enumerate(zip(counts, valid, strict=True)))
+    cycles = enumerate(zip(counts, valid, time_ns.tolist(), strict=True))
+    measured = (measurement_of(layout, cycle, *each) for cycle, each in cycles)
     for cycle, made in enumerate(calibrated(measured, calibrator)):
         sums = decode_measurement(made, phi)
         corrected[cycle], whole[cycle] = sums.counts, sums.valid
@@ -68,10 +89,18 @@ def calibrated_cycles(
 
 
 def measurement_of(
-    layout: Layout, cycle: int, counts: npt.NDArray[np.int32], valid: Bools | None = None
+    layout: Layout,
+    cycle: int,
+    counts: npt.NDArray[np.int32],
+    valid: Bools | None = None,
+    time_ns: int | None = None,
 ) -> Measurement:
-    """Return the measurement of a cycle, counted from 0, of sums of shape (m,); all blocks are valid by default."""
-    time_ns = round((cycle + 1) * layout.sync.period_s * 1e9)
+    """Return the measurement of a cycle, counted from 0, of sums of shape (m,).
+
+    By default all blocks are valid, and the time is that of `cycle` + 1 periods.
+    """
+    if time_ns is None:
+        time_ns = round((cycle + 1) * layout.sync.period_s * 1e9)
     whole = np.ones(layout.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
     return Measurement(
         cycle=cycle + 1,

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Tare
-from calibration.offline import calibrated_cycles, make_calibrator
+from calibration.offline import calibrated_cycles, has_offsets, make_calibrator
 from dbc.contract import Contract
 from rebuild.cycles import Cycles
 from rebuild.output import check_out, save_images
@@ -73,7 +73,8 @@ def rebuild(
     full_scale
         Recorded value that becomes the skin's largest force; default: the largest value of the recording.
     calibration
-        File of ``skin calibration save``, or a recording with offsets, which are taken off the sums.
+        File of ``skin calibration save``, or a recording, whose newest offsets are taken off all cycles. Without it,
+        and without ``--tare``, nothing is taken off, not even the offsets of a recording.
     tare
         ``at-start``: measure the offsets as the gateway does, once the skin is untouched for 2 s or 64 cycles.
 
@@ -103,8 +104,14 @@ def rebuild(
         library=library,
     )
     cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
+    if calibrator is None and has_offsets(source):
+        say(
+            "rebuild",
+            f"{source.name}: offsets of the live measurements are not taken off, so images differ from the live ones:"
+            f" take the newest off with --calibration {source.name}, or measure them with --tare at-start",
+        )
     if calibrator is not None:
-        counts, valid = calibrated_cycles(contract.layout, cycles.counts, cycles.valid, calibrator)
+        counts, valid = calibrated_cycles(contract.layout, cycles.counts, cycles.valid, cycles.time_ns, calibrator)
         cycles = replace(cycles, counts=counts, valid=valid)
     say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, {solve.method}, on the {device}")
     images = _solved(contract, solve, cycles)

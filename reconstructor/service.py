@@ -15,7 +15,7 @@ from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
 from skin.fabric import Exchange
 from skin.layout import Layout
-from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
+from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, used_blocks
 from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from skin.service import StopSignal, request_real_time
 
@@ -64,7 +64,8 @@ class ReconstructorService:
         else:
             self._work, depth = _Cycles(layout, solver), MAILBOX_DEPTH
         self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
-        self._block_of_taxel = np.argsort(layout.phi().order) // layout.phi().block_size
+        self._phi = layout.phi()
+        self._block_of_taxel = np.argsort(self._phi.order) // self._phi.block_size
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, depth)
 
@@ -100,7 +101,7 @@ class ReconstructorService:
             sampled_mono_ns=measurement.sampled_mono_ns,
             published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
-            valid=measurement.valid,
+            valid=used_blocks(measurement, self._phi).tobytes(),
             valid_sums=valid_sums,
             solve_s=solve_s,
             number=self.images,

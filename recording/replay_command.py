@@ -69,7 +69,7 @@ def replay(
     model
         Model of the classifier; default: as ``skin classify``.
     calibration
-        Of frames alone: file of ``skin calibration save``, or a recording with offsets, which are taken off the sums.
+        Of frames alone: file of ``skin calibration save``, or a recording, whose newest offsets are taken off.
     tare
         Of frames alone, ``at-start``: measure the offsets as the gateway does, and follow them.
 

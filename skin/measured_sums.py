@@ -15,6 +15,7 @@ from skin.service import say
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
+_MOST_COUNTS: Final = np.iinfo(np.int32).max
 
 
 class MeasuredSums(NamedTuple):
@@ -25,9 +26,9 @@ class MeasuredSums(NamedTuple):
     counts : array of int32, shape (m,)
         Sums less their offsets in ADC counts; 0 if not valid; read-only.
     valid : array of bool, shape (blocks,)
-        True if every sum of the block came in this cycle, and none is defective.
+        True if every sum of the block came in this cycle, and all are usable.
     valid_sums : array of bool, shape (m,)
-        True if the sum came in this cycle, and is not defective.
+        True if the sum came in this cycle, and is usable.
     """
 
     counts: npt.NDArray[np.int32]
@@ -77,13 +78,18 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
     check_measurement(measurement, phi)
     if measurement.known or measurement.states or measurement.since_ns:
         raise InputError("a measurement of adaptive sending, expected synchronous: give both ends the same --layout")
-    valid = np.frombuffer(measurement.valid, np.uint8) != 0
-    valid_sums = phi.sums_of_blocks(valid)
+    valid_sums = phi.sums_of_blocks(np.frombuffer(measurement.valid, np.uint8) != 0)
     if measurement.usable:
-        usable = np.frombuffer(measurement.usable, np.uint8) != 0
-        valid = valid & np.logical_and.reduceat(usable, phi.starts[:-1])
-        valid_sums &= usable
-    return MeasuredSums(corrected_counts(measurement, valid_sums), valid, valid_sums)
+        valid_sums &= np.frombuffer(measurement.usable, np.uint8) != 0
+    return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
+
+
+def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
+    """Return which blocks came with sums that are all usable, shape (blocks,)."""
+    valid = np.frombuffer(measurement.valid, np.uint8) != 0
+    if measurement.usable:
+        valid &= np.logical_and.reduceat(np.frombuffer(measurement.usable, np.uint8) != 0, phi.starts[:-1])
+    return valid
 
 
 def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
@@ -133,7 +139,7 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or an array has another length.
+        If the sums were measured with another Φ, or an array has another length, or sums less offsets do not fit int32.
     """
     if measurement.fingerprint != phi.fingerprint:
         came = measurement.fingerprint[:32]
@@ -150,6 +156,10 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     ):
         if found and len(found) != wanted:
             raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
+    if measurement.offsets:
+        corrected = np.frombuffer(measurement.sums, "<i4") - np.frombuffer(measurement.offsets, "<i4").astype(np.int64)
+        if np.abs(corrected).max() > _MOST_COUNTS:
+            raise InputError(f"sums less offsets beyond {_MOST_COUNTS} counts")
 
 
 class MeasurementReader(Generic[Sums]):

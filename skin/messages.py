@@ -81,7 +81,8 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         int32, shape (m,), in ADC counts: what an untouched skin reads; `skin.measured_sums` takes it off the sums.
         Empty if it is not known, and with adaptive sending, whose nodes take it off.
     usable : bytes
-        uint8, shape (m,): 0 for sums that are defective, whatever came. Empty if there are none.
+        uint8, shape (m,): 0 for sums that are defective, or have no offset while others have, whatever came. Empty if
+        there are none.
     """
 
     cycle: int
@@ -115,7 +116,7 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     pixels : bytes
         float32, shape (rows, columns), newtons, never negative.
     valid : bytes
-        Validity of the blocks, from the measurement.
+        uint8, shape (blocks,): 1 if the block came in this cycle, and all its sums are usable.
     valid_sums : int
         Number of sums that the solver used.
     solve_s : float

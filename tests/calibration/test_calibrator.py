@@ -66,6 +66,16 @@ def test_a_zero_measured_under_a_touch_is_measured_again_when_the_touch_ends() -
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
 
 
+def test_a_wrong_zero_under_a_lasting_touch_is_told_ever_more_rarely() -> None:
+    said: list[str] = []
+    skin = Skin(Calibrator(LAYOUT, say=said.append))
+    skin.run(4.0, still(OFFSETS + pressed(30, 30, 3, 0.002)))
+    hand = pressed(5, 5, 9, 0.0006)
+    skin.run(60.0, still(OFFSETS + hand))
+    told = [each for each in said if each.startswith("forces below zero")]
+    assert 1 <= len(told) <= 5
+
+
 def test_stored_offsets_are_used_under_a_hand_and_show_a_faint_touch() -> None:
     faint = pressed(30, 30, 3, 0.001)
     skin = Skin(Calibrator(LAYOUT, offsets_n=PHI.forward(OFFSETS)))

@@ -2,14 +2,17 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from calibration.calibrator import Calibrator
-from calibration.offline import calibrated_cycles, make_calibrator
+from calibration.offline import calibrated_cycles, has_offsets, make_calibrator, measurement_of
 from calibration.stored import save_calibration, store
 from skin.errors import InputError
 from skin.layout import load_layout
+from skin.mcap_file import RecordingWriter
+from skin.messages import MEASUREMENT
 from tests.calibration.skins import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
 
 OFFSETS = PHI.forward(offsets_n())
@@ -22,13 +25,38 @@ def test_cycles_lose_their_offsets_when_the_zero_is_measured() -> None:
     counts = np.rint((OFFSETS + noise + touch_n) / NEWTON_PER_COUNT).astype(np.int32)
     valid = np.ones((500, PHI.blocks), np.bool_)
     valid[450, 7] = False
-    corrected, whole = calibrated_cycles(LAYOUT, counts, valid, Calibrator(LAYOUT))
+    time_ns = np.arange(1, 501) * 25_000_000
+    corrected, whole = calibrated_cycles(LAYOUT, counts, valid, time_ns, Calibrator(LAYOUT))
     assert (whole == valid).all()
     np.testing.assert_array_equal(corrected[:100], counts[:100])
     error_n = corrected[350:] * NEWTON_PER_COUNT - touch_n[350:]
     error_n[100, PHI.block_of_sum == 7] = 0
     assert error_n.std() < 3e-4
     assert not corrected[450, PHI.block_of_sum == 7].any()
+
+
+def test_the_zero_is_measured_over_true_times() -> None:
+    """At half the SYNC rate of the layout, the zero takes as many seconds and half as many cycles."""
+    counts = np.tile(np.rint(OFFSETS / NEWTON_PER_COUNT).astype(np.int32), (100, 1))
+    valid = np.ones((100, PHI.blocks), np.bool_)
+    tared = [
+        calibrated_cycles(LAYOUT, counts, valid, np.arange(100) * period_ns, Calibrator(LAYOUT))[0][-1].any()
+        for period_ns in (25_000_000, 50_000_000)
+    ]
+    assert tared == [True, False]
+
+
+def test_a_recording_tells_whether_it_has_offsets(tmp_path: Path) -> None:
+    zero = np.zeros(PHI.shape[0], np.int32)
+    writer = RecordingWriter(tmp_path / "run.mcap", {}, [], 1)
+    writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(measurement_of(LAYOUT, 0, zero)))
+    writer.close()
+    assert not has_offsets(tmp_path / "run.mcap")
+    made = msgspec.structs.replace(measurement_of(LAYOUT, 0, zero), offsets=zero.tobytes())
+    writer = RecordingWriter(tmp_path / "zero.mcap", {}, [], 1)
+    writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
+    writer.close()
+    assert has_offsets(tmp_path / "zero.mcap")
 
 
 def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:

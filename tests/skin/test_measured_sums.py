@@ -35,6 +35,7 @@ BAD = (
     ({"sums": b"", "valid": b""}, "sums and validity of 0 and 0 bytes"),
     ({"known": ADAPTIVE.known}, "a measurement of adaptive sending, expected synchronous: give both ends the same"),
     ({"offsets": b"\0"}, "offsets of 1 bytes, expected 64, or none"),
+    ({"offsets": np.full(16, -(2**31), "<i4").tobytes()}, "sums less offsets beyond 2147483647 counts"),
     ({"usable": b"\0"}, "usable of 1 bytes, expected 16, or none"),
 )
 
