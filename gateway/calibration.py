@@ -9,9 +9,10 @@ import numpy as np
 
 from calibration.calibrator import Calibrator
 from calibration.stored import StoredCalibration, encoded, parse_calibration, store
+from calibration.windows import Floats
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
-from gateway.node_writing import Floats, NodeWriting
+from gateway.node_writing import NodeWriting
 from skin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
 from skin.errors import InputError
 from skin.fabric import Reply

@@ -4,9 +4,7 @@ import struct
 from collections.abc import Generator, Mapping, Sequence
 from typing import Final
 
-import numpy as np
-import numpy.typing as npt
-
+from calibration.windows import Floats
 from dbc.contract import Contract, NodeContract
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_STORE, SIGNATURE_SAVE, of_block
 from gateway.nmt_master import NmtMaster
@@ -19,8 +17,6 @@ MOST_AT_ONCE: Final = 4
 ATTEMPTS: Final = 3
 #: A node that cannot be written to for so long is given up: it is not there, or not proven.
 PATIENCE_S: Final = 20.0
-
-Floats = npt.NDArray[np.float64]
 
 
 class NodeWriting:
