@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from calibration.windows import Floats
-from skin.errors import InputError
+from skin.errors import UNDECODABLE, InputError
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import check_measurement
@@ -154,7 +154,7 @@ def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCali
     """
     try:
         stored = msgspec.json.decode(content, type=StoredCalibration)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except UNDECODABLE as error:
         raise InputError(f"{origin}: expected a file of 'skin calibration save': {error}") from error
     phi = layout.phi()
     mine = (phi.fingerprint, layout.taxels.force_max_n)

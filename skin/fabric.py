@@ -174,7 +174,7 @@ class Fabric:
         def receive(query: Any) -> None:
             try:
                 request = decoder.decode(query.payload.to_bytes() if query.payload is not None else b"")
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            except UNDECODABLE:
                 self.malformed += 1
                 return
 
@@ -202,7 +202,7 @@ class Fabric:
             if reply.ok is not None:
                 try:
                     return msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=question.reply)
-                except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+                except UNDECODABLE as error:
                     raise BusError(
                         f"the answer cannot be decoded, it is of another version of canskin: {error}"
                     ) from error
