@@ -1,8 +1,7 @@
 """The messages between the services, and the table of their topics.
 
 Arrays are little-endian bytes of the dtype named here, so programs in any language can read them.
-Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock (comparable between processes of
-one machine), ``time_ns`` of the wall clock.
+Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock, ``time_ns`` of the wall clock.
 
 ``sampled_mono_ns`` is the instant at which the boards sampled the taxels: with synchronous sending the end of the SYNC
 on the bus. Messages that follow from a measurement carry that of the measurement.
@@ -78,11 +77,9 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     noise_n : float
         Adaptive: median of the nodes' noise, newtons; 0 if it is not known.
     offsets : bytes
-        int32, shape (m,), in ADC counts: what an untouched skin reads; `skin.measured_sums` takes it off the sums.
-        Empty if it is not known, and with adaptive sending, whose nodes take it off.
+        int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown, and with adaptive sending.
     usable : bytes
-        uint8, shape (m,): 0 for sums that are defective, or have no offset while others have, whatever came. Empty if
-        there are none.
+        uint8, shape (m,): 0 for sums that are defective, or have no offset while others have. Empty if all are 1.
     """
 
     cycle: int
