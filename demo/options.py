@@ -32,6 +32,12 @@ class DemoOptions:
     picture: Path
     firmware: bool = False
 
+    @property
+    def has_zero_errors(self) -> bool:
+        """Whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
+        defects = parse_defects(self.defects, self.seed)
+        return self.recording is not None or "offset" in defects or "drift" in defects
+
     def check(self, layout: Layout) -> None:
         """Check that a run with these options is possible.
 

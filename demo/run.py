@@ -26,6 +26,8 @@ from skin.sources import DEFAULT_OBJECTS
 from skin.terminal import print_table, progress
 
 DEFAULT_PORT: Final = 8765
+#: Time without touch where taxels have offsets: the zero is measured then.
+REST_S: Final = 3.5
 #: A first run compiles the solver and trains the classifier.
 READY_PATIENCE_S: Final = 180.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
@@ -62,7 +64,8 @@ class Run:
             self._start_services(endpoint)
             self._await_services(stop)
             if not stop.is_set():
-                self._supervisor.start("gateway", "gateway", *self._common(endpoint))
+                tare = "at-start" if self._options.has_zero_errors else "never"
+                self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
                 self._follow(stop, endpoint)
             if stop.is_set() and not self._has_started():
                 self._supervisor.stop_at_once()
@@ -118,6 +121,8 @@ class Run:
             touch += ["--full-scale", str(options.full_scale)] if options.full_scale is not None else []
             touch += [part for name in options.arrays for part in ("--array", name)]
             touch += ["--rate", str(options.rate_hz)] if options.rate_hz is not None else []
+        elif options.has_zero_errors:
+            touch += ["--rest", str(REST_S)]
         touch += [part for defect in options.defects for part in ("--defect", defect)]
         touch += ["--firmware"] * options.firmware
         start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)

@@ -23,6 +23,7 @@ Subject = Literal[
     "rivals",
     "rates",
     "contacts",
+    "calibration",
     "classification",
     "recognition",
     "postures",
@@ -37,13 +38,14 @@ SUBJECTS: Final[dict[str, str]] = {
     "rivals": "evaluation.schemes.comparison:evaluate",
     "rates": "evaluation.schemes.rates:evaluate",
     "contacts": "evaluation.schemes.contacts:evaluate",
+    "calibration": "evaluation.schemes.calibration:evaluate",
     "classification": "evaluation.recognition.classification:evaluate",
     "recognition": "evaluation.recognition.beyond:evaluate",
     "postures": "evaluation.recognition.postures:evaluate",
 }
 
 #: Subjects that average over no draws of Φ; ``all`` hands draws to the others alone.
-_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts")
+_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts", "calibration")
 
 
 def evaluate(
@@ -79,7 +81,7 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals``,
-        ``rates`` and ``contacts`` average over none; ``all`` hands them to the others.
+        ``rates``, ``contacts`` and ``calibration`` average over none; ``all`` hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes

@@ -18,7 +18,18 @@ from skin.parallel import in_parallel
 from skin.terminal import progress
 
 #: Folders and libraries that decide a result: a kept result counts only while they are as they were.
-_FOLDERS: Final = ("skin", "dbc", "bandwidth", "bus", "nodes", "reconstructor", "classifier", "touch", "evaluation")
+_FOLDERS: Final = (
+    "skin",
+    "calibration",
+    "dbc",
+    "bandwidth",
+    "bus",
+    "nodes",
+    "reconstructor",
+    "classifier",
+    "touch",
+    "evaluation",
+)
 _LIBRARIES: Final = ("numpy", "scipy", "numba", "scikit-learn", "PyWavelets")
 
 

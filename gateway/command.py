@@ -1,13 +1,18 @@
 """``skin gateway``: bus master and collector."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bus.link import Link
 from bus.options import BusOptions, open_links
+from calibration.calibrator import Tare
+from calibration.stored import load_calibration
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
+from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
+from skin.calibration_messages import CALIBRATION
 from skin.errors import InputError
 from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
@@ -22,6 +27,8 @@ def gateway(
     connect: str | None = None,
     max_rate: float | None = None,
     min_rate: float | None = None,
+    calibration: Path | None = None,
+    tare: Tare = "at-start",
 ) -> None:
     """Boot the nodes, produce SYNC, and publish the sums: those of each cycle, or the newest of adaptive nodes.
 
@@ -39,29 +46,47 @@ def gateway(
         Adaptive sending: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
     min_rate
         Adaptive sending: measurements in a second without news; 1 Hz to `max_rate`, by default 10.
+    calibration
+        File of ``skin calibration save``: the offsets that are used until the zero is measured.
+    tare
+        ``at-start``: measure the offsets of the sums as soon as the skin has been untouched for 2 s or
+        64 cycles, and follow them;
+        ``never``: those of ``--calibration`` stay as they are, and no defects are found. Adaptive boards
+        measure their own.
 
     Examples
     --------
     skin gateway
     skin gateway --layout adaptive --max-rate 200
     skin gateway -i socketcan -c can0 --layout palm.toml
+    skin gateway --calibration palm.json --tare never
     """
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
     rates_hz = publishing_rates(max_rate, min_rate)
     if skin.sending != "adaptive" and (max_rate, min_rate) != (None, None):
         raise InputError("--max-rate and --min-rate are for adaptive sending: this layout has a measurement per cycle")
+    contract = Contract.from_layout(skin)
+    if calibration is not None and skin.sending == "adaptive":
+        raise InputError("--calibration is for synchronous sending: adaptive boards measure their own offsets")
+    stored = None if calibration is None else load_calibration(calibration, skin)
+    if stored is not None:
+        stored.required_offsets_n(str(calibration))
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     require_order(skin, links)
-    contract = Contract.from_layout(skin)
+    answers = ThreadPoolExecutor(1, "calibration")
+    answers.submit(int)  # the thread starts before the gateway's loop asks for real time, which threads inherit
+    calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", run_aside=answers.submit)
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
+    fabric.answer(CALIBRATION, calibrates.ask)
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
-        GatewayService(contract, links, fabric, rates_hz=rates_hz).run(stop)
+        GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz).run(stop)
     finally:
         for link in links.values():
             link.close()
+        answers.shutdown()
         fabric.close()
 
 

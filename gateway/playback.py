@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 
 from bus.link import State
+from calibration.calibrator import Calibrator
+from calibration.offline import calibrated
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import SYNC_OVERFLOW, Contract, next_counter
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
@@ -42,6 +44,8 @@ class Playback:
         No frame is earlier; on the clock of the frames.
     wall_offset_ns : int
         Wall clock minus the clock of the frames.
+    calibrator : Calibrator, optional
+        Puts offsets into the measurements.
 
     Attributes
     ----------
@@ -49,8 +53,17 @@ class Playback:
         SYNCs so far.
     """
 
-    def __init__(self, contract: Contract, buses: Collection[int], start_ns: int, wall_offset_ns: int = 0) -> None:
+    def __init__(
+        self,
+        contract: Contract,
+        buses: Collection[int],
+        start_ns: int,
+        wall_offset_ns: int = 0,
+        *,
+        calibrator: Calibrator | None = None,
+    ) -> None:
         self.cycles = 0
+        self._calibrator = calibrator
         self._wall_offset_ns = wall_offset_ns
         self._grace_ns = round((1 + GRACE) * contract.layout.sync.period_s * 1e9)
         self._is_counted = contract.sync_overflow > 0
@@ -90,16 +103,18 @@ class Playback:
         for time_ns, number, place in sorted(found):
             self._take_sync(time_ns, number, place)
         self._go_to(until_ns, {number: len(ready.frames) for number, ready in self._ready.items()})
-        made, self._made = self._made, []
-        return made
+        return self._take_made()
 
     def finish(self) -> list[Measurement]:
         """Use the last frames; return the last measurements."""
         last_ns = [int(seen["time_ns"].max()) for waiting in self._waiting.values() for seen in waiting if len(seen)]
         made = self.advance(max(last_ns, default=self._now_ns))
         self._measure(self._now_ns + self._grace_ns)
-        last, self._made = self._made, []
-        return made + last
+        return made + self._take_made()
+
+    def _take_made(self) -> list[Measurement]:
+        made, self._made = self._made, []
+        return list(calibrated(made, self._calibrator))
 
     def status(self) -> GatewayStatus:
         """Return the counters of the gateway; the states of nodes are those of their newest heartbeats."""
@@ -180,7 +195,7 @@ class Part(NamedTuple):
     status: GatewayStatus
 
 
-def play(contract: Contract, logged: Mapping[int, Frames]) -> Iterator[Part]:
+def play(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrator | None = None) -> Iterator[Part]:
     """Yield a log part by part, with the measurements that its frames give.
 
     Parameters
@@ -188,10 +203,12 @@ def play(contract: Contract, logged: Mapping[int, Frames]) -> Iterator[Part]:
     contract : Contract
     logged : mapping of int to Frames
         Frames by the number of their bus, in the order of the log.
+    calibrator : Calibrator, optional
+        Puts offsets into the measurements.
     """
     newest_ns = {bus: np.maximum.accumulate(seen["time_ns"]) for bus, seen in logged.items()}
     parts = np.unique(np.concatenate([each // _PART_NS for each in newest_ns.values()]))
-    playback = Playback(contract, logged.keys(), int(parts[0]) * _PART_NS)
+    playback = Playback(contract, logged.keys(), int(parts[0]) * _PART_NS, calibrator=calibrator)
     used = dict.fromkeys(logged, 0)
     for part in parts.tolist():
         until_ns = (part + 1) * _PART_NS - 1

@@ -11,6 +11,7 @@ from bus.link import Link
 from dbc.contract import Contract
 from dbc.frame import frames
 from gateway.adaptive_gathering import RATES_HZ
+from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
 from skin.clock import wall_offset
 from skin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
@@ -19,6 +20,8 @@ from skin.service import RateLimitedLog, StopSignal, request_real_time, say
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.
 TURN_S: Final = 0.01
+#: Calibration works when nothing is due for so long: it takes a millisecond, on a slow machine two.
+SPARE_S: Final = 0.004
 _NOTHING: Final = frames(0)
 
 
@@ -39,6 +42,8 @@ class GatewayService:
     links : mapping of int to Link
         By number of the bus.
     fabric : Publisher
+    calibration : GatewayCalibration, optional
+        Without it measurements have no offsets.
     rates_hz : tuple of float
         See `GatewayLoop`.
     clock : callable, optional
@@ -51,9 +56,11 @@ class GatewayService:
         links: Mapping[int, Link],
         fabric: Publisher,
         *,
+        calibration: GatewayCalibration | None = None,
         rates_hz: tuple[float, float] = RATES_HZ,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._calibration = calibration
         self.loop = GatewayLoop(
             contract,
             {number: link.send for number, link in links.items()},
@@ -82,7 +89,10 @@ class GatewayService:
         """Publish all counters."""
         states = {number: (link.state, link.dropped) for number, link in self._links.items()}
         self.loop.explain_refused_syncs({number: state for number, (state, _) in states.items()})
-        self._fabric.publish(GATEWAY, self.loop.status(states, self._clock()))
+        status = self.loop.status(states, self._clock())
+        if self._calibration is not None:
+            status = msgspec.structs.replace(status, calibration=self._calibration.status())
+        self._fabric.publish(GATEWAY, status)
 
     def turn(self) -> None:
         """Wait for frames until the next SYNC or measurement, use them, and do what is due.
@@ -109,10 +119,18 @@ class GatewayService:
         wall_offset_ns = wall_offset().ns
         self._publish(self.loop.send_sync(self._clock(), wall_offset_ns))
         self._publish(self.loop.measurements(self._clock(), wall_offset_ns))
+        if self._calibration is not None:
+            self._calibration.tick(self.loop.masters, self._clock())
+            if self.loop.due_s - self._clock() >= SPARE_S:
+                self._calibration.work()
         if self._clock() >= self._status_at_s:
             self._status_at_s = self._clock() + STATUS_PERIOD_S
             self.publish_status()
 
     def _publish(self, measurements: list[Measurement]) -> None:
         for each in measurements:
-            self._fabric.publish(MEASUREMENT, each)
+            if self._calibration is None:
+                self._fabric.publish(MEASUREMENT, each)
+                continue
+            self._fabric.publish(MEASUREMENT, self._calibration.apply(each))
+            self._calibration.take(each)

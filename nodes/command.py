@@ -38,6 +38,7 @@ def nodes(
     full_scale: float | None = None,
     array: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     rate: float | None = None,
+    rest: float = 0.0,
     noise_n: float = NOISE_N,
     defect: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     seed: int = 0,
@@ -71,12 +72,15 @@ def nodes(
     rate
         Frames per second of the recording; without this option each cycle plays the next frame
         (adaptive layouts: each 10 ms).
+    rest
+        Seconds without touch before the first object.
     noise_n
         Standard deviation of the sensor noise in newtons. Recordings get none: they contain their own noise.
     defect
         Defects of the taxels, each KIND or KIND=AMOUNT (default amount in brackets). Fraction of the taxels: dead,
-        stuck, saturated, noisy (0.01). Standard deviation of the gains: gain-spread (0.1). Fraction of each
-        neighbour's force: cross-talk (0.1). Drift of zero, N/s: drift (0.0001). Damping, N s/m: damper (0.01).
+        stuck, saturated, noisy (0.01). Standard deviation of the gains: gain-spread (0.1). Largest
+        offset / range: offset (0.13). Fraction of each neighbour's force: cross-talk (0.1). Drift of zero, N/s: drift
+        (0.0001). Damping, N s/m: damper (0.01).
     seed
         Seed of the touches, of the noise, and of the choice of defective taxels.
     store
@@ -95,6 +99,8 @@ def nodes(
         raise InputError(f"expected 0 or more: got --noise-n {noise_n:g} --seed {seed}")
     if rate is not None and input is None:
         raise InputError("--rate is for a recording: give one with --input")
+    if input is not None and rest:
+        raise InputError("--rest is for objects: a recording begins as it begins")
     defects = parse_defects(defect or (), seed)
     if firmware and store is not None:
         raise InputError("--store is for nodes in Python: boards with --firmware keep their parameters until they end")
@@ -107,7 +113,7 @@ def nodes(
     skin = load_layout(layout, adaptive=True)
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
-    source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed)
+    source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed, rest)
     compiled = _firmware(contract, chosen) if firmware else None
     boards = _boards(contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects}, compiled)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
@@ -177,7 +183,7 @@ def _recording(
     )
 
 
-def _objects(skin: Layout, names: str, seed: int) -> TaxelSource:
+def _objects(skin: Layout, names: str, seed: int, rest_s: float) -> TaxelSource:
     taxels = skin.taxels
     return load_source(
         "objects",
@@ -187,4 +193,5 @@ def _objects(skin: Layout, names: str, seed: int) -> TaxelSource:
         rate_hz=step_rate_hz(skin),
         names=[name.strip() for name in names.split(",") if name.strip()] or None,
         seed=seed,
+        rest_s=rest_s,
     )

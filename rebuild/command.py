@@ -1,7 +1,7 @@
 """``skin rebuild``: the images of a whole recording or CAN log."""
 
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -11,6 +11,8 @@ import numpy.typing as npt
 from cyclopts import Parameter
 
 from bandwidth.logs import of_buses, read_log
+from calibration.calibrator import Tare
+from calibration.offline import calibrated_cycles, has_offsets, make_calibrator
 from dbc.contract import Contract
 from rebuild.cycles import Cycles
 from rebuild.output import check_out, save_images
@@ -40,6 +42,8 @@ def rebuild(
     channel: Annotated[list[str] | None, Parameter(alias="-c", negative=(), consume_multiple=True)] = None,
     array: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     full_scale: float | None = None,
+    calibration: Path | None = None,
+    tare: Tare = "never",
 ) -> None:
     """Make the tactile image of every cycle of a recording or a CAN log, and write all images to one file.
 
@@ -68,6 +72,11 @@ def rebuild(
         Name of an array in the .npz; two arrays are placed side by side.
     full_scale
         Recorded value that becomes the skin's largest force; default: the largest value of the recording.
+    calibration
+        File of ``skin calibration save``, or a recording, whose newest offsets are taken off all cycles. Without it,
+        and without ``--tare``, nothing is taken off, not even the offsets of a recording.
+    tare
+        ``at-start``: measure the offsets as the gateway does, once the skin is untouched for 2 s or 64 cycles.
 
     Examples
     --------
@@ -80,6 +89,7 @@ def rebuild(
     if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
         layout = source
     contract = Contract.from_layout(load_layout(layout))
+    calibrator = make_calibrator(contract.layout, calibration, tare, "rebuild")
     taxels = contract.layout.taxels
     options = solver or SolverOptions()
     settings = options.settings()
@@ -94,6 +104,15 @@ def rebuild(
         library=library,
     )
     cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
+    if calibrator is None and has_offsets(source):
+        say(
+            "rebuild",
+            f"{source.name}: offsets of the live measurements are not taken off, so images differ from the live ones:"
+            f" take the newest off with --calibration {source.name}, or measure them with --tare at-start",
+        )
+    if calibrator is not None:
+        counts, valid = calibrated_cycles(contract.layout, cycles.counts, cycles.valid, cycles.time_ns, calibrator)
+        cycles = replace(cycles, counts=counts, valid=valid)
     say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, {solve.method}, on the {device}")
     images = _solved(contract, solve, cycles)
     metadata = {

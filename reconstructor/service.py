@@ -15,7 +15,7 @@ from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
 from skin.fabric import Exchange
 from skin.layout import Layout
-from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
+from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, used_blocks
 from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from skin.service import StopSignal, request_real_time
 
@@ -64,7 +64,8 @@ class ReconstructorService:
         else:
             self._work, depth = _Cycles(layout, solver), MAILBOX_DEPTH
         self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
-        self._block_of_taxel = np.argsort(layout.phi().order) // layout.phi().block_size
+        self._phi = layout.phi()
+        self._block_of_taxel = np.argsort(self._phi.order) // self._phi.block_size
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, depth)
 
@@ -100,7 +101,7 @@ class ReconstructorService:
             sampled_mono_ns=measurement.sampled_mono_ns,
             published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
-            valid=measurement.valid,
+            valid=used_blocks(measurement, self._phi).tobytes(),
             valid_sums=valid_sums,
             solve_s=solve_s,
             number=self.images,
@@ -129,21 +130,19 @@ class _Cycles:
     """Images of cycles."""
 
     def __init__(self, layout: Layout, solver: Reconstructor) -> None:
-        self._phi = layout.phi()
         self._newton_per_count = np.float32(layout.taxels.newton_per_count)
         self._solver = solver
-        self.reader = MeasurementReader(self._phi, "reconstructor", decode_measurement)
+        self.reader = MeasurementReader(layout.phi(), "reconstructor", decode_measurement)
 
     def solve(self, measurement: Measurement) -> tuple[Image_n, int, float] | None:
         """Return image, number of sums used, and time of the solver; None if the measurement is refused."""
         sums = self.reader.read(measurement)
         if sums is None:
             return None
-        valid = self._phi.sums_of_blocks(sums.valid)
         started_s = time.perf_counter()
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        image = self._solver.solve(sums_n, valid)
-        return image, int(valid.sum()), time.perf_counter() - started_s
+        image = self._solver.solve(sums_n, sums.valid_sums)
+        return image, int(np.count_nonzero(sums.valid_sums)), time.perf_counter() - started_s
 
 
 class _Adaptive:

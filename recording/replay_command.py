@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from bus.options import Channels
+from calibration.calibrator import Tare
+from calibration.offline import make_calibrator
 from classifier.cache import find_or_train
 from classifier.coarse_sums import classified_phi
 from classifier.decide import Classifier
@@ -38,6 +40,8 @@ def replay(
     channel: Channels | None = None,
     solver: SolverOptions | None = None,
     model: Path | None = None,
+    calibration: Path | None = None,
+    tare: Tare = "never",
 ) -> None:
     """Play a recording or a CAN log through gateway, reconstructor and classifier, on a hub or into a new recording.
 
@@ -64,6 +68,10 @@ def replay(
         Solver of the images.
     model
         Model of the classifier; default: as ``skin classify``.
+    calibration
+        Of frames alone: file of ``skin calibration save``, or a recording, whose newest offsets are taken off.
+    tare
+        Of frames alone, ``at-start``: measure the offsets as the gateway does, and follow them.
 
     Examples
     --------
@@ -78,6 +86,7 @@ def replay(
         raise InputError(f"--channel: expected up to {len(skin.bus)} channels of a log; a recording names its buses")
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if is_recording else 0
+    calibrator = make_calibrator(skin, calibration, tare, "replay")
     engine, about = _engine(skin, solver)
     classifier = _classifier_maker(skin, model)
     sink = McapSink(out, contract, time.time_ns(), offset_ns) if out is not None else None
@@ -88,7 +97,9 @@ def replay(
     say("replay", f"{source.name}: {about}")
     played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns)
     names = channel or [bus.name for bus in skin.bus]
-    steps = steps_of(source, contract, names, named_by_user=bool(channel), every=solver is not None)
+    steps = steps_of(
+        source, contract, names, named_by_user=bool(channel), every=solver is not None, calibrator=calibrator
+    )
     _run(played, steps, stop, speed or (1.0 if fabric else float("inf")), sink, fabric, out)
     for line in played.report.lines():
         say("replay", line)

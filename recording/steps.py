@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from bandwidth.logs import of_buses, read_log
+from calibration.calibrator import Calibrator
 from dbc.contract import Contract, next_counter
 from dbc.stored_frames import from_bytes
 from gateway.playback import Playback, play
@@ -70,7 +71,13 @@ class Step:
 
 
 def steps_of(
-    path: Path, contract: Contract, channels: list[str], *, named_by_user: bool, every: bool = False
+    path: Path,
+    contract: Contract,
+    channels: list[str],
+    *,
+    named_by_user: bool,
+    every: bool = False,
+    calibrator: Calibrator | None = None,
 ) -> Iterator[Step]:
     """Yield the steps of a recording or of a CAN log, in the order of time.
 
@@ -84,6 +91,8 @@ def steps_of(
         The channels are not the names of the buses.
     every : bool
         Every measurement makes an image, whether the live one did or not.
+    calibrator : Calibrator, optional
+        Puts offsets into measurements that are made of frames alone; recorded ones have their own.
 
     Raises
     ------
@@ -92,17 +101,23 @@ def steps_of(
     """
     if path.suffix.lower() == RECORDING_SUFFIX:
         topics = read_topics(path)
+        if calibrator is not None and MEASUREMENT.name in topics:
+            raise InputError(
+                f"{path}: its measurements have the offsets of the run: leave out --calibration and --tare"
+            )
         if not any(topic.startswith(FRAMES) for topic in topics) and MEASUREMENT.name not in topics:
             raise InputError(f"{path}: holds neither frames nor measurements: there is nothing to play")
-        yield from _Recorded(path, contract, topics, every=every).steps()
+        yield from _Recorded(path, contract, topics, every=every, calibrator=calibrator).steps()
     else:
-        yield from _logged(path, contract, channels, named_by_user=named_by_user)
+        yield from _logged(path, contract, channels, calibrator, named_by_user=named_by_user)
 
 
-def _logged(path: Path, contract: Contract, channels: list[str], *, named_by_user: bool) -> Iterator[Step]:
+def _logged(
+    path: Path, contract: Contract, channels: list[str], calibrator: Calibrator | None, *, named_by_user: bool
+) -> Iterator[Step]:
     logged = of_buses(contract.layout, channels, read_log(path, _warn), path, named_by_user=named_by_user)
     status_ns = place = 0
-    for part in play(contract, logged):
+    for part in play(contract, logged, calibrator):
         for bus, seen in part.frames.items():
             if len(seen):
                 yield Step(int(seen["time_ns"].max()), place, None, (bus, seen))
@@ -117,7 +132,10 @@ def _logged(path: Path, contract: Contract, channels: list[str], *, named_by_use
 class _Recorded:
     """The steps of a recording. Frames and messages come a little after their time, so steps wait for them."""
 
-    def __init__(self, path: Path, contract: Contract, topics: set[str], *, every: bool) -> None:
+    def __init__(
+        self, path: Path, contract: Contract, topics: set[str], *, every: bool, calibrator: Calibrator | None
+    ) -> None:
+        self._calibrator = calibrator
         self._path, self._contract = path, contract
         self._decoders: dict[str, Callable[[bytes], Any]] = {
             topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE, LABEL, *_AS_RECORDED.values())
@@ -196,7 +214,9 @@ class _Recorded:
             return
         if self._playback is None:
             start_ns = int(seen["time_ns"][0]) - _FRAMES_NS
-            self._playback = Playback(self._contract, self._buses.values(), start_ns, self._offset_ns)
+            self._playback = Playback(
+                self._contract, self._buses.values(), start_ns, self._offset_ns, calibrator=self._calibrator
+            )
         self._playback.feed(self._buses[entry.topic], seen)
 
     def _advance(self, until_ns: int | None) -> None:

@@ -32,7 +32,8 @@ class Tables:
         ``pixels`` float32 (n, rows, columns) in newtons, ``cycle``, ``time_ns`` of the sampling on the wall clock,
         ``sampled_mono_ns``, ``valid`` bool (n, blocks), ``valid_sums``.
     measurements : dict
-        ``sums`` int32 (n, m) in ADC counts, ``valid``, ``cycle``, ``time_ns``, ``sampled_mono_ns``,
+        ``sums`` and ``offsets`` int32 (n, m) in ADC counts, ``usable`` bool (n, m), ``valid``,
+        ``cycle``, ``time_ns``, ``sampled_mono_ns``,
         ``sampled_error_ns``.
     contacts : dict
         One row per contact and image: the fields of `skin.messages.Contact`, ``cycle`` and ``time_ns``.
@@ -83,6 +84,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
     wall = _WallClock(read["measurement"], offset_ns)
+    none, all_usable = bytes(4 * layout.measurement.sums), b"\1" * layout.measurement.sums
     try:
         return Tables(
             # The pixels first: programs that read one array of a file take the first.
@@ -96,6 +98,10 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
             | {
                 "sampled_error_ns": np.array([each.sampled_error_ns for each in read["measurement"]], np.int64),
                 "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
+                "offsets": _stack([each.offsets or none for each in read["measurement"]], "<i4", (len(none) // 4,)),
+                "usable": _stack(
+                    [each.usable or all_usable for each in read["measurement"]], np.bool_, (len(all_usable),)
+                ),
                 "valid": _stack([each.valid for each in read["measurement"]], np.bool_, (layout.blocks,)),
             },
             contacts=_contacts(read["contacts"], wall),

@@ -28,6 +28,8 @@ VERBS: Final = {
     "nodes": "nodes.command:nodes",
     "gateway": "gateway.command:gateway",
     "node": "gateway.node_command:node",
+    "tare": "calibration.command:tare",
+    "calibration": "calibration.command:calibration",
     "reconstruct": "reconstructor.command:reconstruct",
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",

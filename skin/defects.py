@@ -20,7 +20,7 @@ STIFFNESS_N_PER_M: Final = 1.0
 #: Standard deviation of a noisy taxel's noise / range.
 NOISY_RATIO: Final = 0.25
 #: Streams of random numbers: defects of one seed select different taxels.
-_GAIN, _DRIFT, _STUCK, _DEAD, _SATURATED, _NOISY = range(6)
+_GAIN, _DRIFT, _STUCK, _DEAD, _SATURATED, _NOISY, _OFFSET = range(7)
 
 Force = npt.NDArray[np.float32]
 
@@ -78,6 +78,21 @@ class GainSpread:
     def gains(self, taxels: tuple[int, ...]) -> Force:
         """Return the gain of each taxel of an array of shape `taxels`, read-only."""
         return _gains(self, taxels)
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Each taxel reads more than its force: offsets are uniform from 0 to `ratio` of the range."""
+
+    ratio: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _need_ratio("ratio", self.ratio, 1.0)
+
+    def offsets_n(self, taxels: tuple[int, ...], force_max_n: float) -> Force:
+        """Return the offset of each taxel of an array of shape `taxels`, newtons, read-only."""
+        return _offsets(self, taxels, force_max_n)
 
 
 @dataclass(frozen=True)
@@ -164,6 +179,7 @@ KINDS: Final = {
     "damper": DefectKind(lambda amount, _seed: Damper(amount), 0.01),
     "cross_talk": DefectKind(lambda amount, _seed: CrossTalk(amount), 0.1),
     "gain_spread": DefectKind(GainSpread, 0.1),
+    "offset": DefectKind(Offset, 0.13),
     "drift": DefectKind(Drift, 1e-4),
     "noisy": DefectKind(Noisy, 0.01),
     "stuck": DefectKind(Stuck, 0.01),
@@ -243,6 +259,12 @@ def _stream(seed: int, defect: int) -> np.random.Generator:
 def _gains(spread: GainSpread, taxels: tuple[int, ...]) -> Force:
     drawn = _stream(spread.seed, _GAIN).normal(1.0, spread.deviation, taxels)
     return _fixed(np.maximum(drawn, 0.0).astype(np.float32))
+
+
+@lru_cache(maxsize=8)
+def _offsets(offset: Offset, taxels: tuple[int, ...], force_max_n: float) -> Force:
+    drawn = _stream(offset.seed, _OFFSET).uniform(0.0, offset.ratio * force_max_n, taxels)
+    return _fixed(drawn.astype(np.float32))
 
 
 @lru_cache(maxsize=8)

@@ -16,6 +16,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import msgspec
 import zenoh
 
+from skin.calibration_messages import Question
 from skin.errors import UNDECODABLE, BusError
 from skin.messages import Topic
 from skin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
@@ -33,6 +34,8 @@ PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
 HIGHEST_PORT: Final = 65535
 
 Message = TypeVar("Message", bound=msgspec.Struct)
+#: Sends the answer to a request, once.
+Reply = Callable[[msgspec.Struct], None]
 
 
 class Mailbox(Generic[Message]):
@@ -158,6 +161,52 @@ class Fabric:
         mailbox: Mailbox[Any] = Mailbox(depth)
         self.subscribe(topic, mailbox.put)
         return mailbox
+
+    def answer(self, question: Question, handler: Callable[[Any, Reply], None]) -> None:
+        """Call ``handler(request, reply)`` with every request, in a thread of the fabric.
+
+        The handler, or another thread later, calls `reply` once with the answer. Requests that cannot be decoded are
+        counted in `malformed`.
+        """
+        decoder = msgspec.msgpack.Decoder(question.request)
+        encode = msgspec.msgpack.encode  # in any thread
+
+        def receive(query: Any) -> None:
+            try:
+                request = decoder.decode(query.payload.to_bytes() if query.payload is not None else b"")
+            except UNDECODABLE:
+                self.malformed += 1
+                return
+
+            def reply(message: msgspec.Struct) -> None:
+                try:
+                    query.reply(query.key_expr, encode(message))
+                    query.drop()
+                except zenoh.ZError as error:  # the asker may be gone for minutes
+                    say(self._peer.service, f"an answer to '{question.name}' is lost: {_first_sentence(error)}")
+
+            handler(request, reply)
+
+        self._kept.append(self._session.declare_queryable(f"{self._prefix}/{question.name}", receive))
+
+    def ask(self, question: Question, request: msgspec.Struct, timeout_s: float) -> Any:
+        """Return the answer to a request.
+
+        Raises
+        ------
+        BusError
+            If no service answers in time, or the answer cannot be decoded.
+        """
+        key, payload = f"{self._prefix}/{question.name}", self._encoder.encode(request)
+        for reply in self._session.get(key, payload=payload, timeout=timeout_s):
+            if reply.ok is not None:
+                try:
+                    return msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=question.reply)
+                except UNDECODABLE as error:
+                    raise BusError(
+                        f"the answer cannot be decoded, it is of another version of canskin: {error}"
+                    ) from error
+        raise BusError(f"no service of skin '{self._peer.skin}' answers: is 'skin gateway' of this layout running?")
 
     def watch(self, changed: Callable[[str, bool], None]) -> None:
         """Call ``changed(service, alive)`` for every service that is present, comes or goes.

@@ -15,6 +15,7 @@ from skin.service import say
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
+_MOST_COUNTS: Final = np.iinfo(np.int32).max
 
 
 class MeasuredSums(NamedTuple):
@@ -23,13 +24,16 @@ class MeasuredSums(NamedTuple):
     Attributes
     ----------
     counts : array of int32, shape (m,)
-        Sums in ADC counts; read-only.
+        Sums less their offsets in ADC counts; 0 if not valid; read-only.
     valid : array of bool, shape (blocks,)
-        True if every sum of the block came in this cycle.
+        True if every sum of the block came in this cycle, and all are usable.
+    valid_sums : array of bool, shape (m,)
+        True if the sum came in this cycle, and is usable.
     """
 
     counts: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
+    valid_sums: npt.NDArray[np.bool_]
 
 
 class AdaptiveSums(NamedTuple):
@@ -71,10 +75,32 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
         If the sums were measured with another Φ, or sums or validity have another length, or the measurement is one of
         adaptive sending.
     """
-    _check_sums(measurement, phi)
+    check_measurement(measurement, phi)
     if measurement.known or measurement.states or measurement.since_ns:
         raise InputError("a measurement of adaptive sending, expected synchronous: give both ends the same --layout")
-    return MeasuredSums(np.frombuffer(measurement.sums, "<i4"), np.frombuffer(measurement.valid, np.uint8) != 0)
+    valid_sums = phi.sums_of_blocks(np.frombuffer(measurement.valid, np.uint8) != 0)
+    if measurement.usable:
+        valid_sums &= np.frombuffer(measurement.usable, np.uint8) != 0
+    return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
+
+
+def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
+    """Return which blocks came with sums that are all usable, shape (blocks,)."""
+    valid = np.frombuffer(measurement.valid, np.uint8) != 0
+    if measurement.usable:
+        valid &= np.logical_and.reduceat(np.frombuffer(measurement.usable, np.uint8) != 0, phi.starts[:-1])
+    return valid
+
+
+def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Return the sums of a synchronous measurement less their offsets, 0 if not valid, ADC counts, shape (m,)."""
+    counts = np.frombuffer(measurement.sums, "<i4")
+    if measurement.offsets:
+        counts = counts - np.frombuffer(measurement.offsets, "<i4")
+        counts[~valid_sums] = 0
+    elif measurement.usable:
+        counts = np.where(valid_sums, counts, 0)
+    return counts
 
 
 def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
@@ -86,7 +112,7 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
         If the sums were measured with another Φ, or an array has another length or values that it cannot have, or the
         measurement is one of synchronous sending.
     """
-    _check_sums(measurement, phi)
+    check_measurement(measurement, phi)
     if not (measurement.known or measurement.states or measurement.since_ns):
         raise InputError("a measurement of synchronous sending, expected adaptive: give both ends the same --layout")
     lengths = (len(measurement.known), len(measurement.states), len(measurement.since_ns))
@@ -107,8 +133,14 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     return AdaptiveSums(np.frombuffer(measurement.sums, "<i4"), valid, known, states, since_ns, measurement.noise_n)
 
 
-def _check_sums(measurement: Measurement, phi: Sbhe) -> None:
-    """Check what measurements of both ways of sending have."""
+def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
+    """Check what measurements of both ways of sending have.
+
+    Raises
+    ------
+    InputError
+        If the sums were measured with another Φ, or an array has another length, or sums less offsets do not fit int32.
+    """
     if measurement.fingerprint != phi.fingerprint:
         came = measurement.fingerprint[:32]
         raise InputError(f"measured with Φ {came!r}, expected {phi.fingerprint}: give both ends the same --layout")
@@ -118,6 +150,16 @@ def _check_sums(measurement: Measurement, phi: Sbhe) -> None:
         raise InputError(
             f"sums and validity of {lengths[0]} and {lengths[1]} bytes, expected {expected[0]} and {expected[1]}"
         )
+    for name, found, wanted in (
+        ("offsets", measurement.offsets, 4 * phi.shape[0]),
+        ("usable", measurement.usable, phi.shape[0]),
+    ):
+        if found and len(found) != wanted:
+            raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
+    if measurement.offsets:
+        corrected = np.frombuffer(measurement.sums, "<i4") - np.frombuffer(measurement.offsets, "<i4").astype(np.int64)
+        if np.abs(corrected).max() > _MOST_COUNTS:
+            raise InputError(f"sums less offsets beyond {_MOST_COUNTS} counts")
 
 
 class MeasurementReader(Generic[Sums]):

@@ -1,8 +1,7 @@
 """The messages between the services, and the table of their topics.
 
 Arrays are little-endian bytes of the dtype named here, so programs in any language can read them.
-Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock (comparable between processes of
-one machine), ``time_ns`` of the wall clock.
+Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock, ``time_ns`` of the wall clock.
 
 ``sampled_mono_ns`` is the instant at which the boards sampled the taxels: with synchronous sending the end of the SYNC
 on the bus. Messages that follow from a measurement carry that of the measurement.
@@ -12,6 +11,8 @@ from enum import IntEnum
 from typing import Final
 
 import msgspec
+
+from skin.calibration_messages import CalibrationStatus
 
 #: `Measurement.sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1
@@ -75,6 +76,10 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         int64, shape (blocks,): monotonic time since when the block is in its state.
     noise_n : float
         Adaptive: median of the nodes' noise, newtons; 0 if it is not known.
+    offsets : bytes
+        int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown, and with adaptive sending.
+    usable : bytes
+        uint8, shape (m,): 0 for sums that are defective, or have no offset while others have. Empty if all are 1.
     """
 
     cycle: int
@@ -87,6 +92,8 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     states: bytes = b""
     since_ns: bytes = b""
     noise_n: float = 0.0
+    offsets: bytes = b""
+    usable: bytes = b""
     sampled_error_ns: int = UNKNOWN_ERROR_NS
     sent_mono_ns: int = 0
     wall_offset_ns: int = 0
@@ -106,7 +113,7 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     pixels : bytes
         float32, shape (rows, columns), newtons, never negative.
     valid : bytes
-        Validity of the blocks, from the measurement.
+        uint8, shape (blocks,): 1 if the block came in this cycle, and all its sums are usable.
     valid_sums : int
         Number of sums that the solver used.
     solve_s : float
@@ -353,6 +360,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
         Number of cycles that have ended, and of cycles in which every block was valid.
     syncs_skipped : int
         Number of SYNCs that were not sent because they were too late.
+    calibration : CalibrationStatus or None
+        None from a gateway without calibration, as in a replay.
     """
 
     time_ns: int
@@ -362,6 +371,7 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     sync_rate_hz: float
     buses: list[BusState]
     syncs_skipped: int = 0
+    calibration: CalibrationStatus | None = None
 
 
 class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):

@@ -2,7 +2,7 @@
 
 Nodes, simulators, training and comparisons use this model of noise, range, resolution and defects::
 
-    force ─▶ damper, cross-talk, gain, drift ─▶ noise ─▶ range ─▶ stuck, saturated, dead ─▶ ADC
+    force ─▶ damper, cross-talk, gain, zero ─▶ noise  ─▶ range ─▶ stuck, saturated, dead ─▶ ADC
              └──────────────────── TaxelModel.signal ──────────────────────────────────┘  to_counts
 
 The paper adds normal noise of 1 mN and clips to 0 to 20 mN (section V): this is `sense`.
@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.defects import CrossTalk, Damper, Dead, Drift, Force, GainSpread, Noisy, Saturated, Stuck
+from skin.defects import CrossTalk, Damper, Dead, Drift, Force, GainSpread, Noisy, Offset, Saturated, Stuck
 from skin.errors import InputError
 from skin.layout import Taxels
 
@@ -102,14 +102,14 @@ def to_newtons(counts: npt.NDArray[np.integer], taxels: Taxels) -> Force:
 class TaxelModel:
     """Noise, range and defects of the taxels of one array.
 
-    Damper, cross-talk, gain spread and drift act on the force, in this order. Noise and clipping follow. Stuck,
+    Damper, cross-talk, gain spread, offset and drift act on the force, in this order. Noise and clipping follow. Stuck,
     saturated and dead taxels come last, in this order: a taxel that is both stuck and dead reads 0.
 
     Attributes
     ----------
     noise_n, force_max_n : float
         As for `sense`.
-    damper, cross_talk, gain_spread, drift, noisy, stuck, saturated, dead
+    damper, cross_talk, gain_spread, offset, drift, noisy, stuck, saturated, dead
         See `skin.defects`; None for no defect.
 
     Raises
@@ -123,6 +123,7 @@ class TaxelModel:
     damper: Damper | None = None
     cross_talk: CrossTalk | None = None
     gain_spread: GainSpread | None = None
+    offset: Offset | None = None
     drift: Drift | None = None
     noisy: Noisy | None = None
     stuck: Stuck | None = None
@@ -189,12 +190,14 @@ class TaxelModel:
         return signal
 
     def felt_n(self, force_n: Force, time_s: npt.NDArray[np.float64]) -> Force:
-        """Return the forces of single moments after cross-talk, gain and drift; as for `signal_of_moments`."""
+        """Return the forces of single moments after cross-talk, gain, offset and drift; as for `signal_of_moments`."""
         taxels = force_n.shape[1:]
         if self.cross_talk is not None:
             force_n = self.cross_talk(force_n)
         if self.gain_spread is not None:
             force_n = force_n * self.gain_spread.gains(taxels)
+        if self.offset is not None:
+            force_n = np.add(force_n, self.offset.offsets_n(taxels, self.force_max_n))
         if self.drift is not None:
             force_n = np.add(force_n, self.drift.offsets_n(taxels, time_s))
         return force_n

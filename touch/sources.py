@@ -25,13 +25,14 @@ NAMED: Final = 8
 class ObjectSource:
     """An endless random series of touches, object after object; a `skin.sources.TaxelSource`.
 
-    Each touch takes `touch.strokes.SLOT_S`: pause, press, hold, slide, lift. A frame has the object's name as label
-    while its largest true force is at least `touch.strokes.LABEL_FORCE_N`.
+    The first touch begins after `rest_s`. Each takes `touch.strokes.SLOT_S`: pause, press, hold, slide, lift. A frame
+    has the object's name as label while its largest true force is at least `touch.strokes.LABEL_FORCE_N`.
     """
 
     has_noise = False
 
-    def __init__(self, grid: Grid, rate_hz: float, names: Sequence[str], seed: int) -> None:
+    def __init__(self, grid: Grid, rate_hz: float, names: Sequence[str], seed: int, rest_s: float = 0.0) -> None:
+        self._rest_steps = round(rest_s * rate_hz)
         self.grid = grid
         self.rate_hz = rate_hz
         self.names = tuple(names)
@@ -59,7 +60,7 @@ class ObjectSource:
         """
         if step < 0:
             raise InputError(f"a source starts at step 0: got {step}")
-        index, time_s = divmod(step / self.rate_hz, SLOT_S)
+        index, time_s = divmod(max(0, step - self._rest_steps) / self.rate_hz, SLOT_S)
         if time_s <= PAUSE_S:
             return Frame(self._untouched, "")
         touch = self.touch(int(index))
@@ -78,6 +79,7 @@ def objects(
     *,
     names: Sequence[str] | None = None,
     seed: int = 0,
+    rest_s: float = 0.0,
 ) -> ObjectSource:
     """Return an endless series of touches by simulated objects.
 
@@ -94,21 +96,25 @@ def objects(
         Default: the objects of `skin.sources.DEFAULT_OBJECTS` that this array can feel.
     seed : int
         The same seed gives the same touches.
+    rest_s : float
+        Time without touch at the beginning.
 
     Raises
     ------
     InputError
         If a name is unknown, or a number cannot be used.
     """
+    if not 0.0 <= rest_s < float("inf"):
+        raise InputError(f"rest_s needs a number of 0 or more: got {rest_s}")
     if not 0.0 < rate_hz < float("inf"):
         raise InputError(f"rate_hz needs a number above 0: got {rate_hz}")
     if seed < 0:
         raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
     grid = Grid(rows, columns, pitch_m)
     listed = felt_objects(DEFAULT_OBJECTS, grid) if names is None else checked_names(names)
-    source = ObjectSource(grid, rate_hz, listed, seed)
+    source = ObjectSource(grid, rate_hz, listed, seed, rest_s)
     # Compile the contact kernel now, not inside a cycle.
-    source.frame(int(np.ceil((PAUSE_S + SLOT_S) / 2 * rate_hz)))
+    source.frame(int(np.ceil((rest_s + (PAUSE_S + SLOT_S) / 2) * rate_hz)))
     return source
 
 

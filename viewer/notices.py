@@ -5,6 +5,7 @@ from typing import Final
 
 import msgspec
 
+from skin.calibration_messages import CalibrationState
 from skin.messages import SILENT, NmtState
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
@@ -25,7 +26,7 @@ LINKS: Final = {
     "bus_off": "dead: the gateway's controller is bus-off",
     "passive": "troubled: the gateway's controller is error passive",
 }
-#: Most node-IDs named in one notice; the tiles show the others.
+#: Most node-IDs named in one notice, where tiles show the others, and most defects.
 NAMED: Final = 8
 
 
@@ -36,6 +37,7 @@ def notices(state: Snapshot) -> Snapshot:
         found = [_error(text, state.services["viewer"].since_time_s)]
     else:
         found = [*_gateway(state), *_misfits(state), *_images(state), *_labels(state), *_nodes(state), *_buses(state)]
+        found += _calibration(state)
     found += _ignored(state)
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
@@ -114,6 +116,20 @@ def _buses(state: Snapshot) -> Iterator[Notice]:
     for bus in state.gateway.buses:
         if not bus.dead:
             yield from _off_duty(bus)
+
+
+def _calibration(state: Snapshot) -> Iterator[Notice]:
+    """Tell that the skin has no zero yet, and name its defects."""
+    if state.gateway is None or state.gateway.stale or state.gateway.calibration is None:
+        return
+    calibration = state.gateway.calibration
+    if calibration.state is CalibrationState.TOUCHED:
+        text = "the zero of the skin is not measured: something has touched the skin since the start"
+        yield Notice(level="info", text=text)
+    for text in calibration.defects[:NAMED]:
+        yield Notice(level="warning", text=text)
+    if len(calibration.defects) > NAMED:
+        yield Notice(level="warning", text=f"{len(calibration.defects) - NAMED} more defects: skin calibration show")
 
 
 def _off_duty(bus: BusView) -> Iterator[Notice]:

@@ -1,11 +1,17 @@
 """``skin gateway``: whose hub it runs, what it opens, and that it closes all of it."""
 
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bus.options import BusOptions
+from calibration.stored import save_calibration, store
 from gateway import command
+from skin.calibration_messages import CALIBRATION, Question
+from skin.errors import InputError
+from skin.layout import load_layout
 from skin.service import StopSignal
 
 
@@ -16,12 +22,16 @@ class Parts:
         parts = self
         self.calls: list[tuple[str, Any, Any]] = []
         self.closed: list[str] = []
+        self.answered: list[Question] = []
 
         class Closing:
             keeps_order = True
 
             def __init__(self, name: str) -> None:
                 self.name = name
+
+            def answer(self, question: Question, handler: object) -> None:
+                parts.answered.append(question)
 
             def close(self) -> None:
                 parts.closed.append(self.name)
@@ -69,3 +79,26 @@ def test_options_of_the_bus_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> No
     with pytest.raises(KeyboardInterrupt):
         command.gateway(bus=options)
     assert parts.calls[0][1][1] is options
+
+
+def test_it_answers_questions_about_its_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = Parts(monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        command.gateway()
+    assert parts.answered == [CALIBRATION]
+
+
+def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    parts = Parts(monkeypatch)
+    path = tmp_path / "it.json"
+    save_calibration(path, store(load_layout(Path("adaptive"), adaptive=True)))
+    with pytest.raises(InputError, match="the calibration of another layout"):
+        command.gateway(calibration=path)
+    save_calibration(path, store(load_layout(), gains=np.ones(4096)))
+    with pytest.raises(InputError, match="has no offsets of sums"):
+        command.gateway(calibration=path)
+    with pytest.raises(InputError, match="adaptive boards measure their own offsets"):
+        command.gateway(layout=Path("adaptive"), calibration=path)
+    assert not parts.calls

@@ -49,6 +49,7 @@ SESSION: Final = FOLDER / "session.sqlite"
 PATHS: Final = (
     "bandwidth",
     "bus",
+    "calibration",
     "classifier/dag.py",
     "classifier/decide.py",
     "classifier/novelty.py",

@@ -104,7 +104,11 @@ def test_missing_blocks_and_an_empty_cycle(hub: Fabric, service: ReconstructorSe
     image = exchange.image_of(measurement(1, golf.sensor[30], some))
     assert image.valid_sums == 768
     assert np.array_equal(np.frombuffer(image.valid, np.uint8) != 0, some)
-    empty = exchange.image_of(measurement(2, golf.sensor[30], np.zeros(128)))
+    usable = np.ones(1024, np.uint8)
+    usable[0] = 0
+    image = exchange.image_of(msgspec.structs.replace(measurement(3, golf.sensor[30]), usable=usable.tobytes()))
+    assert image.valid == b"\0" + bytes([1]) * 127
+    empty = exchange.image_of(measurement(4, golf.sensor[30], np.zeros(128)))
     assert empty.valid_sums == 0
     assert not np.frombuffer(empty.pixels, "<f4").any()
 

@@ -50,6 +50,7 @@ def run(contract: Contract, out: Path) -> Path:
                 MEASUREMENT,
                 Measurement(
                     **stamps,
+                    usable=b"\1" * 5 + b"\0" + b"\1" * (128 - 6) if cycle == 2 else b"",
                     sums=np.full(128, cycle, "<i4").tobytes(),
                     valid=valid,
                     fingerprint=contract.phi.fingerprint,
@@ -85,6 +86,8 @@ def test_npz(run: Path) -> None:
         assert made["contacts_time_ns"].tolist() == times_ns[1:2]
         assert made["images_valid"].all(axis=1).tolist() == [False, True, True, True]
         np.testing.assert_array_equal(made["measurements_sums"][:, 5], [1, 2, 3, 4])
+        assert made["measurements_usable"].shape == made["measurements_sums"].shape
+        assert made["measurements_usable"][:, 5].tolist() == [True, False, True, True]
         assert (made["contacts_cycle"].tolist(), made["contacts_force_n"].tolist()) == ([2], [0.25])
         assert made["labels_label"].tolist() == ["cup"] * COUNT
         about = msgspec.json.decode(str(made["metadata"]))

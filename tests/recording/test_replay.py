@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from calibration.calibrator import Calibrator
 from classifier.service import ClassifierService
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -18,14 +19,16 @@ from recording.recorder import Recorder
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink, open_sink
 from recording.steps import steps_of
+from skin.errors import InputError
 from skin.fabric import Mailbox
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS, Image, Label, Measurement, Topic
 from skin.service import StopSignal
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
-#: Of the live run: the number of its first cycle, a block whose node was not proven, and cycles without an image.
-FIRST, UNPROVEN, SKIPPED = 500, 5, {502, 503}
+#: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
+#: cycles without an image. Its offsets change every four cycles.
+FIRST, UNPROVEN, DEFECTIVE, SKIPPED = 500, 5, 3, {502, 503}
 
 
 class Live:
@@ -59,8 +62,12 @@ def as_published(contract: Contract, made: Measurement) -> Measurement:
     valid[UNPROVEN] = 0
     sums = np.frombuffer(made.sums, "<i4").copy()
     sums[~contract.phi.sums_of_blocks(valid != 0)] = 0
+    usable = np.ones(sums.size, np.uint8)
+    usable[DEFECTIVE] = 0
     return msgspec.structs.replace(
         made,
+        offsets=(np.arange(sums.size) % 7 * 10 + made.cycle // 4).astype("<i4").tobytes(),
+        usable=usable.tobytes(),
         cycle=FIRST + made.cycle,
         sampled_mono_ns=made.sampled_mono_ns - 123_456,
         sampled_error_ns=150_000,
@@ -232,3 +239,26 @@ def test_a_log_has_the_sums_of_its_frames(
         assert replay.report.measurements.compared == 0
         pixels.append([each.pixels for each in messages(out, IMAGE)])
     assert pixels[0] == pixels[1] == pixels[2]
+
+
+def test_frames_alone_take_stored_offsets_and_a_recorded_run_has_its_own(
+    contract: Contract, bus_frames: dict[int, Frames], run: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "frames.mcap"
+    sink = open_sink(path, contract, 1, OFFSET_NS)
+    for bus, seen in bus_frames.items():
+        sink.frames(bus, seen, int(seen["time_ns"][-1]) + OFFSET_NS, OFFSET_NS)
+    sink.close()
+    offsets = np.arange(contract.phi.shape[0], dtype=np.int32)
+    calibrator = Calibrator(contract.layout, offsets_n=offsets * contract.layout.taxels.newton_per_count, tares=False)
+
+    def measured(source: Path) -> list[Measurement]:
+        steps = steps_of(source, contract, [], named_by_user=False, calibrator=calibrator)
+        return [step.message for step in steps if step.topic is MEASUREMENT]
+
+    found = measured(path)
+    assert found
+    for each in found:
+        np.testing.assert_array_equal(np.frombuffer(each.offsets, "<i4"), offsets)
+    with pytest.raises(InputError, match="measurements have the offsets of the run"):
+        measured(run)

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skin import fabric as fabric_module
+from skin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from skin.errors import BusError
-from skin.fabric import Fabric, Mailbox
+from skin.fabric import Fabric, Mailbox, Reply
 from skin.messages import LABEL, Label
 from skin.peers import Peer, Roll, new_peer, peer_of_key
 from skin.service import Stopped, StopSignal
@@ -49,6 +50,28 @@ def test_message_crosses(hub: Fabric, endpoint: str) -> None:
     send_until_heard(other, heard)
     other.close()
     assert got[0].label == "cup"
+
+
+def test_an_answer_to_someone_who_has_left_is_no_error(
+    hub: Fabric, endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replies: list[Reply] = []
+    hub.answer(CALIBRATION, lambda _request, reply: replies.append(reply))
+    other = Fabric("test", "other", endpoint)
+    with pytest.raises(BusError, match="no service of skin 'test' answers"):
+        other.ask(CALIBRATION, CalibrationRequest(action="show"), 1.0)
+    other.close()
+    for _ in range(2):  # the second is one too many
+        replies[0](CalibrationReply(is_done=True, text=""))
+    assert "an answer to 'calibration' is lost" in capsys.readouterr().err
+
+
+def test_an_answer_that_cannot_be_decoded_is_named(hub: Fabric, endpoint: str) -> None:
+    hub.answer(CALIBRATION, lambda _request, reply: reply(label(1)))
+    other = Fabric("test", "other", endpoint)
+    with pytest.raises(BusError, match="of another version of canskin"):
+        other.ask(CALIBRATION, CalibrationRequest(action="show"), 5.0)
+    other.close()
 
 
 GARBAGE = {

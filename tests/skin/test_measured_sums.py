@@ -34,14 +34,36 @@ BAD = (
     ({"valid": GOOD.valid + b"\1"}, "sums and validity of 64 and 9 bytes, expected 64 and 8"),
     ({"sums": b"", "valid": b""}, "sums and validity of 0 and 0 bytes"),
     ({"known": ADAPTIVE.known}, "a measurement of adaptive sending, expected synchronous: give both ends the same"),
+    ({"offsets": b"\0"}, "offsets of 1 bytes, expected 64, or none"),
+    ({"offsets": np.full(16, -(2**31), "<i4").tobytes()}, "sums less offsets beyond 2147483647 counts"),
+    ({"usable": b"\0"}, "usable of 1 bytes, expected 16, or none"),
 )
 
 
 def test_sums_and_validity() -> None:
-    counts, valid = decode_measurement(GOOD, PHI)
+    counts, valid, valid_sums = decode_measurement(GOOD, PHI)
     assert counts.dtype == np.int32
     np.testing.assert_array_equal(counts, SUMS)
     assert valid.tolist() == [True, False, True, True, True, True, True, True]
+    np.testing.assert_array_equal(valid_sums, PHI.sums_of_blocks(valid))
+
+
+def test_offsets_are_taken_off_valid_sums() -> None:
+    offsets = np.arange(16, dtype="<i4") * 100 - 700
+    counts, _, valid_sums = decode_measurement(msgspec.structs.replace(GOOD, offsets=offsets.tobytes()), PHI)
+    np.testing.assert_array_equal(counts[valid_sums], (SUMS - offsets)[valid_sums])
+    assert not counts[~valid_sums].any()
+
+
+def test_a_defective_sum_is_left_out_and_its_block_is_not_valid() -> None:
+    usable = np.ones(16, np.uint8)
+    usable[5] = 0
+    counts, valid, valid_sums = decode_measurement(msgspec.structs.replace(GOOD, usable=usable.tobytes()), PHI)
+    came = PHI.sums_of_blocks(np.frombuffer(GOOD.valid, np.bool_))
+    np.testing.assert_array_equal(valid_sums, came & (usable != 0))
+    assert counts[5] == 0
+    assert not valid[PHI.block_of_sum[5]]
+    assert valid.sum() == 6
 
 
 @pytest.mark.parametrize(("changed", "says"), BAD)

@@ -1,7 +1,19 @@
 import numpy as np
 import pytest
 
-from skin.defects import KINDS, CrossTalk, Damper, Dead, Drift, GainSpread, Noisy, Saturated, Stuck, parse_defects
+from skin.defects import (
+    KINDS,
+    CrossTalk,
+    Damper,
+    Dead,
+    Drift,
+    GainSpread,
+    Noisy,
+    Offset,
+    Saturated,
+    Stuck,
+    parse_defects,
+)
 from skin.errors import InputError
 from skin.layout import Taxels
 from skin.taxel import TaxelModel, sense, to_counts, to_newtons
@@ -128,7 +140,7 @@ def test_counts_are_the_nearest_within_the_range() -> None:
 
 
 def test_wrong_numbers_are_refused() -> None:
-    for effect in (CrossTalk, GainSpread, Noisy, Stuck, Saturated, Dead):
+    for effect in (CrossTalk, GainSpread, Noisy, Offset, Stuck, Saturated, Dead):
         for value in (-0.1, 1.1, float("nan")):
             with pytest.raises(InputError, match="number from 0 to 1"):
                 effect(value)
@@ -143,3 +155,13 @@ def test_wrong_numbers_are_refused() -> None:
         QUIET.signal(np.zeros((3, 3), np.float32), rng(), period_s=PERIOD_S)
     with pytest.raises(InputError, match="period_s"):
         QUIET.signal(np.zeros((1, 3, 3), np.float32), rng(), period_s=0.0)
+
+
+def test_offsets_stay_and_are_added_to_the_force() -> None:
+    force_n = np.full((2, 64, 64), 0.005, np.float32)
+    felt = TaxelModel(noise_n=0.0, offset=Offset(0.13, seed=2)).signal(force_n, rng(), period_s=PERIOD_S)
+    np.testing.assert_array_equal(felt[0], felt[1])
+    offsets = felt[0] - 0.005
+    assert offsets.min() == pytest.approx(0, abs=2e-6)
+    assert offsets.max() == pytest.approx(0.13 * 0.02, rel=0.01)
+    assert offsets.mean() == pytest.approx(0.065 * 0.02, rel=0.03)

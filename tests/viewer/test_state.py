@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from skin.calibration_messages import CalibrationState, CalibrationStatus
 from skin.peers import Peer, new_peer
 from viewer.state import PEERS, PROCESSES, SERVICES, ViewState
 
@@ -374,3 +375,13 @@ def test_service_that_sends_nothing_is_silent(state: ViewState, messages: Any) -
     assert silent(5.3) == []
     assert silent(5.9) == ["classifier", "reconstructor"]
     assert silent(9.0) == ["gateway"]
+
+
+def test_a_skin_without_zero_and_its_defects_are_told(state: ViewState, messages: Any) -> None:
+    found = CalibrationStatus(state=CalibrationState.TOUCHED, defects=[f"sum {each} is stuck" for each in range(10)])
+    state.take_gateway(msgspec.structs.replace(messages.gateway(), calibration=found), 1.0)
+    assert any("has touched the skin since the start" in text for text in texts(state, 1.0, "info"))
+    told = texts(state, 1.0, "warning")
+    assert "sum 7 is stuck" in told
+    assert "sum 8 is stuck" not in told
+    assert "2 more defects: skin calibration show" in told

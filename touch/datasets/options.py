@@ -68,6 +68,8 @@ class TaxelOptions:
         Fraction of each neighbour's force that a taxel reads in addition.
     gain_spread
         Standard deviation of the taxels' gains around 1.
+    offset
+        Largest offset of a taxel / range.
     drift
         Standard deviation of the drift of the zero point, N/s.
     noisy
@@ -85,6 +87,7 @@ class TaxelOptions:
     damper: float | None = None
     cross_talk: float | None = None
     gain_spread: float | None = None
+    offset: float | None = None
     drift: float | None = None
     noisy: float | None = None
     stuck: float | None = None

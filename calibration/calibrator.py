@@ -1,0 +1,386 @@
+"""The calibration of a running skin: zero at the start and on request, drift afterwards, held under a touch."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from calibration.defects import DefectFinder, Defects
+from calibration.drift import LONGEST_HELD, DriftFollower, line_through
+from calibration.touched import Touch, TouchFinder
+from calibration.windows import Bools, Floats, Window, WindowMeans
+from skin.calibration_messages import CalibrationState, CalibrationStatus
+from skin.clipping import IDLE_MEAN
+from skin.layout import Layout
+from skin.messages import Measurement
+from skin.taxel import NOISE_N
+
+#: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
+Tare = Literal["at-start", "never"]
+#: The zero is measured over so many windows.
+TARE_WINDOWS: Final = 8
+#: Sums with a zero, part of all, with which the skin counts as tared; the others follow when their blocks are valid.
+LEAST_KNOWN: Final = 0.5
+#: Forces below zero for so many windows: the zero was measured under a touch. Twice as many after every attempt that
+#: found a touch, up to `LONGEST_HELD`.
+NEGATIVE_WINDOWS: Final = 4
+#: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
+LEAST_NOISE_RATIO: Final = 0.3
+#: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
+LEAST_STEP: Final = 0.3
+#: Sums with a noise of so many counts have no defect: averages of an untouched taxel are 0 but for rare cycles.
+QUIET_COUNTS: Final = 3.0
+
+
+@dataclass(frozen=True)
+class TareResult:
+    """What a measurement of the zero has found.
+
+    Attributes
+    ----------
+    is_done : bool
+        Whether there is a new zero.
+    text : str
+        The result in words.
+    """
+
+    is_done: bool
+    text: str
+
+
+class Calibrator:
+    """Learns the offsets of the sums of a skin with synchronous sending, and writes them into measurements.
+
+    `apply` to every measurement, then `take` it; `work` whenever there is a millisecond to spare.
+
+    Parameters
+    ----------
+    layout : Layout
+        With adaptive sending nothing is done: the nodes follow their offsets themselves.
+    offsets_n : array, shape (m,), optional
+        Stored offsets, newtons; NaN for unknown ones.
+    tares : bool
+        Measure the zero at the start, and follow it. Otherwise stored offsets stay as they are.
+    say : callable
+        Writes a line to the log.
+
+    Attributes
+    ----------
+    state : CalibrationState
+    result : TareResult or None
+        Of the newest measurement of the zero that has ended.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        *,
+        offsets_n: Floats | None = None,
+        tares: bool = True,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._phi = layout.phi()
+        self._is_on = layout.sending == "synchronous"
+        self._averages = layout.samples_per_sync > 1
+        self._tares = tares and self._is_on
+        self._say = say
+        self._newton_per_count = layout.taxels.newton_per_count
+        self._windows = WindowMeans(self._phi, layout.sync.period_s, self._newton_per_count)
+        self._finder = TouchFinder(self._phi, layout.taxels.rows, layout.taxels.columns)
+        least_n = QUIET_COUNTS * self._newton_per_count
+        self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
+        self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
+        self._waiting: Window | None = None
+        self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
+        self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
+        self._still = np.zeros(self._phi.blocks, np.intp)
+        self._forced = False
+        self._follower: DriftFollower | None = None
+        self._centre_ns = 0
+        self._negative = 0
+        self._patience = NEGATIVE_WINDOWS
+        self._held_blocks = 0
+        self._noise_n = 0.0
+        self._tared_ns = 0
+        self._valid_ratio = 0.0
+        self._bias_n: Floats | float = 0.0
+        self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
+        if offsets_n is not None:
+            self.load(offsets_n)
+        self.result: TareResult | None = None
+
+    @property
+    def offsets_n(self) -> Floats | None:
+        """Offsets of the sums in newtons, shape (m,), NaN for unknown ones; None without any."""
+        if self._follower is None:
+            return None
+        return np.where(self._follower.known, self._follower.level_n, np.nan)
+
+    @property
+    def _known(self) -> Bools:
+        """Sums with an offset."""
+        return np.zeros(self._phi.shape[0], np.bool_) if self._follower is None else self._follower.known
+
+    @property
+    def tare_s(self) -> float:
+        """Time for which the skin must be untouched, seconds."""
+        return TARE_WINDOWS * self._windows.length_ns * 1e-9
+
+    @property
+    def has_few_sums(self) -> bool:
+        """Whether a zero waits for valid sums."""
+        return self._valid_ratio < LEAST_KNOWN
+
+    @property
+    def noise_n(self) -> float:
+        """Median noise of one cycle's sum, newtons; 0 if unknown."""
+        return self._noise_n
+
+    def load(self, offsets_n: Floats) -> None:
+        """Take stored offsets, shape (m,), newtons; NaN for unknown ones."""
+        known = np.isfinite(offsets_n)
+        self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
+        self._follower = self._new_follower(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 1, 0.0)
+        if not self._tares:
+            self.state = CalibrationState.LOADED
+
+    def forget(self) -> None:
+        """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
+        self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
+        self._follower = None
+
+    def _start_anew(self, result: TareResult) -> None:
+        """Go back to the state of the start; `result` ends a measurement of the zero."""
+        is_measuring = self.state in {CalibrationState.MEASURING, CalibrationState.TOUCHED}
+        self.tare()
+        self.result = result if is_measuring else None
+        self._centre_ns = self._tared_ns = self._negative = 0
+        if not self._tares:
+            self.state = CalibrationState.OFF
+
+    def tare(self, *, force: bool = False) -> None:
+        """Measure the zero anew; `result` has the outcome, None meanwhile.
+
+        Parameters
+        ----------
+        force : bool
+            Whatever touches the skin is part of its zero.
+        """
+        self.result, self._forced = None, force
+        self._valid_ratio = 0.0
+        self._measured.clear()
+        self._waiting = None
+        self._windows.restart()
+        self.state = CalibrationState.MEASURING
+
+    def apply(self, measurement: Measurement) -> Measurement:
+        """Return a measurement with the offsets of its instant, and without sums that are defective or have none."""
+        offsets = self._offsets_at(measurement.sampled_mono_ns)
+        if offsets is None:
+            return measurement
+        usable = self._defects.usable & self._known
+        return msgspec.structs.replace(
+            measurement,
+            offsets=offsets.astype("<i4").tobytes(),
+            usable=b"" if usable.all() else usable.astype(np.uint8).tobytes(),
+        )
+
+    def take(self, measurement: Measurement) -> None:
+        """Learn from a measurement; most of it is left to `work`."""
+        if not self._is_on or (self.state in {CalibrationState.OFF, CalibrationState.LOADED}):
+            return
+        counts = np.frombuffer(measurement.sums, "<i4")
+        valid = np.frombuffer(measurement.valid, np.uint8) != 0
+        window = self._windows.take(measurement.sampled_mono_ns, counts, valid)
+        if window is not None:
+            self.work()  # what has not been done by now
+            self._waiting = window
+
+    def work(self) -> None:
+        """Learn from the newest window; takes about a millisecond."""
+        window, self._waiting = self._waiting, None
+        if window is None:
+            return
+        self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
+        if self._follower is not None and self._centre_ns and self._tares:
+            self._follow(self._follower, window)
+        if self.state is not CalibrationState.FOLLOWING:
+            self._measure(window)
+
+    def status(self) -> CalibrationStatus:
+        """Return what is known for `skin.messages.GatewayStatus`."""
+        offsets_n, follower = self.offsets_n, self._follower
+        known_n = np.zeros(0) if offsets_n is None else offsets_n[np.isfinite(offsets_n)]
+        per_s = 1e9 / self._windows.length_ns
+        return CalibrationStatus(
+            state=self.state,
+            tared_mono_ns=self._tared_ns,
+            known_sums=known_n.size,
+            offset_rms_n=_rms(known_n),
+            drift_rms_n_per_s=_rms(follower.slope_n) * per_s if follower is not None else 0.0,
+            noise_n=self._noise_n,
+            held_blocks=self._held_blocks,
+            defects=self._defects.words,
+        )
+
+    def _offsets_at(self, time_ns: int) -> npt.NDArray[np.int32] | None:
+        if self._follower is None:
+            return None
+        ahead = (time_ns - self._centre_ns) / self._windows.length_ns if self._centre_ns else 0.0
+        return np.rint(self._follower.predicted_n(ahead) / self._newton_per_count).astype(np.int32)
+
+    def _follow(self, follower: DriftFollower, window: Window) -> None:
+        """Follow the drift of blocks that nothing touches."""
+        skipped = round((window.centre_ns - self._centre_ns) / self._windows.length_ns) - 1
+        if skipped > 0:
+            follower.skip(skipped)
+            self._still[:] = 0
+        mean_n = window.mean_n - self._bias_n
+        known = window.known & follower.known & self._defects.usable
+        touch = self._finder.look(mean_n - follower.predicted_n(1.0), known, follower.noise_n)
+        follower.take(mean_n, window.known, touch.blocks)
+        self._begin_late(follower, window._replace(mean_n=mean_n), touch.blocks)
+        self._look_for_defects(window, touch.blocks)
+        self._centre_ns = window.centre_ns
+        self._held_blocks = int(touch.blocks.sum())
+        self._negative = self._negative + 1 if touch.is_negative else 0
+        if self._negative >= self._patience and self.state is CalibrationState.FOLLOWING:
+            self._negative = 0
+            self._patience = min(2 * self._patience, LONGEST_HELD)
+            self._say("forces below zero: what touched the skin when its zero was measured is gone; measures it anew")
+            self.tare()
+
+    def _begin_late(self, follower: DriftFollower, window: Window, held: Bools) -> None:
+        """Give blocks that came late their zero, by the same test as at the start."""
+        self._recent.append(window)
+        starts = self._phi.starts[:-1]
+        late = ~np.logical_and.reduceat(follower.known, starts)
+        self._still = np.where(late & ~held & np.logical_and.reduceat(window.known, starts), self._still + 1, 0)
+        ready = self._still >= TARE_WINDOWS
+        if not ready.any():
+            return
+        means_n = np.stack([each.mean_n for each in self._recent])
+        level_n, slope_n, _ = line_through(means_n)
+        sums = self._phi.sums_of_blocks(ready)
+        known = np.logical_and.reduce([each.known for each in self._recent]) & (follower.known | sums)
+        changed_n = _change(means_n)
+        touched = np.zeros_like(ready)
+        for each_n in (np.where(sums, level_n, follower.level_n), changed_n, -changed_n):
+            touched |= self._finder.look(each_n, known, follower.noise_n).blocks
+        free = ready & ~touched
+        if free.any():
+            follower.begin(self._phi.sums_of_blocks(free), level_n, slope_n, TARE_WINDOWS)
+
+    def _look_for_defects(self, window: Window, held: Bools) -> None:
+        """Find defects; log those that are new."""
+        found = self._defect_finder.take(window, held)
+        told = {_subject(each) for each in self._defects.words}
+        for text in found.words:
+            if _subject(text) not in told:
+                self._say(text)
+        self._defects = found
+
+    def _measure(self, window: Window) -> None:
+        """Measure the zero, when the skin has been untouched for long enough."""
+        self._measured.append(window)
+        self._valid_ratio = float(window.known.mean())
+        known = np.logical_and.reduce([each.known for each in self._measured])
+        if len(self._measured) < TARE_WINDOWS or known.mean() < LEAST_KNOWN:
+            return
+        means_n = np.stack([each.mean_n for each in self._measured])
+        level_n, slope_n, deviation_n = line_through(means_n)
+        noise_n = _typical(deviation_n[known])
+        touch = None if self._forced else self._touch_of(means_n, level_n, known, noise_n)
+        if touch is not None:
+            self._refuse(touch)
+            return
+        self._bias_n = self._clip_bias_n()
+        level_n -= self._bias_n
+        slope_n = slope_n if self._tares else np.zeros_like(slope_n)  # nothing follows the drift then
+        self._follower = self._new_follower(np.where(known, level_n, 0.0), slope_n, known, TARE_WINDOWS, noise_n)
+        self._measured.clear()
+        self._still[:] = 0
+        self._centre_ns = window.centre_ns
+        self._forced = False
+        self._patience = NEGATIVE_WINDOWS
+        self._tared_ns = window.centre_ns
+        self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
+        self._tell(
+            is_done=True,
+            text=f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * _rms(level_n[known]):.2f} mN rms,"
+            f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise_n:.2f} mN",
+        )
+
+    def _touch_of(self, means_n: Floats, level_n: Floats, known: Bools, noise_n: float) -> Touch | None:
+        """Return what touches the skin or moves on it, None for nothing."""
+        moved = self._finder.look(_change(means_n), known, noise_n)
+        if moved.is_touched or moved.is_negative:
+            return moved
+        follower = self._follower
+        if follower is None:
+            still = self._finder.look(level_n, known, noise_n)
+        else:
+            still = self._finder.look(level_n - follower.predicted_n(0.0), known & follower.known, noise_n)
+        return still if still.is_touched else None
+
+    def _refuse(self, touch: Touch) -> None:
+        """Keep the zero there is; try again with the next window unless there is one."""
+        text = (
+            f"something touches the skin or moves on it, around row {touch.row}, column {touch.column}: its zero is"
+            f" measured when it has been untouched for {self.tare_s:.3g} s"
+        )
+        if self._tared_ns and self._tares:
+            self.state = CalibrationState.FOLLOWING
+            self._measured.clear()
+            self._tell(is_done=False, text=text.split(":", maxsplit=1)[0] + ": the zero stays as it was")
+            return
+        if self.state is not CalibrationState.TOUCHED:
+            self.state = CalibrationState.TOUCHED
+            self._tell(is_done=False, text=text)
+
+    def _tell(self, *, is_done: bool, text: str) -> None:
+        self.result = TareResult(is_done, text)
+        self._say(text)
+
+    def _clip_bias_n(self) -> Floats | float:
+        """Return what sums of an untouched skin read by clipped noise, as solvers and models expect it.
+
+        Nodes that average undo it themselves.
+        """
+        size = self._phi.block_size
+        if self._averages or self._noise_n < LEAST_NOISE_RATIO * NOISE_N * size**0.5:
+            return 0.0
+        return np.where(self._phi.row_of_sum == 0, size * IDLE_MEAN * NOISE_N, 0.0)
+
+    def _new_follower(self, level_n: Floats, slope_n: Floats, known: Bools, age: int, noise_n: float) -> DriftFollower:
+        least_n = LEAST_STEP * self._newton_per_count
+        return DriftFollower(
+            self._phi.block_of_sum, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n
+        )
+
+
+def _subject(text: str) -> str:
+    """Return what a defect is of: its first two words."""
+    return " ".join(text.split()[:2])
+
+
+def _change(means_n: Floats) -> Floats:
+    """Return the change from the first to the second half of windows, shape (windows, m)."""
+    half = len(means_n) // 2
+    change: Floats = means_n[half:].mean(axis=0) - means_n[:half].mean(axis=0)
+    return change
+
+
+def _typical(deviation_n: Floats) -> float:
+    """Return the root mean square of deviations, without those that are far above the others."""
+    square = deviation_n**2
+    limit = 9 * max(float(np.median(square)), float(square.mean()) / 9)
+    return float(np.minimum(square, limit).mean() ** 0.5)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.mean(values**2) ** 0.5) if values.size else 0.0

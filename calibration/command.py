@@ -1,0 +1,184 @@
+"""``skin tare`` and ``skin calibration``: what a running gateway takes for zero."""
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+from cyclopts import Parameter
+
+from calibration.gain_files import stored_gains
+from calibration.stored import StoredCalibration, encoded, load_calibration, parse_calibration, save_calibration
+from skin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, CalibrationStatus
+from skin.errors import InputError, RunError
+from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from skin.layout import Layout, load_layout
+from skin.output import check_output_path
+from skin.service import say
+from skin.terminal import Json, print_json, print_table
+
+#: Longest wait for the hub, and for answers: the zero takes seconds, writing to nodes up to a minute.
+PATIENCE_S: Final = 5.0
+ANSWER_S: Final = 15.0
+WRITING_S: Final = 300.0
+
+Action = Literal["show", "save", "load", "gain"]
+
+
+def tare(
+    *,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    force: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
+) -> int:
+    """Have a running gateway measure the zero of its skin anew; nothing may touch the skin for 2 s, or 64 cycles.
+
+    Ends with 1 if there is no new zero, because something touches the skin or moves on it.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub.
+    force
+        Whatever touches the skin now becomes part of its zero.
+    json
+        Print one JSON object.
+
+    Examples
+    --------
+    skin tare
+    skin tare --force
+    """
+    skin = load_layout(layout, adaptive=True)
+    reply = _ask(skin, connect, CalibrationRequest(action="tare", force=force), ANSWER_S)
+    if json:
+        print_json({"is_done": reply.is_done, "text": reply.text, "status": msgspec.to_builtins(reply.status)})
+    else:
+        print(reply.text)
+    return int(not reply.is_done)
+
+
+def calibration(
+    action: Action,
+    path: Path | None = None,
+    *,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    to_nodes: Annotated[bool, Parameter(negative=())] = False,
+    force_n: float | None = None,
+    out: Path | None = None,
+    json: Json = False,
+) -> None:
+    """Show, save or load the calibration of a running gateway; find the gains of taxels.
+
+    Parameters
+    ----------
+    action
+        ``show`` a file's calibration, or without a file the gateway's; ``save`` the gateway's into a file; ``load`` a
+        file into the gateway; ``gain`` finds the gains of the taxels.
+    path
+        File (.json). It belongs to its layout: other layouts refuse it. Of ``gain``: a recording (.mcap) of a round
+        weight that was rolled over a tared skin, or a .csv with the gains, one row of taxels a line.
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub.
+    to_nodes
+        Of ``load``: write gains (2010h) and offsets of taxels (2011h) to all nodes, which store them (1010h).
+    force_n
+        Of ``gain``: the force of the weight, newtons.
+    out
+        Of ``gain``: the file (.json) for the gains.
+    json
+        Print one JSON object.
+
+    Examples
+    --------
+    skin calibration show
+    skin calibration save palm.json --layout palm.toml
+    skin calibration gain rolled.mcap --force-n 0.4 --out gains.json
+    skin calibration load gains.json --layout palm.toml --to-nodes
+    """
+    skin = load_layout(layout, adaptive=True)
+    if action != "show" and path is None:
+        raise InputError(f"expected a file: skin calibration {action} FILE")
+    if to_nodes and action != "load":
+        raise InputError("--to-nodes is for 'skin calibration load'")
+    if action != "gain" and (force_n is not None or out is not None):
+        raise InputError("--force-n and --out are for 'skin calibration gain'")
+    if path is None or action == "show":
+        _show(skin, connect, path, as_json=json)
+    elif action == "gain":
+        if out is None:
+            raise InputError("expected a file for the gains: --out FILE")
+        check_output_path(out, "calibration")
+        _save(out, stored_gains(skin, path, force_n))
+    elif action == "save":
+        check_output_path(path, "calibration")
+        stored = _gateways(skin, connect)[0]
+        if not stored.offsets_n and not stored.gains:
+            raise RunError("the gateway has no calibration yet: is the skin untouched? See 'skin calibration show'")
+        _save(path, stored)
+    else:
+        content = encoded(load_calibration(path, skin))
+        request = CalibrationRequest(action="write" if to_nodes else "load", content=content)
+        reply = _ask(skin, connect, request, WRITING_S if to_nodes else ANSWER_S)
+        if not reply.is_done:
+            raise RunError(reply.text)
+        say("calibration", reply.text)
+
+
+def _gateways(skin: Layout, connect: str) -> tuple[StoredCalibration, CalibrationStatus | None]:
+    """Return the calibration of the gateway, and its status."""
+    reply = _ask(skin, connect, CalibrationRequest(action="show"), ANSWER_S)
+    return parse_calibration(reply.content, skin, "the gateway"), reply.status
+
+
+def _save(path: Path, stored: StoredCalibration) -> None:
+    save_calibration(path, stored)
+    say("calibration", f"{path}: {_words(stored)}")
+
+
+def _ask(skin: Layout, connect: str, request: CalibrationRequest, timeout_s: float) -> CalibrationReply:
+    fabric = Fabric(skin.name, "calibration", connect, fingerprint=skin.phi().fingerprint, patience_s=PATIENCE_S)
+    try:
+        reply: CalibrationReply = fabric.ask(CALIBRATION, request, timeout_s)
+    finally:
+        fabric.close()
+    return reply
+
+
+def _words(stored: StoredCalibration) -> str:
+    known = [each for each in stored.offsets_n if each is not None]
+    parts = [f"offsets of {len(known)} of {len(stored.offsets_n)} sums"] if known else []
+    parts += [f"gains of {len(stored.gains)} taxels"] if stored.gains else []
+    return ", ".join(parts) or "nothing"
+
+
+def _show(skin: Layout, connect: str, path: Path | None, *, as_json: bool) -> None:
+    """Print the calibration of a file, or of the gateway."""
+    stored, status = _gateways(skin, connect) if path is None else (load_calibration(path, skin), None)
+    if as_json:
+        print_json({"calibration": msgspec.to_builtins(stored), "status": msgspec.to_builtins(status)})
+        return
+    rows: list[tuple[str, str]] = [("skin", f"{stored.skin}, Φ {stored.fingerprint}"), ("saved", stored.saved)]
+    known = [each for each in stored.offsets_n if each is not None]
+    if known:
+        rms_n = (sum(each * each for each in known) / len(known)) ** 0.5
+        rows += [
+            ("sums with an offset", f"{len(known)} of {len(stored.offsets_n)}"),
+            ("offsets", f"{1e3 * rms_n:.2f} mN rms, {1e3 * min(known):.2f} to {1e3 * max(known):.2f} mN"),
+        ]
+    if stored.gains:
+        rows.append(("gains of taxels", f"{min(stored.gains):.3f} to {max(stored.gains):.3f}"))
+    if status is not None:
+        rows += [
+            ("zero", status.state.value),
+            ("drift", f"{1e3 * status.drift_rms_n_per_s:.3f} mN/s rms"),
+            ("noise of a sum", f"{1e3 * status.noise_n:.2f} mN"),
+            ("blocks under a touch", str(status.held_blocks)),
+        ]
+    rows += [("defect", text) for text in stored.defects]
+    print_table((), rows)

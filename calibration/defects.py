@@ -1,0 +1,121 @@
+"""Defects of a skin: sums that are stuck or noisy, blocks and taxels whose noise differs from that of the others.
+
+Only sums come. A sum is stuck if it stays as it is while the others of its block change: every taxel is in all of them.
+A noisy taxel shows in the differences d of consecutive cycles of its block: the mean of (w·d)², w the signs of the
+taxel in the sums, is largest for this taxel. A taxel that is stuck or dead has no noise, which does not show among 31
+others; `calibration.gains` finds it.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from calibration.windows import Bools, Floats, Window
+from skin.measurement import Sbhe
+
+#: A sum is stuck when it has not changed for so many windows in which so many of the others of its block have.
+STUCK_WINDOWS: Final = 12
+STUCK_PART: Final = 0.75
+#: Noise is that of so many windows, each of less weight than the next; nothing is said before so many have come.
+MEMORY: Final = 40
+#: A sum is noisy above so many times the median noise of all sums. Such sums are left out.
+SUM_RATIO: Final = 4.0
+#: A block is noisy above so many times the median of all blocks, and quiet below the median over so many.
+LOUD_RATIO: Final = 1.75
+QUIET_RATIO: Final = 3.0
+#: A taxel is named when its part of a block's noise is so many times that of the second.
+TAXEL_RATIO: Final = 1.25
+
+
+@dataclass(frozen=True)
+class Defects:
+    """What was found.
+
+    Attributes
+    ----------
+    usable : array of bool, shape (m,)
+        False for sums that must be left out.
+    words : list of str
+        Each defect in words.
+    """
+
+    usable: Bools
+    words: list[str] = field(default_factory=list)
+
+
+class DefectFinder:
+    """Finds defects from window to window.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    columns : int
+        Of the grid of taxels.
+    least_n : float
+        Noise of a sum that is no defect anyhow, newtons.
+    """
+
+    def __init__(self, phi: Sbhe, columns: int, least_n: float) -> None:
+        self._phi, self._columns, self._least_n = phi, columns, least_n
+        self._unchanged = np.zeros(phi.shape[0], np.intp)
+        self._windows = np.zeros(phi.blocks, np.intp)
+        self._square, self._power = np.zeros(phi.shape[0]), np.zeros(phi.shape[1])
+
+    def take(self, window: Window, held: Bools) -> Defects:
+        """Look at the next window; return what is defective now.
+
+        Parameters
+        ----------
+        held : array of bool, shape (blocks,)
+            Blocks under a touch, whose changes are no noise.
+        """
+        phi, starts = self._phi, self._phi.starts[:-1]
+        moves = (window.noise_n > 0) & window.known
+        others = np.diff(phi.starts) - 1
+        moving = np.add.reduceat(moves, starts)[phi.block_of_sum] - moves
+        tells = window.known & (others[phi.block_of_sum] > 0) & (moving >= STUCK_PART * others[phi.block_of_sum])
+        self._unchanged = np.where(moves, 0, self._unchanged + tells)
+        free = np.logical_and.reduceat(window.known, starts) & ~held
+        self._windows += free
+        gain = (free / np.clip(self._windows, 1, MEMORY))[phi.block_of_sum]
+        self._square += gain * (window.noise_n**2 - self._square)
+        part = np.asarray(phi.adjoint(np.where(window.known, window.difference_n, 0.0)), np.float64) ** 2
+        gains = np.empty(phi.shape[1])
+        gains[phi.taxels_of_blocks] = (free / np.clip(self._windows, 1, MEMORY))[:, None]
+        self._power += gains * (part - self._power)
+        return self._found()
+
+    def _found(self) -> Defects:
+        phi = self._phi
+        judged = self._windows >= MEMORY
+        stuck = self._unchanged >= STUCK_WINDOWS
+        noisy = np.zeros_like(stuck)
+        words = [f"sum {self._name(each)} is stuck and left out" for each in np.flatnonzero(stuck).tolist()]
+        of_block = np.sqrt(np.add.reduceat(self._square, phi.starts[:-1]) / np.diff(phi.starts))
+        if judged.any():
+            typical_n = float(np.median(of_block[judged]))
+            is_quiet = judged & (typical_n > self._least_n) & (of_block < typical_n / QUIET_RATIO)
+            typical_n = max(typical_n, self._least_n)
+            noisy = judged[phi.block_of_sum] & (np.sqrt(self._square) > SUM_RATIO * typical_n)
+            words += [f"sum {self._name(each)} is noisy and left out" for each in np.flatnonzero(noisy).tolist()]
+            for block in np.flatnonzero(judged & (of_block > LOUD_RATIO * typical_n)).tolist():
+                words.append(f"block {block} has {of_block[block] / typical_n:.1f} times the noise{self._taxel(block)}")
+            words += [
+                f"block {block} has less than 1/{QUIET_RATIO:g} of the noise: do its taxels measure?"
+                for block in np.flatnonzero(is_quiet).tolist()
+            ]
+        return Defects(~(stuck | noisy), words)
+
+    def _name(self, each: int) -> str:
+        return f"{each} (block {self._phi.block_of_sum[each]}, row {self._phi.row_of_sum[each]})"
+
+    def _taxel(self, block: int) -> str:
+        """Name the taxel that a block's noise comes from, if it is one."""
+        taxels = self._phi.taxels_of_blocks[block]
+        second, first = np.argsort(self._power[taxels])[-2:]
+        power: Floats = self._power[taxels]
+        if power[first] < TAXEL_RATIO * power[second]:
+            return ""
+        row, column = divmod(int(taxels[first]), self._columns)
+        return f", most likely of the taxel at row {row}, column {column}"

@@ -1,0 +1,160 @@
+"""The offset of every sum, followed while it drifts: a level and a slope, from the means of windows."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.windows import Bools, Floats
+
+#: A line through so many windows follows the drift; after a start through as many as there are.
+MEMORY: Final = 40
+#: Fewest windows, after a drift has changed.
+SHORTEST_MEMORY: Final = 4
+#: The drift has changed when the offsets are off by so many times their noise, root mean square over all sums.
+CHANGED: Final = 1.3
+#: Longest time for which offsets go on along their slopes under a touch, windows.
+LONGEST_HELD: Final = 240
+#: The noise of the means follows them by this part of the difference.
+NOISE_GAIN: Final = 0.05
+
+Ages = npt.NDArray[np.intp]
+
+
+class DriftFollower:
+    """Offsets of sums. Times are counted in windows, from the centre of the newest.
+
+    Parameters
+    ----------
+    block_of_sum : array of int, shape (m,)
+    level_n, slope_n : array, shape (m,)
+        Offsets in newtons, and their change in a window.
+    known : array of bool, shape (m,)
+        False for sums without an offset so far.
+    age : int
+        Number of windows that the line was drawn through.
+    noise_n : float
+        Standard deviation of the mean of a window.
+    least_noise_n : float
+        No noise is taken to be less.
+    """
+
+    def __init__(
+        self,
+        block_of_sum: Ages,
+        level_n: Floats,
+        slope_n: Floats,
+        known: Bools,
+        *,
+        age: int,
+        noise_n: float,
+        least_noise_n: float,
+    ) -> None:
+        self.level_n, self.known = level_n.copy(), known.copy()
+        self.noise_n = max(noise_n, least_noise_n)
+        self._slope_n = np.where(known, slope_n, 0.0)
+        self._block_of_sum = block_of_sum
+        self._age = np.full(int(block_of_sum.max()) + 1, age, np.intp)
+        self._held = np.zeros_like(self._age)
+        self._least_noise_n = least_noise_n
+
+    @property
+    def slope_n(self) -> Floats:
+        """Drift of each sum in a window, as far as it is more than noise: of all sums together 0 if it is not."""
+        square = self._slope_n**2
+        of_sums = self.known & (self._age[self._block_of_sum] > 1)
+        if not of_sums.any():
+            return np.zeros_like(self._slope_n)
+        expected = (self.noise_n**2 * _slope_variance(self._age[self._block_of_sum]))[of_sums].mean()
+        # James and Stein's factor: what is left of the slopes when the noise in them is taken off.
+        factor = max(0.0, 1.0 - expected / max(float(square[of_sums].mean()), 1e-30))
+        moving = self._held[self._block_of_sum] < LONGEST_HELD
+        return np.where(of_sums & moving, factor * self._slope_n, 0.0)
+
+    def predicted_n(self, windows: float) -> Floats:
+        """Return the offsets so many windows after the centre of the newest, newtons.
+
+        They stop where a touch would stop them: after `LONGEST_HELD` windows without a measurement.
+        """
+        return self.level_n + np.minimum(windows, self._left) * self.slope_n
+
+    def skip(self, windows: int) -> None:
+        """Let the offsets go on along their slopes for so many windows, in which nothing was measured."""
+        self.level_n = self.predicted_n(windows)
+        self._held = self._held + windows
+
+    def begin(self, sums: Bools, level_n: Floats, slope_n: Floats, age: int) -> None:
+        """Give sums of shape (m,), all those of some blocks, their first offsets: a line through `age` windows."""
+        self.level_n = np.where(sums, level_n, self.level_n)
+        self._slope_n = np.where(sums, slope_n, self._slope_n)
+        self.known = self.known | sums
+        blocks = np.unique(self._block_of_sum[sums])
+        self._age[blocks], self._held[blocks] = age, 0
+
+    @property
+    def _left(self) -> Ages:
+        """Windows for which each sum still goes on along its slope."""
+        left: Ages = np.maximum(LONGEST_HELD - self._held, 0)[self._block_of_sum]
+        return left
+
+    def take(self, mean_n: Floats, known: Bools, held: Bools) -> None:
+        """Follow the means of the next window. Sums without an offset wait for `begin`.
+
+        Parameters
+        ----------
+        mean_n : array, shape (m,)
+            Of raw sums, newtons.
+        known : array of bool, shape (m,)
+            Sums that have a mean.
+        held : array of bool, shape (blocks,)
+            Blocks under a touch: their offsets go on along their slopes.
+        """
+        is_held = held[self._block_of_sum] | ~known
+        own = self.level_n + np.where(self._age[self._block_of_sum] > 1, self._slope_n, 0.0)
+        ahead = np.where(is_held, self.predicted_n(1.0), own)
+        residual = mean_n - ahead
+        follows = ~is_held & self.known
+        if follows.any():
+            self._learn((residual / _forecast_deviation(self._age[self._block_of_sum]))[follows])
+        age = np.minimum(self._age + 1, MEMORY)
+        n = age[self._block_of_sum]
+        self.level_n = np.where(follows, ahead + 2 * (2 * n - 1) / (n * (n + 1)) * residual, ahead)
+        self._slope_n = np.where(follows, self._slope_n + 6 / (n * (n + 1)) * residual, self._slope_n)
+        followed = np.zeros_like(held)
+        followed[self._block_of_sum[follows]] = True
+        self._age = np.where(followed, age, self._age)
+        self._held = np.where(followed, 0, self._held + 1)
+
+    def _learn(self, residual_n: Floats) -> None:
+        """Learn the noise from what the line did not foresee; shorten the memory when that is too much."""
+        square = float(np.mean(np.minimum(residual_n**2, (6 * self.noise_n) ** 2)))
+        if square > (CHANGED * self.noise_n) ** 2:
+            self._age = np.minimum(self._age, np.maximum(self._age // 2, SHORTEST_MEMORY))
+        noise_n = (self.noise_n**2 + NOISE_GAIN * (min(square, 4 * self.noise_n**2) - self.noise_n**2)) ** 0.5
+        self.noise_n = max(noise_n, self._least_noise_n)
+
+
+def _slope_variance(age: Ages) -> Floats:
+    """Return the variance of the slope of a line through `age` windows, in units of that of one window."""
+    n = np.maximum(age, 2).astype(np.float64)
+    return 12.0 / (n * (n * n - 1))
+
+
+def _forecast_deviation(age: Ages) -> Floats:
+    """Return the deviation of a mean from what a line through `age` windows foresees, in units of that of the mean."""
+    n = np.maximum(age, 2).astype(np.float64)
+    return np.sqrt(1.0 + 2 * (2 * n + 1) / (n * (n - 1)))
+
+
+def line_through(means_n: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return level at the last point, slope, and deviation of each sum, of points shape (points, m), robustly.
+
+    The slope is the median of the slopes between two points (Theil 1950, Sen 1968).
+    """
+    points = len(means_n)
+    first, second = np.triu_indices(points, 1)
+    slope = np.median((means_n[second] - means_n[first]) / (second - first)[:, None], axis=0)
+    at = np.arange(points)[:, None]
+    middle = np.median(means_n - slope * at, axis=0)
+    deviation = np.sqrt(np.mean((means_n - middle - slope * at) ** 2, axis=0) * points / (points - 2))
+    return middle + slope * (points - 1), slope, deviation

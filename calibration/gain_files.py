@@ -1,0 +1,94 @@
+"""Gains from files: a recording of a rolled weight, or a table."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.gains import LEAST_FELT, defects_of, find_gains
+from calibration.stored import LEAST_GAIN, MOST_GAIN, StoredCalibration, store
+from calibration.windows import Floats
+from skin.errors import InputError, RunError
+from skin.layout import Layout
+from skin.mcap_file import message_decoder, read_entries
+from skin.measured_sums import decode_measurement
+from skin.messages import IMAGE, MEASUREMENT
+from skin.output import RECORDING_SUFFIX
+from skin.service import say
+
+
+def stored_gains(skin: Layout, path: Path, force_n: float | None) -> StoredCalibration:
+    """Return the gains in a table (.csv), or those that a recording of a rolled weight tells.
+
+    Parameters
+    ----------
+    skin : Layout
+    path : pathlib.Path
+    force_n : float or None
+        The force of the weight; None for a table.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used.
+    RunError
+        If the recording has no complete cycle with its image.
+    """
+    taxels = skin.taxels
+    if path.suffix.lower() == ".csv":
+        if force_n is not None:
+            raise InputError("--force-n is for a recording: a .csv holds the gains themselves")
+        try:
+            table = np.loadtxt(path, np.float64, delimiter=",", ndmin=2)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: cannot read a table of gains: {error}") from error
+        if table.shape != (taxels.rows, taxels.columns) or not ((table >= LEAST_GAIN) & (table <= MOST_GAIN)).all():
+            raise InputError(
+                f"{path}: expected {taxels.rows} lines of {taxels.columns} gains from {LEAST_GAIN:g} to {MOST_GAIN:g}"
+            )
+        return store(skin, gains=table.ravel())
+    if path.suffix.lower() != RECORDING_SUFFIX:
+        raise InputError(f"{path}: expected a recording ({RECORDING_SUFFIX}), or a table of gains (.csv)")
+    if force_n is None:
+        raise InputError("expected the force of the weight: --force-n NEWTONS")
+    if skin.sending == "adaptive":
+        raise InputError("gains are found in the sums of synchronous layouts")
+    sums_n, images_n = _rolled(skin, path)
+    found = find_gains(skin.phi(), sums_n, images_n, force_n)
+    known = found.gains[found.known]
+    say("calibration", f"{found.cycles} cycles; gains of {known.size} of {taxels.count} taxels, others stay 1")
+    # What feels next to nothing is no matter of gain: a node would make its noise a force.
+    gains = np.where(found.gains < LEAST_FELT, 1.0, found.gains)
+    return store(skin, gains=gains, defects=defects_of(found, taxels.columns))
+
+
+def _rolled(skin: Layout, path: Path) -> tuple[Floats, npt.NDArray[np.float32]]:
+    """Return the sums and images of the complete cycles of a recording, newtons."""
+    phi, taxels = skin.phi(), skin.taxels
+    measured: dict[tuple[int, int], npt.NDArray[np.int32]] = {}
+    images: dict[tuple[int, int], bytes] = {}
+    decoders = {topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE)}
+    has_zero = True
+    for entry in read_entries(path, lambda line: say("calibration", line)):
+        if entry.topic not in decoders:
+            continue
+        message = decoders[entry.topic](entry.data)
+        key = message.cycle, message.sampled_mono_ns  # a gateway that starts again counts cycles from 1 again
+        if entry.topic == IMAGE.name:
+            images[key] = message.pixels
+            continue
+        sums = decode_measurement(message, phi)
+        if sums.valid_sums.all():
+            if message.offsets:
+                measured[key] = sums.counts
+            else:
+                has_zero = False
+    both = sorted(measured.keys() & images.keys())
+    if not both and not has_zero:
+        raise InputError(f"{path}: its measurements have no offsets: record while the gateway follows the zero")
+    if not both:
+        raise RunError(f"{path}: no complete cycle with its image: play frames alone with 'skin replay --out' first")
+    shape = (taxels.rows, taxels.columns)
+    sums_n = np.stack([measured[each] for each in both]) * float(taxels.newton_per_count)
+    pixels: npt.NDArray[np.float32] = np.stack([np.frombuffer(images[each], "<f4").reshape(shape) for each in both])
+    return sums_n, pixels

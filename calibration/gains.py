@@ -1,0 +1,166 @@
+"""The gain of every taxel, from a known weight that was rolled over the skin.
+
+The weight is round where it touches, and its contact does not change while it rolls: so its profile over the distance
+from the centre is the mean over all images, in which gains cancel. With the profile at each centre, scaled to the known
+force, the forces f of a cycle are known, and the sums are y = Φ diag(f) g. Block by block the gains g are the least
+squares solution, pulled towards 1 where a taxel was hardly touched.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.windows import Bools, Floats
+from skin.errors import InputError
+from skin.measurement import Sbhe, fast_hadamard
+
+#: A contact is what is above this part of an image's largest force.
+CONTACT_PART: Final = 0.05
+#: Width of a ring of the profile, and how far the profile goes beyond the mean contact, taxels.
+RING: Final = 0.25
+BEYOND: Final = 2.0
+#: Deviation of gains before they are measured.
+SPREAD: Final = 0.1
+#: Gains are found and taken off the images, once more: centres and profile are better then.
+PASSES: Final = 2
+#: A gain is known if the weight tells so many times more of it than `SPREAD` does.
+LEAST_RATIO: Final = 25.0
+#: Fewest cycles with the whole weight on the skin.
+LEAST_CYCLES: Final = 100
+#: A taxel that feels less than this is defective: no gain is stored for it.
+LEAST_FELT: Final = 0.3
+#: Cycles that are worked on at the same time.
+_PART: Final = 128
+
+Images = npt.NDArray[np.floating]
+
+
+class Gains(NamedTuple):
+    """Gains of taxels.
+
+    Attributes
+    ----------
+    gains : array, shape (n,)
+        Reading / force, row-major; 1 where not known.
+    known : array of bool, shape (n,)
+        Taxels that the weight rolled over.
+    cycles : int
+        Cycles that were used: those with the whole weight on the skin.
+    """
+
+    gains: Floats
+    known: Bools
+    cycles: int
+
+
+def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float) -> Gains:
+    """Return the gains of all taxels.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    sums_n : array, shape (cycles, m)
+        Sums less their offsets, newtons; all of them valid.
+    images_n : array, shape (cycles, rows, columns)
+        The images of these sums.
+    force_n : float
+        The weight's force.
+
+    Raises
+    ------
+    InputError
+        If the force cannot be used, or the whole weight was on the skin in too few cycles.
+    """
+    if not (np.isfinite(force_n) and force_n > 0):
+        raise InputError(f"expected the force of the weight, a number of newtons above 0, got {force_n:g}")
+    gains = np.ones(phi.shape[1])
+    known = np.zeros(phi.shape[1], np.bool_)
+    cycles = 0
+    for _ in range(PASSES):
+        felt_n = images_n / gains.reshape(images_n.shape[1:])
+        whole = np.flatnonzero(_is_whole(felt_n))
+        cycles = whole.size
+        if cycles < LEAST_CYCLES:
+            raise InputError(
+                f"the whole weight is on the skin in {cycles} cycles, expected {LEAST_CYCLES} or more, with nothing"
+                " else: roll it slowly over all of the skin"
+            )
+        forces_n = _forces(felt_n[whole], force_n)
+        gains, known = _solved(phi, sums_n[whole], forces_n, gains)
+    return Gains(gains, known, cycles)
+
+
+def defects_of(found: Gains, columns: int) -> list[str]:
+    """Return the taxels that feel little or nothing, in words."""
+    weak = np.flatnonzero(found.known & (found.gains < LEAST_FELT))
+    return [
+        f"taxel {taxel} (row {taxel // columns}, column {taxel % columns}) feels {max(0.0, found.gains[taxel]):.0%}"
+        for taxel in weak.tolist()
+    ]
+
+
+def _contact(images_n: Images) -> Bools:
+    contact: Bools = images_n > CONTACT_PART * images_n.max(axis=(1, 2), keepdims=True)
+    return contact
+
+
+def _is_whole(images_n: Images) -> Bools:
+    """Tell which images have a contact that does not touch the border of the skin."""
+    contact = _contact(images_n)
+    border = contact[:, 0].any(axis=1) | contact[:, -1].any(axis=1)
+    border |= contact[:, :, 0].any(axis=1) | contact[:, :, -1].any(axis=1)
+    whole: Bools = contact.any(axis=(1, 2)) & ~border
+    return whole
+
+
+def _forces(images_n: Images, force_n: float) -> npt.NDArray[np.float32]:
+    """Return the forces of a round weight at the centre of each image, shape (cycles, n)."""
+    contact = _contact(images_n)
+    radius = float(np.sqrt(contact.sum() / len(contact) / np.pi)) + BEYOND
+    rings = int(np.ceil(radius / RING))
+    total, count = np.zeros((2, rings))
+    parts = [slice(begin, begin + _PART) for begin in range(0, len(images_n), _PART)]
+    centres = np.concatenate([_centres(np.where(contact[part], images_n[part], 0)) for part in parts])
+    for part in parts:
+        ring = (_distances(centres[part], images_n.shape[1:]) / RING).astype(np.intp)
+        inside = ring < rings
+        total += np.bincount(ring[inside], images_n[part][inside], rings)
+        count += np.bincount(ring[inside], minlength=rings)
+    profile_n = total / np.maximum(count, 1)
+    middles = (np.arange(rings) + 0.5) * RING
+    forces_n = np.empty((len(images_n), images_n[0].size), np.float32)
+    for part in parts:
+        shape_n = np.interp(_distances(centres[part], images_n.shape[1:]), middles, profile_n, right=0.0)
+        forces_n[part] = (shape_n * (force_n / shape_n.sum(axis=(1, 2), keepdims=True))).reshape(len(shape_n), -1)
+    return forces_n
+
+
+def _centres(images_n: Images) -> Floats:
+    """Return the centre of force of each image, shape (cycles, 2)."""
+    rows, columns = (np.arange(size) for size in images_n.shape[1:])
+    by_row, by_column = images_n.sum(axis=2), images_n.sum(axis=1)
+    centres: Floats = np.stack([by_row @ rows, by_column @ columns], axis=1) / by_row.sum(axis=1)[:, None]
+    return centres
+
+
+def _distances(centres: Floats, shape: tuple[int, ...]) -> Floats:
+    rows, columns = np.arange(shape[0])[None, :, None], np.arange(shape[1])[None, None, :]
+    return np.hypot(rows - centres[:, 0, None, None], columns - centres[:, 1, None, None])
+
+
+def _solved(phi: Sbhe, sums_n: Floats, forces_n: npt.NDArray[np.float32], before: Floats) -> tuple[Floats, Bools]:
+    """Return the gains by least squares, and which are known; `before` are those of the pass before."""
+    residual: Floats = sums_n - np.asarray(phi.forward(forces_n * before.astype(np.float32)), np.float64)
+    pull = float(np.mean(np.square(residual, dtype=np.float64))) / SPREAD**2
+    gains, known = np.ones(phi.shape[1]), np.zeros(phi.shape[1], np.bool_)
+    hadamard = np.asarray(fast_hadamard(np.eye(phi.block_size)), np.float64)
+    for block, taxels in enumerate(phi.taxels_of_blocks):
+        signs = hadamard[phi.kept[block]]
+        mine_n = forces_n[:, taxels].astype(np.float64)
+        normal = (mine_n.T @ mine_n) * (signs.T @ signs)
+        right = (mine_n * (sums_n[:, phi.starts[block] : phi.starts[block + 1]] @ signs)).sum(axis=0)
+        known[taxels] = np.diag(normal) > LEAST_RATIO * pull
+        gains[taxels] = np.linalg.solve(normal + pull * np.eye(len(taxels)), right + pull)
+    gains[~known] = 1.0
+    return gains, known

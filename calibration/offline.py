@@ -1,0 +1,112 @@
+"""Calibration of runs that were recorded without: in the order of their cycles, as the gateway would have done it."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.calibrator import Calibrator, Tare
+from calibration.stored import load_calibration
+from calibration.windows import Bools
+from skin.errors import InputError
+from skin.layout import Layout
+from skin.mcap_file import message_decoder, read_entries
+from skin.measured_sums import decode_measurement
+from skin.messages import MEASUREMENT, Measurement
+from skin.output import RECORDING_SUFFIX
+from skin.service import say
+
+
+def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str) -> Calibrator | None:
+    """Return what the options ``--calibration`` and ``--tare`` ask for, None for nothing.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, or the layout has adaptive sending.
+    """
+    if path is None and tare == "never":
+        return None
+    if layout.sending == "adaptive":
+        raise InputError("--calibration and --tare are for synchronous sending: adaptive boards have their own zero")
+    offsets_n = load_calibration(path, layout).required_offsets_n(str(path)) if path is not None else None
+    return Calibrator(layout, offsets_n=offsets_n, tares=tare == "at-start", say=lambda text: say(service, text))
+
+
+def has_offsets(path: Path) -> bool:
+    """Tell whether a file is a recording whose measurements have offsets.
+
+    Raises
+    ------
+    InputError
+        If it is a recording that cannot be read.
+    """
+    if path.suffix.lower() != RECORDING_SUFFIX:
+        return False
+    decode = message_decoder(path, MEASUREMENT)
+    return any(
+        decode(entry.data).offsets for entry in read_entries(path, lambda _: None) if entry.topic == MEASUREMENT.name
+    )
+
+
+def calibrated(measurements: Iterable[Measurement], calibrator: Calibrator | None) -> Iterator[Measurement]:
+    """Yield measurements with offsets; without a calibrator, as they are."""
+    for each in measurements:
+        if calibrator is None:
+            yield each
+            continue
+        yield calibrator.apply(each)
+        calibrator.take(each)
+        calibrator.work()
+
+
+def calibrated_cycles(
+    layout: Layout,
+    counts: npt.NDArray[np.int32],
+    valid: Bools,
+    time_ns: npt.NDArray[np.int64],
+    calibrator: Calibrator,
+) -> tuple[npt.NDArray[np.int32], Bools]:
+    """Return the sums of all cycles less their offsets, and the validity of their blocks.
+
+    Parameters
+    ----------
+    layout : Layout
+    counts : array of int32, shape (cycles, m)
+    valid : array of bool, shape (cycles, blocks)
+    time_ns : array of int64, shape (cycles,)
+    calibrator : Calibrator
+    """
+    phi = layout.phi()
+    corrected, whole = np.empty_like(counts), np.empty_like(valid)
+    cycles = enumerate(zip(counts, valid, time_ns.tolist(), strict=True))
+    measured = (measurement_of(layout, cycle, *each) for cycle, each in cycles)
+    for cycle, made in enumerate(calibrated(measured, calibrator)):
+        sums = decode_measurement(made, phi)
+        corrected[cycle], whole[cycle] = sums.counts, sums.valid
+    return corrected, whole
+
+
+def measurement_of(
+    layout: Layout,
+    cycle: int,
+    counts: npt.NDArray[np.int32],
+    valid: Bools | None = None,
+    time_ns: int | None = None,
+) -> Measurement:
+    """Return the measurement of a cycle, counted from 0, of sums of shape (m,).
+
+    By default all blocks are valid, and the time is that of `cycle` + 1 periods.
+    """
+    if time_ns is None:
+        time_ns = round((cycle + 1) * layout.sync.period_s * 1e9)
+    whole = np.ones(layout.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
+    return Measurement(
+        cycle=cycle + 1,
+        sync_counter=cycle % 240 + 1,
+        sampled_mono_ns=time_ns,
+        sums=counts.astype("<i4").tobytes(),
+        valid=whole.tobytes(),
+        fingerprint=layout.phi().fingerprint,
+    )

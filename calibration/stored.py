@@ -1,0 +1,176 @@
+"""Files with a calibration: JSON with the fingerprint of the skin that it belongs to."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from calibration.windows import Floats
+from skin.errors import UNDECODABLE, InputError
+from skin.layout import Layout
+from skin.mcap_file import message_decoder, read_entries
+from skin.measured_sums import check_measurement
+from skin.messages import MEASUREMENT, Measurement
+from skin.output import RECORDING_SUFFIX, write_file
+from skin.service import say
+
+#: No gain is stored that is not between these.
+LEAST_GAIN, MOST_GAIN = 0.01, 100.0
+
+_Gain = Annotated[float, msgspec.Meta(ge=LEAST_GAIN, le=MOST_GAIN)]
+
+
+class StoredCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is known of a skin's sums and taxels; parts that are not known are empty.
+
+    Attributes
+    ----------
+    skin, fingerprint, force_max_n
+        Name of the layout, fingerprint of its Φ, and end of its taxels' range in newtons.
+    saved : str
+        When, in UTC.
+    offsets_n : list of float or None
+        Of each sum, newtons; None for unknown ones.
+    gains : list of float
+        Reading / force of each taxel, row-major.
+    taxel_offsets_n : list of float
+        Of each taxel, row-major, newtons: for nodes.
+    defects : list of str
+        In words.
+    """
+
+    skin: str
+    fingerprint: str
+    force_max_n: float
+    saved: str = ""
+    offsets_n: list[float | None] = []
+    gains: list[_Gain] = []
+    taxel_offsets_n: list[float] = []
+    defects: list[str] = []
+
+    def sum_offsets_n(self) -> Floats | None:
+        """Return the offsets of the sums, shape (m,), NaN for unknown ones; None without any."""
+        return np.array(self.offsets_n, np.float64) if self.offsets_n else None
+
+    def required_offsets_n(self, origin: str) -> Floats:
+        """Return the offsets of the sums; `origin` names the calibration in the message.
+
+        Raises
+        ------
+        InputError
+            If there are none.
+        """
+        offsets_n = self.sum_offsets_n()
+        if offsets_n is None:
+            raise InputError(
+                f"{origin}: has no offsets of sums: gains are used by nodes, with 'skin calibration load --to-nodes'"
+            )
+        return offsets_n
+
+
+def store(
+    layout: Layout,
+    *,
+    offsets_n: Floats | None = None,
+    gains: Floats | None = None,
+    defects: list[str] | None = None,
+) -> StoredCalibration:
+    """Return a calibration of a skin, made now."""
+    return StoredCalibration(
+        skin=layout.name,
+        fingerprint=layout.phi().fingerprint,
+        force_max_n=layout.taxels.force_max_n,
+        saved=datetime.now(UTC).isoformat(timespec="seconds"),
+        offsets_n=[] if offsets_n is None else _or_none(offsets_n),
+        gains=[] if gains is None else np.clip(gains, LEAST_GAIN, MOST_GAIN).tolist(),
+        defects=defects or [],
+    )
+
+
+def _or_none(values: Floats) -> list[float | None]:
+    """Return values as JSON has them: None for NaN."""
+    listed: list[float | None] = values.tolist()
+    for each in np.flatnonzero(~np.isfinite(values)).tolist():
+        listed[each] = None
+    return listed
+
+
+def encoded(stored: StoredCalibration) -> bytes:
+    """Return the content of a file."""
+    return msgspec.json.encode(stored) + b"\n"
+
+
+def save_calibration(path: Path, stored: StoredCalibration) -> None:
+    """Write a file in one step.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    write_file(path, encoded(stored))
+
+
+def load_calibration(path: Path, layout: Layout) -> StoredCalibration:
+    """Read a file, or the newest offsets in a recording.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or belongs to another skin.
+    """
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        return _recorded(path, layout)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the calibration: {error.strerror or error}") from error
+    return parse_calibration(content, layout, str(path))
+
+
+def _recorded(path: Path, layout: Layout) -> StoredCalibration:
+    """Return the newest offsets in a recording."""
+    phi = layout.phi()
+    newest: Measurement | None = None
+    decode = message_decoder(path, MEASUREMENT)
+    for entry in read_entries(path, lambda line: say("calibration", line)):
+        if entry.topic == MEASUREMENT.name:
+            newest = decode(entry.data)
+    if newest is None or not newest.offsets:
+        raise InputError(f"{path}: the recorded gateway had no calibration")
+    check_measurement(newest, phi)
+    return store(layout, offsets_n=np.frombuffer(newest.offsets, "<i4") * layout.taxels.newton_per_count)
+
+
+def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCalibration:
+    """Decode and check the content of a file; `origin` names the file in messages.
+
+    Raises
+    ------
+    InputError
+        If it is no calibration, or belongs to another skin.
+    """
+    try:
+        stored = msgspec.json.decode(content, type=StoredCalibration)
+    except UNDECODABLE as error:
+        raise InputError(f"{origin}: expected a file of 'skin calibration save': {error}") from error
+    phi = layout.phi()
+    mine = (phi.fingerprint, layout.taxels.force_max_n)
+    if (stored.fingerprint, stored.force_max_n) != mine:
+        raise InputError(
+            f"{origin}: the calibration of another layout, '{stored.skin[:64]}' with Φ {stored.fingerprint[:32]} and"
+            f" {stored.force_max_n:g} N: expected Φ {mine[0]} and {mine[1]:g} N"
+        )
+    most_n = layout.taxels.force_max_n
+    for name, found, wanted, most in (
+        ("offsets_n", stored.offsets_n, phi.shape[0], phi.block_size * most_n),
+        ("gains", stored.gains, phi.shape[1], MOST_GAIN),
+        ("taxel_offsets_n", stored.taxel_offsets_n, phi.shape[1], most_n),
+    ):
+        if found and len(found) != wanted:
+            raise InputError(f"{origin}: expected {wanted} {name}, or none, got {len(found)}")
+        if (np.abs(np.array(found, np.float64)) > most).any():  # None becomes NaN, which JSON does not have
+            raise InputError(f"{origin}: {name} that this skin cannot have: expected -{most:g} to {most:g}")
+    return stored

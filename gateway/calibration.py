@@ -1,0 +1,260 @@
+"""The calibration of a running gateway: offsets for its measurements, and answers to requests."""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from calibration.calibrator import Calibrator
+from calibration.stored import StoredCalibration, encoded, parse_calibration, store
+from calibration.windows import Floats
+from dbc.contract import Contract
+from gateway.nmt_master import NmtMaster
+from gateway.node_writing import NodeWriting
+from skin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
+from skin.errors import InputError
+from skin.fabric import Reply
+from skin.messages import Measurement
+from skin.service import say
+
+#: Answer to what makes no sense for boards that look after themselves.
+_ADAPTIVE: Final = (
+    "adaptive boards measure their offsets at power-up and follow them (docs/adaptive.md): nothing may touch them then"
+)
+_TOO_FEW: Final = "fewer than half of the sums are valid: the zero is measured when they are"
+#: A measurement of the zero that takes longer is answered with the reason; it goes on.
+PATIENCE_S: Final = 8.0
+#: Requests that wait for an answer; more are refused.
+MOST_REQUESTS: Final = 8
+#: Longest content of a request: so many bytes for each sum and taxel, and some.
+_NUMBER_BYTES: Final = 32
+_OTHER_BYTES: Final = 1 << 16
+
+
+class _Request(NamedTuple):
+    request: CalibrationRequest
+    reply: Reply
+    stored: StoredCalibration | None
+
+
+class GatewayCalibration:
+    """Calibrates a skin, and answers requests about that.
+
+    Parameters
+    ----------
+    contract : Contract
+    stored : StoredCalibration, optional
+        What is used until the zero is measured.
+    tares : bool
+        Measure the zero at the start, and follow it.
+    run_aside : callable
+        Calls what it is given, soon, in another thread: answers take milliseconds. By default at once.
+    """
+
+    def __init__(
+        self,
+        contract: Contract,
+        stored: StoredCalibration | None = None,
+        *,
+        tares: bool = True,
+        run_aside: Callable[[Callable[[], None]], object] = lambda function: function(),
+    ) -> None:
+        self._contract = contract
+        self._run_aside, self._tares = run_aside, tares
+        self._stored = stored or store(contract.layout)
+        self._calibrator = Calibrator(
+            contract.layout,
+            offsets_n=self._stored.sum_offsets_n(),
+            tares=tares,
+            say=lambda text: say("gateway", text),
+        )
+        self._requests: deque[_Request] = deque()
+        self._taring: list[Reply] = []
+        self._tare_until_s = 0.0
+        self._writing: tuple[NodeWriting, StoredCalibration, Reply] | None = None
+
+    def ask(self, request: CalibrationRequest, reply: Reply) -> None:
+        """Take a request; from any thread. What cannot be used is refused here, `tick` answers the rest."""
+        try:
+            self._requests.append(_Request(request, reply, self._checked(request)))
+        except InputError as error:
+            reply(CalibrationReply(is_done=False, text=str(error)))
+
+    def _checked(self, request: CalibrationRequest) -> StoredCalibration | None:
+        """Return the calibration in a request.
+
+        Raises
+        ------
+        InputError
+            If it cannot be used, or too many requests wait.
+        """
+        if len(self._requests) + len(self._taring) >= MOST_REQUESTS:
+            raise InputError(f"{MOST_REQUESTS} requests wait for an answer: ask again later")
+        if request.action not in {"load", "write"}:
+            return None
+        layout = self._contract.layout
+        most = _NUMBER_BYTES * (self._contract.phi.shape[0] + 2 * layout.taxels.count) + _OTHER_BYTES
+        if len(request.content) > most:
+            raise InputError(f"a calibration of {len(request.content)} bytes: expected {most} at most for this skin")
+        return parse_calibration(request.content, layout, "calibration")
+
+    def apply(self, measurement: Measurement) -> Measurement:
+        """Return a measurement with the offsets of its instant."""
+        return self._calibrator.apply(measurement)
+
+    def take(self, measurement: Measurement) -> None:
+        """Learn from a measurement; most of it is left to `work`."""
+        self._calibrator.take(measurement)
+
+    def work(self) -> None:
+        """Learn from what was taken; takes about a millisecond."""
+        self._calibrator.work()
+
+    def status(self) -> CalibrationStatus:
+        """Return what is known, for `skin.messages.GatewayStatus`."""
+        return self._calibrator.status()
+
+    def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Answer a request, write to nodes; call it many times a second."""
+        if self._requests:
+            self._take(*self._requests.popleft(), masters, now_s)
+        result = self._calibrator.result
+        if self._taring and (result is not None or now_s > self._tare_until_s):
+            text = self._why_late() if result is None else result.text
+            for reply in self._taring:
+                self._answer(reply, text, is_done=result is not None and result.is_done)
+            self._taring.clear()
+        if self._writing is not None:
+            writing, stored, reply = self._writing
+            writing.tick(now_s)
+            if writing.done:
+                self._writing = None
+                self._end_writing(writing, stored, reply)
+
+    def _take(
+        self,
+        request: CalibrationRequest,
+        reply: Reply,
+        stored: StoredCalibration | None,
+        masters: Mapping[int, NmtMaster],
+        now_s: float,
+    ) -> None:
+        try:
+            if stored is not None and request.action == "write":
+                self._write(stored, reply, masters, now_s)
+            elif stored is not None:
+                self._load(stored, reply)
+            elif request.action == "tare":
+                self._require_synchronous()
+                self._calibrator.tare(force=request.force)
+                self._taring.append(reply)
+                self._tare_until_s = now_s + PATIENCE_S
+            else:
+                self._show(reply)
+        except InputError as error:
+            self._answer(reply, str(error), is_done=False)
+
+    def _require_synchronous(self) -> None:
+        if self._contract.layout.sending == "adaptive":
+            raise InputError(_ADAPTIVE)
+
+    def _load(self, stored: StoredCalibration, reply: Reply) -> None:
+        """Use a calibration.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to use.
+        """
+        offsets_n = stored.required_offsets_n("calibration")
+        self._require_synchronous()
+        self._calibrator.load(offsets_n)
+        until = f"in use until the skin has been untouched for {self._calibrator.tare_s:.3g} s and has a new zero"
+        self._answer(reply, until if self._tares else "in use", is_done=True)
+
+    def _write(self, stored: StoredCalibration, reply: Reply, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Begin to write a calibration to the nodes.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to write, or the nodes are being written to.
+        """
+        if self._writing is not None:
+            raise InputError("the nodes are being written to: wait for the end of that")
+        gains, offsets = node_values(stored, self._contract.layout.taxels.newton_per_count)
+        if gains is None and offsets is None:
+            raise InputError(
+                "the calibration has nothing for nodes, neither gains nor taxel_offsets_n: offsets of sums do not tell"
+                " those of taxels, and stay in the gateway"
+            )
+        self._writing = (NodeWriting(self._contract, masters, gains, offsets, now_s), stored, reply)
+
+    def _end_writing(self, writing: NodeWriting, stored: StoredCalibration, reply: Reply) -> None:
+        """Drop the offsets: they are those of sums that the nodes made with other values."""
+        text = writing.text()
+        if writing.is_complete:
+            self._stored = msgspec.structs.replace(
+                self._stored,
+                gains=stored.gains or self._stored.gains,
+                taxel_offsets_n=stored.taxel_offsets_n or self._stored.taxel_offsets_n,
+            )
+        if self._contract.layout.sending == "synchronous":
+            had_offsets = self._calibrator.offsets_n is not None
+            self._calibrator.forget()
+            if self._tares:
+                text += "; the zero is measured anew"
+            elif had_offsets:
+                text += "; the offsets in the gateway were those of sums before that, and are dropped: see 'skin tare'"
+        self._answer(reply, text, is_done=writing.is_complete)
+
+    def _why_late(self) -> str:
+        """Say why there is no zero yet."""
+        takes_s = self._calibrator.tare_s
+        if self._calibrator.has_few_sums and takes_s <= PATIENCE_S:
+            return _TOO_FEW
+        return f"the zero is still being measured, which takes {takes_s:.3g} s: see 'skin calibration show'"
+
+    def _answer(self, reply: Reply, text: str, *, is_done: bool) -> None:
+        answer = CalibrationReply(is_done=is_done, text=text, status=self.status())
+        self._run_aside(lambda: reply(answer))
+
+    def _show(self, reply: Reply) -> None:
+        status, offsets_n, known = self.status(), self._calibrator.offsets_n, self._stored
+
+        def tell() -> None:
+            present = store(self._contract.layout, offsets_n=offsets_n, defects=status.defects)
+            whole = msgspec.structs.replace(present, gains=known.gains, taxel_offsets_n=known.taxel_offsets_n)
+            text = _ADAPTIVE if self._contract.layout.sending == "adaptive" else "the calibration in use"
+            reply(CalibrationReply(is_done=True, text=text, status=status, content=encoded(whole)))
+
+        self._run_aside(tell)
+
+
+def node_values(stored: StoredCalibration, newton_per_count: float) -> tuple[Floats | None, Floats | None]:
+    """Return what nodes make of counts x by ``gain * x + offset``, see `skin.taxel.corrected`; None for what they keep.
+
+    A taxel reads r = g f + o. So f = r / g - o / g.
+
+    Raises
+    ------
+    InputError
+        If a node cannot hold an offset.
+    """
+    if not stored.gains and not stored.taxel_offsets_n:
+        return None, None
+    factor = 1 / np.array(stored.gains) if stored.gains else None
+    if not stored.taxel_offsets_n:
+        return factor, None
+    offsets = -np.array(stored.taxel_offsets_n) / newton_per_count
+    offsets = np.rint(offsets if factor is None else offsets * factor)
+    limits = np.iinfo(np.int16)
+    beyond = np.flatnonzero((offsets < limits.min) | (offsets > limits.max))
+    if beyond.size:
+        raise InputError(
+            f"taxel_offsets_n / gains of {beyond.size} taxels, first of taxel {beyond[0]}: nodes would add"
+            f" {offsets[beyond[0]]:.0f} counts, and can hold {limits.min} to {limits.max}"
+        )
+    return factor, offsets

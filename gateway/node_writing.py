@@ -1,0 +1,118 @@
+"""Gains and offsets of taxels written to the nodes (2010h, 2011h), which store them (1010h)."""
+
+import struct
+from collections.abc import Generator, Mapping, Sequence
+from typing import Final
+
+from calibration.windows import Floats
+from dbc.contract import Contract, NodeContract
+from dbc.indices import OD_GAIN, OD_OFFSET, OD_STORE, SIGNATURE_SAVE, of_block
+from gateway.nmt_master import NmtMaster
+from gateway.sdo import SdoDialogue, Transfer, Write
+from skin.ranges import ranges_text
+
+#: Most nodes of a bus that are written to at the same time.
+MOST_AT_ONCE: Final = 4
+#: Attempts to write to a node.
+ATTEMPTS: Final = 3
+#: A node that cannot be written to for so long is given up: it is not there, or not proven.
+PATIENCE_S: Final = 20.0
+
+
+class NodeWriting:
+    """Writes to all nodes of a skin, and says which have failed.
+
+    Parameters
+    ----------
+    contract : Contract
+    masters : mapping of int to NmtMaster
+        By number of the bus. Their SDO dialogues are used, one at a time with a node.
+    gains, offsets : array, shape (n,), or None
+        Row-major: the factor that a node applies to a taxel's counts, and what the node adds then, whole counts that
+        fit int16; None leaves what the nodes have.
+    now_s : float
+    """
+
+    def __init__(
+        self,
+        contract: Contract,
+        masters: Mapping[int, NmtMaster],
+        gains: Floats | None,
+        offsets: Floats | None,
+        now_s: float,
+    ) -> None:
+        self._masters = masters
+        self._nodes = {number: contract.on_bus(number) for number in masters}
+        self._chains = contract.phi.taxels_of_blocks
+        self._gains, self._offsets = gains, offsets
+        self._names = {number: contract.layout.bus[number].name for number in masters}
+        self._waiting = {number: [(node, 0) for node in nodes] for number, nodes in self._nodes.items()}
+        self._open: dict[int, list[tuple[NodeContract, int, SdoDialogue]]] = {number: [] for number in masters}
+        self._failed: dict[int, list[int]] = {number: [] for number in masters}
+        self._why = ""
+        self._until_s = dict.fromkeys(masters, now_s + PATIENCE_S)
+
+    @property
+    def done(self) -> bool:
+        """Whether every node has been written to, or given up."""
+        return not any(self._waiting.values()) and not any(self._open.values())
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether no node was given up."""
+        return not any(self._failed.values())
+
+    def tick(self, now_s: float) -> None:
+        """Begin what can begin, and look at what has ended."""
+        for number, master in self._masters.items():
+            self._end(number, now_s)
+            waiting, mine = self._waiting[number], self._open[number]
+            for node, tried in waiting.copy():
+                if len(mine) >= MOST_AT_ONCE:
+                    break
+                dialogue = master.ask(node.node_id, self._steps(node), now_s)
+                if dialogue is not None:
+                    waiting.remove((node, tried))
+                    mine.append((node, tried + 1, dialogue))
+            if waiting and not mine and now_s > self._until_s[number]:
+                self._failed[number] += [node.node_id for node, _ in waiting]
+                waiting.clear()
+
+    def text(self) -> str:
+        """Return the result in words."""
+        count = sum(map(len, self._nodes.values())) - sum(map(len, self._failed.values()))
+        lost = [
+            f"{self._names[number]} node{'s' * (len(nodes) > 1)} {ranges_text(sorted(nodes))}"
+            for number, nodes in self._failed.items()
+            if nodes
+        ]
+        said = f"{count} nodes have written and stored it"
+        why = f" ({self._why})" if self._why else ""
+        return f"{said}; not {', '.join(lost)}{why}" if lost else said
+
+    def _end(self, number: int, now_s: float) -> None:
+        still = []
+        for node, tried, dialogue in self._open[number]:
+            if not dialogue.done and self._masters[number].nodes[node.node_id].errand is dialogue:
+                still.append((node, tried, dialogue))
+                continue
+            self._until_s[number] = now_s + PATIENCE_S
+            if dialogue.done and dialogue.error is None:
+                continue
+            self._why = str(dialogue.error or "the node left the bus")
+            if tried < ATTEMPTS:
+                self._waiting[number].append((node, tried))
+            else:
+                self._failed[number].append(node.node_id)
+        self._open[number] = still
+
+    def _steps(self, node: NodeContract) -> Generator[Transfer, bytes, None]:
+        for place in range(node.blocks):
+            chain: Sequence[int] = self._chains[node.block + place].tolist()
+            for index, values, form in ((OD_GAIN, self._gains, "<f"), (OD_OFFSET, self._offsets, "<h")):
+                if values is None:
+                    continue
+                for subindex, taxel in enumerate(chain, 1):
+                    value = float(values[taxel]) if form == "<f" else int(values[taxel])
+                    yield Write(of_block(index, place), subindex, struct.pack(form, value))
+        yield Write(OD_STORE, 1, SIGNATURE_SAVE.to_bytes(4, "little"))

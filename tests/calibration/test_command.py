@@ -1,0 +1,119 @@
+"""``skin tare`` and ``skin calibration`` with a gateway, and their errors."""
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.command import calibration, tare
+from calibration.stored import encoded, load_calibration, parse_calibration, save_calibration, store
+from skin.calibration_messages import (
+    CALIBRATION,
+    CalibrationReply,
+    CalibrationRequest,
+    CalibrationState,
+    CalibrationStatus,
+)
+from skin.command import main
+from skin.errors import BusError, RunError
+from skin.fabric import Fabric, Reply
+from tests.calibration.skins import LAYOUT, PHI
+
+STORED = store(LAYOUT, offsets_n=np.linspace(0, 0.1, PHI.shape[0]), gains=np.ones(PHI.shape[1]))
+
+
+class Gateway:
+    """A gateway that answers what it is told to."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.requests: list[CalibrationRequest] = []
+        self.is_done, self.stored = True, STORED
+        self.fabric = Fabric(LAYOUT.name, "gateway", endpoint, hub=True)
+        self.fabric.answer(CALIBRATION, self._answer)
+
+    def _answer(self, request: CalibrationRequest, reply: Reply) -> None:
+        self.requests.append(request)
+        status = CalibrationStatus(state=CalibrationState.FOLLOWING, noise_n=1e-3)
+        reply(CalibrationReply(is_done=self.is_done, text="words", status=status, content=encoded(self.stored)))
+
+
+@pytest.fixture
+def gateway(endpoint: str) -> Iterator[Gateway]:
+    made = Gateway(endpoint)
+    yield made
+    made.fabric.close()
+
+
+def test_tare_tells_what_was_found(gateway: Gateway, endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tare(connect=endpoint) == 0
+    gateway.is_done = False
+    assert tare(connect=endpoint, force=True, json=True) == 1
+    text, document = capsys.readouterr().out.split("\n", 1)
+    assert text == "words"
+    assert json.loads(document)["status"]["state"] == "following"
+    assert [each.force for each in gateway.requests] == [False, True]
+
+
+def test_the_calibration_of_a_gateway_is_shown_saved_and_loaded(
+    gateway: Gateway, endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration("show", connect=endpoint)
+    shown = capsys.readouterr().out
+    assert "1024 of 1024" in shown
+    assert "following" in shown
+    path = tmp_path / "it.json"
+    calibration("save", path, connect=endpoint)
+    assert load_calibration(path, LAYOUT).offsets_n == STORED.offsets_n
+    calibration("show", path)
+    calibration("load", path, connect=endpoint)
+    calibration("load", path, connect=endpoint, to_nodes=True)
+    assert [each.action for each in gateway.requests] == ["show", "show", "load", "write"]
+    assert parse_calibration(gateway.requests[-1].content, LAYOUT, "test") == load_calibration(path, LAYOUT)
+
+
+def test_a_gateway_that_refuses_or_has_nothing_fails_the_verb(gateway: Gateway, endpoint: str, tmp_path: Path) -> None:
+    path = tmp_path / "it.json"
+    save_calibration(path, STORED)
+    gateway.is_done, gateway.stored = False, store(LAYOUT)
+    with pytest.raises(RunError, match="words"):
+        calibration("load", path, connect=endpoint)
+    with pytest.raises(RunError, match="no calibration yet"):
+        calibration("save", tmp_path / "other.json", connect=endpoint)
+    assert not (tmp_path / "other.json").exists()
+
+
+def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
+    hub = Fabric(LAYOUT.name, "replay", endpoint, hub=True)
+    with pytest.raises(BusError, match="no service of skin 'skin' answers"):
+        tare(connect=endpoint)
+    hub.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["calibration", "save"], "expected a file: skin calibration save FILE"),
+        (["calibration", "show", "--to-nodes"], "--to-nodes is for 'skin calibration load'"),
+        (["calibration", "load", "none.json"], "none.json: cannot read the calibration"),
+        (["calibration", "forget"], '"show"'),
+        (["calibration", "show", "--force-n", "1"], "--force-n and --out are for 'skin calibration gain'"),
+        (["calibration", "gain", "run.mcap", "--force-n", "1"], "expected a file for the gains: --out FILE"),
+        (["calibration", "gain", "run.log", "--out", "/dev/null"], "run.log: expected a recording (.mcap)"),
+        (["calibration", "gain", "run.mcap", "--out", "/dev/null"], "expected the force of the weight"),
+        (["calibration", "gain", "none.csv", "--out", "/dev/null"], "none.csv: cannot read a table of gains"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
+def test_wrong_input_is_one_line_and_exit_code_2(
+    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["skin", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    shown = capsys.readouterr()
+    assert ended.value.code == 2
+    assert said in shown.err
+    assert len(shown.err.splitlines()) == 1

@@ -1,0 +1,149 @@
+"""Gains of taxels from a weight that was rolled over the skin, and from a table."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from calibration.gain_files import stored_gains
+from calibration.gains import defects_of, find_gains
+from calibration.stored import load_calibration
+from skin.errors import InputError, RunError
+from skin.layout import parse_layout
+from skin.mcap_file import RecordingWriter
+from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
+
+LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32", "test")
+PHI = LAYOUT.phi()
+SIDE = 32
+FORCE_N = 0.3
+
+
+def rolled() -> np.ndarray:
+    """Forces of a round weight that rolls over all of the skin, shape (cycles, rows, columns)."""
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    centres = [(row, column) for row in np.arange(0, SIDE, 2.5) for column in np.arange(0, SIDE, 0.7)]
+    depth = [np.clip(1 - ((rows - row) ** 2 + (columns - column) ** 2) / 16, 0, None) for row, column in centres]
+    return FORCE_N / 25 * np.stack(depth)
+
+
+FORCES = rolled()
+WHOLE_N = float(np.median(FORCES.sum(axis=(1, 2))))
+
+
+def felt(gains: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums with noise, and images that are a little too smooth."""
+    random = np.random.default_rng(2)
+    read = FORCES.reshape(len(FORCES), -1) * gains
+    sums = PHI.forward(read) + random.normal(0, 2e-4, (len(read), PHI.shape[0]))
+    images = 0.7 * read + 0.3 * FORCES.reshape(read.shape) + random.normal(0, 1e-4, read.shape)
+    return sums, np.maximum(images, 0).reshape(FORCES.shape)
+
+
+@pytest.fixture(scope="module")
+def gains() -> np.ndarray:
+    return np.random.default_rng(1).normal(1, 0.1, PHI.shape[1])
+
+
+def test_gains_are_found_within_a_few_percent(gains: np.ndarray) -> None:
+    found = find_gains(PHI, *felt(gains), WHOLE_N)
+    error = found.gains / gains - 1
+    assert found.known.mean() > 0.6
+    assert error[found.known].std() < 0.03
+    assert abs(error[found.known].mean()) < 0.03
+    assert (found.gains[~found.known] == 1).all()
+    assert defects_of(found, SIDE) == []
+
+
+def test_a_dead_taxel_is_named(gains: np.ndarray) -> None:
+    broken = gains.copy()
+    broken[16 * SIDE + 12] = 0
+    (text,) = defects_of(find_gains(PHI, *felt(broken), WHOLE_N), SIDE)
+    assert text.startswith(f"taxel {16 * SIDE + 12} (row 16, column 12) feels ")
+
+
+def test_too_few_cycles_or_no_force_are_refused(gains: np.ndarray) -> None:
+    sums, images = felt(gains)
+    with pytest.raises(InputError, match="in 0 cycles, expected 100 or more"):
+        find_gains(PHI, sums[:20], images[:20], WHOLE_N)
+    with pytest.raises(InputError, match="above 0, got -1"):
+        find_gains(PHI, sums, images, -1.0)
+
+
+def recording(path: Path, gains: np.ndarray, *, images: bool = True, zero: bool = True, restart: int = 0) -> Path:
+    writer = RecordingWriter(path, {}, [], 1)
+    writer.add_topic(MEASUREMENT.name, "msgpack", {})
+    writer.add_topic(IMAGE.name, "msgpack", {})
+    newton_per_count = LAYOUT.taxels.newton_per_count
+    offsets = np.arange(PHI.shape[0], dtype="<i4")
+    for cycle, (sums_n, image) in enumerate(zip(*felt(gains), strict=True), 1):
+        stamps = {"cycle": cycle - restart if cycle > restart else cycle, "sync_counter": 1, "sampled_mono_ns": cycle}
+        valid = b"\1" * PHI.blocks
+        counts = np.rint(sums_n / newton_per_count).astype("<i4") + offsets
+        made = Measurement(
+            **stamps,
+            sums=counts.tobytes(),
+            valid=valid,
+            fingerprint=PHI.fingerprint,
+            offsets=offsets.tobytes() if zero else b"",
+        )
+        writer.add_message(MEASUREMENT, cycle, msgspec.msgpack.encode(made))
+        if images:
+            shown = Image(
+                **stamps,
+                published_mono_ns=1,
+                pixels=image.astype("<f4").tobytes(),
+                valid=valid,
+                valid_sums=1,
+                solve_s=0,
+            )
+            writer.add_message(IMAGE, cycle, msgspec.msgpack.encode(shown))
+    writer.close()
+    return path
+
+
+def test_gains_of_a_recording(gains: np.ndarray, tmp_path: Path) -> None:
+    stored = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains), WHOLE_N)
+    inner = np.zeros((SIDE, SIDE), np.bool_)
+    inner[6:-6, 6:-6] = True
+    assert (np.array(stored.gains) / gains - 1)[inner.ravel()].std() < 0.03
+
+
+def test_cycles_of_a_gateway_that_started_again_are_other_cycles(gains: np.ndarray, tmp_path: Path) -> None:
+    whole = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains), WHOLE_N)
+    twice = stored_gains(LAYOUT, recording(tmp_path / "twice.mcap", gains, restart=len(FORCES) // 2), WHOLE_N)
+    assert twice.gains == pytest.approx(whole.gains)
+
+
+def test_a_dead_taxel_gets_no_gain(gains: np.ndarray, tmp_path: Path) -> None:
+    broken, dead = gains.copy(), 16 * SIDE + 12
+    broken[dead] = 0
+    stored = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", broken), WHOLE_N)
+    assert stored.gains[dead] == 1
+    assert len(stored.defects) == 1
+
+
+def test_a_recording_without_a_zero_is_refused(gains: np.ndarray, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="have no offsets"):
+        stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains, zero=False), WHOLE_N)
+
+
+def test_a_recording_tells_its_offsets(gains: np.ndarray, tmp_path: Path) -> None:
+    loaded = load_calibration(recording(tmp_path / "run.mcap", gains), LAYOUT)
+    expected = np.arange(PHI.shape[0]) * LAYOUT.taxels.newton_per_count
+    assert loaded.offsets_n == pytest.approx(expected.tolist())
+
+
+def test_a_recording_without_images_is_refused(gains: np.ndarray, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="skin replay --out"):
+        stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains, images=False), WHOLE_N)
+
+
+def test_gains_of_a_table(gains: np.ndarray, tmp_path: Path) -> None:
+    path = tmp_path / "gains.csv"
+    np.savetxt(path, gains.reshape(SIDE, SIDE), delimiter=",")
+    assert stored_gains(LAYOUT, path, None).gains == pytest.approx(gains)
+    np.savetxt(path, gains.reshape(SIDE, SIDE)[1:], delimiter=",")
+    with pytest.raises(InputError, match="expected 32 lines of 32 gains"):
+        stored_gains(LAYOUT, path, None)

@@ -1,0 +1,20 @@
+"""Calibration of the default skin in the cases of `skin evaluate calibration`: what the documents promise."""
+
+import pytest
+
+from evaluation.schemes.calibration import CASES, measure_calibration
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", [2, 3])
+def test_images_of_a_skin_with_offsets_are_within_1_db_of_those_without(place: int) -> None:
+    row = measure_calibration(place, None, 3, labels=False)
+    assert row["calibrated dB"] > row["no offsets dB"] - 1
+    assert row["raw dB"] < row["no offsets dB"] - 10
+    assert row["touched at the start"] == CASES[place].hand
+
+
+@pytest.mark.slow
+def test_after_a_minute_of_drift_images_are_no_worse_than_2_db() -> None:
+    row = measure_calibration(4, None, 3, labels=False)
+    assert row["calibrated dB"] > row["no offsets dB"] - 2
