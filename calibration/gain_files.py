@@ -89,6 +89,6 @@ def _rolled(skin: Layout, path: Path) -> tuple[Floats, npt.NDArray[np.float32]]:
     if not both:
         raise RunError(f"{path}: no complete cycle with its image: play frames alone with 'skin replay --out' first")
     shape = (taxels.rows, taxels.columns)
-    sums_n = np.stack([measured[each] for each in both]) * float(taxels.newton_per_count)
+    sums_n = np.stack([measured[each] for each in both]).astype(np.float64) * taxels.newton_per_count
     pixels: npt.NDArray[np.float32] = np.stack([np.frombuffer(images[each], "<f4").reshape(shape) for each in both])
     return sums_n, pixels

@@ -108,9 +108,9 @@ def _contact(images_n: Images) -> Bools:
 def _is_whole(images_n: Images) -> Bools:
     """Tell which images have a contact that does not touch the border of the skin."""
     contact = _contact(images_n)
-    border = contact[:, 0].any(axis=1) | contact[:, -1].any(axis=1)
-    border |= contact[:, :, 0].any(axis=1) | contact[:, :, -1].any(axis=1)
-    whole: Bools = contact.any(axis=(1, 2)) & ~border
+    border = contact.copy()
+    border[:, 1:-1, 1:-1] = False
+    whole: Bools = np.logical_and(contact.any(axis=(1, 2)), ~border.any(axis=(1, 2)))
     return whole
 
 

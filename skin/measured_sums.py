@@ -86,7 +86,7 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
 
 def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
     """Return which blocks came with sums that are all usable, shape (blocks,)."""
-    valid = np.frombuffer(measurement.valid, np.uint8) != 0
+    valid: npt.NDArray[np.bool_] = np.frombuffer(measurement.valid, np.uint8) != 0
     if measurement.usable:
         valid &= np.logical_and.reduceat(np.frombuffer(measurement.usable, np.uint8) != 0, phi.starts[:-1])
     return valid
