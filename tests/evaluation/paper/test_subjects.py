@@ -98,6 +98,7 @@ def test_all_hands_draws_only_to_those_that_average(
         "comparison",
         "rates",
         "contacts",
+        "calibration",
     }
 
 
