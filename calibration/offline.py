@@ -13,6 +13,7 @@ from skin.errors import InputError
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement
+from skin.measurement import Sbhe
 from skin.messages import MEASUREMENT, Measurement
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
@@ -81,7 +82,9 @@ def calibrated_cycles(
     phi = layout.phi()
     corrected, whole = np.empty_like(counts), np.empty_like(valid)
     cycles = enumerate(zip(counts, valid, time_ns.tolist(), strict=True))
-    measured = (measurement_of(layout, cycle, *each) for cycle, each in cycles)
+    measured = (
+        measurement_of(layout, phi, cycle, sums, blocks, time_ns=at_ns) for cycle, (sums, blocks, at_ns) in cycles
+    )
     for cycle, made in enumerate(calibrated(measured, calibrator)):
         sums = decode_measurement(made, phi)
         corrected[cycle], whole[cycle] = sums.counts, sums.valid
@@ -90,12 +93,14 @@ def calibrated_cycles(
 
 def measurement_of(
     layout: Layout,
+    phi: Sbhe,
     cycle: int,
     counts: npt.NDArray[np.int32],
     valid: Bools | None = None,
+    *,
     time_ns: int | None = None,
 ) -> Measurement:
-    """Return the measurement of a cycle, counted from 0, of sums of shape (m,).
+    """Return the measurement of a cycle, counted from 0, of sums of shape (m,); `phi` is the Φ of `layout`.
 
     By default all blocks are valid, and the time is that of `cycle` + 1 periods.
     """
@@ -108,5 +113,5 @@ def measurement_of(
         sampled_mono_ns=time_ns,
         sums=counts.astype("<i4").tobytes(),
         valid=whole.tobytes(),
-        fingerprint=layout.phi().fingerprint,
+        fingerprint=phi.fingerprint,
     )

@@ -109,6 +109,7 @@ def measure_calibration(place: int, meshes: str | None, seed: int, *, labels: bo
         of cycles in which the untouched skin is called untouched, and the object by its name; None without `labels`.
     """
     case, layout = CASES[place], load_layout()
+    phi = layout.phi()
     slide = trajectory(SLIDES[0], meshes=Path(meshes) if meshes else None, steps=round(1e3 * SLIDE_S))
     ideal = Case("", offset=False, gain=case.gain)
     truth = list(_truth(layout, case, slide))
@@ -120,8 +121,8 @@ def measure_calibration(place: int, meshes: str | None, seed: int, *, labels: bo
         zip(_sums(layout, ideal, truth, seed), _sums(layout, case, truth, seed), strict=True)
     ):
         true_n = truth[cycle][-1]
-        without.take(measurement_of(layout, cycle, fine), true_n)
-        made = measurement_of(layout, cycle, sums)
+        without.take(measurement_of(layout, phi, cycle, fine), true_n)
+        made = measurement_of(layout, phi, cycle, sums)
         raw.take(made, true_n)
         calibrated.take(calibrator.apply(made), true_n)
         calibrator.take(made)

@@ -66,7 +66,7 @@ class Skin(Generic[Calibrating]):
             if self._stuck is not None:
                 counts[self._stuck] = 1234
             counts[~self._phi.sums_of_blocks(valid)] = 0
-            made = self.calibrator.apply(measurement_of(self.layout, self._cycle, counts, valid))
+            made = self.calibrator.apply(measurement_of(self.layout, self._phi, self._cycle, counts, valid))
             self._cycle += 1
             self.calibrator.take(made)
             self.calibrator.work()

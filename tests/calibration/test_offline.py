@@ -49,10 +49,10 @@ def test_the_zero_is_measured_over_true_times() -> None:
 def test_a_recording_tells_whether_it_has_offsets(tmp_path: Path) -> None:
     zero = np.zeros(PHI.shape[0], np.int32)
     writer = RecordingWriter(tmp_path / "run.mcap", {}, [], 1)
-    writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(measurement_of(LAYOUT, 0, zero)))
+    writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(measurement_of(LAYOUT, PHI, 0, zero)))
     writer.close()
     assert not has_offsets(tmp_path / "run.mcap")
-    made = msgspec.structs.replace(measurement_of(LAYOUT, 0, zero), offsets=zero.tobytes())
+    made = msgspec.structs.replace(measurement_of(LAYOUT, PHI, 0, zero), offsets=zero.tobytes())
     writer = RecordingWriter(tmp_path / "zero.mcap", {}, [], 1)
     writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
     writer.close()
