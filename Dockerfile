@@ -2,7 +2,7 @@
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
 COPY . .
-RUN python -m venv /opt/canskin && /opt/canskin/bin/pip install --no-cache-dir .
+RUN python -m venv /opt/canskin && /opt/canskin/bin/pip install --no-cache-dir ./client .
 
 FROM python:3.11-slim-bookworm
 # Sockets of the virtual buses, and what is worth keeping: compiled kernels and trained classifiers.

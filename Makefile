@@ -31,18 +31,18 @@ define install
 		$(PYTHON) -m venv --clear .venv || { rm -rf .venv; exit 1; }; \
 	}
 	@echo "installing into .venv"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable "$(1)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ./client --editable "$(1)"
 endef
 
-.venv/.installed: pyproject.toml
+.venv/.installed: pyproject.toml client/pyproject.toml
 	$(call install,.[test])
 	@touch .venv/.demo $@
 
-.venv/.demo: pyproject.toml
+.venv/.demo: pyproject.toml client/pyproject.toml
 	$(call install,.)
 	@touch $@
 
-.venv/.mutants: pyproject.toml
+.venv/.mutants: pyproject.toml client/pyproject.toml
 	$(call install,.[mutants])
 	@touch .venv/.demo .venv/.installed $@
 

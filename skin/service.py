@@ -5,6 +5,7 @@ import ctypes
 import enum
 import gc
 import json
+import logging
 import os
 import signal
 import sys
@@ -12,16 +13,14 @@ import time
 from types import FrameType
 from typing import Final
 
+from canskin.fabric import LOG
+
 #: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
 #: A service that waits checks the stop signal this often.
 LOOK_S: Final = 0.02
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
-
-
-class Stopped(Exception):  # noqa: N818 - no error
-    """A stop signal came before the service had started; the command line ends with 0."""
 
 
 class StopSignal:
@@ -126,9 +125,25 @@ class _Setting:
     as_json = False
 
 
+class _Lines(logging.Handler):
+    """Prints the log of the client's modules, such as the fabric, among the lines of this process."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one record, in the name of the service that it is of."""
+        level = Talk.NORMAL if record.levelno >= logging.WARNING else Talk.VERBOSE
+        say(getattr(record, "service", record.name), record.getMessage(), level)
+
+
+_LINES: Final = _Lines()
+
+
 def set_talk(talk: Talk, *, as_json: bool = False) -> None:
     """Choose the amount of log lines, and text or JSON; errors of the command line are always printed."""
     _Setting.talk, _Setting.as_json = talk, as_json
+    log = logging.getLogger(LOG)
+    log.addHandler(_LINES)
+    log.setLevel(logging.INFO)
+    log.propagate = False
 
 
 def talks(talk: Talk) -> bool:

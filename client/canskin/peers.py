@@ -65,7 +65,7 @@ EVERY_KEY: Final = "canskin/*/alive/*/*"
 
 def new_peer(skin: str, service: str, fingerprint: str) -> Peer:
     """Return the peer of a new service of this installation."""
-    return Peer(skin, service, secrets.token_hex(INSTANCE_BYTES), version("canskin"), fingerprint)
+    return Peer(skin, service, secrets.token_hex(INSTANCE_BYTES), version("canskin-client"), fingerprint)
 
 
 def peer_of_key(key: str) -> Peer:

@@ -5,6 +5,7 @@ that cannot be decoded raise no error; `Fabric.malformed` counts them.
 """
 
 import json
+import logging
 import math
 import re
 import threading
@@ -16,11 +17,13 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import msgspec
 import zenoh
 
-from skin.calibration_messages import Question
-from skin.errors import UNDECODABLE, BusError
-from skin.messages import Topic
-from skin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
-from skin.service import Stopped, StopSignal, Talk, say
+from canskin.calibration_messages import Question
+from canskin.errors import UNDECODABLE, BusError, Stopped
+from canskin.messages import Topic
+from canskin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
+
+#: Name of the logger. Records have the attribute `service`.
+LOG: Final = "canskin"
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
@@ -33,9 +36,19 @@ PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "un
 PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
 HIGHEST_PORT: Final = 65535
 
+_log: Final = logging.getLogger(LOG)
+
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.
 Reply = Callable[[msgspec.Struct], None]
+
+
+class Stop(Protocol):
+    """Tells whether to stop: a `threading.Event`, or a flag that signals set."""
+
+    def is_set(self) -> bool:
+        """Tell whether to stop."""
+        ...
 
 
 class Mailbox(Generic[Message]):
@@ -86,11 +99,11 @@ class Fabric:
         zenoh endpoint, for example ``tcp/HOST:PORT``.
     hub : bool
         Listen on the endpoint instead of connecting to it.
-    stop : StopSignal, optional
-        If set while the constructor waits for the hub, `skin.service.Stopped` is raised.
+    stop : Stop, optional
+        If set while the constructor waits for the hub, `canskin.errors.Stopped` is raised.
     fingerprint : str
         Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
-        version are named on stderr.
+        version are named in the log.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
 
@@ -107,7 +120,7 @@ class Fabric:
         endpoint: str = DEFAULT_ENDPOINT,
         *,
         hub: bool = False,
-        stop: StopSignal | None = None,
+        stop: Stop | None = None,
         fingerprint: str = "",
         patience_s: float = math.inf,
     ) -> None:
@@ -183,7 +196,7 @@ class Fabric:
                     query.reply(query.key_expr, encode(message))
                     query.drop()
                 except zenoh.ZError as error:  # the asker may be gone for minutes
-                    say(self._peer.service, f"an answer to '{question.name}' is lost: {_first_sentence(error)}")
+                    _tell(self._peer.service, f"an answer to '{question.name}' is lost: {_first_sentence(error)}")
 
             handler(request, reply)
 
@@ -237,11 +250,16 @@ class Fabric:
         """Log, once per difference, that a service cannot work with this service."""
         if peer == self._peer:
             return
-        say(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", Talk.VERBOSE)
+        _tell(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", logging.INFO)
         difference = self._peer.difference(peer) if alive else ""
         if difference and difference not in self._differences:
             self._differences.add(difference)
-            say(self._peer.service, difference)
+            _tell(self._peer.service, difference)
+
+
+def _tell(service: str, text: str, level: int = logging.WARNING) -> None:
+    """Log a line in the name of a service."""
+    _log.log(level, text, extra={"service": service})
 
 
 def _check_endpoint(endpoint: str) -> None:
@@ -260,7 +278,7 @@ def _listen(endpoint: str) -> Any:
         raise BusError(f"cannot listen on {endpoint}: {_first_sentence(error)}") from error
 
 
-def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: float) -> Any:
+def _connect(endpoint: str, service: str, stop: Stop | None, patience_s: float) -> Any:
     """Open a session to the hub, in short attempts: signals are handled only between attempts."""
     started_s, said = time.monotonic(), False
     while True:
@@ -275,10 +293,10 @@ def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: f
                 raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give another --connect") from error
         else:
             if said:
-                say(service, "the hub is there")
+                _tell(service, "the hub is there")
             return session
         if waited_s >= SILENT_S and not said:
-            say(service, f"waits for the fabric's hub at {endpoint}, usually 'skin gateway'")
+            _tell(service, f"waits for the fabric's hub at {endpoint}, usually 'skin gateway'")
             said = True
 
 

@@ -1,12 +1,12 @@
 """What the gateway tells of the zero of its skin, and what it can be asked for."""
 
-from enum import StrEnum
+from enum import Enum
 from typing import Final, Literal
 
 import msgspec
 
 
-class CalibrationState(StrEnum):
+class CalibrationState(str, Enum):
     """Where the zero of a skin comes from."""
 
     #: There is none, and none is measured; nodes with adaptive sending have their own.

@@ -9,7 +9,7 @@ Every deliberate error derives from one class. The message is one line: what was
     ├── BusError          a CAN interface or the fabric cannot be opened or reached
     └── RunError          the input was right, but the run failed
 
-The command line prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
+The `skin` command prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
 """
 
 from typing import Final
@@ -18,6 +18,10 @@ import msgspec
 
 #: What msgspec raises for content that it cannot decode, such as text that is no UTF-8, or lists in lists in lists.
 UNDECODABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+
+
+class Stopped(Exception):  # noqa: N818 - no error
+    """A stop signal came before the service had started; the command line ends with 0."""
 
 
 class SkinError(Exception):

@@ -1,0 +1,1 @@
+"""Images, contacts and labels of a robot skin, for programs."""
