@@ -9,12 +9,14 @@ from bus.options import BusOptions, open_links
 from calibration.calibrator import Tare
 from calibration.stored import load_calibration
 from canskin.calibration_messages import CALIBRATION
+from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
+from skin.description import Describing
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 
@@ -80,6 +82,7 @@ def gateway(
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     fabric.answer(CALIBRATION, calibrates.ask)
+    fabric.answer(DESCRIPTION, Describing(skin))
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
         GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz).run(stop)

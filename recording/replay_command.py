@@ -7,6 +7,7 @@ from pathlib import Path
 from bus.options import Channels
 from calibration.calibrator import Tare
 from calibration.offline import make_calibrator
+from canskin.description import DESCRIPTION
 from canskin.errors import InputError, RunError
 from canskin.fabric import DEFAULT_ENDPOINT, Exchange, Fabric
 from classifier.cache import find_or_train
@@ -23,6 +24,7 @@ from reconstructor.options import SolverOptions
 from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
 from recording.steps import Step, steps_of
+from skin.description import Describing
 from skin.layout import Layout, load_layout
 from skin.mcap_file import wall_offset_ns
 from skin.output import RECORDING_SUFFIX, check_new_path
@@ -94,6 +96,7 @@ def replay(
     if out is None or listen is not None:
         mark = contract.phi.fingerprint
         fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
+        fabric.answer(DESCRIPTION, Describing(skin))
     say("replay", f"{source.name}: {about}")
     played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns)
     names = channel or [bus.name for bus in skin.bus]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import BlockState, Measurement
+from canskin.sums import corrected_counts
 from skin.measurement import Sbhe
 from skin.service import say
 
@@ -90,17 +91,6 @@ def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
     if measurement.usable:
         valid &= np.logical_and.reduceat(np.frombuffer(measurement.usable, np.uint8) != 0, phi.starts[:-1])
     return valid
-
-
-def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-    """Return the sums of a synchronous measurement less their offsets, 0 if not valid, ADC counts, shape (m,)."""
-    counts = np.frombuffer(measurement.sums, "<i4")
-    if measurement.offsets:
-        counts = counts - np.frombuffer(measurement.offsets, "<i4")
-        counts[~valid_sums] = 0
-    elif measurement.usable:
-        counts = np.where(valid_sums, counts, 0)
-    return counts
 
 
 def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:

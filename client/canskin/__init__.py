@@ -1,1 +1,30 @@
-"""Images, contacts and labels of a robot skin, for programs."""
+"""Images, contacts and labels of a canskin robot skin, for programs.
+
+>>> import canskin
+>>> with canskin.connect("tcp/127.0.0.1:7447") as skin:
+...     print(skin.latest().contacts)
+"""
+
+from canskin.connection import connect
+from canskin.description import Description
+from canskin.errors import BusError, InputError, RunError, SkinError
+from canskin.frame import Frame
+from canskin.messages import Contact, EndedContact
+from canskin.simulation import simulate
+from canskin.skin import Frames, Health, Skin
+
+__all__ = [
+    "BusError",
+    "Contact",
+    "Description",
+    "EndedContact",
+    "Frame",
+    "Frames",
+    "Health",
+    "InputError",
+    "RunError",
+    "Skin",
+    "SkinError",
+    "connect",
+    "simulate",
+]

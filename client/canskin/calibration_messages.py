@@ -5,9 +5,13 @@ from typing import Final, Literal
 
 import msgspec
 
+from canskin.question import Question
+
 
 class CalibrationState(str, Enum):
     """Where the zero of a skin comes from."""
+
+    __str__ = str.__str__  # the value, as `enum.StrEnum` of Python 3.11 has it
 
     #: There is none, and none is measured; nodes with adaptive sending have their own.
     OFF = "off"
@@ -84,14 +88,6 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
     text: str
     status: CalibrationStatus | None = None
     content: bytes = b""
-
-
-class Question(msgspec.Struct, frozen=True):
-    """A request that one service answers: its name, and the types of request and reply."""
-
-    name: str
-    request: type[msgspec.Struct]
-    reply: type[msgspec.Struct]
 
 
 CALIBRATION: Final = Question("calibration", CalibrationRequest, CalibrationReply)

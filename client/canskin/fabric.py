@@ -17,10 +17,10 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import msgspec
 import zenoh
 
-from canskin.calibration_messages import Question
 from canskin.errors import UNDECODABLE, BusError, Stopped
 from canskin.messages import Topic
 from canskin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
+from canskin.question import Question
 
 #: Name of the logger. Records have the attribute `service`.
 LOG: Final = "canskin"
@@ -257,6 +257,23 @@ class Fabric:
             _tell(self._peer.service, difference)
 
 
+def peers_at(endpoint: str, patience_s: float) -> list[Peer]:
+    """Return the services of all skins on a hub.
+
+    Raises
+    ------
+    BusError
+        If the endpoint cannot be used, or no hub answers in time.
+    """
+    _check_endpoint(endpoint)
+    session = _connect(endpoint, "client", None, patience_s)
+    try:
+        tokens = session.liveliness().get(EVERY_KEY, timeout=max(0.5, patience_s))
+        return [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+    finally:
+        session.close()
+
+
 def _tell(service: str, text: str, level: int = logging.WARNING) -> None:
     """Log a line in the name of a service."""
     _log.log(level, text, extra={"service": service})
@@ -290,7 +307,7 @@ def _connect(endpoint: str, service: str, stop: Stop | None, patience_s: float) 
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
             if waited_s >= patience_s:
-                raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give another --connect") from error
+                raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give the address of another") from error
         else:
             if said:
                 _tell(service, "the hub is there")

@@ -14,7 +14,7 @@ from canskin.errors import BusError, Stopped
 from canskin.fabric import Fabric, Mailbox, Reply
 from canskin.messages import LABEL, Label
 from canskin.peers import Peer, Roll, new_peer, peer_of_key
-from skin.service import StopSignal
+from tests.client.conftest import Log
 
 
 def label(cycle: int) -> Label:
@@ -52,9 +52,7 @@ def test_message_crosses(hub: Fabric, endpoint: str) -> None:
     assert got[0].label == "cup"
 
 
-def test_an_answer_to_someone_who_has_left_is_no_error(
-    hub: Fabric, endpoint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_answer_to_someone_who_has_left_is_no_error(hub: Fabric, endpoint: str, log: Log) -> None:
     replies: list[Reply] = []
     hub.answer(CALIBRATION, lambda _request, reply: replies.append(reply))
     other = Fabric("test", "other", endpoint)
@@ -63,7 +61,7 @@ def test_an_answer_to_someone_who_has_left_is_no_error(
     other.close()
     for _ in range(2):  # the second is one too many
         replies[0](CalibrationReply(is_done=True, text=""))
-    assert "an answer to 'calibration' is lost" in capsys.readouterr().err
+    assert any("hub: an answer to 'calibration' is lost" in line for line in log.lines)
 
 
 def test_an_answer_that_cannot_be_decoded_is_named(hub: Fabric, endpoint: str) -> None:
@@ -176,16 +174,14 @@ def test_no_hub_is_one_clear_line(endpoint: str) -> None:
 
 
 def test_hub_that_comes_later_is_found_and_both_are_told(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, log: Log
 ) -> None:
     monkeypatch.setattr(fabric_module, "TRY_S", 0.05)
     monkeypatch.setattr(fabric_module, "SILENT_S", 0.0)
-    waits, hubs = threading.Event(), list[Fabric]()
-    monkeypatch.setattr(fabric_module, "say", lambda _service, text, *_: said.append(text) or waits.set())
-    said: list[str] = []
+    hubs: list[Fabric] = []
 
     def start_hub() -> None:
-        waits.wait(10)
+        log.wait_for("early: waits")
         hubs.append(Fabric("test", "hub", endpoint, hub=True))
 
     starting = threading.Thread(target=start_hub)
@@ -193,18 +189,13 @@ def test_hub_that_comes_later_is_found_and_both_are_told(
     Fabric("test", "early", endpoint).close()
     starting.join()
     hubs[0].close()
-    assert said == [f"waits for the fabric's hub at {endpoint}, usually 'skin gateway'", "the hub is there"]
+    assert log.lines == [
+        f"early: waits for the fabric's hub at {endpoint}, usually 'skin gateway'",
+        "early: the hub is there",
+    ]
 
 
-def test_services_of_another_phi_skin_or_version_are_named_once(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    said, news = list[str](), threading.Condition()
-
-    def say(service: str, text: str, *talk: object) -> None:
-        with news:
-            said.extend([] if talk else [f"{service}: {text}"])
-            news.notify()
-
-    monkeypatch.setattr(fabric_module, "say", say)
+def test_services_of_another_phi_skin_or_version_are_named_once(endpoint: str, log: Log) -> None:
     gateway = Fabric("palm", "gateway", endpoint, hub=True, fingerprint="aa")
     others = [
         Fabric("palm", "reconstructor", endpoint, fingerprint="bb"),
@@ -218,9 +209,8 @@ def test_services_of_another_phi_skin_or_version_are_named_once(endpoint: str, m
         "gateway: viewer on this hub is of skin 'hand', gateway of 'palm': they do not hear each other",
         "viewer: gateway on this hub is of skin 'palm', viewer of 'hand': they do not hear each other",
     }
-    with news:
-        assert news.wait_for(lambda: set(said) >= expected, 10), said
-        assert sum("gateway: reconstructor" in line for line in said) == 1
+    log.wait_for(*expected)
+    assert sum("gateway: reconstructor" in line for line in log.lines) == 1
     for fabric in (*others, gateway):
         fabric.close()
 
@@ -236,17 +226,17 @@ def test_what_a_service_says_of_itself_survives_its_key() -> None:
 
 
 def test_a_stop_while_waiting_for_the_hub_ends_quietly(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, log: Log
 ) -> None:
     monkeypatch.setattr(fabric_module, "TRY_S", 0.05)
     monkeypatch.setattr(fabric_module, "SILENT_S", 0.0)
-    stop = StopSignal()
+    stop = threading.Event()
     later = threading.Timer(0.2, stop.set)
     later.start()
     with pytest.raises(Stopped):
         Fabric("test", "lonely", endpoint, stop=stop)
     later.join()
-    assert capfd.readouterr().err == f"lonely: waits for the fabric's hub at {endpoint}, usually 'skin gateway'\n"
+    assert log.lines == [f"lonely: waits for the fabric's hub at {endpoint}, usually 'skin gateway'"]
 
 
 def test_mailbox_keeps_the_newest_and_counts_the_rest() -> None:

@@ -1,0 +1,145 @@
+"""Connection to a running skin."""
+
+import threading
+import time
+from typing import Final
+
+import msgspec
+
+from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.description import DESCRIPTION, Description, DescriptionRequest
+from canskin.errors import BusError, RunError
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric, peers_at
+from canskin.frame import Frame, FrameBuilder
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus
+from canskin.skin import FrameHub, Frames, Health, Skin
+
+#: Name of this service on the fabric.
+NAME: Final = "client"
+#: Longest wait for the answer to a tare, which takes seconds.
+TARE_S: Final = 15.0
+#: Period of the search for a skin.
+LOOK_S: Final = 0.1
+GATEWAYS: Final = ("gateway", "replay")
+
+
+def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeout_s: float = 5.0) -> Skin:
+    """Connect to a running skin.
+
+    Parameters
+    ----------
+    endpoint : str
+        Address of the skin's hub, such as ``tcp/192.168.1.20:7447``: ``skin gateway`` and ``skin demo`` print it.
+    skin : str, optional
+        Name of the skin; needed where a hub has several.
+    timeout_s : float
+        Longest wait for the hub and the skin, and later for a frame.
+
+    Raises
+    ------
+    BusError
+        If there is no such hub or skin in time; the message says what was looked for and what was found.
+
+    Examples
+    --------
+    >>> with canskin.connect("tcp/127.0.0.1:7447") as skin:
+    ...     for frame in skin:
+    ...         print(frame.label, [contact.force_n for contact in frame.contacts])
+    """
+    give_up_s = time.monotonic() + timeout_s
+    name = _skin_at(endpoint, skin, give_up_s)
+    fabric = Fabric(name, NAME, endpoint, patience_s=max(0.0, give_up_s - time.monotonic()))
+    try:
+        layout: Description = fabric.ask(DESCRIPTION, DescriptionRequest(), max(0.5, give_up_s - time.monotonic()))
+        return ConnectedSkin(fabric, layout, endpoint, timeout_s)
+    except BaseException:
+        fabric.close()
+        raise
+
+
+def _skin_at(endpoint: str, wanted: str | None, give_up_s: float) -> str:
+    """Return the name of the skin on a hub whose gateway is there."""
+    while True:
+        peers = peers_at(endpoint, max(0.0, give_up_s - time.monotonic()))
+        skins = sorted({peer.skin for peer in peers if peer.service in GATEWAYS})
+        if wanted in skins or (wanted is None and len(skins) == 1):
+            return wanted or skins[0]
+        found = ", ".join(f"'{name}'" for name in skins)
+        if wanted is None and skins:
+            raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: skin=...")
+        if time.monotonic() + LOOK_S > give_up_s:
+            looked_for = f"no skin '{wanted}'" if wanted else "no skin"
+            services = ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
+            there = f"found {found or services}" if found or services else "found a hub without services"
+            raise BusError(f"{looked_for} at {endpoint}, {there}: is 'skin gateway' running?")
+        time.sleep(LOOK_S)
+
+
+class ConnectedSkin(Skin):
+    """A skin on a fabric; see `connect`."""
+
+    def __init__(self, fabric: Fabric, layout: Description, endpoint: str, timeout_s: float) -> None:
+        super().__init__(layout, timeout_s)
+        self._fabric = fabric
+        self._endpoint = endpoint
+        self._alive: set[str] = set()
+        self._status: GatewayStatus | None = None
+        self._builder = FrameBuilder(layout)
+        self._lock = threading.Lock()
+        self._hub = FrameHub(timeout_s, self._silence)
+        fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
+        fabric.subscribe(GATEWAY, self._take_status)
+        for topic in (MEASUREMENT, LABEL, IMAGE, CONTACTS):
+            fabric.subscribe(topic, self._take)
+
+    def frames(self, queue: int = 1) -> Frames:
+        """See `Skin.frames`."""
+        return self._hub.frames(queue)
+
+    def latest(self, max_age_s: float = 1.0) -> Frame:
+        """See `Skin.latest`."""
+        return self._hub.latest(max_age_s)
+
+    def tare(self, *, force: bool = False) -> str:
+        """See `Skin.tare`."""
+        reply: CalibrationReply = self._fabric.ask(CALIBRATION, CalibrationRequest(action="tare", force=force), TARE_S)
+        if not reply.is_done:
+            raise RunError(reply.text)
+        return reply.text
+
+    @property
+    def health(self) -> Health:
+        """See `Skin.health`."""
+        return Health(
+            services=frozenset(self._alive),
+            gateway=self._status,
+            frames=self._hub.count,
+            refused=self._builder.refused + self._fabric.malformed,
+        )
+
+    def close(self) -> None:
+        """See `Skin.close`."""
+        self._hub.close()
+        self._fabric.close()
+
+    def _take(self, message: msgspec.Struct) -> None:
+        with self._lock:  # topics may come in several threads
+            for frame in self._builder.take(message):
+                self._hub.put(frame)
+
+    def _take_status(self, status: GatewayStatus) -> None:
+        self._status = status
+
+    def _silence(self) -> str:
+        """Say why no frame came."""
+        alive, name = sorted(self._alive), self.layout.name
+        missing = [verb for service, verb in _MAKERS if not alive or service not in alive]
+        found = f"found {', '.join(alive)}" if alive else "found no service"
+        if "skin gateway" in missing and "replay" in alive:
+            missing.remove("skin gateway")
+        advice = f"start '{missing[0]}'" if missing else "is its bus silent? See skin.health"
+        return f"no image of skin '{name}' came from {self._endpoint} in {self._timeout_s:g} s, {found}: {advice}"
+
+
+#: Services that an image needs, and how they are started.
+_MAKERS: Final = (("gateway", "skin gateway"), ("reconstructor", "skin reconstruct"))

@@ -1,0 +1,93 @@
+"""What a program has to know of a skin to use its messages."""
+
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from canskin.question import Question
+
+#: Linux: a random number of each boot.
+_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+
+
+class DescriptionRequest(msgspec.Struct, frozen=True):
+    """Asks for the description."""
+
+
+class Description(msgspec.Struct, frozen=True, kw_only=True):
+    """The geometry of a skin, and how it sends.
+
+    Attributes
+    ----------
+    name : str
+    rows, columns : int
+    pitch_m : float
+        Distance of neighbouring taxels.
+    blocks, sums : int
+        Number of blocks, and of sums of all blocks.
+    order : bytes
+        uint32, shape (blocks, block size): row-major numbers of the taxels of each block, in the order of its chain.
+    kept : bytes
+        uint8, shape (blocks, block size): 1 for each Hadamard row that the block sends. `order` and `kept` are Φ, see
+        docs/firmware.md.
+    newton_per_count : float
+        Force of one count of a taxel.
+    force_max_n : float
+        Largest force of one taxel.
+    rate_hz : float
+        Cycles in a second; adaptive: samples in a second.
+    sending : str
+        ``synchronous`` or ``adaptive``.
+    fingerprint : str
+        Fingerprint of Φ.
+    boot_id : str
+        Of the gateway's machine: on the same machine monotonic times can be compared. Empty if unknown.
+    """
+
+    name: str
+    rows: int
+    columns: int
+    pitch_m: float
+    blocks: int
+    sums: int
+    order: bytes
+    kept: bytes
+    newton_per_count: float
+    force_max_n: float
+    rate_hz: float
+    sending: str
+    fingerprint: str
+    boot_id: str = ""
+
+    @property
+    def block_of_taxel(self) -> npt.NDArray[np.intp]:
+        """The block of each taxel, shape (rows, columns); the taxels of a block are valid together."""
+        order = np.frombuffer(self.order, "<u4")
+        blocks = np.empty(order.size, np.intp)
+        blocks[order] = np.arange(order.size) // (order.size // self.blocks)
+        return blocks.reshape(self.rows, self.columns)
+
+    @property
+    def block_of_sum(self) -> npt.NDArray[np.intp]:
+        """The block of each sum, shape (m,)."""
+        return np.nonzero(np.frombuffer(self.kept, np.uint8).reshape(self.blocks, -1))[0]
+
+    @property
+    def row_of_sum(self) -> npt.NDArray[np.intp]:
+        """The Hadamard row of each sum in its block, shape (m,)."""
+        return np.nonzero(np.frombuffer(self.kept, np.uint8).reshape(self.blocks, -1))[1]
+
+
+#: The gateway's answer.
+DESCRIPTION: Final = Question("description", DescriptionRequest, Description)
+
+
+def boot_id() -> str:
+    """Return the number of this machine's boot; empty if it has none."""
+    try:
+        return _BOOT_ID.read_text().strip()
+    except OSError:
+        return ""

@@ -1,0 +1,200 @@
+"""One tactile frame: image, contacts, label and sums of one instant, gathered from their messages."""
+
+import time
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import Final, TypeVar
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from canskin.description import Description, boot_id
+from canskin.messages import UNKNOWN_ERROR_NS, Contact, Contacts, EndedContact, Image, Label, Measurement
+from canskin.sums import corrected_counts
+
+#: Measurements and labels that wait for the image of their cycle.
+_KEPT: Final = 32
+#: A label is that of a frame if its sums are at most so much older.
+LABEL_AGE_NS: Final = 500_000_000
+
+
+Message = TypeVar("Message", Measurement, Label)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What the skin felt at one instant. Arrays are read-only.
+
+    Attributes
+    ----------
+    image : array of float32, shape (rows, columns)
+        Newtons; NaN where the taxel's block is not valid.
+    estimate : array of float32, shape (rows, columns)
+        Newtons: `image`, with the solver's estimate from the neighbours where blocks are not valid.
+    valid : array of bool, shape (rows, columns)
+        True where the taxel's block was measured.
+    sums : array of int32, shape (m,)
+        Counts less offsets, block by block; 0 where not in `valid_sums`. Empty if the measurement did not come.
+    valid_sums : array of bool, shape (m,)
+    contacts : tuple of Contact
+        The strongest first. Empty without contact, and where `is_blind`.
+    ended : tuple of EndedContact
+        Contacts that ended since the frame before.
+    is_blind : bool
+        True if it is not known whether something touches: no sum was valid, or no message of contacts came.
+    label : str or None
+        The touching object; empty without contact; None if the classifier did not tell.
+    confidence : float
+        Of the label, 0 to 1.
+    cycle : int
+        Number of the measurement.
+    sampled_at : float
+        Wall clock at which the boards sampled, Unix time in seconds. NaN if the measurement did not come and none
+        before.
+    sampled_mono_ns : int
+        The same on the monotonic clock of the gateway's machine.
+    sampled_error_s : float
+        Bound of the error of these times; infinite if unknown.
+    """
+
+    image: npt.NDArray[np.float32]
+    estimate: npt.NDArray[np.float32]
+    valid: npt.NDArray[np.bool_]
+    sums: npt.NDArray[np.int32]
+    valid_sums: npt.NDArray[np.bool_]
+    contacts: tuple[Contact, ...]
+    ended: tuple[EndedContact, ...]
+    is_blind: bool
+    label: str | None
+    confidence: float
+    cycle: int
+    sampled_at: float
+    sampled_mono_ns: int
+    sampled_error_s: float
+    _same_machine: bool = field(default=True, repr=False)
+
+    @property
+    def age(self) -> float:
+        """Seconds since the boards sampled; on another machine than the gateway's as good as the two wall clocks."""
+        if self._same_machine:
+            return (time.monotonic_ns() - self.sampled_mono_ns) * 1e-9
+        return time.time() - self.sampled_at
+
+
+class FrameBuilder:
+    """Joins messages to frames. Messages of one cycle have its number and its sampling instant.
+
+    An image waits for its contacts, which the reconstructor sends right behind it, and at most for the next image.
+
+    Parameters
+    ----------
+    description : Description
+
+    Attributes
+    ----------
+    refused : int
+        Number of messages whose arrays do not fit the description.
+    """
+
+    def __init__(self, description: Description) -> None:
+        self.refused = 0
+        self._about = description
+        self._blocks = description.block_of_taxel
+        self._block_of_sum = description.block_of_sum
+        self._same_machine = bool(description.boot_id) and description.boot_id == boot_id()
+        self._measurements: OrderedDict[tuple[int, int], Measurement] = OrderedDict()
+        self._labels: OrderedDict[tuple[int, int], Label] = OrderedDict()
+        self._wall_offset_ns: int | None = None
+        self._image: Image | None = None
+
+    def take(self, message: msgspec.Struct) -> list[Frame]:
+        """Take a message; return the frames that it completes."""
+        if isinstance(message, Measurement):
+            if message.wall_offset_ns:
+                self._wall_offset_ns = message.wall_offset_ns
+            _keep(self._measurements, (message.cycle, message.sampled_mono_ns), message)
+        elif isinstance(message, Label):
+            _keep(self._labels, (message.cycle, message.sampled_mono_ns), message)
+        elif isinstance(message, Image):
+            before, self._image = self._image, message
+            return self._frames(before, None)
+        elif isinstance(message, Contacts) and self._image is not None and _key(message) == _key(self._image):
+            image, self._image = self._image, None
+            return self._frames(image, message)
+        return []
+
+    def _frames(self, image: Image | None, contacts: Contacts | None) -> list[Frame]:
+        about = self._about
+        if image is None:
+            return []
+        if len(image.pixels) != 4 * about.rows * about.columns or len(image.valid) != about.blocks:
+            self.refused += 1
+            return []
+        estimate = np.frombuffer(image.pixels, "<f4").reshape(about.rows, about.columns)
+        valid = (np.frombuffer(image.valid, np.uint8) != 0)[self._blocks]
+        shown = np.where(valid, estimate, np.float32(np.nan))
+        measurement = self._measurements.get(_key(image))
+        sums, valid_sums = self._sums(measurement)
+        for array in (valid, shown, sums, valid_sums):
+            array.flags.writeable = False
+        label = self._label(image)
+        error_ns = measurement.sampled_error_ns if measurement is not None else UNKNOWN_ERROR_NS
+        offset_ns = self._wall_offset_ns
+        return [
+            Frame(
+                image=shown,
+                estimate=estimate,
+                valid=valid,
+                sums=sums,
+                valid_sums=valid_sums,
+                contacts=tuple(contacts.contacts) if contacts is not None else (),
+                ended=tuple(contacts.ended) if contacts is not None else (),
+                is_blind=contacts is None or contacts.blind,
+                label=None if label is None or label.blind else label.label,
+                confidence=0.0 if label is None or label.blind else label.confidence,
+                cycle=image.cycle,
+                sampled_at=float("nan") if offset_ns is None else (image.sampled_mono_ns + offset_ns) * 1e-9,
+                sampled_mono_ns=image.sampled_mono_ns,
+                sampled_error_s=float("inf") if error_ns == UNKNOWN_ERROR_NS else error_ns * 1e-9,
+                _same_machine=self._same_machine,
+            )
+        ]
+
+    def _label(self, image: Image) -> Label | None:
+        """Return the label of the image's cycle, or else the newest one before that is not too old."""
+        before = (each for each in self._labels.values() if each.sampled_mono_ns <= image.sampled_mono_ns)
+        label = max(before, key=lambda each: each.sampled_mono_ns, default=None)
+        if label is None or image.sampled_mono_ns - label.sampled_mono_ns > LABEL_AGE_NS:
+            return None
+        return label
+
+    def _sums(self, measurement: Measurement | None) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
+        """Return counts less offsets, and which of them are valid; empty if there is no measurement that fits."""
+        about = self._about
+        if measurement is None:
+            return np.zeros(0, np.int32), np.zeros(0, np.bool_)
+        sizes = (len(measurement.sums), len(measurement.valid), measurement.fingerprint)
+        parts = ((measurement.offsets, 4), (measurement.usable, 1), (measurement.known, 1))
+        if sizes != (4 * about.sums, about.blocks, about.fingerprint) or any(
+            len(part) not in {0, size * about.sums} for part, size in parts
+        ):
+            self.refused += 1
+            return np.zeros(0, np.int32), np.zeros(0, np.bool_)
+        valid = (np.frombuffer(measurement.valid, np.uint8) != 0)[self._block_of_sum]
+        if measurement.known:
+            valid = np.frombuffer(measurement.known, np.uint8) != 0
+        if measurement.usable:
+            valid = valid & (np.frombuffer(measurement.usable, np.uint8) != 0)
+        return corrected_counts(measurement, valid), valid
+
+
+def _key(message: Image | Contacts) -> tuple[int, int]:
+    return message.cycle, message.sampled_mono_ns
+
+
+def _keep(kept: OrderedDict[tuple[int, int], Message], key: tuple[int, int], message: Message) -> None:
+    """Keep a message, and forget the oldest."""
+    kept[key] = message
+    while len(kept) > _KEPT:
+        kept.popitem(last=False)

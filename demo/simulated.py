@@ -1,0 +1,172 @@
+"""`canskin.simulate`: sums, images, contacts and labels of a simulated skin, in one process and without a bus."""
+
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from canskin.errors import InputError
+from canskin.fabric import Mailbox
+from canskin.frame import Frame, FrameBuilder
+from canskin.messages import Measurement, Topic
+from canskin.skin import Frames, Health, Skin
+from classifier.cache import find_or_train
+from classifier.decide import Classifier
+from classifier.service import ClassifierService
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from reconstructor.command import make_engine
+from reconstructor.engine import Reconstructor
+from reconstructor.service import ReconstructorService
+from skin.clock import wall_offset
+from skin.description import describe
+from skin.layout import Layout, load_layout
+from skin.sources import DEFAULT_OBJECTS, load_source, step_rate_hz
+
+#: Counters of SYNC run from 1 to this (CiA 301, 7.2.5.1).
+_COUNTERS: Final = 240
+
+
+def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None, seed: int = 0) -> "SimulatedSkin":
+    """Return a simulated skin; see `canskin.simulate`.
+
+    Raises
+    ------
+    InputError
+        If the layout is one of adaptive sending, or cannot be read.
+    """
+    skin = load_layout(None if layout is None else Path(layout), adaptive=True)
+    if skin.sending == "adaptive":
+        raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
+    return SimulatedSkin(skin, list(objects or DEFAULT_OBJECTS), seed)
+
+
+class _Messages:
+    """Keeps what the services publish: a `canskin.fabric.Exchange`."""
+
+    def __init__(self) -> None:
+        self.kept: list[msgspec.Struct] = []
+
+    def publish(self, _topic: Topic, message: msgspec.Struct) -> None:
+        """Keep a message."""
+        self.kept.append(message)
+
+    def mailbox(self, _topic: Topic, depth: int = 4) -> Mailbox[Any]:
+        """Return a mailbox that stays empty: services are called."""
+        return Mailbox(depth)
+
+
+class SimulatedSkin(Skin):
+    """Computes a cycle whenever a frame is read."""
+
+    def __init__(self, skin: Layout, objects: list[str], seed: int) -> None:
+        super().__init__(describe(skin), float("inf"))
+        taxels, phi = skin.taxels, skin.phi()
+        source = load_source(
+            "objects",
+            rows=taxels.rows,
+            columns=taxels.columns,
+            pitch_m=taxels.pitch_m,
+            rate_hz=step_rate_hz(skin),
+            names=objects,
+            seed=seed,
+        )
+        electronics = Electronics(
+            taxels,
+            seed=seed,
+            period_s=skin.sync.period_s,
+            samples=skin.samples_per_sync,
+            blocks=phi.taxels_of_blocks,
+        )
+        engine, _ = make_engine(skin, None)
+        if not isinstance(engine, Reconstructor):
+            raise InputError("simulate() has synchronous sending only")
+        self._boards = Sampler(phi, source, electronics)
+        self._messages = _Messages()
+        self._reconstructor = ReconstructorService(skin, engine, self._messages)
+        known = list(dict.fromkeys((*DEFAULT_OBJECTS, *objects)))
+        self._classifier = ClassifierService(Classifier(find_or_train(skin, phi, known), phi), phi, self._messages)
+        self._builder = FrameBuilder(self.layout)
+        self._period_ns = round(skin.sync.period_s * 1e9)
+        self._valid = bytes([1]) * phi.blocks
+        self._cycle = 0
+        self._lock = threading.Lock()
+        self._is_closed = False
+
+    def frames(self, queue: int = 1) -> Frames:
+        """Return the frames of all cycles from now on; `queue` has no effect, because none waits."""
+        del queue
+        return _Steps(self)
+
+    def latest(self, max_age_s: float = 1.0) -> Frame:
+        """Return the frame of the next cycle."""
+        del max_age_s
+        return self.step()
+
+    def step(self) -> Frame:
+        """Compute the next cycle."""
+        with self._lock:
+            self._cycle += 1
+            counter = (self._cycle - 1) % _COUNTERS + 1
+            now_ns = time.monotonic_ns()
+            sums = self._boards.sample(counter, now_ns)
+            measurement = Measurement(
+                cycle=self._cycle,
+                sync_counter=counter,
+                sampled_mono_ns=now_ns,
+                sampled_error_ns=0,
+                wall_offset_ns=wall_offset().ns,
+                sums=sums.astype("<i4").tobytes(),
+                valid=self._valid,
+                fingerprint=self.layout.fingerprint,
+            )
+            label = self._classifier.label(measurement)
+            self._reconstructor.take(measurement)
+            self._messages.kept[:0] = [measurement, *([label] if label is not None else [])]
+            made, self._messages.kept[:] = list(self._messages.kept), []
+            return [frame for message in made for frame in self._builder.take(message)][-1]
+
+    def tare(self, *, force: bool = False) -> str:
+        """Do nothing: simulated sums have no offsets."""
+        del force
+        return "a simulated skin has no offsets"
+
+    @property
+    def health(self) -> Health:
+        """All is well."""
+        return Health(services=frozenset({"simulation"}), gateway=None, frames=self._cycle, refused=0)
+
+    def close(self) -> None:
+        """End all iterations."""
+        self._is_closed = True
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the skin was closed."""
+        return self._is_closed
+
+
+class _Steps(Frames):
+    """Computes each frame when it is read."""
+
+    def __init__(self, skin: SimulatedSkin) -> None:
+        super().__init__(1, float("inf"), str, lambda _frames: None)
+        self._skin = skin
+        self._is_ended = False
+
+    def close(self) -> None:
+        """End the iteration."""
+        self._is_ended = True
+
+    def __next__(self) -> Frame:
+        if self._is_ended or self._skin.is_closed:
+            raise StopIteration
+        return self._skin.step()
+
+    async def __anext__(self) -> Frame:
+        if self._is_ended or self._skin.is_closed:
+            raise StopAsyncIteration
+        return self._skin.step()

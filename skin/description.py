@@ -1,0 +1,38 @@
+"""The description of a layout for programs, which the gateway gives."""
+
+from canskin.description import Description, DescriptionRequest, boot_id
+from canskin.fabric import Reply
+from skin.layout import Layout
+
+
+def describe(layout: Layout) -> Description:
+    """Return what a program has to know of a skin."""
+    phi, taxels = layout.phi(), layout.taxels
+    is_adaptive = layout.sending == "adaptive"
+    return Description(
+        name=layout.name,
+        rows=taxels.rows,
+        columns=taxels.columns,
+        pitch_m=taxels.pitch_m,
+        blocks=phi.blocks,
+        sums=phi.shape[0],
+        order=phi.order.astype("<u4").tobytes(),
+        kept=phi.kept.astype("u1").tobytes(),
+        newton_per_count=taxels.newton_per_count,
+        force_max_n=taxels.force_max_n,
+        rate_hz=(layout.sampling.rate_hz or layout.sync.rate_hz) if is_adaptive else layout.sync.rate_hz,
+        sending=layout.sending,
+        fingerprint=phi.fingerprint,
+        boot_id=boot_id(),
+    )
+
+
+class Describing:
+    """Answers requests for the description of a skin: a handler of `canskin.fabric.Fabric.answer`."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._description = describe(layout)
+
+    def __call__(self, _request: DescriptionRequest, reply: Reply) -> None:
+        """Answer one request."""
+        reply(self._description)

@@ -1,0 +1,128 @@
+"""Connections over a real fabric on loopback, with stand-ins for the services."""
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+import canskin
+from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.description import DESCRIPTION
+from canskin.fabric import Fabric, Reply
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, FrameCounts, GatewayStatus
+from tests.client.conftest import contacts, description, image, label, measurement
+
+
+class Chain:
+    """A hub with a gateway and, if wanted, a reconstructor, which send what they are told."""
+
+    def __init__(self, endpoint: str, skin: str = "palm") -> None:
+        self.endpoint = endpoint
+        self.gateway = Fabric(skin, "gateway", endpoint, hub=True)
+        self.gateway.answer(DESCRIPTION, lambda _request, reply: reply(description()))
+        self.gateway.answer(CALIBRATION, self._calibrate)
+        self._stop = threading.Event()
+        self._sending: threading.Thread | None = None
+        self.tares: list[bool] = []
+
+    def _calibrate(self, request: CalibrationRequest, reply: Reply) -> None:
+        self.tares.append(request.force)
+        reply(CalibrationReply(is_done=request.force, text="zero measured" if request.force else "it is touched"))
+
+    def start(self) -> None:
+        """Send cycle after cycle until the end."""
+        self._sending = threading.Thread(target=self._send)
+        self._sending.start()
+
+    def _send(self) -> None:
+        cycle = 0
+        while not self._stop.wait(0.005):
+            cycle += 1
+            self.gateway.publish(
+                GATEWAY,
+                GatewayStatus(
+                    time_ns=1, cycles=cycle, cycles_complete=cycle, frames=FrameCounts(), sync_rate_hz=100.0, buses=[]
+                ),
+            )
+            self.gateway.publish(MEASUREMENT, measurement(cycle))
+            self.gateway.publish(LABEL, label(cycle))
+            self.gateway.publish(IMAGE, image(cycle))
+            self.gateway.publish(CONTACTS, contacts(cycle))
+
+    def close(self) -> None:
+        self._stop.set()
+        if self._sending is not None:
+            self._sending.join()
+        self.gateway.close()
+
+
+@pytest.fixture
+def chain(endpoint: str) -> Iterator[Chain]:
+    made = Chain(endpoint)
+    yield made
+    made.close()
+
+
+def test_frames_of_a_running_skin(chain: Chain) -> None:
+    chain.start()
+    with canskin.connect(chain.endpoint, timeout_s=20) as skin:
+        assert (skin.layout.name, skin.layout.rows, skin.layout.sending) == ("palm", 4, "synchronous")
+        frames = skin.frames(queue=1000)
+        first = [next(frames) for _ in range(10)]
+        assert [each.cycle - first[0].cycle for each in first] == list(range(10))
+        assert frames.lost == 0
+        for newest in skin:
+            assert newest.cycle > first[0].cycle
+            assert newest.label == "cup"
+            assert newest.sums.tolist() == [10, 20, 30, 40]
+            break
+        assert skin.latest(float("inf")).cycle >= newest.cycle
+        health = skin.health
+        assert "gateway" in health.services
+        assert health.gateway is not None
+        assert health.frames >= 10
+        assert health.refused == 0
+    assert len(list(frames)) <= 1000  # what was in the queue; the iteration has ended
+
+
+def test_tare_tells_success_and_raises_otherwise(chain: Chain) -> None:
+    with canskin.connect(chain.endpoint, timeout_s=20) as skin:
+        with pytest.raises(canskin.RunError, match="it is touched"):
+            skin.tare()
+        assert skin.tare(force=True) == "zero measured"
+    assert chain.tares == [False, True]
+
+
+def test_silence_names_the_service_that_is_missing(chain: Chain) -> None:
+    with (
+        canskin.connect(chain.endpoint, "palm", timeout_s=1.0) as skin,
+        pytest.raises(
+            canskin.BusError, match=r"no image of skin 'palm' .* found .*gateway.*: start 'skin reconstruct'"
+        ),
+    ):
+        skin.latest()
+
+
+def test_an_absent_hub_and_a_wrong_address_are_named(endpoint: str) -> None:
+    with pytest.raises(canskin.BusError, match=rf"no hub at {endpoint}"):
+        canskin.connect(endpoint, timeout_s=0.2)
+    with pytest.raises(canskin.BusError, match=r"expected an endpoint such as tcp/127.0.0.1:7447, got 'palm.local'"):
+        canskin.connect("palm.local")
+
+
+def test_a_skin_that_is_not_there_is_told_with_those_that_are(chain: Chain) -> None:
+    with pytest.raises(canskin.BusError, match=r"no skin 'hand' at .*, found 'palm'"):
+        canskin.connect(chain.endpoint, "hand", timeout_s=0.3)
+    other = Fabric("hand", "gateway", chain.endpoint)
+    with pytest.raises(canskin.BusError, match=r"several skins at .*: 'hand', 'palm'; expected the name of one"):
+        canskin.connect(chain.endpoint, timeout_s=5)
+    other.close()
+    with canskin.connect(chain.endpoint, "palm", timeout_s=20) as skin:
+        assert skin.layout.name == "palm"
+
+
+def test_a_hub_without_a_skin(endpoint: str) -> None:
+    hub = Fabric("palm", "demo", endpoint, hub=True)
+    with pytest.raises(canskin.BusError, match=r"no skin at .*, found demo of 'palm': is 'skin gateway' running"):
+        canskin.connect(endpoint, timeout_s=0.3)
+    hub.close()

@@ -1,0 +1,147 @@
+"""Frames are joined from messages that come in any order, or do not come."""
+
+import math
+
+import numpy as np
+import pytest
+
+from canskin import description as description_module
+from canskin.frame import FrameBuilder
+from tests.client.conftest import contacts, description, image, label, measurement
+
+EVEN = np.arange(16).reshape(4, 4) % 2 == 0
+
+
+@pytest.fixture
+def builder() -> FrameBuilder:
+    return FrameBuilder(description())
+
+
+def test_a_frame_has_what_its_messages_have(builder: FrameBuilder) -> None:
+    assert not builder.take(measurement(3))
+    assert not builder.take(label(3))
+    assert not builder.take(image(3))
+    (frame,) = builder.take(contacts(3))
+    assert np.array_equal(frame.image, np.arange(16, dtype=np.float32).reshape(4, 4))
+    assert frame.image.dtype == np.float32
+    assert frame.valid.all()
+    assert frame.sums.tolist() == [10, 20, 30, 40]
+    assert frame.valid_sums.all()
+    assert [each.force_n for each in frame.contacts] == [0.5]
+    assert (frame.label, frame.confidence, frame.cycle, frame.is_blind) == ("cup", 0.9, 3, False)
+    assert frame.sampled_mono_ns == 30_000_000
+    assert frame.sampled_at == pytest.approx(7.03)
+    assert frame.sampled_error_s == pytest.approx(2e-6)
+
+
+def test_taxels_of_a_block_that_is_not_valid_are_nan_and_their_estimates_stay(builder: FrameBuilder) -> None:
+    builder.take(measurement(1, valid=bytes((1, 0))))
+    builder.take(image(1, valid=bytes((1, 0))))
+    (frame,) = builder.take(contacts(1))
+    assert np.array_equal(frame.valid, EVEN)
+    assert np.array_equal(np.isnan(frame.image), ~EVEN)
+    assert np.array_equal(frame.estimate.ravel(), np.arange(16))
+    assert frame.valid_sums.tolist() == [True, True, False, False]
+
+
+def test_offsets_are_taken_off_and_defective_sums_are_not_valid(builder: FrameBuilder) -> None:
+    offsets = np.array((1, 2, 3, 4), "<i4").tobytes()
+    builder.take(measurement(1, offsets=offsets, usable=bytes((1, 0, 1, 1))))
+    builder.take(image(1))
+    (frame,) = builder.take(contacts(1))
+    assert frame.sums.tolist() == [9, 0, 27, 36]
+    assert frame.valid_sums.tolist() == [True, False, True, True]
+
+
+def test_adaptive_sums_are_valid_where_they_are_known(builder: FrameBuilder) -> None:
+    builder.take(measurement(1, valid=bytes((0, 1)), known=bytes((1, 0, 1, 1))))
+    builder.take(image(1))
+    assert builder.take(contacts(1))[0].valid_sums.tolist() == [True, False, True, True]
+
+
+def test_an_image_without_contacts_comes_with_the_next_image(builder: FrameBuilder) -> None:
+    builder.take(image(1))
+    (frame,) = builder.take(image(2))
+    assert (frame.cycle, frame.contacts, frame.is_blind) == (1, (), True)
+    assert not builder.take(contacts(1))  # too late
+    assert builder.take(contacts(2))[0].cycle == 2
+
+
+def test_without_a_measurement_nothing_is_made_up(builder: FrameBuilder) -> None:
+    builder.take(measurement(1))
+    builder.take(image(2))
+    (frame,) = builder.take(contacts(2))
+    assert frame.sums.size == frame.valid_sums.size == 0
+    assert frame.sampled_error_s == math.inf
+    assert frame.sampled_at == pytest.approx(7.02)  # the offset of the clocks is that of the measurement before
+
+
+def test_the_wall_clock_is_unknown_before_the_first_measurement(builder: FrameBuilder) -> None:
+    builder.take(image(2))
+    assert math.isnan(builder.take(contacts(2))[0].sampled_at)
+
+
+def test_a_label_stands_for_half_a_second_and_no_label_is_none(builder: FrameBuilder) -> None:
+    def frame_of(cycle: int) -> str | None:
+        builder.take(image(cycle))
+        return builder.take(contacts(cycle))[0].label
+
+    assert frame_of(1) is None
+    builder.take(label(2))
+    assert frame_of(2) == "cup"
+    assert frame_of(52) == "cup"
+    assert frame_of(53) is None
+    builder.take(label(54, "", blind=False))
+    assert frame_of(54) == ""
+    builder.take(label(55, "", blind=True))
+    assert frame_of(55) is None
+    builder.take(label(70))
+    assert frame_of(69) is None  # a label of later sums is none of this frame
+
+
+def test_blind_contacts_are_not_no_contact(builder: FrameBuilder) -> None:
+    builder.take(image(1))
+    (frame,) = builder.take(contacts(1, blind=True))
+    assert (frame.is_blind, frame.contacts) == (True, ())
+
+
+def test_messages_of_another_layout_are_refused_and_counted(builder: FrameBuilder) -> None:
+    builder.take(measurement(1, fingerprint="another"))
+    builder.take(image(1))
+    assert builder.take(contacts(1))[0].sums.size == 0
+    builder.take(image(2, valid=bytes((1, 1, 1))))
+    assert not builder.take(contacts(2))
+    assert builder.refused == 2
+
+
+def test_arrays_are_read_only(builder: FrameBuilder) -> None:
+    builder.take(measurement(1))
+    builder.take(image(1))
+    (frame,) = builder.take(contacts(1))
+    for array in (frame.image, frame.estimate, frame.valid, frame.sums, frame.valid_sums):
+        assert not array.flags.writeable
+
+
+def test_age_is_of_the_monotonic_clock_on_the_same_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canskin.frame.boot_id", lambda: "this boot")
+    monkeypatch.setattr("canskin.frame.time.monotonic_ns", lambda: 1_010_000_000)
+    monkeypatch.setattr("canskin.frame.time.time", lambda: 9.01)
+    ages = []
+    for boot in ("this boot", "another boot", ""):
+        builder = FrameBuilder(description(boot))
+        builder.take(measurement(1))
+        builder.take(image(1))
+        ages.append(builder.take(contacts(1))[0].age)
+    assert ages == pytest.approx([1.0, 2.0, 2.0])  # the wall clock is 7 s ahead, and has passed 9.01 s
+
+
+def test_a_description_tells_block_and_row_of_each_sum() -> None:
+    about = description()
+    assert about.block_of_sum.tolist() == [0, 0, 1, 1]
+    assert about.row_of_sum.tolist() == [0, 3, 0, 3]
+    assert np.array_equal(about.block_of_taxel == 0, EVEN)
+
+
+def test_without_a_boot_id_there_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
+    monkeypatch.setattr(description_module, "_BOOT_ID", description_module.Path(f"{tmp_path}/absent"))
+    assert not description_module.boot_id()

@@ -1,0 +1,111 @@
+"""Readers of frames: the newest, or all through a queue; with for and with async for."""
+
+import asyncio
+import threading
+
+import pytest
+
+from canskin.errors import BusError
+from canskin.frame import Frame, FrameBuilder
+from canskin.skin import FrameHub, Frames
+from tests.client.conftest import contacts, description, image
+
+
+def frame(cycle: int) -> Frame:
+    builder = FrameBuilder(description())
+    builder.take(image(cycle))
+    return builder.take(contacts(cycle))[0]
+
+
+@pytest.fixture
+def hub() -> FrameHub:
+    return FrameHub(0.05, lambda: "nothing came")
+
+
+def test_a_slow_reader_has_the_newest_frame_and_knows_how_many_it_lost(hub: FrameHub) -> None:
+    reader = hub.frames(1)
+    for cycle in (1, 2, 3):
+        hub.put(frame(cycle))
+    assert next(reader).cycle == 3
+    assert reader.lost == 2
+
+
+def test_a_queue_holds_all_up_to_its_length_for_each_reader(hub: FrameHub) -> None:
+    short, long = hub.frames(2), hub.frames(10)
+    for cycle in (1, 2, 3):
+        hub.put(frame(cycle))
+    hub.close()
+    assert [each.cycle for each in short] == [2, 3]
+    assert [each.cycle for each in long] == [1, 2, 3]
+    assert (short.lost, long.lost) == (1, 0)
+
+
+def test_silence_is_an_error_that_explains(hub: FrameHub) -> None:
+    with pytest.raises(BusError, match="nothing came"):
+        next(hub.frames(1))
+    with pytest.raises(BusError, match="nothing came"):
+        hub.latest(1.0)
+
+    async def read() -> None:
+        await anext_of(hub.frames(1))
+
+    with pytest.raises(BusError, match="nothing came"):
+        asyncio.run(read())
+
+
+async def anext_of(reader: Frames) -> Frame:
+    return await reader.__anext__()
+
+
+def test_the_latest_frame_is_given_while_it_is_young_enough(hub: FrameHub) -> None:
+    hub.put(frame(1))  # long ago: the clock of the other machine
+    with pytest.raises(BusError):
+        hub.latest(1.0)
+    assert hub.latest(float("inf")).cycle == 1
+
+
+def test_a_reader_that_waits_is_woken() -> None:
+    hub = FrameHub(20.0, lambda: "nothing came")
+    reader = hub.frames(1)
+    later = threading.Timer(0.01, hub.put, (frame(4),))
+    later.start()
+    assert next(reader).cycle == 4
+    later.join()
+
+
+def test_async_readers_get_each_frame_and_end_with_the_skin() -> None:
+    hub = FrameHub(20.0, lambda: "nothing came")
+
+    async def read() -> list[int]:
+        reader = hub.frames(10)
+        hub.put(frame(1))
+        feeding = threading.Thread(target=lambda: (hub.put(frame(2)), hub.put(frame(3)), hub.close()))
+        feeding.start()
+        found = [each.cycle async for each in reader]
+        feeding.join()
+        return found
+
+    assert asyncio.run(read()) == [1, 2, 3]
+
+
+def test_a_cancelled_wait_loses_no_frame() -> None:
+    hub = FrameHub(20.0, lambda: "nothing came")
+
+    async def read() -> int:
+        reader = hub.frames(4)
+        waiting = asyncio.ensure_future(anext_of(reader))
+        await asyncio.sleep(0)
+        waiting.cancel()
+        await asyncio.gather(waiting, return_exceptions=True)
+        hub.put(frame(7))
+        return (await anext_of(reader)).cycle
+
+    assert asyncio.run(read()) == 7
+
+
+def test_a_closed_reader_gets_no_more_frames(hub: FrameHub) -> None:
+    reader = hub.frames(4)
+    hub.put(frame(1))
+    reader.close()
+    hub.put(frame(2))
+    assert [each.cycle for each in reader] == [1]
