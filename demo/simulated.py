@@ -19,6 +19,7 @@ from classifier.service import ClassifierService
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from reconstructor.command import make_engine
+from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
 from skin.clock import wall_offset
@@ -84,6 +85,8 @@ class SimulatedSkin(Skin):
         engine, _ = make_engine(skin, None)
         if not isinstance(engine, Reconstructor):
             raise InputError("simulate() has synchronous sending only")
+        engine.warm_up()
+        ContactTracker(taxels.rows, taxels.columns).warm_up()
         self._boards = Sampler(phi, source, electronics)
         self._messages = _Messages()
         self._reconstructor = ReconstructorService(skin, engine, self._messages)

@@ -29,6 +29,14 @@ def test_every_folder_of_code_is_a_listed_package() -> None:
     assert folders == set(PACKAGES)
 
 
+def test_application_and_client_are_of_one_version() -> None:
+    application, client = (
+        tomllib.loads((ROOT / path).read_text())["project"] for path in ("pyproject.toml", "client/pyproject.toml")
+    )
+    assert application["version"] == client["version"]
+    assert f"canskin-client=={client['version']}" in application["dependencies"]
+
+
 def test_command_is_installed() -> None:
     scripts = importlib.metadata.entry_points(group="console_scripts", name="skin")
     assert [script.value for script in scripts] == ["skin.command:main"]
@@ -37,7 +45,7 @@ def test_command_is_installed() -> None:
 def test_no_file_is_over_400_lines() -> None:
     long = [
         str(path.relative_to(ROOT))
-        for package in [*PACKAGES, "tests"]
+        for package in [*PACKAGES, "client", "tests"]
         for path in (ROOT / package).rglob("*.py")
         if len(path.read_text().splitlines()) > 400
     ]
@@ -58,7 +66,7 @@ IMPORTERS = {
     "spec_from_file_location",
 }
 IMPORTER_MODULES = {"pkgutil", "runpy", "importlib.machinery"}
-OWN_PLACE = re.compile(rf"({'|'.join(PACKAGES)})(\.\w+)*:\w+")
+OWN_PLACE = re.compile(rf"({'|'.join([*PACKAGES, 'canskin'])})(\.\w+)*:\w+")
 
 
 def hidden_imports(tree: ast.AST) -> Iterator[str]:

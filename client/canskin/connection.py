@@ -12,14 +12,14 @@ from canskin.errors import BusError, RunError
 from canskin.fabric import DEFAULT_ENDPOINT, Fabric, peers_at
 from canskin.frame import Frame, FrameBuilder
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus
+from canskin.peers import Peer
 from canskin.skin import FrameHub, Frames, Health, Skin
 
 #: Name of this service on the fabric.
 NAME: Final = "client"
 #: Longest wait for the answer to a tare, which takes seconds.
 TARE_S: Final = 15.0
-#: Period of the search for a skin.
-LOOK_S: Final = 0.1
+#: Services that know a skin's geometry.
 GATEWAYS: Final = ("gateway", "replay")
 
 
@@ -47,32 +47,32 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
     ...         print(frame.label, [contact.force_n for contact in frame.contacts])
     """
     give_up_s = time.monotonic() + timeout_s
-    name = _skin_at(endpoint, skin, give_up_s)
-    fabric = Fabric(name, NAME, endpoint, patience_s=max(0.0, give_up_s - time.monotonic()))
+    name = _skin_at(endpoint, skin, timeout_s)
+    fabric = Fabric(name, NAME, endpoint, patience_s=max(1.0, give_up_s - time.monotonic()))
     try:
-        layout: Description = fabric.ask(DESCRIPTION, DescriptionRequest(), max(0.5, give_up_s - time.monotonic()))
+        layout: Description = fabric.ask(DESCRIPTION, DescriptionRequest(), max(1.0, give_up_s - time.monotonic()))
         return ConnectedSkin(fabric, layout, endpoint, timeout_s)
     except BaseException:
         fabric.close()
         raise
 
 
-def _skin_at(endpoint: str, wanted: str | None, give_up_s: float) -> str:
+def _skin_at(endpoint: str, wanted: str | None, patience_s: float) -> str:
     """Return the name of the skin on a hub whose gateway is there."""
-    while True:
-        peers = peers_at(endpoint, max(0.0, give_up_s - time.monotonic()))
-        skins = sorted({peer.skin for peer in peers if peer.service in GATEWAYS})
-        if wanted in skins or (wanted is None and len(skins) == 1):
-            return wanted or skins[0]
-        found = ", ".join(f"'{name}'" for name in skins)
-        if wanted is None and skins:
-            raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: skin=...")
-        if time.monotonic() + LOOK_S > give_up_s:
-            looked_for = f"no skin '{wanted}'" if wanted else "no skin"
-            services = ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
-            there = f"found {found or services}" if found or services else "found a hub without services"
-            raise BusError(f"{looked_for} at {endpoint}, {there}: is 'skin gateway' running?")
-        time.sleep(LOOK_S)
+
+    def skins_of(peers: list[Peer]) -> list[str]:
+        return sorted({peer.skin for peer in peers if peer.service in GATEWAYS})
+
+    peers = peers_at(endpoint, patience_s, lambda peers: wanted in skins_of(peers) if wanted else bool(skins_of(peers)))
+    skins = skins_of(peers)
+    if wanted in skins or (wanted is None and len(skins) == 1):
+        return wanted or skins[0]
+    found = ", ".join(f"'{name}'" for name in skins)
+    if wanted is None and skins:
+        raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: skin=...")
+    looked_for = f"no skin '{wanted}'" if wanted else "no skin"
+    found = found or ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
+    raise BusError(f"{looked_for} at {endpoint}, found {found or 'no service'}: is 'skin gateway' running?")
 
 
 class ConnectedSkin(Skin):

@@ -31,6 +31,8 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 SILENT_S: Final = 3.0
 #: A service that waits for the hub checks the stop signal at least this often.
 TRY_S: Final = 1.0
+#: Period of a search for services.
+LOOK_S: Final = 0.1
 #: Protocols of zenoh's links; those before ``serial`` need a port.
 PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
 PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
@@ -257,8 +259,8 @@ class Fabric:
             _tell(self._peer.service, difference)
 
 
-def peers_at(endpoint: str, patience_s: float) -> list[Peer]:
-    """Return the services of all skins on a hub.
+def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]], bool]) -> list[Peer]:
+    """Return the services of all skins on a hub: as soon as `is_enough`, else those after `patience_s`.
 
     Raises
     ------
@@ -266,10 +268,15 @@ def peers_at(endpoint: str, patience_s: float) -> list[Peer]:
         If the endpoint cannot be used, or no hub answers in time.
     """
     _check_endpoint(endpoint)
+    give_up_s = time.monotonic() + patience_s
     session = _connect(endpoint, "client", None, patience_s)
     try:
-        tokens = session.liveliness().get(EVERY_KEY, timeout=max(0.5, patience_s))
-        return [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+        while True:
+            tokens = session.liveliness().get(EVERY_KEY, timeout=TRY_S)
+            peers = [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+            if is_enough(peers) or time.monotonic() + LOOK_S > give_up_s:
+                return peers
+            time.sleep(LOOK_S)
     finally:
         session.close()
 

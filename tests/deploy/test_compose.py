@@ -78,7 +78,7 @@ def test_the_user_of_the_image_owns_the_buses_sockets() -> None:
 def test_the_image_holds_every_package() -> None:
     packages = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
     kept = set(re.findall(r"^!(\w+)$", (ROOT / ".dockerignore").read_text(), re.MULTILINE))
-    assert kept == {*packages["packages"], "LICENSE"}
+    assert kept == {*packages["packages"], "client", "LICENSE"}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,55 @@
+"""The code in docs/client.md and in the READMEs runs as it stands."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from canskin.errors import InputError
+from tests.client.test_connection import Chain
+
+ROOT = Path(__file__).parents[2]
+GUIDE = (ROOT / "docs/client.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
+HAS_APPLICATION = importlib.util.find_spec("skin") is not None
+needs_application = pytest.mark.skipif(not HAS_APPLICATION, reason="NOT TESTED: the application is not installed")
+
+
+def block(word: str) -> str:
+    (found,) = (code for code in BLOCKS if word in code)
+    return str(found)
+
+
+def test_reading_of_a_running_skin(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    chain = Chain(endpoint)
+    chain.start()
+    try:
+        exec(block("canskin.connect").replace("tcp/127.0.0.1:7447", endpoint).replace("500", "20"), {})  # noqa: S102
+    finally:
+        chain.close()
+    assert "0.500 N at row 1.0, column 2.0: cup" in capsys.readouterr().out
+
+
+@needs_application
+@pytest.mark.slow
+def test_a_skin_without_services(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(block("canskin.simulate"), {})  # noqa: S102
+    assert re.fullmatch(r"\d+ 0\.\d+ golf-ball\n", capsys.readouterr().out)
+
+
+@needs_application
+@pytest.mark.slow
+def test_solver_and_classifier_on_arrays(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(block("Reconstructor("), {})  # noqa: S102
+    peak_n, label = capsys.readouterr().out.split(maxsplit=1)
+    assert float(peak_n) == pytest.approx(0.01, rel=0.2)
+    assert label.strip()
+
+
+def test_simulation_without_the_application_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    import canskin
+
+    monkeypatch.setattr("canskin.simulation.entry_points", lambda **_selected: ())
+    with pytest.raises(InputError, match=r"needs the application 'canskin'.*canskin.connect"):
+        canskin.simulate()
