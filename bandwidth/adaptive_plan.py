@@ -11,10 +11,10 @@ from bandwidth.response import UNBOUNDED
 from bandwidth.touched_bits import SOURCE
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
+from canskin.errors import InputError
 from dbc.adaptive import SendingRule
 from dbc.contract import Contract, sum_frame
 from dbc.frame_bits import frame_time_ns
-from skin.errors import InputError
 from skin.sources import ADAPTIVE_STEP_HZ, load_sender, load_source
 from skin.walsh import GROUPS
 

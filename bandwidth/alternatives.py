@@ -8,9 +8,9 @@ import msgspec
 
 from bandwidth.plan import BusPlan, plan_bus
 from bandwidth.traffic import Disturbance
+from canskin.errors import SkinError
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
-from skin.errors import SkinError
 from skin.layout import Bus, Layout, validated
 
 SUM_BITS: Final = (12, 8)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from bandwidth.search import CanKind, Requirement, search
 from bandwidth.traffic import Disturbance
-from skin.errors import InputError, RunError
+from canskin.errors import InputError, RunError
 from skin.layout import layout_text
 from skin.output import write_file
 from skin.service import say

@@ -9,9 +9,9 @@ from bandwidth.logs import listen, of_buses, read_log
 from bandwidth.measured import measure, misfits
 from bandwidth.plan import plan
 from bus.options import BusOptions, channels, open_links
+from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
-from skin.errors import InputError, RunError
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 from skin.terminal import Json, print_json

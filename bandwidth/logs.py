@@ -14,10 +14,10 @@ from can.io.generic import TextIOMessageReader
 
 from bus.link import DISCARDED, Link
 from bus.messages import to_logged_frames
+from canskin.errors import InputError
 from dbc.canopen import EXTENDED_ID_MASK
 from dbc.frame import Frames, frames
 from dbc.stored_frames import from_bytes
-from skin.errors import InputError
 from skin.layout import Layout
 from skin.output import RECORDING_SUFFIX
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from bandwidth.adaptive_plan import AdaptiveBusPlan
 from bandwidth.plan import BusPlan
+from canskin.errors import InputError
 from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, LEVELS, NODES, frame_of, payload_bytes
 from dbc.canopen import (
     EMCY_BASE,
@@ -23,7 +24,6 @@ from dbc.contract import Contract, frame_flags
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
-from skin.errors import InputError
 from skin.layout import Bus
 
 FOREIGN: Final = "foreign"

@@ -9,9 +9,9 @@ from bandwidth.plan import plan as plan_buses
 from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import Disturbance
 from bus.options import BusOptions, Channels, channels
+from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
-from skin.errors import InputError
 from skin.layout import load_layout
 from skin.service import say
 from skin.terminal import Json, print_json

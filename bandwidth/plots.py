@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 
 from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import traffic
+from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.errors import InputError
 from skin.layout import Layout
 from skin.output import save_figure
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bandwidth.response_kernel import UNBOUNDED, all_responses
-from skin.errors import InputError
+from canskin.errors import InputError
 
 __all__ = ["ERROR_BITS", "UNBOUNDED", "blocking_ns", "response_times_ns"]
 

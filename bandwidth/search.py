@@ -12,10 +12,10 @@ from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.plan import bus_time
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance, traffic
+from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.errors import InputError, LayoutError
 from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, Measuring, Sync, Taxels, validated
 
 CanKind = Literal["any", "classic", "fd"]

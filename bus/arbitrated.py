@@ -28,9 +28,9 @@ from bus.protocol import (
     unpack_json,
 )
 from bus.reconnecting import ReconnectingLink
+from canskin.errors import BusError, Stopped
 from dbc.frame import ECHO, FD, Frames, frames
-from skin.errors import BusError
-from skin.service import Stopped, StopSignal, say
+from skin.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
 GREETING_S: Final = 5.0
@@ -54,7 +54,7 @@ class ArbitratedLink(ReconnectingLink):
     wait_s : float
         Longest wait for a bus that is not served yet.
     stop : StopSignal, optional
-        If set during the wait, `skin.service.Stopped` is raised.
+        If set during the wait, `canskin.errors.Stopped` is raised.
 
     Raises
     ------

@@ -4,7 +4,7 @@ from typing import Final, Literal
 
 from bus.faults import parse_fault
 from bus.server import BusServer, BusSettings
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
 from skin.service import StopSignal, request_real_time, say
 from skin.terminal import Json, print_json

@@ -8,7 +8,7 @@ from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
-from skin.errors import InputError
+from canskin.errors import InputError
 
 #: Longest delay: longer than any cycle, and far below the limit of times in 64 bits.
 DELAY_MAX_S: Final = 3600.0

@@ -97,7 +97,7 @@ def open_link(
     wait_s : float
         Longest wait for a virtual bus that is still starting.
     stop : StopSignal, optional
-        If set during the wait, `skin.service.Stopped` is raised.
+        If set during the wait, `canskin.errors.Stopped` is raised.
 
     Raises
     ------

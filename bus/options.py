@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from bus.link import Link, open_link
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.layout import Bus, Layout
 from skin.service import StopSignal
 
@@ -68,7 +68,7 @@ def open_links(
 ) -> dict[int, Link]:
     """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus select them by `name`.
 
-    If `stop` is set during the wait for a bus, `skin.service.Stopped` is raised.
+    If `stop` is set during the wait for a bus, `canskin.errors.Stopped` is raised.
 
     Raises
     ------

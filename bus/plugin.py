@@ -15,9 +15,9 @@ from bus.arbitrated import ArbitratedLink
 from bus.error_frames import State
 from bus.messages import to_frame, to_message
 from bus.protocol import Hello, runtime_folder
+from canskin.errors import SkinError
 from dbc.frame import ECHO, ERROR
 from skin.clock import wall_offset
-from skin.errors import SkinError
 
 #: Period in which a waiting sender checks the transmit queue; `receive` in another thread makes space.
 _ROOM_POLL_S: Final = 0.001

@@ -16,9 +16,9 @@ import msgspec
 import numpy as np
 
 from bus.error_frames import State
+from canskin.errors import UNDECODABLE, InputError
 from dbc.frame import BRS, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
 from dbc.frame_bits import padded_length
-from skin.errors import UNDECODABLE, InputError
 
 MAGIC: Final = b"CSK1"
 #: Most frames in a packet; a packet must fit a default send buffer.

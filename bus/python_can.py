@@ -15,9 +15,9 @@ import numpy as np
 from bus.error_frames import State
 from bus.messages import to_frame, to_message
 from bus.protocol import Filter, check_frames, in_time
+from canskin.errors import BusError
 from dbc.frame import ECHO, Frames, frames
 from skin.clock import wall_offset
-from skin.errors import BusError
 
 #: Most frames kept until `receive`; later frames are lost and counted.
 QUEUE_FRAMES: Final = 16384

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from typing import Final
 
 from bus.error_frames import State
-from skin.errors import BusError
+from canskin.errors import BusError
 
 FIRST_S: Final = 0.05
 LONGEST_S: Final = 2.0

@@ -30,9 +30,9 @@ from bus.protocol import (
 )
 from bus.session import Batch, Session
 from bus.simulated_bus import SimulatedBus
+from canskin.errors import BusError, InputError
 from dbc.frame import frames
 from dbc.frame_bits import frame_time_ns
-from skin.errors import BusError, InputError
 from skin.service import say
 
 #: Period in which frames are delivered inside a burst; its first and last frames are delivered at once.

@@ -18,10 +18,10 @@ from bus.error_frames import state_of_report
 from bus.protocol import Filter, check_frames, in_time, pad_lengths
 from bus.reconnecting import ReconnectingLink
 from bus.recvmmsg import DEVICE_STAMPS, SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received
+from canskin.errors import BusError
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
 from skin.clock import WallOffset, wall_offset
-from skin.errors import BusError
 
 BATCH_FRAMES: Final = 256
 #: Requested receive buffer: about 5,000 frames; the default holds about 250.

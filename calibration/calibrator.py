@@ -13,10 +13,10 @@ from calibration.defects import DefectFinder, Defects
 from calibration.drift import LONGEST_HELD, DriftFollower, line_through
 from calibration.touched import Touch, TouchFinder
 from calibration.windows import Bools, Floats, Window, WindowMeans
-from skin.calibration_messages import CalibrationState, CalibrationStatus
+from canskin.calibration_messages import CalibrationState, CalibrationStatus
+from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
 from skin.layout import Layout
-from skin.messages import Measurement
 from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
@@ -212,7 +212,7 @@ class Calibrator:
             self._measure(window)
 
     def status(self) -> CalibrationStatus:
-        """Return what is known for `skin.messages.GatewayStatus`."""
+        """Return what is known for `canskin.messages.GatewayStatus`."""
         offsets_n, follower = self.offsets_n, self._follower
         known_n = np.zeros(0) if offsets_n is None else offsets_n[np.isfinite(offsets_n)]
         per_s = 1e9 / self._windows.length_ns

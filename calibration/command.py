@@ -8,9 +8,9 @@ from cyclopts import Parameter
 
 from calibration.gain_files import stored_gains
 from calibration.stored import StoredCalibration, encoded, load_calibration, parse_calibration, save_calibration
-from skin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, CalibrationStatus
-from skin.errors import InputError, RunError
-from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, CalibrationStatus
+from canskin.errors import InputError, RunError
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.output import check_output_path
 from skin.service import say

@@ -8,11 +8,11 @@ import numpy.typing as npt
 from calibration.gains import LEAST_FELT, defects_of, find_gains
 from calibration.stored import LEAST_GAIN, MOST_GAIN, StoredCalibration, store
 from calibration.windows import Floats
-from skin.errors import InputError, RunError
+from canskin.errors import InputError, RunError
+from canskin.messages import IMAGE, MEASUREMENT
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement
-from skin.messages import IMAGE, MEASUREMENT
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.windows import Bools, Floats
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.measurement import Sbhe, fast_hadamard
 
 #: A contact is what is above this part of an image's largest force.

@@ -9,12 +9,12 @@ import numpy.typing as npt
 from calibration.calibrator import Calibrator, Tare
 from calibration.stored import load_calibration
 from calibration.windows import Bools
-from skin.errors import InputError
+from canskin.errors import InputError
+from canskin.messages import MEASUREMENT, Measurement
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe
-from skin.messages import MEASUREMENT, Measurement
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 

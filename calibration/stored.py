@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 
 from calibration.windows import Floats
-from skin.errors import UNDECODABLE, InputError
+from canskin.errors import UNDECODABLE, InputError
+from canskin.messages import MEASUREMENT, Measurement
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import check_measurement
-from skin.messages import MEASUREMENT, Measurement
 from skin.output import RECORDING_SUFFIX, write_file
 from skin.service import say
 

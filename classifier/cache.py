@@ -7,10 +7,10 @@ from typing import Final
 
 import msgspec
 
+from canskin.errors import ModelError
 from classifier.model import SIMULATED, VERSION, Model
 from classifier.modelfile import load_model, save_model
 from skin.cache import cache_folder
-from skin.errors import ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.service import say

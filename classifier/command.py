@@ -4,12 +4,12 @@ from pathlib import Path
 
 import msgspec
 
+from canskin.errors import InputError
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.coarse_sums import classified_phi
 from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
-from skin.errors import InputError
-from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.output import check_output_path
 from skin.service import StopSignal, say

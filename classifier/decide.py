@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import UNKNOWN_OBJECT
 from classifier.descent import descend
 from classifier.missing import Completion, Factors
 from classifier.model import Model
@@ -14,7 +15,6 @@ from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from skin.labels import MIN_VALID_RATIO
 from skin.measurement import Sbhe
-from skin.messages import UNKNOWN_OBJECT
 
 #: Weight of the newest cycle in the settled decision: two clear cycles in a row change the label.
 SETTLING: Final = 0.4
@@ -35,7 +35,7 @@ class Decision(NamedTuple):
     Attributes
     ----------
     label : str
-        The object, `skin.messages.UNKNOWN_OBJECT`, or empty without contact.
+        The object, `canskin.messages.UNKNOWN_OBJECT`, or empty without contact.
     confidence : float
         0 to 1.
     blind : bool

@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import UNDECODABLE, ModelError
 from classifier.dag import pairs
 from classifier.features import widths_for
 from classifier.model import ARRAYS, VERSION, Metadata, Model
-from skin.errors import UNDECODABLE, ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.output import write_file

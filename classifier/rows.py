@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from classifier.dag import pairs
-from skin.errors import InputError
 from skin.measurement import Sbhe
 
 #: A row counts as noise if the selected rows leave less than this part of its variance unexplained, or if its variance

@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
+from canskin.messages import UNKNOWN_OBJECT
 from classifier.coarse_sums import classified_phi
 from classifier.confidence import confidence_slope
 from classifier.features import Float32
@@ -23,10 +25,8 @@ from classifier.samples import (
     simulate_sums,
 )
 from classifier.validation import Chosen, choose_C, global_scale
-from skin.errors import InputError
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from skin.messages import UNKNOWN_OBJECT
 from skin.taxel import NOISE_N
 
 #: C is chosen from these.

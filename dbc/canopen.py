@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.messages import NmtState as NmtState  # noqa: PLC0414 - re-exported
+from canskin.messages import NmtState as NmtState  # noqa: PLC0414 - re-exported
 
 #: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and bases to which a node adds its node-ID.
 NMT_COB_ID: Final = 0x000

@@ -3,8 +3,8 @@
 import re
 from collections.abc import Collection
 
+from canskin.errors import InputError
 from dbc.contract import Contract
-from skin.errors import InputError
 
 
 def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:

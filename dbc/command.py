@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.generate import DEFAULT_FOLDER, contract_files, drifted, node_files, vector_files, write_files
-from skin.errors import InputError
 from skin.layout import load_layout
 from skin.service import say
 from skin.terminal import Json, print_json

@@ -17,13 +17,13 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import LayoutError
 from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, NODES, TPDOS, Companding, companding, frame_of, payload_bytes
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
-from skin.errors import LayoutError
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe
 from skin.walsh import GROUPS

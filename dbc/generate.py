@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from canskin.errors import InputError
 from dbc.board import board, board_text
 from dbc.contract import Contract
 from dbc.database import database
 from dbc.eds import dcfs, eds, node_name, node_types
 from dbc.vectors import vectors_text
-from skin.errors import InputError
 from skin.output import write_file
 
 #: The files of the default skin that come with the project.

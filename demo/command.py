@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from skin.errors import RunError
+from canskin.errors import RunError
 from skin.names import split_names
 from skin.service import StopSignal, say
 from skin.terminal import Json, print_json

@@ -5,8 +5,8 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
+from canskin.errors import InputError
 from skin.defects import parse_defects
-from skin.errors import InputError
 from skin.layout import Layout
 from skin.output import check_picture_path
 from skin.sources import load_source, step_rate_hz

@@ -10,16 +10,16 @@ from typing import Final
 import msgspec
 from rich.console import Console
 
+from canskin.errors import RunError
+from canskin.fabric import Fabric
+from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from demo.options import DemoOptions
 from demo.picture import save_picture
 from demo.processor_time import ratios
 from demo.report import Report
 from demo.score import Score
 from demo.supervisor import Supervisor
-from skin.errors import RunError
-from skin.fabric import Fabric
 from skin.layout import Layout
-from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from skin.psnr import adds_noise
 from skin.service import StopSignal, Talk, say, talks
 from skin.sources import DEFAULT_OBJECTS

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from canskin.errors import InputError, RunError
 from demo.processor_time import ProcessorTime, processor_time
 from skin.command import WRONG_INPUT
-from skin.errors import InputError, RunError
 
 #: A process that has ended is started again after this time; the page shows its absence until then.
 RESTART_AFTER_S: Final = 2.0

@@ -8,9 +8,9 @@ import sys
 import threading
 from typing import Final
 
-from skin.errors import SkinError
-from skin.fabric import Fabric
-from skin.peers import Peer
+from canskin.errors import SkinError
+from canskin.fabric import Fabric
+from canskin.peers import Peer
 from skin.service import say
 
 PATIENCE_S: Final = 3.0

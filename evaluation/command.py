@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.terminal import Json, print_json, print_table
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.output import write_file
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import Any, Final
 from joblib import Memory
 from threadpoolctl import threadpool_limits
 
+from canskin.errors import InputError
 from evaluation.result import Options, Row
-from skin.errors import InputError
 from skin.parallel import in_parallel
 from skin.terminal import progress
 

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from dbc.adaptive import BLOCK_SUMS
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
@@ -20,7 +21,6 @@ from dbc.generate import write_files
 from firmware.adaptive_tables import adaptive_header, adaptive_source
 from firmware.tables import Build, board_header, board_source, builds
 from skin.cache import cache_folder
-from skin.errors import InputError
 
 SOURCES: Final = files("firmware").joinpath("c")
 #: Every operation is rounded as it is written.

@@ -6,6 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from canskin.errors import InputError
+from canskin.messages import UNKNOWN_ERROR_NS, FrameCounts, Measurement
 from dbc.adaptive import PAUSE_MS
 from dbc.contract import Contract, NodeContract, sample_age_ns
 from dbc.frame import Frames, frame_bytes, frames
@@ -26,8 +28,6 @@ from gateway.block_states import judge, new_states
 from gateway.errands import Errands
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
-from skin.errors import InputError
-from skin.messages import UNKNOWN_ERROR_NS, FrameCounts, Measurement
 from skin.walsh import GROUPS
 
 #: Measurements in a second, with news and at least; the limits of other rates.

@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import BlockState
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, NO_CHECK, SendingRule
 from gateway.adaptive_state import NEVER_NS, BusSums, Flags, Integers
 from skin.compiled import njit
-from skin.messages import BlockState
 from skin.walsh import GROUPS, grouped_rows
 
 #: A block is fresh for so long after a frame that counted.
@@ -28,7 +28,7 @@ _PLACES: Final = grouped_rows(BLOCK_SUMS).ravel().astype(np.int64)
 
 
 class BlockStates(NamedTuple):
-    """What a measurement says of the blocks; see `skin.messages.Measurement`.
+    """What a measurement says of the blocks; see `canskin.messages.Measurement`.
 
     Attributes
     ----------

@@ -10,13 +10,13 @@ import numpy as np
 from calibration.calibrator import Calibrator
 from calibration.stored import StoredCalibration, encoded, parse_calibration, store
 from calibration.windows import Floats
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
+from canskin.errors import InputError
+from canskin.fabric import Reply
+from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
-from skin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
-from skin.errors import InputError
-from skin.fabric import Reply
-from skin.messages import Measurement
 from skin.service import say
 
 #: Answer to what makes no sense for boards that look after themselves.
@@ -113,7 +113,7 @@ class GatewayCalibration:
         self._calibrator.work()
 
     def status(self) -> CalibrationStatus:
-        """Return what is known, for `skin.messages.GatewayStatus`."""
+        """Return what is known, for `canskin.messages.GatewayStatus`."""
         return self._calibrator.status()
 
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:

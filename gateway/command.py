@@ -8,13 +8,13 @@ from bus.link import Link
 from bus.options import BusOptions, open_links
 from calibration.calibrator import Tare
 from calibration.stored import load_calibration
+from canskin.calibration_messages import CALIBRATION
+from canskin.errors import InputError
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
-from skin.calibration_messages import CALIBRATION
-from skin.errors import InputError
-from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 

@@ -7,13 +7,13 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from canskin.messages import FrameCounts, Measurement
 from dbc.canopen import NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from gateway.collector import Collector, slot_of
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
-from skin.messages import FrameCounts, Measurement
 
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from bus.error_frames import ErrorClass
 from bus.link import State
+from canskin.messages import FrameCounts, Measurement
 from dbc.contract import NodeContract
 from dbc.frame import ECHO, ERROR, Frames
 from gateway.nmt_master import NmtMaster
-from skin.messages import FrameCounts, Measurement
 
 #: Byte 1 of a report of the controller: its receive buffer has overflowed (SocketCAN: CAN_ERR_CRTL_RX_OVERFLOW).
 _OVERFLOW: Final = 0x01

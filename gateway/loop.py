@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from bus.link import Send, State
+from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, one_frame
 from dbc.time_of_day import time_frame
@@ -15,7 +16,6 @@ from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Gathering, Health, Sync
 from gateway.load import BusLoad
 from gateway.nmt_master import NmtMaster
-from skin.messages import BusState, GatewayStatus, Measurement
 from skin.ranges import ranges_text
 
 #: Period of `_look_after_nodes`.

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import SILENT
 from dbc.canopen import (
     COMMANDED,
     EMCY_BASE,
@@ -35,7 +36,6 @@ from gateway.grouped_lines import GroupedLines
 from gateway.node_record import NodeRecord, state_text
 from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
-from skin.messages import SILENT
 
 #: A node is silent after this many heartbeat periods without a heartbeat.
 PATIENCE: Final = 1.5

@@ -10,9 +10,9 @@ from cyclopts import Parameter
 
 from bus.link import Link
 from bus.options import BusOptions, open_links
+from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from gateway.node_check import NodeCheck, NodeReport
-from skin.errors import InputError, RunError
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal
 from skin.terminal import Json, print_json

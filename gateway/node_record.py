@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
+from canskin.messages import SILENT
 from dbc.canopen import NmtState
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
 from gateway.foreign_sdo import ForeignClient
 from gateway.sdo import SdoDialogue
-from skin.messages import SILENT
 
 #: An emergency at most this long before a node left is logged as the reason.
 EXPLAINS_S: Final = 2.0

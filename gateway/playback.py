@@ -16,13 +16,13 @@ import numpy as np
 from bus.link import State
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
+from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import SYNC_OVERFLOW, Contract, next_counter
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from gateway.cycle_gathering import GRACE
 from gateway.gathering import Sync
 from gateway.loop import GatewayLoop
-from skin.messages import GatewayStatus, Measurement
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2

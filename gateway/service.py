@@ -8,13 +8,13 @@ from typing import Final, Protocol
 import msgspec
 
 from bus.link import Link
+from canskin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
 from dbc.contract import Contract
 from dbc.frame import frames
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
 from skin.clock import wall_offset
-from skin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
 from skin.service import RateLimitedLog, StopSignal, request_real_time, say
 
 STATUS_PERIOD_S: Final = 0.2

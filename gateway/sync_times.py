@@ -20,13 +20,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import UNKNOWN_ERROR_NS
 from dbc.contract import Contract
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
-from skin.messages import UNKNOWN_ERROR_NS
 
 
 class SampledTimes(NamedTuple):
-    """Sampling instant of a cycle; see `skin.messages.Measurement`.
+    """Sampling instant of a cycle; see `canskin.messages.Measurement`.
 
     Attributes
     ----------

@@ -5,11 +5,11 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import Truth
 from dbc.board_sums import PATTERN_OFF
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Calibration
 from skin.measurement import Sbhe
-from skin.messages import Truth
 
 #: When a synchronous node has to do something by itself: never.
 NEVER_S = float("inf")

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
+from canskin.errors import InputError
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from firmware.library import Firmware
@@ -17,8 +19,6 @@ from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler
 from nodes.service import NodesService
 from skin.defects import parse_defects
-from skin.errors import InputError
-from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 from skin.sources import TaxelSource, load_source, step_rate_hz

@@ -7,11 +7,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import Truth
 from dbc.contract import SYNC_OVERFLOW
 from nodes.boards import Boards
 from nodes.electronics import Electronics
 from skin.measurement import Sbhe
-from skin.messages import Truth
 from skin.sources import TaxelSource
 from skin.taxel import to_newtons
 

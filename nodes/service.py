@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from bus.link import Link
+from canskin.fabric import Fabric
+from canskin.messages import NODES, TRUTH, NodesStatus
 from dbc.contract import Contract
 from firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
@@ -18,8 +20,6 @@ from nodes.firmware_segment import BoardsSegment, FirmwareSegment
 from nodes.sampler import CountSampler, Sampler
 from nodes.segment import Segment
 from nodes.synchronous_segment import SynchronousSegment
-from skin.fabric import Fabric
-from skin.messages import NODES, TRUTH, NodesStatus
 from skin.service import RateLimitedLog, StopSignal, request_real_time
 
 #: Longest wait for frames.

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import msgspec
 
-from skin.errors import UNDECODABLE, InputError
+from canskin.errors import UNDECODABLE, InputError
 from skin.output import write_file
 
 #: Values by index and sub-index, in the bytes of an SDO transfer.

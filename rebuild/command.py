@@ -13,6 +13,8 @@ from cyclopts import Parameter
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Tare
 from calibration.offline import calibrated_cycles, has_offsets, make_calibrator
+from canskin.errors import InputError, RunError
+from canskin.messages import FrameCounts
 from dbc.contract import Contract
 from rebuild.cycles import Cycles
 from rebuild.output import check_out, save_images
@@ -21,9 +23,7 @@ from rebuild.replay import replay
 from reconstructor.array_api import gpu_library
 from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
-from skin.errors import InputError, RunError
 from skin.layout import load_layout
-from skin.messages import FrameCounts
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.terminal import progress

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError, RunError
 from rebuild.cycles import Cycles
-from skin.errors import InputError, RunError
 from skin.output import check_new_path, replacing
 
 

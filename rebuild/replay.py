@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from canskin.errors import InputError
+from canskin.messages import FrameCounts, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import Frames
 from gateway.playback import play
 from rebuild.cycles import Cycles
-from skin.errors import InputError
-from skin.messages import FrameCounts, Measurement
 
 
 def replay(

@@ -3,10 +3,10 @@
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import BlockState
 from reconstructor.walsh import WalshReconstructor
 from skin.layout import Layout
 from skin.measured_sums import AdaptiveSums
-from skin.messages import BlockState
 from skin.taxel import NOISE_N
 from skin.walsh import grouped_rows
 

@@ -10,11 +10,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.bases.separable import haar_tensor
 from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
 from reconstructor.settings import SolverSettings
-from skin.errors import InputError
 from skin.measurement import Sbhe, fast_hadamard
 
 

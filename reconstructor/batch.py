@@ -11,13 +11,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.array_api import BatchSolver
 from reconstructor.checks import LARGEST_N
 from reconstructor.engine import Reconstructor
 from reconstructor.kernels.lanes import LANES, LaneSolver
 from reconstructor.settings import LIVE, WAVELETS, SolverSettings
 from skin.clipping import ClipCorrection
-from skin.errors import InputError
 from skin.measurement import Sbhe
 
 #: Cycles solved ahead of each part.

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.measurement import Sbhe
 
 Values = npt.NDArray[np.floating[Any]]

@@ -4,13 +4,13 @@ import threading
 from pathlib import Path
 from typing import Final
 
+from canskin.errors import InputError
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
-from skin.errors import InputError
-from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 

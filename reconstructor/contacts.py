@@ -19,9 +19,9 @@ from operator import attrgetter
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
+from canskin.messages import Contact, EndedContact
 from reconstructor.kernels.regions import FEATURES, find_regions, measure_parts, number_parts, spread_owners
-from skin.errors import InputError
-from skin.messages import Contact, EndedContact
 
 
 @dataclass(frozen=True)

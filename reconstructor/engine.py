@@ -5,11 +5,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.settings import LIVE, SolverSettings
 from reconstructor.solver import make_solver
 from reconstructor.temporal_filter import TemporalFilter
 from skin.clipping import ClipCorrection
-from skin.errors import InputError
 from skin.measurement import Sbhe
 
 #: Noise of one sum of 32 untouched taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.

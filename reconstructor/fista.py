@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse.linalg import LinearOperator, eigsh
 
+from canskin.errors import InputError
 from reconstructor.bases import Basis
 from reconstructor.checks import Values, check_above_zero, check_iterations, check_penalty, check_values
-from skin.errors import InputError
 from skin.operator import Operator
 
 #: Called with the number of the iteration, from 1, and the estimate after it.

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.fabric import Exchange
+from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
-from skin.fabric import Exchange
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, used_blocks
-from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from skin.service import StopSignal, request_real_time
 
 #: Measurements that wait during a solve; a longer queue would only make images older.

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
+from canskin.errors import InputError
 from reconstructor.checks import check_settings, is_whole
-from skin.errors import InputError
 
 Prior = Literal["haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "variation", "contourlet"]
 #: Priors that are orthonormal wavelets: the grid of their basis can be shifted.

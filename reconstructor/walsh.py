@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.checks import check_values
 from reconstructor.kernels.filling import fill
 from reconstructor.kernels.variation import denoise
-from skin.errors import InputError
 from skin.walsh import grouped_rows, walsh_matrix
 
 #: Limit of the dual, in units of the nodes' noise.

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 import firmware.command
-from skin.errors import InputError, RunError
+from canskin.errors import InputError, RunError
 from skin.layout import layout_text, load_layout
 from skin.mcap_file import read_about, wall_offset_ns
 from skin.output import RECORDING_SUFFIX, check_new_path, replacing

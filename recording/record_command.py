@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Final
 
 from bus.options import BusOptions, open_links
+from canskin.errors import BusError, InputError, RunError, Stopped
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
+from canskin.peers import Peer
 from dbc.contract import Contract
 from recording.recorder import Recorder
 from recording.sinks import open_sink
-from skin.errors import BusError, InputError, RunError
-from skin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import Layout, load_layout
-from skin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from skin.output import check_new_path
-from skin.peers import Peer
-from skin.service import Stopped, StopSignal, request_real_time, say
+from skin.service import StopSignal, request_real_time, say
 
 TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from bus.link import Link, State
+from canskin.messages import Topic
 from recording.sinks import Sink
 from skin.mcap_file import EVENTS, RECORDER
-from skin.messages import Topic
 from skin.service import StopSignal, say
 
 #: Frames are read in batches, so often. Links keep some thousands of frames.

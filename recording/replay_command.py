@@ -7,6 +7,8 @@ from pathlib import Path
 from bus.options import Channels
 from calibration.calibrator import Tare
 from calibration.offline import make_calibrator
+from canskin.errors import InputError, RunError
+from canskin.fabric import DEFAULT_ENDPOINT, Exchange, Fabric
 from classifier.cache import find_or_train
 from classifier.coarse_sums import classified_phi
 from classifier.decide import Classifier
@@ -21,8 +23,6 @@ from reconstructor.options import SolverOptions
 from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
 from recording.steps import Step, steps_of
-from skin.errors import InputError, RunError
-from skin.fabric import DEFAULT_ENDPOINT, Exchange, Fabric
 from skin.layout import Layout, load_layout
 from skin.mcap_file import wall_offset_ns
 from skin.output import RECORDING_SUFFIX, check_new_path

@@ -7,15 +7,15 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
+from canskin.fabric import Exchange, Fabric, Mailbox
+from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
 from recording.sinks import Sink
 from recording.steps import Step
-from skin.fabric import Exchange, Fabric, Mailbox
 from skin.layout import Layout
-from skin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
 from skin.service import StopSignal
 
 #: Adaptive sums are labelled so often, on the clock of the run.
@@ -106,7 +106,7 @@ class Report:
 class Replay:
     """Runs steps through the services, in one process and in their order, so that every run gives the same.
 
-    A `skin.fabric.Exchange` for its services.
+    A `canskin.fabric.Exchange` for its services.
 
     Parameters
     ----------

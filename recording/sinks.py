@@ -12,14 +12,14 @@ import numpy as np
 from can.io.logger import MESSAGE_WRITERS
 
 from bus.messages import to_message
+from canskin.errors import InputError
+from canskin.messages import Topic
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from dbc.generate import contract_files
 from dbc.stored_frames import CLASSIC_BYTES, FD_BYTES, RECORD_TEXT, to_bytes
-from skin.errors import InputError
 from skin.layout import Layout, layout_text
 from skin.mcap_file import FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
-from skin.messages import Topic
 from skin.output import RECORDING_SUFFIX
 
 #: Formats of python-can that do not keep the channel of a frame.

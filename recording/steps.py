@@ -12,12 +12,12 @@ import numpy as np
 
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
+from canskin.errors import InputError
+from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement, Topic
 from dbc.contract import Contract, next_counter
 from dbc.stored_frames import from_bytes
 from gateway.playback import Playback, play
-from skin.errors import InputError
 from skin.mcap_file import FRAMES, Entry, message_decoder, read_entries, read_topics, wall_offset_ns
-from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement, Topic
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 

@@ -9,14 +9,14 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError, RunError
+from canskin.errors import InputError, RunError
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
-from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
 
 Table = dict[str, npt.NDArray[Any]]
 
-#: Columns of the contacts: those of `skin.messages.Contact`, and the cycle.
+#: Columns of the contacts: those of `canskin.messages.Contact`, and the cycle.
 CONTACT_FIELDS: Final = {
     each.name: np.float64 if each.type is float else np.int64 for each in msgspec.structs.fields(Contact)
 }
@@ -36,7 +36,7 @@ class Tables:
         ``cycle``, ``time_ns``, ``sampled_mono_ns``,
         ``sampled_error_ns``.
     contacts : dict
-        One row per contact and image: the fields of `skin.messages.Contact`, ``cycle`` and ``time_ns``.
+        One row per contact and image: the fields of `canskin.messages.Contact`, ``cycle`` and ``time_ns``.
     labels : dict
         ``label``, ``confidence``, ``cycle``, ``time_ns``.
     truth : dict

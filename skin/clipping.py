@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from skin.errors import InputError
+from canskin.errors import InputError
 
 #: Mean and standard deviation of noise N(0, 1) that is clipped at 0.
 IDLE_MEAN: Final = 1 / math.sqrt(2 * math.pi)

@@ -8,9 +8,9 @@ from importlib.metadata import version
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Final
 
-from skin.errors import InputError, RunError, SkinError
+from canskin.errors import InputError, RunError, SkinError, Stopped
 from skin.explain import docstring, examples, summary
-from skin.service import Stopped, Talk, set_talk
+from skin.service import Talk, set_talk
 
 if TYPE_CHECKING:
     import cyclopts

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
+from canskin.errors import InputError
 
 #: Spring of one taxel: force in newtons = STIFFNESS_N_PER_M x compression in metres (section V).
 STIFFNESS_N_PER_M: Final = 1.0

@@ -10,8 +10,8 @@ from typing import Final, Generic, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import Image, Label, Measurement, Truth
 from skin.layout import Layout
-from skin.messages import Image, Label, Measurement, Truth
 
 #: Messages with equal SYNC counters belong to one cycle if their SYNCs are nearer than this: the counter repeats, after
 #: 2.4 s at 100 Hz.

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from skin.messages import Label
+from canskin.messages import Label
 
 #: A label from less than this part of the skin's sums is void; it does not mean that there is no contact.
 MIN_VALID_RATIO: Final = 0.25

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from skin.errors import UNDECODABLE, InputError, LayoutError
+from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.measurement import Sbhe, sbhe
 from skin.output import RECORDING_SUFFIX
 from skin.toml_errors import in_words

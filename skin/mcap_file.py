@@ -1,7 +1,7 @@
 """Recordings: MCAP files (https://mcap.dev) with the frames of the buses and the messages of the fabric.
 
 A recording has one topic per bus, ``frames/NAME``, whose messages hold many frames each (`dbc.stored_frames`), and the
-topics of `skin.messages`, whose messages are those of the fabric, byte for byte: msgpack. Of the topics `EVENTS` and
+topics of `canskin.messages`, whose messages are those of the fabric, byte for byte: msgpack. Of the topics `EVENTS` and
 `RECORDER` each message is a JSON object. The file begins with metadata and attachments.
 """
 
@@ -21,8 +21,8 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from skin.errors import UNDECODABLE, InputError
-from skin.messages import Topic
+from canskin.errors import UNDECODABLE, InputError
+from canskin.messages import Topic
 
 #: Profile in the header: what the topics and messages are.
 PROFILE: Final = "canskin"

@@ -8,9 +8,9 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
+from canskin.errors import InputError
+from canskin.messages import BlockState, Measurement
 from skin.measurement import Sbhe
-from skin.messages import BlockState, Measurement
 from skin.service import say
 
 #: Shortest time between two log lines about refused measurements.
@@ -48,7 +48,7 @@ class AdaptiveSums(NamedTuple):
     known : array of bool, shape (m,)
         True if a value of the sum is held.
     states : array of uint8, shape (blocks,)
-        `skin.messages.BlockState`.
+        `canskin.messages.BlockState`.
     since_ns : array of int64, shape (blocks,)
         Monotonic time since when the block is in its state.
     noise_n : float

@@ -13,7 +13,7 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.operator import check_vectors
 
 Selection = Literal["balanced", "uniform"]

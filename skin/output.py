@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from skin.errors import InputError
+from canskin.errors import InputError
 
 PICTURE_SUFFIXES: Final = (".png", ".svg", ".pdf")
 #: Of a recording of `skin record`; `skin.mcap_file` reads and writes it.

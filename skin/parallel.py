@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
-from skin.errors import InputError
+from canskin.errors import InputError
 
 _CONNECT_S: Final = 10
 

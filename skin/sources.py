@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.layout import Layout
 
 #: Groups of entry points.

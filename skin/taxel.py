@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from skin.defects import CrossTalk, Damper, Dead, Drift, Force, GainSpread, Noisy, Offset, Saturated, Stuck
-from skin.errors import InputError
 from skin.layout import Taxels
 
 #: Standard deviation of the sensor noise, as in the paper.

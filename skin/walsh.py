@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.measurement import fast_hadamard
 
 #: Groups of rows: low or high vertical sequency, each with low or high horizontal sequency.

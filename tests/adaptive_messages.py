@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from canskin.messages import BlockState, Measurement
 from skin.layout import Layout, load_layout
-from skin.messages import BlockState, Measurement
 
 LAYOUT: Layout = load_layout(Path("adaptive"), adaptive=True)
 PHI = LAYOUT.phi()

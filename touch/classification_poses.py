@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.coarse_arrays import Kind, averaged, grid_of
 from touch.contact import Force, Pose, Spheres, press_along
 from touch.objects import PAPER_OBJECTS, checked_names, spheres_of

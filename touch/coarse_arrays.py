@@ -11,7 +11,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.contact import TAXEL_RADIUS_M, Force, Grid
 
 Kind = Literal["averaged", "large", "sparse"]

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from skin.compiled import njit
 from skin.defects import STIFFNESS_N_PER_M
-from skin.errors import InputError
 from skin.layout import Taxels
 from skin.taxel import FORCE_MAX_N
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.output import save_figure
 from touch.contact import Force
 

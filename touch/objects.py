@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch import primitives, shapes
 from touch.contact import Spheres
 from touch.meshes import MeshPose, find_mesh, load_mesh

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.contact import FloatArray, Spheres
 
 BOX_SPHERE_M: Final = 0.0015

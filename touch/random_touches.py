@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.sources import LabelledTouches
 from touch.contact import PITCH_M, Force, Grid
 from touch.objects import checked_names

@@ -11,8 +11,8 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
-from skin.messages import IMAGE, TRUTH
+from canskin.errors import InputError
+from canskin.messages import IMAGE, TRUTH
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 

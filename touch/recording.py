@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.sources import Frame
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.contact import Force, Grid, Pose, press_along
 from touch.objects import spheres_of
 

@@ -4,7 +4,7 @@ from typing import Final
 
 import msgspec
 
-from skin.messages import SILENT, BusState, GatewayStatus, NodesStatus
+from canskin.messages import SILENT, BusState, GatewayStatus, NodesStatus
 from viewer.snapshot import BusView, GatewayState, NodesState
 
 #: States of the gateway's controller in which it neither sends nor receives.

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from canskin.messages import Contacts, GatewayStatus, Image, Label, Truth
 from skin.layout import Layout
-from skin.messages import Contacts, GatewayStatus, Image, Label, Truth
 
 FLOAT_BYTES = 4
 #: Most contacts of a message that the page shows.

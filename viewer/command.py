@@ -9,8 +9,8 @@ from typing import Final
 
 import uvicorn
 
-from skin.errors import InputError
-from skin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.errors import InputError
+from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from skin.layout import load_layout
 from skin.service import StopSignal, say
 from viewer.app import build_app

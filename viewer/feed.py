@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from skin.fabric import Fabric
+from canskin.fabric import Fabric
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, NODES, TRUTH, Topic
+from canskin.peers import Peer
 from skin.layout import Layout
-from skin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, NODES, TRUTH, Topic
-from skin.peers import Peer
 from viewer.snapshot import Pictures, Snapshot
 from viewer.state import ViewState
 

@@ -5,8 +5,8 @@ from typing import Final
 
 import msgspec
 
-from skin.calibration_messages import CalibrationState
-from skin.messages import SILENT, NmtState
+from canskin.calibration_messages import CalibrationState
+from canskin.messages import SILENT, NmtState
 from viewer.snapshot import BusView, Notice, Service, Snapshot
 
 #: Names of the NMT states on the page (CiA 301, 7.2.8.3.2).

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from skin.messages import BusState, Contact, GatewayStatus, NodesStatus
+from canskin.messages import BusState, Contact, GatewayStatus, NodesStatus
 
 Pixels = npt.NDArray[np.float32]
 
@@ -39,7 +39,7 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     since_time_s : float
         Wall-clock time when the token came or went.
     version, fingerprint : str
-        From the token; see `skin.peers.Peer`.
+        From the token; see `canskin.peers.Peer`.
     difference : str
         Why the service cannot work with this page's skin; empty if it can.
     """

@@ -5,11 +5,11 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
+from canskin.messages import Contacts, GatewayStatus, Image, Label, NodesStatus, Truth
+from canskin.peers import Peer, new_peer
 from skin.ground_truth import Pairs, image_pairs, in_contact
 from skin.labels import is_measured
 from skin.layout import Layout
-from skin.messages import Contacts, GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.peers import Peer, new_peer
 from skin.psnr import adds_noise, psnr_db
 from viewer.buses import gateway_state, nodes_state
 from viewer.checks import contacts_fit, image_fits, label_fits, status_fits, truth_fits

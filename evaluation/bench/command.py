@@ -4,7 +4,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.output import check_picture_path
 from skin.terminal import Json, print_json, print_table, progress
 

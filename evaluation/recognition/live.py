@@ -6,15 +6,15 @@ from typing import Final
 
 import numpy as np
 
+from canskin.errors import InputError
+from canskin.messages import UNKNOWN_OBJECT
 from classifier.cache import TOUCHES_PER_OBJECT
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.training import train
 from evaluation.result import Row
-from skin.errors import InputError
 from skin.layout import load_layout
-from skin.messages import UNKNOWN_OBJECT
 from skin.sources import DEFAULT_OBJECTS, load_touches
 from skin.taxel import NOISE_N
 from touch.sources import objects

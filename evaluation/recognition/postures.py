@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from classifier.dagsvm import DagSvm
 from classifier.rows import choose_rows
 from classifier.training import C_GRID
@@ -17,7 +18,6 @@ from evaluation.recognition.accuracy import MOST_ITERATIONS
 from evaluation.recognition.pictures import draw_gains, gain_row
 from evaluation.result import Options, Picture, Result, Row, grouped
 from evaluation.result_cache import measure_cells
-from skin.errors import InputError
 from touch.reading import read_counts
 
 SIZES: Final = (4096, 256, 64, 16)

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from calibration.calibrator import Calibrator
 from calibration.offline import measurement_of
+from canskin.calibration_messages import CalibrationState
+from canskin.messages import Measurement
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from evaluation.result import Options, Result, Row
@@ -17,11 +19,9 @@ from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SLIDES
 from nodes.averaging import SampleFilter
 from reconstructor.engine import Reconstructor
-from skin.calibration_messages import CalibrationState
 from skin.defects import Drift, GainSpread, Offset
 from skin.layout import Layout, load_layout
 from skin.measured_sums import decode_measurement
-from skin.messages import Measurement
 from skin.psnr import decibels
 from skin.taxel import TaxelModel, to_counts
 from touch.contact import Force

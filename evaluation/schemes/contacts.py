@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from scipy import ndimage
 
+from canskin.messages import Contact
 from dbc.contract import Contract
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
@@ -17,7 +18,6 @@ from evaluation.schemes.scenes import SIDE, SLIDES, Touch
 from evaluation.schemes.sums import run_sums
 from reconstructor.contacts import ContactSettings, ContactTracker
 from skin.layout import Taxels, load_layout
-from skin.messages import Contact
 from skin.taxel import to_counts
 from touch.contact import Force, Grid, Pose, press
 from touch.objects import spheres_of

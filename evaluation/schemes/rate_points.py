@@ -8,7 +8,7 @@ import msgspec
 
 from bandwidth.alternatives import BLOCKS_PER_NODE, with_buses, with_rate, with_sums
 from bandwidth.highest_rate import highest_rate_hz
-from skin.errors import LayoutError
+from canskin.errors import LayoutError
 from skin.layout import Bus, Layout, load_layout, validated
 
 #: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.

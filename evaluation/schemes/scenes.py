@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from evaluation.schemes.fresh_scenes import FIELDS, POSED, Poses, random_poses
 from evaluation.schemes.sensor_noise import NoiseKind, noise_of
 from skin.defects import Drift, Stuck
-from skin.errors import InputError
 from skin.layout import Taxels
 from skin.taxel import NOISE_N, TaxelModel, to_counts
 from touch.contact import Force, Grid, Pose, press

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from canskin.errors import InputError
 from reconstructor.bases import Basis
 from reconstructor.checks import Values
 from reconstructor.fista import soft
-from skin.errors import InputError
 
 
 def basis_pursuit(psi: Basis, image: Values, *, relative_error: float = 1e-3, iterations: int = 20_000) -> Values:

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from canskin.messages import Truth
 from dbc.adaptive_filter import SAMPLE_NS, Floats
 from dbc.contract import Contract
 from nodes.adaptive.sensors import STEP_NS, PatchSensors
 from nodes.boards import Boards
 from nodes.electronics import Calibration
-from skin.messages import Truth
 from skin.sources import TaxelSource
 from skin.taxel import NOISE_N, TaxelModel
 

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Final
 
+from canskin.errors import InputError
 from reconstructor.bases.basis import Basis
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.dct import Dct
 from reconstructor.bases.pyramid import Pyramid, daubechies4_pyramid, haar_pyramid
 from reconstructor.bases.separable import Separable, daubechies4_tensor, haar_tensor
-from skin.errors import InputError
 
 #: Every basis by name; "tensor" is the form of the paper's tables, "pyramid" that of Mallat.
 BASES: Final[dict[str, Callable[[int, int], Basis]]] = {

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from canskin.errors import InputError
 from reconstructor.bases.directional import Level, bank
 from reconstructor.bases.pkva import ROOT_TWO, fan, pyramid_pair
 from reconstructor.checks import Values, check_values, is_whole
-from skin.errors import InputError
 
 #: 2⁵ directions: the toolbox's nlevs = [5].
 LEVELS = 5

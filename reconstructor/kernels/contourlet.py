@@ -5,6 +5,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.checks import Values, check_estimate, check_sbhe, check_values, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
@@ -22,7 +23,6 @@ from reconstructor.kernels.steps import Table, aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from reconstructor.settings import SolverSettings
 from skin.compiled import njit
-from skin.errors import InputError
 from skin.measurement import Sbhe
 
 

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.checks import Values, check_estimate, placed
 from reconstructor.kernels import daubechies, haar
 from reconstructor.kernels.problem import Model, checked
@@ -16,7 +17,6 @@ from reconstructor.kernels.steps import Problem, Table, advance, aligned, descen
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
 from reconstructor.settings import WAVELETS, SolverSettings
 from skin.compiled import njit
-from skin.errors import InputError
 from skin.measurement import Sbhe
 
 #: Problems at once: eight of float32 are one vector, and the working memory stays in the L2 cache.

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.bases.separable import DAUBECHIES_4, HAAR
 from reconstructor.checks import Values, check_grid_of, float_kind, placed
 from reconstructor.fista import momentum
@@ -22,7 +23,6 @@ from reconstructor.kernels.addresses import (
 )
 from reconstructor.kernels.steps import Problem, Table, usable
 from reconstructor.settings import SolverSettings
-from skin.errors import InputError
 from skin.measurement import Sbhe
 
 ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {

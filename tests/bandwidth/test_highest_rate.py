@@ -8,7 +8,7 @@ import pytest
 from bandwidth.alternatives import planned
 from bandwidth.highest_rate import STEP_HZ, highest_rate_hz
 from bandwidth.traffic import Disturbance
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.layout import SHIPPED, Layout, load_layout
 
 #: Shipped layouts whose nodes send in every cycle.

@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from bandwidth.logs import listen, of_buses, read_log
+from canskin.errors import InputError
 from dbc.frame import BRS, ERROR, EXTENDED, FD, Frames, frames
 from dbc.frame_bits import frame_time_ns
-from skin.errors import InputError
 from skin.layout import load_layout
 from tests.bus.harness import burst, frame, linked, serving
 

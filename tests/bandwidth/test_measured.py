@@ -13,9 +13,9 @@ from bandwidth.departures import departures, sync
 from bandwidth.measured import kind_of, measure, misfits, planned_rates, tpdo_rows, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
+from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
-from skin.errors import InputError
 from skin.layout import load_layout, parse_layout
 from tests.identity import alternating
 

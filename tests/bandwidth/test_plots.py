@@ -8,8 +8,8 @@ import pytest
 from bandwidth.plots import cycle_figure, rates_figure, write_plots
 from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import traffic
+from canskin.errors import InputError
 from dbc.contract import Contract
-from skin.errors import InputError
 from skin.layout import load_layout
 
 

@@ -18,9 +18,9 @@ from response_time_analysis.model import (
 
 from bandwidth.response import UNBOUNDED, blocking_ns, response_times_ns
 from bus.simulated_bus import SimulatedBus
+from canskin.errors import InputError
 from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
-from skin.errors import InputError
 
 Times = npt.NDArray[np.int64]
 MS = 1_000_000

@@ -7,7 +7,7 @@ import pytest
 from bandwidth.alternatives import planned
 from bandwidth.search import Requirement, Search, search
 from bandwidth.traffic import Disturbance
-from skin.errors import InputError
+from canskin.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from bus.faults import Fault, FaultSchedule, parse_fault
 from bus.outbox import DISCARDED, OTHERS, OWNER
 from bus.simulated_bus import SimulatedBus
+from canskin.errors import InputError
 from dbc.frame import ERROR
 from dbc.frame_bits import wire_bits
-from skin.errors import InputError
 from tests.bus.harness import burst, frame
 
 ratios = st.floats(0, 0.4)

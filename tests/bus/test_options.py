@@ -7,7 +7,7 @@ import pytest
 
 from bus import options
 from bus.options import BusOptions, channels, open_links
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.layout import Layout, parse_layout
 
 

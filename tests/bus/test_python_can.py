@@ -10,8 +10,8 @@ from bus.error_frames import State
 from bus.link import Filter, open_link
 from bus.messages import to_frame
 from bus.python_can import PythonCanLink
+from canskin.errors import BusError
 from dbc.frame import ECHO, EXTENDED, FD
-from skin.errors import BusError
 from tests.bus.harness import PATIENCE_S, burst, collect, frame, linked, serving
 
 

@@ -18,10 +18,10 @@ from bus.faults import Fault
 from bus.link import DISCARDED, Filter, open_link
 from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Kind, pack, runtime_folder, socket_path
 from bus.server import BusServer, BusSettings
+from canskin.errors import BusError, InputError, Stopped
 from dbc.frame import BRS, ECHO, ERROR, EXTENDED, FD
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
-from skin.errors import BusError, InputError
-from skin.service import Stopped, StopSignal
+from skin.service import StopSignal
 from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame, linked, serving
 
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from bus.link import Filter, open_link
 from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
 from bus.socketcan import FD_BYTES, _kernel_filters, decode, encode
+from canskin.errors import BusError
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames
-from skin.errors import BusError
 from tests.bus.harness import burst, frame
 
 

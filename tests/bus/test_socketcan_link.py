@@ -16,8 +16,8 @@ from bus import socketcan
 from bus.link import Filter, State
 from bus.recvmmsg import Received
 from bus.socketcan import SocketCanLink
+from canskin.errors import BusError, InputError
 from dbc.frame import ECHO, ERROR, FD
-from skin.errors import BusError, InputError
 from tests.bus.harness import burst, frame
 
 # Numbers of the kernel, from its headers.

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.offline import measurement_of
+from canskin.messages import Measurement
 from skin.layout import Layout, Sync, load_layout
-from skin.messages import Measurement
 
 LAYOUT = msgspec.structs.replace(load_layout(), sync=Sync(rate_hz=40.0))
 PHI = LAYOUT.phi()

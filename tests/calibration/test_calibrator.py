@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.calibrator import Calibrator
-from skin.calibration_messages import CalibrationState
+from canskin.calibration_messages import CalibrationState
 from skin.clipping import IDLE_MEAN
 from skin.layout import load_layout, parse_layout
 from skin.measured_sums import decode_measurement

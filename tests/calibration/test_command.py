@@ -10,16 +10,16 @@ import pytest
 
 from calibration.command import calibration, tare
 from calibration.stored import encoded, load_calibration, parse_calibration, save_calibration, store
-from skin.calibration_messages import (
+from canskin.calibration_messages import (
     CALIBRATION,
     CalibrationReply,
     CalibrationRequest,
     CalibrationState,
     CalibrationStatus,
 )
+from canskin.errors import BusError, RunError
+from canskin.fabric import Fabric, Reply
 from skin.command import main
-from skin.errors import BusError, RunError
-from skin.fabric import Fabric, Reply
 from tests.calibration.skins import LAYOUT, PHI
 
 STORED = store(LAYOUT, offsets_n=np.linspace(0, 0.1, PHI.shape[0]), gains=np.ones(PHI.shape[1]))

@@ -9,10 +9,10 @@ import pytest
 from calibration.gain_files import stored_gains
 from calibration.gains import defects_of, find_gains
 from calibration.stored import load_calibration
-from skin.errors import InputError, RunError
+from canskin.errors import InputError, RunError
+from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.layout import parse_layout
 from skin.mcap_file import RecordingWriter
-from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
 
 LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32", "test")
 PHI = LAYOUT.phi()

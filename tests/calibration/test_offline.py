@@ -9,10 +9,10 @@ import pytest
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated_cycles, has_offsets, make_calibrator, measurement_of
 from calibration.stored import save_calibration, store
-from skin.errors import InputError
+from canskin.errors import InputError
+from canskin.messages import MEASUREMENT
 from skin.layout import load_layout
 from skin.mcap_file import RecordingWriter
-from skin.messages import MEASUREMENT
 from tests.calibration.skins import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
 
 OFFSETS = PHI.forward(offsets_n())

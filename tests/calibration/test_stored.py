@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.stored import load_calibration, save_calibration, store
-from skin.errors import InputError
+from canskin.errors import InputError
 from tests.calibration.skins import LAYOUT, PHI
 
 

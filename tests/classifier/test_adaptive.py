@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import ModelError
+from canskin.fabric import Fabric
 from classifier.coarse_sums import classified_phi, places
 from classifier.decide import FORGET_CYCLES, Classifier
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
 from classifier.service import AdaptiveClassifierService
 from classifier.training import TrainingOptions, train
-from skin.errors import ModelError
-from skin.fabric import Fabric
 from skin.layout import Layout, parse_layout
 from tests.adaptive_messages import adaptive_measurement
 from tests.classifier.conftest import Touches

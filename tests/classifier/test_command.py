@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canskin.errors import InputError, ModelError
+from canskin.fabric import Fabric
 from classifier.cache import cached_path, find_or_train
 from classifier.command import classify, train
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
 from skin import sources
-from skin.errors import InputError, ModelError
-from skin.fabric import Fabric
 from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
 from skin.sources import load_touches

@@ -5,6 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from canskin.messages import UNKNOWN_OBJECT
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.newest_sums import HOLD_CYCLES
@@ -12,7 +13,6 @@ from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from skin.messages import UNKNOWN_OBJECT
 from tests.classifier.conftest import draw
 
 Sums = np.ndarray

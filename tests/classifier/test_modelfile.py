@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canskin.errors import ModelError
 from classifier.model import ARRAYS, Model
 from classifier.modelfile import load_model, save_model
-from skin.errors import ModelError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 

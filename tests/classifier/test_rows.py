@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from classifier.rows import choose_rows
-from skin.errors import InputError
 from skin.measurement import sbhe
 
 PHI = sbhe(64, 64, block_size=8)

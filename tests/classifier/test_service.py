@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.fabric import Fabric
+from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.service import ClassifierService
-from skin.fabric import Fabric
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from skin.messages import LABEL, MEASUREMENT, Label, Measurement
 from skin.service import StopSignal
 
 

@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
-from skin.errors import InputError
 from skin.layout import Layout
 from skin.measurement import Sbhe
 

@@ -8,6 +8,7 @@ import cantools
 import numpy as np
 import pytest
 
+from canskin.errors import LayoutError
 from dbc.adaptive import GROUP_SUMS, TPDOS, coarse_code, coarse_value, fine_steps, frame_of, pack_fine
 from dbc.configuration import configuration
 from dbc.contract import Contract
@@ -15,7 +16,6 @@ from dbc.database import database
 from dbc.dictionary import dictionary
 from dbc.eds import eds, node_types
 from dbc.indices import OD_COARSE, OD_FINE
-from skin.errors import LayoutError
 from skin.layout import load_layout, parse_layout
 from skin.walsh import GROUPS, walsh_matrix
 

@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Truth
 from demo.processor_time import ProcessorTime, processor_time, ratios
 from demo.report import Percentiles
 from demo.score import Score
-from skin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Truth
 from tests.adaptive_messages import LAYOUT
 
 MS = 1_000_000

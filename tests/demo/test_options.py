@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from demo.options import DemoOptions
-from skin.errors import InputError
 from skin.layout import Bus, load_layout
 
 LAYOUT = load_layout()

@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
 from skin.layout import load_layout
-from skin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 
 LAYOUT = load_layout()
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)

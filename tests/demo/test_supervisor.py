@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from canskin.errors import InputError, RunError
 from demo.supervisor import Supervisor
-from skin.errors import InputError, RunError
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from skin.fabric import Fabric
+from canskin.fabric import Fabric
 
 SCRIPT = Path(__file__).parents[2] / "deploy/alive.py"
 

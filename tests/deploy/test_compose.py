@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from skin.fabric import Fabric
-from skin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from canskin.fabric import Fabric
+from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from tests.processes import Processes, free_endpoint, slow_layout
 
 ROOT = Path(__file__).parents[2]

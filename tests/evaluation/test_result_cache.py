@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from canskin.errors import InputError
 from evaluation.report import write_report
 from evaluation.result import Options, Result, beside
 from evaluation.result_cache import measure_cells
-from skin.errors import InputError
 
 _calls: list[int] = []
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from canskin.messages import Measurement
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from firmware.library import Firmware
 from nodes.firmware_segment import FirmwareSegment
-from skin.messages import Measurement
 from tests.firmware.twins import CountWitness, needs_compiler
 from tests.gateway.world import World, small_contract
 from tests.identity import IDENTITIES, with_identity

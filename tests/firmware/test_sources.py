@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from canskin.errors import InputError
 from dbc.configuration import setting_of
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
@@ -15,7 +16,6 @@ from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
 from firmware.export import export_files
 from firmware.library import STANDARD_FLAGS, Firmware, compile_c, constants, shared_folders, sources
 from firmware.tables import builds
-from skin.errors import InputError
 from skin.layout import load_layout
 from tests.firmware.twins import needs_compiler, small_contract
 

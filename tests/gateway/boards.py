@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.link import State
+from canskin.messages import BlockState, GatewayStatus, Measurement
 from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
@@ -27,7 +28,6 @@ from nodes.adaptive.sending import (
     note_sent,
 )
 from skin.layout import parse_layout
-from skin.messages import BlockState, GatewayStatus, Measurement
 from skin.walsh import GROUPS, grouped_rows
 from tests.bus.harness import frame
 from tests.gateway.world import Wire

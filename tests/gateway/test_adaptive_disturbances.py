@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canskin.messages import Measurement
 from dbc.adaptive import coarse_step
 from dbc.canopen import COB_ID_INVALID, COB_ID_NO_RTR, NmtCommand
 from dbc.configuration import configuration
@@ -16,7 +17,6 @@ from dbc.contract import Contract
 from dbc.indices import OD_BUDGET, OD_REFRESH, OD_SENDING, OD_TPDO_COMMUNICATION
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.segment import AdaptiveSegment
-from skin.messages import Measurement
 from skin.walsh import grouped_rows
 from tests.gateway.boards import small_adaptive, sums_of
 from tests.gateway.test_disturbances import DISTURBANCES, RANDOM, drive

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from canskin.messages import BlockState
 from dbc.adaptive import FIRST_COB_ID
 from dbc.frame import FD
-from skin.messages import BlockState
 from tests.bus.harness import frame
 from tests.gateway.boards import BoardWorld, lose, small_adaptive, states, sums_of
 

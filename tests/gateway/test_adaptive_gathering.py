@@ -5,6 +5,8 @@ import pytest
 
 from bus.error_frames import ErrorClass
 from bus.link import State
+from canskin.errors import InputError
+from canskin.messages import BlockState
 from dbc.adaptive import GROUP_SUMS, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
@@ -14,9 +16,7 @@ from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_CO
 from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
 from gateway.nmt_master import SILENT_AFTER_S
-from skin.errors import InputError
 from skin.layout import parse_layout
-from skin.messages import BlockState
 from tests.bus.harness import frame
 from tests.gateway.boards import SMALL, STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
 

@@ -8,9 +8,9 @@ import pytest
 
 from bus.options import BusOptions
 from calibration.stored import save_calibration, store
+from canskin.calibration_messages import CALIBRATION, Question
+from canskin.errors import InputError
 from gateway import command
-from skin.calibration_messages import CALIBRATION, Question
-from skin.errors import InputError
 from skin.layout import load_layout
 from skin.service import StopSignal
 

@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from canskin.messages import BlockState
 from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.contract import Contract
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH
 from gateway.foreign_sdo import ForeignClient
 from skin.layout import parse_layout
-from skin.messages import BlockState
 from tests.gateway.boards import BoardWorld, at_rest, lose, states
 
 #: The times that docs/adaptive.md promises.

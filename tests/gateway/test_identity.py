@@ -5,6 +5,7 @@ import pytest
 
 from bus.link import State
 from bus.python_can import PythonCanLink
+from canskin.errors import InputError
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
 from dbc.frame import ECHO, Frames, frames
@@ -12,7 +13,6 @@ from gateway.collector import Collector
 from gateway.command import require_order
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
-from skin.errors import InputError
 from tests.gateway.test_loop import until_sync
 from tests.gateway.world import PERIOD_S, World, small_contract, valid
 from tests.identity import IDENTITIES

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 import pytest
 
+from canskin.messages import SILENT
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -24,7 +25,6 @@ from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import DIALOGUES, LATER_S, PAUSES_S, SILENT_AFTER_S, STABLE_S, TICK_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from skin.layout import parse_layout
-from skin.messages import SILENT
 from tests.bus.harness import frame
 from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract, valid
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from canskin.messages import UNKNOWN_ERROR_NS, Measurement
 from dbc.contract import Contract
 from dbc.frame import Frames
 from gateway.playback import Playback, play
-from skin.messages import UNKNOWN_ERROR_NS, Measurement
 from tests.recording.conftest import OFFSET_NS, bus_frames, contract, force_n, sums
 
 __all__ = ["bus_frames", "contract", "force_n", "sums"]

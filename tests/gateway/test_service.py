@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from bus.link import State
+from canskin.messages import GATEWAY, GatewayStatus, Measurement, Topic
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from gateway.collector import Collector
 from gateway.service import GatewayService
-from skin.messages import GATEWAY, GatewayStatus, Measurement, Topic
 
 
 class Clock:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from canskin.messages import UNKNOWN_ERROR_NS
 from dbc.contract import Contract
 from gateway.sync_times import SampledTimes, SyncTimes
-from skin.messages import UNKNOWN_ERROR_NS
 
 SENT_NS = 1_000_000_000
 #: A SYNC without data and without stuff bits at 1 Mbit/s: 44 bits, to the last bit of end of frame.

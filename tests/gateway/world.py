@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.link import State
+from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
@@ -18,7 +19,6 @@ from nodes.sampler import Sampler
 from nodes.synchronous_segment import SynchronousSegment
 from skin.layout import parse_layout
 from skin.measurement import Sbhe
-from skin.messages import GatewayStatus, Measurement
 from skin.sources import Frame
 from skin.taxel import to_counts
 from tests.bus.harness import frame

@@ -34,7 +34,7 @@ from cosmic_ray.util import read_python_source
 from cosmic_ray.work_db import use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkItem, WorkResult
 
-from skin.errors import InputError, RunError, SkinError
+from canskin.errors import InputError, RunError, SkinError
 from skin.terminal import progress
 
 ROOT: Final = Path(__file__).parents[2]

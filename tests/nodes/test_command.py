@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from dbc.contract import Contract
 from nodes import command
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.command import choose_nodes
 from nodes.sampler import Sampler
-from skin.errors import InputError
 from skin.service import StopSignal
 
 

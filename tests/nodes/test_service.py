@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bus.link import State
+from canskin.messages import NodesStatus, Topic, Truth
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.indices import OD_REFRESH
@@ -17,7 +18,6 @@ from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout
-from skin.messages import NodesStatus, Topic, Truth
 from tests.bus.harness import frame
 from tests.nodes.links import ArrayLink, Still
 from tests.nodes.test_segment import START, sync

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from canskin.errors import InputError
 from dbc.canopen import Abort
 from dbc.contract import Contract
 from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.storage import Storage
-from skin.errors import InputError
 from tests.bus.harness import frame
 from tests.nodes.conftest import new_segment
 from tests.nodes.links import ArrayLink, Still

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from dbc.packing import packing
 from nodes.electronics import Electronics
@@ -16,7 +17,6 @@ from rebuild import command
 from rebuild.command import rebuild
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
-from skin.errors import InputError, RunError
 from skin.layout import layout_text, parse_layout
 from tests.identity import with_identity
 from tests.rebuild.conftest import CYCLES, LAYOUT, START_S, message, messages, write_log

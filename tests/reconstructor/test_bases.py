@@ -8,6 +8,7 @@ import pywt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canskin.errors import InputError
 from reconstructor.bases import (
     BASES,
     Basis,
@@ -19,7 +20,6 @@ from reconstructor.bases import (
     make_basis,
 )
 from reconstructor.bases.separable import wavelet_step, wavelet_tensor
-from skin.errors import InputError
 
 MAKERS = {name: make for name, make in BASES.items() if name != "contourlet"}
 sides = st.sampled_from([8, 16, 32, 64])

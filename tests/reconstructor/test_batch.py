@@ -8,6 +8,7 @@ import array_api_strict
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.bases import haar_tensor
 from reconstructor.batch import RecordingSolver
@@ -15,7 +16,6 @@ from reconstructor.engine import Reconstructor
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.lanes import LANES, LaneSolver
 from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, Prior, SolverSettings
-from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 from tests.reconstructor.conftest import Scene, psnr_db
 from tests.reconstructor.reference import Shrinkage, fista_image

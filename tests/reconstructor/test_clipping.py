@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from reconstructor.engine import Reconstructor
 from skin.clipping import ClipCorrection
-from skin.errors import InputError
 from skin.measurement import Sbhe
 from tests.reconstructor.conftest import NOISE_N, Scene, psnr_db, sense
 

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from canskin.errors import InputError
+from canskin.messages import Contact, EndedContact
 from reconstructor.contacts import ContactSettings, ContactTracker
-from skin.errors import InputError
-from skin.messages import Contact, EndedContact
 
 ROWS, COLUMNS = 32, 48
 PERIOD_NS = 10_000_000

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canskin.errors import InputError
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.pkva import pyramid_pair
-from skin.errors import InputError
 
 
 @given(st.sampled_from([16, 32, 64, 128]), st.integers(0, 2**32 - 1), st.floats(-3, 3))

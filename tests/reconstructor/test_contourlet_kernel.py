@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canskin.errors import InputError
 from reconstructor.bases import Contourlet
 from reconstructor.fista import fista
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.settings import PAPER_CONTOURLET, SolverSettings
-from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, SolverSettings, preset
-from skin.errors import InputError
 from skin.measurement import Sbhe
 from tests.reconstructor.conftest import Scene, ball, psnr_db, sense
 

@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.walsh import WalshReconstructor
-from skin.errors import InputError
 from skin.measured_sums import AdaptiveSums, decode_adaptive
 from skin.psnr import decibels
 from skin.sources import DEFAULT_OBJECTS, load_touches

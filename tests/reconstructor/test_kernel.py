@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canskin.errors import InputError
 from reconstructor.bases import make_basis
 from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import Prior, SolverSettings
-from skin.errors import InputError
 from skin.measurement import Sbhe, sbhe
 from tests.reconstructor.reference import Proximal, Shrinkage, Variation, fista_image
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from reconstructor.array_api import BatchSolver
 from reconstructor.bases import BASES, Contourlet, haar_tensor
 from reconstructor.batch import RecordingSolver
@@ -16,7 +17,6 @@ from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolve
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.lanes import LANES, LaneSolver
 from reconstructor.settings import Prior, SolverSettings
-from skin.errors import InputError
 from skin.measurement import sbhe
 
 PHI = sbhe(256, 64, block_size=16, seed=3)

@@ -12,13 +12,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.fabric import Fabric
+from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from reconstructor import command
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
-from skin.fabric import Fabric
 from skin.layout import Layout, load_layout
-from skin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from skin.service import StopSignal
 from tests import adaptive_messages
 from tests.adaptive_messages import adaptive_measurement

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from reconstructor.walsh import STEPS, VariationFilter, WalshReconstructor
-from skin.errors import InputError
 from skin.walsh import patches, walsh_matrix
 from tests.reconstructor.reference import Variation
 

@@ -7,13 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import InputError, RunError
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
 from recording.tables import read_tables
-from skin.errors import InputError, RunError
 from skin.layout import load_layout
-from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement
 from tests.recording.conftest import OFFSET_NS
 from touch.sources import recording
 

@@ -10,16 +10,16 @@ import pytest
 
 from bandwidth.logs import read_log
 from bus.link import State
+from canskin.errors import InputError, RunError
+from canskin.messages import LABEL
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
 from recording import record_command
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_log, open_sink
-from skin.errors import InputError, RunError
 from skin.layout import parse_layout
 from skin.mcap_file import EVENTS, RECORDER, read_about, read_entries
-from skin.messages import LABEL
 from tests.processes import free_endpoint
 from tests.recording.conftest import OFFSET_NS, FakeLink
 

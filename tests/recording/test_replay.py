@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from calibration.calibrator import Calibrator
+from canskin.errors import InputError
+from canskin.fabric import Mailbox
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS, Image, Label, Measurement, Topic
 from classifier.service import ClassifierService
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -19,10 +22,7 @@ from recording.recorder import Recorder
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink, open_sink
 from recording.steps import steps_of
-from skin.errors import InputError
-from skin.fabric import Mailbox
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
-from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS, Image, Label, Measurement, Topic
 from skin.service import StopSignal
 from tests.recording.conftest import OFFSET_NS, FakeLink
 

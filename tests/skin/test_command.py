@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from canskin.errors import InputError
 from skin.command import VERBS, build_app
-from skin.errors import InputError
 from skin.explain import docstring, examples, summary
 from skin.service import RateLimitedLog, Talk, say, set_talk
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from canskin.messages import Image, Label, Truth
 from skin.ground_truth import (
     IMAGES_KEPT,
     SHOWN_NS,
@@ -16,7 +17,6 @@ from skin.ground_truth import (
     label_pairs,
 )
 from skin.layout import load_layout
-from skin.messages import Image, Label, Truth
 
 MS = 1_000_000
 

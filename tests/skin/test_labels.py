@@ -2,8 +2,8 @@
 
 import pytest
 
+from canskin.messages import Label
 from skin.labels import is_measured
-from skin.messages import Label
 
 
 @pytest.mark.parametrize(

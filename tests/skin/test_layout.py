@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 import skin.layouts
-from skin.errors import LayoutError
+from canskin.errors import LayoutError
 from skin.layout import (
     SHIPPED,
     Bus,

@@ -8,9 +8,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from skin.errors import InputError
+from canskin.errors import InputError
+from canskin.messages import LABEL
 from skin.mcap_file import EVENTS, File, RecordingWriter, message_decoder, read_about, read_entries, read_topics
-from skin.messages import LABEL
 
 COUNT = 20
 

@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
+from canskin.messages import BlockState, Measurement
 from skin import measured_sums
-from skin.errors import InputError
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import sbhe
-from skin.messages import BlockState, Measurement
 
 PHI = sbhe(64, 16, block_size=8)
 SUMS = np.arange(-8, 8, dtype="<i4")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.measurement import Sbhe, fast_hadamard, sbhe
 
 

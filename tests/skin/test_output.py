@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.output import check_picture_path, write_file
 
 

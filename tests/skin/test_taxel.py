@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from skin.defects import (
     KINDS,
     CrossTalk,
@@ -14,7 +15,6 @@ from skin.defects import (
     Stuck,
     parse_defects,
 )
-from skin.errors import InputError
 from skin.layout import Taxels
 from skin.taxel import TaxelModel, sense, to_counts, to_newtons
 

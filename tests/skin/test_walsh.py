@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import hadamard
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.walsh import GROUPS, grouped_rows, patch_shape, patches, walsh_matrix
 
 

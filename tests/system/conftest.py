@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canskin.fabric import Fabric
+from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Image, Label, Measurement
 from demo.supervisor import Supervisor
-from skin.fabric import Fabric
 from skin.layout import load_layout
-from skin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Image, Label, Measurement
 from tests import processes
 from tests.processes import free_endpoint
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from canskin.messages import TRUTH, Measurement, Truth
 from skin.ground_truth import of_one_cycle
-from skin.messages import TRUTH, Measurement, Truth
 from tests.system.conftest import Chain, invalid_blocks
 
 pytestmark = [pytest.mark.slow, pytest.mark.chain]

@@ -12,9 +12,9 @@ import msgspec
 import pytest
 
 from bandwidth.logs import read_log
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contacts, Image, Topic
 from dbc.canopen import SYNC_COB_ID
 from skin.mcap_file import read_entries
-from skin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contacts, Image, Topic
 from tests.system.conftest import PATIENCE_S, Chain
 
 pytestmark = [pytest.mark.slow, pytest.mark.chain]

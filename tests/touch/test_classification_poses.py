@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations, poses
 from touch.coarse_arrays import Kind
 from touch.contact import Grid, Pose, press

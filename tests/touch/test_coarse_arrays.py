@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.coarse_arrays import ARRAYS, SIDE_M, averaged, grid_of
 
 

@@ -4,7 +4,7 @@ import msgspec
 import pytest
 import trimesh
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.command import objects
 from touch.objects import CATALOGUE, PAPER_OBJECTS
 

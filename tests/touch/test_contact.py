@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.contact import Grid, Pose, Spheres, press
 from touch.objects import CATALOGUE, spheres_of
 from touch.primitives import ball

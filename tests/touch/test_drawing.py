@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.drawing import as_text, save_images
 
 

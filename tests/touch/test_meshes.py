@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.meshes import MeshPose, find_mesh, load_mesh
 from touch.objects import spheres_of
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.contact import Grid, Pose, Spheres, press
 from touch.objects import CATALOGUE, FACING_M, checked_names, spheres_of
 from touch.primitives import ball, box, can, ring

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.sources import load_source
 from touch.recording import Recording
 from touch.sources import recording

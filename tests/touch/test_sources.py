@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.sources import DEFAULT_OBJECTS, load_source
 from touch.objects import CATALOGUE
 from touch.random_touches import random_touches

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.contact import Grid, press
 from touch.objects import spheres_of
 from touch.trajectory import ACQUISITION_OBJECTS, paper_pose, start_of, trajectory

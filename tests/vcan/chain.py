@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.fabric import Fabric
+from canskin.fabric import Fabric
+from canskin.messages import GATEWAY, MEASUREMENT, TRUTH, GatewayStatus, Measurement, Truth
 from skin.ground_truth import of_one_cycle
 from skin.layout import Layout, load_layout
-from skin.messages import GATEWAY, MEASUREMENT, TRUTH, GatewayStatus, Measurement, Truth
 from tests.processes import Processes, free_endpoint, slow_layout
 
 #: A rate that a guest kernel on one slow processor carries.

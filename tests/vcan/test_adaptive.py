@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from canskin.fabric import Fabric
+from canskin.messages import GATEWAY, MEASUREMENT, BlockState, GatewayStatus, Measurement
 from dbc.adaptive import GROUP_SUMS, OTHER_CODES, coarse_step, coarse_value
 from dbc.contract import Contract
 from dbc.indices import OD_COARSE
-from skin.fabric import Fabric
 from skin.layout import Layout, load_layout
-from skin.messages import GATEWAY, MEASUREMENT, BlockState, GatewayStatus, Measurement
 from skin.walsh import grouped_rows
 from tests.processes import Processes, free_endpoint
 

@@ -15,10 +15,10 @@ from cantools.database import load_file
 from cantools.logreader import Parser
 
 from bandwidth.plan import plan
+from canskin.messages import GatewayStatus
 from dbc.configuration import PROOF_BITS, proof_period_s
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
-from skin.messages import GatewayStatus
 from tests.processes import Processes
 from tests.vcan.chain import RATE_HZ, Chain, ip_link, running_chain
 

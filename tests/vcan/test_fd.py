@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from bus.link import Link, open_link
+from canskin.errors import BusError
 from dbc.frame import BRS, ESI, EXTENDED, FD, Frames, frames
-from skin.errors import BusError
 from tests.processes import Processes
 from tests.vcan.chain import ip_link
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bus.link import Link, open_link
+from canskin.messages import Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
@@ -17,7 +18,6 @@ from firmware.library import Firmware
 from gateway.loop import GatewayLoop
 from nodes.firmware_segment import FirmwareSegment
 from skin.layout import parse_layout
-from skin.messages import Measurement
 from tests.firmware.twins import CountWitness
 from tests.identity import IDENTITIES, with_identity
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skin.messages import UNKNOWN_ERROR_NS
+from canskin.messages import UNKNOWN_ERROR_NS
 from tests.vcan.chain import running_chain
 
 CYCLES = 50

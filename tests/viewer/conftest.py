@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skin.fabric import Fabric
+from canskin.fabric import Fabric
+from canskin.messages import BusState, Contact, Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
 from skin.layout import Bus, Layout, Measuring, Taxels
-from skin.messages import BusState, Contact, Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
 
 SECOND_NS = 1_000_000_000
 

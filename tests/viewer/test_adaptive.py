@@ -5,8 +5,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from canskin.messages import Image, Truth
 from skin.layout import Bus, Layout, Measuring, Sampling, Sync, Taxels
-from skin.messages import Image, Truth
 from viewer.state import ViewState
 from viewer.wire import greeting
 

@@ -12,8 +12,8 @@ import pytest
 from starlette.exceptions import StarletteDeprecationWarning
 from starlette.websockets import WebSocketDisconnect
 
-from skin.fabric import Fabric
-from skin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
+from canskin.fabric import Fabric
+from canskin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
 from viewer.app import build_app
 from viewer.feed import Feed
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import uvicorn
 
-from skin.fabric import Fabric
-from skin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, TRUTH
+from canskin.fabric import Fabric
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, TRUTH
 from tests.browser import CHROMIUM, Browser, chromium
 from viewer.app import build_app
 from viewer.feed import Feed

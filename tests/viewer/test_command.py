@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
-from skin.errors import InputError
-from skin.fabric import Fabric
+from canskin.errors import InputError
+from canskin.fabric import Fabric
 from viewer.command import view
 
 TOML = """

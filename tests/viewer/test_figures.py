@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canskin.messages import Image, Truth
 from skin.ground_truth import REMEMBERED, Pairing
-from skin.messages import Image, Truth
 from skin.psnr import psnr_db
 from viewer.state import ViewState
 from viewer.window import Window

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from skin.calibration_messages import CalibrationState, CalibrationStatus
-from skin.peers import Peer, new_peer
+from canskin.calibration_messages import CalibrationState, CalibrationStatus
+from canskin.peers import Peer, new_peer
 from viewer.state import PEERS, PROCESSES, SERVICES, ViewState
 
 EPOCH_S = 1000.0

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.parallel import in_parallel
 from skin.terminal import Json, print_json, print_table, progress
 from touch.coarse_arrays import ARRAYS

@@ -16,7 +16,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from skin.errors import UNDECODABLE, InputError, RunError
+from canskin.errors import UNDECODABLE, InputError, RunError
 from touch.contact import Force
 
 FORMAT: Final = "canskin data set 1"

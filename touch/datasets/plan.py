@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from skin.taxel import TaxelModel
 from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
 from touch.coarse_arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from evaluation.bench import missing, reconstruct, skins
 from evaluation.bench.command import bench
 from evaluation.bench.limit import measure_limit
@@ -14,7 +15,6 @@ from evaluation.bench.problem import Method, compare, make_problem
 from evaluation.bench.scenes import make_scenes, mean_over
 from evaluation.psnr import psnr_series_db
 from reconstructor.bases import haar_pyramid
-from skin.errors import InputError
 from skin.layout import load_layout
 from touch.trajectory import ACQUISITION_OBJECTS
 

@@ -8,6 +8,7 @@ from typing import get_args
 
 import pytest
 
+from canskin.errors import InputError
 from evaluation import command
 from evaluation.command import evaluate
 from evaluation.paper import figures, solvers, sparsity, tables
@@ -15,7 +16,6 @@ from evaluation.paper.printed import SENSOR, BasisName
 from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method
 from evaluation.paper.solvers import Solver
 from evaluation.result import Options, Result, Row
-from skin.errors import InputError
 
 BASES = get_args(BasisName)
 

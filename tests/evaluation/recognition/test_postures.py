@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from evaluation.recognition.postures import POSTURES, evaluate, measure_postures, people_files, read_postures
 from evaluation.result import Options
-from skin.errors import InputError
 
 
 @pytest.fixture

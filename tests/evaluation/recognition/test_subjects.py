@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from evaluation.recognition import beyond, classification
 from evaluation.recognition.accuracy import measure_accuracy
 from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import measure_live
 from evaluation.recognition.methods import measure_method
 from evaluation.result import Options
-from skin.errors import InputError
 
 SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}
 

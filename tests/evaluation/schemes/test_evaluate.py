@@ -8,6 +8,7 @@ import pytest
 
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
+from canskin.errors import InputError
 from evaluation.result import Options, Result
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
 from evaluation.schemes.comparison_pictures import in_use
@@ -16,7 +17,6 @@ from evaluation.schemes.rates import evaluate as evaluate_rates
 from evaluation.schemes.scenes import SLAP, SLAP_MS, Touch, recordings_in
 from evaluation.schemes.schemes import Sums
 from evaluation.schemes.sums import SOLVED_NS
-from skin.errors import InputError
 from skin.layout import parse_layout
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from canskin.errors import InputError
 from evaluation.solvers.baselines import admm, smoothed_l0
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.pursuit import basis_pursuit
 from reconstructor.bases import Contourlet, daubechies4_pyramid, haar_pyramid, haar_tensor
 from reconstructor.fista import fista, largest_eigenvalue, objective
 from reconstructor.kernels.contourlet import CompiledContourlet
-from skin.errors import InputError
 from skin.measurement import sbhe
 from tests.reconstructor.conftest import ball
 

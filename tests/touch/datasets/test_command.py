@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from skin.errors import InputError
+from canskin.errors import InputError
 from touch.datasets.command import dataset
 from touch.datasets.options import AcquisitionOptions, ClassificationOptions, TaxelOptions
 

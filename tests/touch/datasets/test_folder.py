@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from skin.errors import InputError, RunError
+from canskin.errors import InputError, RunError
 from touch.datasets.folder import DatasetFolder, alone
 
 ABOUT: dict[str, Any] = {

@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from skin.defects import Damper, Drift
-from skin.errors import InputError
 from skin.taxel import TaxelModel
 from touch.classification_poses import observations
 from touch.contact import Force

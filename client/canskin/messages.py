@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from skin.calibration_messages import CalibrationStatus
+from canskin.calibration_messages import CalibrationStatus
 
 #: `Measurement.sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1

@@ -8,13 +8,13 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skin import fabric as fabric_module
-from skin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
-from skin.errors import BusError
-from skin.fabric import Fabric, Mailbox, Reply
-from skin.messages import LABEL, Label
-from skin.peers import Peer, Roll, new_peer, peer_of_key
-from skin.service import Stopped, StopSignal
+from canskin import fabric as fabric_module
+from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.errors import BusError, Stopped
+from canskin.fabric import Fabric, Mailbox, Reply
+from canskin.messages import LABEL, Label
+from canskin.peers import Peer, Roll, new_peer, peer_of_key
+from skin.service import StopSignal
 
 
 def label(cycle: int) -> Label:

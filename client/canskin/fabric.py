@@ -16,11 +16,11 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import msgspec
 import zenoh
 
-from skin.calibration_messages import Question
-from skin.errors import UNDECODABLE, BusError
-from skin.messages import Topic
-from skin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
-from skin.service import Stopped, StopSignal, Talk, say
+from canskin.calibration_messages import Question
+from canskin.errors import UNDECODABLE, BusError, Stopped
+from canskin.messages import Topic
+from canskin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
+from skin.service import StopSignal, Talk, say
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
@@ -87,7 +87,7 @@ class Fabric:
     hub : bool
         Listen on the endpoint instead of connecting to it.
     stop : StopSignal, optional
-        If set while the constructor waits for the hub, `skin.service.Stopped` is raised.
+        If set while the constructor waits for the hub, `canskin.errors.Stopped` is raised.
     fingerprint : str
         Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
         version are named on stderr.
