@@ -2,6 +2,8 @@
 
 import json
 import struct
+import subprocess
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from bus.link import DISCARDED
+from dbc.board import board
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.contract import Contract
 from dbc.frame import ECHO
@@ -18,6 +21,7 @@ from nodes.vectors import vector_files
 from skin.layout import load_layout
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
+from tests.firmware.stack import compile_adapter
 from tests.firmware.twins import needs_compiler
 
 pytestmark = needs_compiler
@@ -25,10 +29,11 @@ pytestmark = needs_compiler
 SAMPLE_NS = 1_000_000
 
 
-def vectors_of(contract: Contract) -> dict[str, Any]:
+@cache
+def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
+    contract = Contract.from_layout(load_layout(Path(name), adaptive=True))
     (text,) = vector_files(contract).values()
-    found: dict[str, Any] = json.loads(text)
-    return found
+    return contract, json.loads(text)
 
 
 def sdo(boards: AdaptiveBoards, request: bytes) -> bytes:
@@ -43,8 +48,8 @@ def read_real(boards: AdaptiveBoards, index: int, subindex: int) -> float:
 
 @pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
 def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
-    contract = Contract.from_layout(load_layout(Path(name), adaptive=True))
-    vectors, rows = vectors_of(contract), grouped_rows(32).ravel()
+    contract, vectors = vectors_of(name)
+    rows = grouped_rows(32).ravel()
     boards = Firmware(contract, contract.nodes[:1]).adaptive_boards(0)
     idle = vectors["power_up"]["counts"]
     ready = [boards.take_counts(np.array([counts], np.uint16)) for counts in idle]
@@ -73,3 +78,21 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
         boards.take(burst, 0.0)
         sent += len(burst) * (not sample["is_busy"])
     assert sent > 50
+
+
+@pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
+def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, tmp_path: Path) -> None:
+    contract, vectors = vectors_of(name)
+    program = compile_adapter(contract, tmp_path, "run_adaptive_canopennode.c")
+    idle = [[0, 0, *counts] for counts in vectors["power_up"]["counts"]]
+    samples = [[int(each["is_busy"]), each["request"], *each["counts"]] for each in vectors["samples"]]
+    lines = "\n".join(" ".join(map(str, each)) for each in idle + samples)
+    printed = subprocess.run([program], input=lines, capture_output=True, text=True, check=True).stdout.splitlines()
+    signature, noise_bits, refuses = map(int, printed[0].split())
+    assert signature == board(contract, contract.nodes[0]).signature
+    assert struct.unpack("<f", struct.pack("<I", noise_bits))[0] == np.float32(
+        vectors["power_up"]["settled"]["board_noise_n"]
+    )
+    assert refuses
+    expected = [[f"{each['cob_id']}:{each['data']}" for each in sample["frames"]] for sample in vectors["samples"]]
+    assert [line.split() for line in printed[1:]] == expected
