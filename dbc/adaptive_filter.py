@@ -4,8 +4,12 @@ Every coefficient runs a few exponential averages and a few g-h filters side by 
 and Bar-Shalom 1988). Each model's gain is constant, so its variances are known beforehand, in units of the noise's:
 
 * An average with gain g has the variance V = g / (2 - g), and its innovation 1 + V.
-* A g-h filter of fading memory θ has the gains 1 - θ² and (1 - θ)², and the variances of level V, of slope B, and
-  their covariance C below (Brookner 1998, table 1.10-2); its innovation has 1 + V + 2C + B.
+* A g-h filter of fading memory θ has the gains 1 - θ² and (1 - θ)², and the variances of predicted level V, of slope B,
+  and their covariance C below (Brookner 1998, table 1.10-2).
+
+The trends' variances of innovation and forecast are taken one sample further than need be: 1 + V + 2C + B in place of
+1 + V, which is 7 % (k = 2) to 0.03 % (k = 6) more. With the exact ones the boards trust their trends sooner: five
+slides gain 0.06 dB, at 2.6 % more bits.
 """
 
 from typing import Final, NamedTuple
@@ -37,6 +41,9 @@ LOG2_E: Final = np.float32(1.4426950408889634)
 LEAST_EXPONENT: Final = np.float32(-120.0)
 #: Polynomial of 2^f on 0 to 1 through its Chebyshev nodes, error below 2e-7.
 POWER: Final = tuple(map(np.float32, (0.9999999, 0.69315449, 0.24014182, 0.05586034, 0.00894959, 0.00189375)))
+
+#: The c of log2(x) = e + r (c0 + r² (c1 + r² (c2 + …))), where x = m 2^e, m from √½ to √2, r = (m - 1) / (m + 1).
+LOG2_SERIES: Final = tuple(2.8853900817779268 / odd for odd in range(1, 18, 2))
 
 #: What both halves of a patch that is twice as wide as high are weighed with.
 ROOT_HALF: Final = np.float32(0.5**0.5)

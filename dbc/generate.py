@@ -9,7 +9,6 @@ from dbc.board import board, board_text
 from dbc.contract import Contract
 from dbc.database import database
 from dbc.eds import dcfs, eds, node_name, node_types
-from dbc.vectors import vectors_text
 from skin.output import write_file
 
 #: The files of the default skin that come with the project.
@@ -38,14 +37,6 @@ def node_files(contract: Contract) -> dict[str, str]:
     return files
 
 
-def vector_files(contract: Contract) -> dict[str, str]:
-    """Return the test vectors of one node of each type by their path; none for adaptive nodes."""
-    if contract.layout.sending == "adaptive":
-        return {}
-    nodes = [kind.nodes[0] for kind in node_types(contract)]
-    return {f"{VECTOR_FOLDER}/{node_name(contract, node)}.json": vectors_text(contract, node) for node in nodes}
-
-
 def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
     """Write files, given as text by path inside `folder`, and return their paths.
 
@@ -66,20 +57,14 @@ def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
     return written
 
 
-def drifted(contract: Contract, folder: Path) -> list[str]:
-    """Return one line for every file of `folder` that differs from the contract.
-
-    Files of nodes and test vectors are compared where their folders exist.
+def drifted(wanted: Mapping[str, str], folder: Path) -> list[str]:
+    """Return one line for every contract file of `folder` that differs from `wanted`, texts by path inside the folder.
 
     Raises
     ------
     InputError
         If the folder cannot be read.
     """
-    text = contract_files(contract)
-    text |= node_files(contract) if (folder / NODE_FOLDER).is_dir() else {}
-    text |= vector_files(contract) if (folder / VECTOR_FOLDER).is_dir() else {}
-    wanted = {name: each.encode("ascii") for name, each in text.items()}
     try:
         there = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in SUFFIXES}
         for inner in (NODE_FOLDER, VECTOR_FOLDER):
@@ -88,11 +73,11 @@ def drifted(contract: Contract, folder: Path) -> list[str]:
     except OSError as error:
         raise InputError(f"{folder}: cannot read the contract files: {error.strerror or error}") from error
     lines = []
-    for name in sorted(wanted | there):
+    for name in sorted({*wanted, *there}):
         if name not in there:
             lines.append(f"{folder / name} is missing")
         elif name not in wanted:
             lines.append(f"{folder / name} does not belong to this layout")
-        elif there[name] != wanted[name]:
+        elif there[name] != wanted[name].encode("ascii"):
             lines.append(f"{folder / name} differs from what the layout makes of it")
     return lines

@@ -11,9 +11,7 @@ from firmware.tables import builds
 
 def export_files(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str, str]:
     """Return the text of every file by its path."""
-    is_adaptive = contract.layout.sending == "adaptive"
-    # The adapter for CANopenNode knows synchronous boards alone.
-    folders = *shared_folders(contract), "slave", *(() if is_adaptive else ("canopennode",))
+    folders = *shared_folders(contract), "slave", "canopennode"
     found = {f"src/{path}": text for path, text in sources(*folders).items()}
     boards = builds(contract, nodes)
     for build in boards:

@@ -30,6 +30,7 @@ from dbc.adaptive import (
     parts_of,
     tpdo_index,
 )
+from nodes.adaptive.urgency import urgency
 from skin.compiled import njit
 from skin.walsh import GROUPS
 
@@ -176,7 +177,7 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
         if groups.since[node, group] < 0:
             groups.since[node, group] = now
         if wait >= rule.inhibit:
-            level = _urgency(coarse_n2 / threshold, now - groups.since[node, group], rule)
+            level = urgency(coarse_n2 / threshold, now - groups.since[node, group], rule)
         if groups.is_wanted[node, group] == 1:
             reason = REFRESH  # what was asked for is sent whatever the budget
     else:
@@ -234,15 +235,6 @@ def _is_in_reach(node: int, group: int, sums_n: npt.NDArray[np.float32], law: Co
         if abs(fine_steps(now_n, law) - fine_steps(coarse_n, law)) > FINE_LIMIT:
             return False
     return True
-
-
-@njit(cache=True, nogil=True)
-def _urgency(ratio: float, waited: int, rule: SendingRule) -> int:
-    """Return the level of news; the highest is for what waited, so that no motion of others holds it back for ever."""
-    if waited >= rule.patience:
-        return LEVELS - 1
-    # Compared before it is made whole: with a tiny number of the rule it is too large for an integer.
-    return int(min(float(LEVELS - 2), (np.log2(ratio) + waited / rule.doubling) / rule.level_ratio))
 
 
 @njit(cache=True, nogil=True)

@@ -13,13 +13,12 @@ from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.generate import write_files
 from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
-from firmware.export import export_files
 from firmware.library import STANDARD_FLAGS, Firmware, compile_c, constants, shared_folders, sources
 from firmware.tables import builds
 from skin.layout import load_layout
+from tests.firmware.stack import HERE, STACK, compile_adapter, exported
 from tests.firmware.twins import needs_compiler, small_contract
 
-HERE = Path(__file__).parent / "c"
 NAMES = ("default", "fd", "one-bus-12bit", "adaptive", "adaptive-fd")
 #: Bursts of random frames, and seeds.
 BURSTS, SEEDS = 20_000, range(1, 4)
@@ -36,12 +35,6 @@ def contract_of(name: str) -> Contract:
     return Contract.from_layout(load_layout(Path(name), adaptive=True))
 
 
-def exported(contract: Contract, folder: Path) -> Path:
-    """Export the first board into `folder`; return the folder of its constants."""
-    write_files(export_files(contract, contract.nodes[:1]), folder)
-    return next(folder.joinpath("boards").iterdir())
-
-
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
 def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
@@ -55,11 +48,17 @@ def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path)
 
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
+def test_the_adapter_for_canopennode_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
+    assert compile_adapter(contract_of(name), tmp_path, "print_dictionary.c").exists()
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", NAMES)
 def test_the_dictionary_for_canopennode_is_that_of_the_contract(name: str, tmp_path: Path) -> None:
     contract = contract_of(name)
     board = exported(contract, tmp_path)
     program = tmp_path / "print_dictionary"
-    command = ["cc", *STANDARD_FLAGS, f"-I{HERE / 'stack'}"]
+    command = ["cc", *STANDARD_FLAGS, f"-I{STACK}"]
     compile_c([HERE / "print_dictionary.c", board / "OD.c", board / "OD.h"], program, command)
     printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout.splitlines()
     expected = []

@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.adaptive_skin import resting_skin
+from tests.firmware.twins import needs_compiler
 from tests.system.test_demo import report, skin
 
 LAYOUT = """
@@ -45,3 +48,16 @@ def test_golf_ball_on_can_fd(tmp_path: Path) -> None:
     assert figures["psnr_image_db"] > figures["psnr_sensor_db"] + 6
     assert figures["label_accuracy"] >= 0.8
     assert figures["bus_load"][0] < 0.2
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.chain
+def test_boards_in_c_show_a_touch_that_rests(tmp_path: Path) -> None:
+    with resting_skin(tmp_path) as started:
+        started.start_bus()
+        started.start("nodes", "--firmware")
+        started.start("gateway")
+        held_n = started.await_rest()
+        assert started.is_true(held_n)
+        assert np.count_nonzero(held_n[:, 0]) >= 4

@@ -5,6 +5,7 @@
 
 #define LONG_AGO (-((int64_t)1 << 30))
 #define NEVER ((int64_t)1 << 60)
+#define LEAST_PART 0.70710678118654757 /* square root of 1/2 */
 
 void skin_groups_forget(skin_groups *all, uint8_t is_fd)
 {
@@ -54,6 +55,25 @@ static int is_in_reach(const skin_groups *all, uint8_t group, const float *sums_
     return 1;
 }
 
+/* Binary logarithm of a number above 0 by IEEE 754 operations alone: log2 of a library may round differently. */
+static double log2_of(double value)
+{
+    static const double series[] = SKIN_LOG2;
+    int exponent, place = (int)(sizeof series / sizeof series[0]) - 1;
+    double part = frexp(value, &exponent), ratio, square, total = series[place];
+
+    if (part < LEAST_PART) {
+        part += part;
+        exponent--;
+    }
+    ratio = (part - 1.0) / (part + 1.0);
+    square = ratio * ratio;
+    while (place-- > 0) {
+        total = series[place] + square * total;
+    }
+    return exponent + ratio * total;
+}
+
 /* Level of news; the highest is for what waited, so that no motion of others holds it back for ever. */
 static int8_t urgency(double ratio, int64_t waited, const skin_rule *rule)
 {
@@ -62,7 +82,7 @@ static int8_t urgency(double ratio, int64_t waited, const skin_rule *rule)
     if (waited >= rule->patience) {
         return SKIN_LEVELS - 1;
     }
-    level = (log2(ratio) + (double)waited / rule->doubling) / rule->level_ratio;
+    level = (log2_of(ratio) + (double)waited / rule->doubling) / rule->level_ratio;
     return (int8_t)(level < SKIN_LEVELS - 2 ? level : SKIN_LEVELS - 2);
 }
 

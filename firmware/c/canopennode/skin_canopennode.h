@@ -1,18 +1,25 @@
-/* The sums of a board behind CANopenNode V4: where the stack's calls go, and where the application calls.
+/* A board behind CANopenNode V4: where the stack's calls go, and where the application calls.
  *
- *   after CO_CANopenInitPDO      skin_app_init()
- *   in the SYNC interrupt        sample all taxels (CO_SYNC_initCallbackPre tells that the SYNC has come)
- *   in the real-time task        if (CO_process_SYNC(...) says that a SYNC was, with all taxels read)
- *                                    skin_app_sync(counts, samples);      before CO_process_TPDO(...)
- *   in the CAN driver            skin_app_dropped() in CO_CANclearPendingSyncPDOs, for every frame that is given up
- *
- * Sums of 12 bits need CO_CONFIG_PDO_BITWISE_MAPPING. Compile with OD.c and board.c of the board,
- * skin_sums.c and skin_average.c.
+ * Compile with OD.c and board.c of the board, the sources of src/ and, of adaptive boards, src/adaptive/. None of the functions
+ * may interrupt another.
  */
 #ifndef SKIN_CANOPENNODE_H
 #define SKIN_CANOPENNODE_H
 
 #include <stdint.h>
+
+#include "board.h"
+
+#if !SKIN_ADAPTIVE
+
+/*   after CO_CANopenInitPDO      skin_app_init()
+ *   in the SYNC interrupt        sample all taxels (CO_SYNC_initCallbackPre tells that the SYNC has come)
+ *   in the real-time task        if (CO_process_SYNC(...) says that a SYNC was, with all taxels read)
+ *                                    skin_app_sync(counts, samples);      before CO_process_TPDO(...)
+ *   in the CAN driver            skin_app_dropped() in CO_CANclearPendingSyncPDOs, for every frame that is given up
+ *
+ * Sums of 12 bits need CO_CONFIG_PDO_BITWISE_MAPPING.
+ */
 
 /* Connect the objects of the skin with the dictionary; end test patterns; begin to count anew. Returns 0 on success. */
 int skin_app_init(void);
@@ -26,5 +33,54 @@ void skin_app_sync(uint16_t *counts, uint16_t samples);
 
 /* Count a TPDO that could not be sent within the window (1007h); the application reports EMCY FF10h. */
 void skin_app_dropped(void);
+
+#else
+
+/*   at power-up, with the dictionary as it was stored     skin_app_init(), then skin_app_sample(counts) every millisecond
+ *                                until it returns 1: 2.3 s, in which nothing may touch the patch
+ *   after CO_CANopenInitPDO, also after resets            skin_app_reset()
+ *   in the real-time task, every millisecond, with all taxels read
+ *       skin_app_sample(counts);
+ *       sync_was = CO_process_SYNC(co, 1000, NULL);
+ *       requests = skin_app_requests(co->NMT->operatingState == CO_NMT_OPERATIONAL, sync_was, 1000000);
+ *       for (each = 0; each < OD_CNT_TPDO; each++) {
+ *           co->TPDO[each].sendRequest = (requests >> each & 1) != 0;      the stack would send all of them at the start
+ *       }
+ *       CO_process_TPDO(co, sync_was, 1000, NULL);       1000 us for each sample, so that no inhibit time is left
+ *   in the CAN driver, for frames of sums: identifiers 181h to 580h
+ *       sent, in the transmit interrupt                   skin_app_sent(identifier, data)
+ *       before skin_app_sample: each frame that still waits is taken back, from the controller and from the stack's buffers
+ *       (bufferFull, CANtxCount), as CO_CANclearPendingSyncPDOs does it; then          skin_app_given_up(identifier)
+ *       CO_CANsend has no room                            skin_app_refused(identifier)
+ *
+ * The stack sends waiting buffers by their number; those of the TPDOs are in the order of urgency. A frame of which the
+ * adapter hears nothing for half a second counts as lost. Stock CANopenNode has no CAN FD.
+ */
+
+/* Connect the objects of the skin with the dictionary; nothing is known of the noise. Returns 0 on success. */
+int skin_app_init(void);
+
+/* Forget what was sent; end test patterns; begin to count anew; take the settings from the dictionary. */
+void skin_app_reset(void);
+
+/* Take one sample of all taxels in the order of 2004h, ADC counts, which are overwritten.
+ *
+ * Returns 0 while the board learns its noise.
+ */
+int skin_app_sample(uint16_t *counts);
+
+/* Decide what to send with the newest sample, and put it into 2110h and 2111h.
+ *
+ * is_operational: the NMT state. sync_was: a SYNC came since the last call. passed_ns: time since the last call.
+ * Returns the TPDOs to be sent, the first in bit 0.
+ */
+uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns);
+
+/* Take note of a frame of sums that was sent, with the bytes that were sent; that was taken back; that found no room. */
+void skin_app_sent(uint16_t identifier, const uint8_t *data);
+void skin_app_given_up(uint16_t identifier);
+void skin_app_refused(uint16_t identifier);
+
+#endif
 
 #endif

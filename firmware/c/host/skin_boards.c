@@ -195,7 +195,7 @@ size_t skin_decide_all(skin_node *nodes, uint32_t boards, uint32_t skipped, int6
     size_t due = 0;
 
     for (each = 0; each < boards; each++) {
-        nodes[each].now += skipped;
+        nodes[each].sender.now += skipped;
         skin_decide(&nodes[each], passed_ns);
         for (group = 0; group < SKIN_GROUPS; group++) {
             due += skin_due(&nodes[each], group) != 0;
@@ -229,7 +229,7 @@ size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now
             /* Identifier, board and group: the most urgent frame has the lowest number. */
             const uint32_t key = (uint32_t)cob_id << 16 | each << 8 | group;
 
-            if (cob_id != 0 && nodes[each].groups.is_fd) {
+            if (cob_id != 0 && nodes[each].sender.groups.is_fd) {
                 first = key < first ? key : first; /* one frame carries all groups */
             } else if (cob_id != 0) {
                 insert(keys, count++, key);
@@ -256,7 +256,7 @@ size_t skin_held(const skin_node *nodes, uint32_t boards)
 
     for (each = 0; each < boards; each++) {
         for (group = 0; group < SKIN_GROUPS; group++) {
-            held += nodes[each].groups.groups[group].held_until > 0;
+            held += nodes[each].sender.groups.groups[group].held_until > 0;
         }
     }
     return held;

@@ -165,6 +165,9 @@ void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox)
     memset(node, 0, sizeof *node);
     node->board = board;
     node->outbox = outbox;
+#if SKIN_ADAPTIVE
+    node->sender.board = board;
+#endif
 }
 
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)

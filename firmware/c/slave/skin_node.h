@@ -13,8 +13,7 @@
 #include "skin_average.h"
 #include "skin_sums.h"
 #if SKIN_ADAPTIVE
-#include "skin_filter.h"
-#include "skin_sending.h"
+#include "skin_sender.h"
 #endif
 
 /* One frame, in the records of dbc/frame.py. */
@@ -46,13 +45,7 @@ enum { SKIN_INITIALISING = 0, SKIN_STOPPED = 4, SKIN_OPERATIONAL = 5, SKIN_PRE_O
 /* Errors that are reported: heartbeat of a watched node lost, SYNC of a wrong length, window missed. */
 enum { SKIN_ERROR_HEARTBEAT, SKIN_ERROR_SYNC_LENGTH, SKIN_ERROR_WINDOW, SKIN_ERRORS };
 
-#if SKIN_ADAPTIVE
-typedef struct {
-    uint16_t cob_id;  /* 0: the PDO does not exist */
-    uint16_t inhibit; /* samples */
-    int64_t made_at;  /* sample of the newest frame */
-} skin_tpdo;
-#else
+#if !SKIN_ADAPTIVE
 typedef struct {
     uint16_t cob_id;
     uint8_t type, start; /* transmission type, SYNC start value */
@@ -96,22 +89,15 @@ typedef struct {
     int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     uint8_t pattern[SKIN_BLOCKS];
 #if SKIN_ADAPTIVE
-    skin_filter filter;
-    skin_groups groups;
-    skin_rule rule;      /* 2031h */
-    int64_t now;         /* number of the newest sample */
-    int64_t sync_ns;     /* end of the newest SYNC */
-    uint32_t budget;     /* 2034h, bits a second */
-    double saved;        /* bits */
-    uint8_t was_operational;
+    skin_sender sender;
 #else
 #if SKIN_SAMPLES > 1
     skin_average averages[SKIN_BLOCKS];
 #endif
     int32_t sums[SKIN_SUMS]; /* at the newest SYNC, ADC counts */
+    skin_tpdo tpdos[SKIN_TPDOS];
 #endif
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
-    skin_tpdo tpdos[SKIN_TPDOS];
     skin_sdo sdo;
     skin_watch watched[SKIN_WATCHED];
     uint32_t heartbeat_ms, heartbeat_due_ms;

@@ -5,7 +5,16 @@ from pathlib import Path
 
 from canskin.errors import InputError
 from dbc.contract import Contract
-from dbc.generate import DEFAULT_FOLDER, contract_files, drifted, node_files, vector_files, write_files
+from dbc.generate import (
+    DEFAULT_FOLDER,
+    NODE_FOLDER,
+    VECTOR_FOLDER,
+    contract_files,
+    drifted,
+    node_files,
+    write_files,
+)
+from nodes.vectors import vector_files
 from skin.layout import load_layout
 from skin.service import say
 from skin.terminal import Json, print_json
@@ -83,7 +92,12 @@ def dbc_check(layout: Path | None = None, *, files: Path | None = None, json: Js
     if files is None and layout is not None:
         raise InputError("expected --files FOLDER: the folder of the contract files")
     folder = files or DEFAULT_FOLDER
-    lines = drifted(Contract.from_layout(load_layout(layout, adaptive=True)), folder)
+    skin = Contract.from_layout(load_layout(layout, adaptive=True))
+    wanted = contract_files(skin)
+    # Files of nodes and test vectors are compared where their folders exist.
+    for inner, files_of in ((NODE_FOLDER, node_files), (VECTOR_FOLDER, vector_files)):
+        wanted |= files_of(skin) if (folder / inner).is_dir() else {}
+    lines = drifted(wanted, folder)
     _show(lines, as_json=json)
     if lines:
         say(

@@ -1,0 +1,245 @@
+#include "skin_sender.h"
+
+#include <math.h>
+#include <string.h>
+
+#define LONG_AGO (-((int64_t)1 << 40))
+#define COB_ID_INVALID 0x80000000u
+
+void skin_sender_forget(skin_sender *sender)
+{
+    uint8_t number;
+
+    skin_groups_forget(&sender->groups, sender->board->pdo_bytes > 8);
+    for (number = 0; number < sender->board->tpdos; number++) {
+        sender->tpdos[number].made_at = LONG_AGO;
+    }
+    sender->is_operational = 0;
+}
+
+void skin_sender_operate(skin_sender *sender, uint8_t is_operational)
+{
+    if (is_operational && !sender->is_operational) {
+        skin_sender_ask(sender, (1u << SKIN_GROUPS) - 1);
+    }
+    sender->is_operational = is_operational;
+}
+
+void skin_sender_configure(skin_sender *sender, uint8_t number, uint32_t cob_id, uint32_t inhibit_100us)
+{
+    sender->tpdos[number].cob_id = (uint16_t)((cob_id & COB_ID_INVALID) != 0 ? 0 : cob_id & 0x7FFu);
+    sender->tpdos[number].inhibit = (uint16_t)((inhibit_100us + 9) / 10);
+}
+
+int skin_sender_take(skin_sender *sender, const uint16_t *counts)
+{
+    if (!skin_filter_take(&sender->filter, counts)) {
+        return 0;
+    }
+    sender->now++;
+    return 1;
+}
+
+void skin_sender_decide(skin_sender *sender, int64_t passed_ns)
+{
+    const double budget = sender->budget, least = (double)SKIN_SAVED_FRAMES * sender->board->frame_bits[0];
+    float variance_n2[SKIN_PATCH_SUMS];
+    uint8_t group;
+
+    if (budget > 0) {
+        const double most = budget * SKIN_SAVING_S > least ? budget * SKIN_SAVING_S : least;
+        /* Refreshes go whatever is saved. Without a limit, their debt would hold news back for minutes. */
+        const double owed = sender->saved > -least ? sender->saved : -least;
+        const double saved = owed + budget * ((double)passed_ns * 1e-9);
+
+        sender->saved = saved < most ? saved : most;
+    }
+    if (!sender->is_operational) {
+        return;
+    }
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        if (sender->groups.groups[group].held_until < sender->now) {
+            sender->groups.groups[group].held_until = 0;
+        }
+    }
+    skin_filter_variance(&sender->filter, variance_n2);
+    skin_look(&sender->groups, sender->now, sender->filter.sums_n, variance_n2, sender->filter.noise_n, &sender->rule);
+}
+
+int64_t skin_sender_expiry(const skin_sender *sender, int64_t now_ns, int64_t period_ns)
+{
+    const int64_t next_ns = sender->sync_ns + period_ns, sample_ns = now_ns + SKIN_SAMPLE_NS;
+
+    if ((sender->sync_ns <= now_ns && now_ns < sender->sync_ns + SKIN_PAUSE_NS) ||
+        (now_ns < next_ns && next_ns < now_ns + sender->board->frame_ns)) {
+        return 0;
+    }
+    return now_ns < next_ns && next_ns < sample_ns ? next_ns : sample_ns;
+}
+
+/* Tell whether a group may send: refreshes always, news while bits are left, details while news would find some. */
+static int has_budget(const skin_sender *sender, const skin_group *group)
+{
+    const uint16_t *bits = sender->board->frame_bits;
+    const int frames_of_all = sender->groups.is_fd ? 1 : SKIN_GROUPS;
+    /* Details leave so much that every group can send a coarse frame. */
+    const int kept = group->reason == SKIN_DETAIL ? frames_of_all * bits[0] : 0;
+
+    return sender->budget == 0 || group->reason == SKIN_REPEATED || sender->saved >= bits[group->is_fine] + kept;
+}
+
+uint16_t skin_sender_due(const skin_sender *sender, uint8_t group)
+{
+    const skin_group *each = &sender->groups.groups[group];
+    const skin_sum_tpdo *tpdo;
+
+    if (!sender->is_operational || each->level == SKIN_SILENT || each->held_until > 0) {
+        return 0;
+    }
+    tpdo = &sender->tpdos[skin_tpdo_of(&sender->groups, group)];
+    return sender->now - tpdo->made_at < tpdo->inhibit || !has_budget(sender, each) ? 0 : tpdo->cob_id;
+}
+
+int skin_sender_most_urgent(const skin_sender *sender)
+{
+    uint16_t lowest = 0;
+    uint8_t group;
+    int found = -1;
+
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        const uint16_t cob_id = skin_sender_due(sender, group);
+
+        if (cob_id != 0 && (lowest == 0 || cob_id < lowest)) {
+            lowest = cob_id;
+            found = group;
+        }
+    }
+    return found;
+}
+
+/* Set until when a controller may hold a frame of a group, with CAN FD of all groups. */
+static void hold_back(skin_sender *sender, uint8_t group, int64_t until)
+{
+    uint8_t each;
+
+    for (each = 0; each < SKIN_GROUPS; each++) {
+        if (sender->groups.is_fd || each == group) {
+            sender->groups.groups[each].held_until = until;
+        }
+    }
+}
+
+uint8_t skin_sender_make(skin_sender *sender, uint8_t group, uint8_t *payload)
+{
+    const uint8_t number = skin_tpdo_of(&sender->groups, group);
+
+    if (!has_budget(sender, &sender->groups.groups[group])) {
+        return 0;
+    }
+    sender->tpdos[number].made_at = sender->now;
+    sender->saved -= sender->board->frame_bits[skin_is_fine(&sender->groups, number)];
+    hold_back(sender, group, sender->now + 1 + SKIN_LOST_SAMPLES);
+    return skin_make_payload(&sender->groups, group, sender->filter.sums_n, payload);
+}
+
+int skin_sender_tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t length)
+{
+    uint8_t number;
+
+    for (number = 0; number < sender->board->tpdos; number++) {
+        if (cob_id != 0 && sender->tpdos[number].cob_id == cob_id) {
+            const uint8_t bytes =
+                (uint8_t)(skin_is_fine(&sender->groups, number) ? 2 * SKIN_PATCH_SUMS : SKIN_PATCH_SUMS);
+
+            return length == (sender->groups.is_fd ? bytes : SKIN_GROUP_SUMS) ? number : -1;
+        }
+    }
+    return -1;
+}
+
+void skin_sender_sent(skin_sender *sender, uint8_t number, const uint8_t *payload)
+{
+    skin_note_sent(&sender->groups, number, sender->now, &sender->rule, payload);
+    hold_back(sender, skin_group_of(&sender->groups, number), 0);
+}
+
+void skin_sender_give_up(skin_sender *sender, uint8_t number)
+{
+    const uint8_t group = skin_group_of(&sender->groups, number);
+
+    if (sender->groups.groups[group].held_until > 0) {
+        hold_back(sender, group, 0);
+        sender->tpdos[number].made_at = LONG_AGO;
+        sender->saved += sender->board->frame_bits[skin_is_fine(&sender->groups, number)];
+    }
+}
+
+uint8_t skin_sender_wanted(const skin_sender *sender)
+{
+    uint8_t group, found = 0;
+
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        found = (uint8_t)(found | sender->groups.groups[group].is_wanted << group);
+    }
+    return found;
+}
+
+void skin_sender_ask(skin_sender *sender, uint8_t groups)
+{
+    uint8_t group;
+
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        if ((groups >> group & 1u) != 0) {
+            skin_ask(&sender->groups, group, sender->now);
+        }
+    }
+}
+
+void skin_sender_set_rule(skin_sender *sender, uint8_t place, uint32_t bits)
+{
+    /* A structure of 32-bit numbers in the same order. */
+    memcpy((uint8_t *)&sender->rule + sizeof bits * place, &bits, sizeof bits);
+}
+
+void skin_sender_set_noise(skin_sender *sender, uint16_t index, uint8_t place, uint32_t bits)
+{
+    skin_filter *filter = &sender->filter;
+    float *given_n = index == SKIN_OD_TAXEL_NOISE ? filter->given_taxel_n : filter->given_coefficient_n;
+
+    memcpy(&given_n[place], &bits, sizeof bits);
+    skin_filter_give(filter);
+}
+
+void skin_sender_set_budget(skin_sender *sender, uint32_t bits_per_s)
+{
+    sender->budget = bits_per_s;
+    sender->saved = (double)SKIN_SAVED_FRAMES * sender->board->frame_bits[0];
+}
+
+int skin_sender_allows(uint16_t index, uint8_t subindex, uint32_t value)
+{
+    const uint32_t infinite = 0x7F800000u; /* bits of REAL32; those of NaN and negative numbers are above */
+    float real;
+
+    if (index == SKIN_OD_REFRESH) {
+        return value < 1u << SKIN_GROUPS;
+    }
+    if (index == SKIN_OD_SENDING) {
+        return value > 0 && ((SKIN_RULE_REALS >> subindex & 1u) == 0 || value < infinite);
+    }
+    if (index == SKIN_OD_COEFFICIENT_NOISE || index == SKIN_OD_TAXEL_NOISE) {
+        memcpy(&real, &value, sizeof real);
+        return real == 0 || (SKIN_LEAST_GIVEN_N <= real && real <= SKIN_MOST_GIVEN_N);
+    }
+    return 1;
+}
+
+int32_t skin_sender_sum(const skin_sender *sender, uint8_t number)
+{
+    uint8_t place = 0;
+
+    while (place < SKIN_PATCH_SUMS - 1 && skin_row_of_sum[place] != sender->board->rows[number]) {
+        place++;
+    }
+    return (int32_t)rintf(sender->filter.sums_n[place] / (float)SKIN_NEWTON_PER_COUNT);
+}

@@ -1,0 +1,131 @@
+#include "skin_od.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "OD.h"
+#include "skin_sums.h"
+
+#ifndef CO_LITTLE_ENDIAN
+#error "the signature (2006h) reads values in the byte order of the bus: expected a little-endian processor"
+#endif
+
+#define LONGEST_TEXT 32
+
+skin_od_block skin_od_blocks[SKIN_BLOCKS];
+uint32_t *skin_od_health;
+static const skin_board *const board = &skin_boards[0];
+static OD_extension_t signature_extension, gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
+
+void *skin_od_value(uint16_t index, uint8_t subindex, OD_size_t length)
+{
+    return OD_getPtr(OD_find(OD, index), subindex, length, NULL);
+}
+
+int skin_od_extend(OD_extension_t *extension, uint16_t index, skin_od_reader *read, skin_od_writer *write)
+{
+    extension->object = NULL;
+    extension->read = read;
+    extension->write = write;
+    if (OD_extension_init(OD_find(OD, index), extension) != ODR_OK) {
+        return 1;
+    }
+#if OD_FLAGS_PDO_SIZE > 0
+    memset(extension->flagsPDO, 0xFF, sizeof extension->flagsPDO); /* a bit of 0 has the stack send what maps the object */
+#endif
+    return 0;
+}
+
+ODR_t skin_od_put(uint64_t value, uint8_t bytes, void *buf, OD_size_t count, OD_size_t *countRead)
+{
+    uint8_t place;
+
+    if (buf == NULL || countRead == NULL || count < bytes) {
+        return ODR_DEV_INCOMPAT;
+    }
+    for (place = 0; place < bytes; place++) {
+        ((uint8_t *)buf)[place] = (uint8_t)(value >> (8 * place));
+    }
+    *countRead = bytes;
+    return ODR_OK;
+}
+
+/* Read the configuration signature (2006h): CRC-32 over the values in use of the objects that it covers. */
+static ODR_t read_signature(OD_stream_t *stream, void *buf, OD_size_t count, OD_size_t *countRead)
+{
+    uint8_t head[3], value[LONGEST_TEXT];
+    uint32_t crc = 0;
+    uint16_t each;
+
+    (void)stream;
+    for (each = 0; each < board->object_count; each++) {
+        const skin_object *object = &board->objects[each];
+
+        if ((object->flags & SKIN_OBJECT_COVERED) == 0) {
+            continue;
+        }
+        if (object->bytes > sizeof value ||
+            OD_get_value(OD_find(OD, object->index), object->subindex, value, object->bytes, false) != ODR_OK) {
+            return ODR_GENERAL;
+        }
+        head[0] = (uint8_t)(object->index & 0xFFu);
+        head[1] = (uint8_t)(object->index >> 8);
+        head[2] = object->subindex;
+        crc = skin_crc32(skin_crc32(crc, head, sizeof head), value, object->bytes);
+    }
+    return skin_od_put(crc, sizeof crc, buf, count, countRead);
+}
+
+/* Refuse a gain that is infinite or no number. */
+static ODR_t write_gain(OD_stream_t *stream, const void *buf, OD_size_t count, OD_size_t *countWritten)
+{
+    const uint8_t *data = buf;
+
+    if (count == sizeof(float) && (data[3] & 0x7Fu) == 0x7Fu && (data[2] & 0x80u) != 0) {
+        return ODR_INVALID_VALUE;
+    }
+    return OD_writeOriginal(stream, buf, count, countWritten);
+}
+
+static ODR_t write_pattern(OD_stream_t *stream, const void *buf, OD_size_t count, OD_size_t *countWritten)
+{
+    if (count == 1 && *(const uint8_t *)buf > SKIN_PATTERN_FULL) {
+        return ODR_INVALID_VALUE;
+    }
+    return OD_writeOriginal(stream, buf, count, countWritten);
+}
+
+int skin_od_connect(void)
+{
+    int failed = skin_od_extend(&signature_extension, SKIN_OD_SIGNATURE, read_signature, NULL);
+    uint8_t each;
+
+    skin_od_health = skin_od_value(SKIN_OD_HEALTH, 1, sizeof *skin_od_health);
+    failed |= skin_od_health == NULL;
+    for (each = 0; each < board->blocks; each++) {
+        const uint16_t above = (uint16_t)(SKIN_OD_BLOCK_STRIDE * each);
+        skin_od_block *block = &skin_od_blocks[each];
+
+        block->gain = skin_od_value((uint16_t)(SKIN_OD_GAIN + above), 1, sizeof *block->gain);
+        block->offset = skin_od_value((uint16_t)(SKIN_OD_OFFSET + above), 1, sizeof *block->offset);
+        block->pattern = skin_od_value((uint16_t)(SKIN_OD_PATTERN + above), 0, sizeof *block->pattern);
+        failed |= block->gain == NULL || block->offset == NULL || block->pattern == NULL;
+        failed |=
+            skin_od_extend(&gain_extension[each], (uint16_t)(SKIN_OD_GAIN + above), OD_readOriginal, write_gain);
+        failed |= skin_od_extend(&pattern_extension[each], (uint16_t)(SKIN_OD_PATTERN + above), OD_readOriginal,
+                                 write_pattern);
+    }
+    return failed;
+}
+
+void skin_od_reset(void)
+{
+    uint8_t each;
+
+    for (each = 0; each < board->blocks; each++) {
+        *skin_od_blocks[each].pattern = SKIN_PATTERN_OFF;
+    }
+    for (each = 0; each < 4; each++) {
+        skin_od_health[each] = 0;
+    }
+}
