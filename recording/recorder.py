@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from bus.link import Link, State
+from canskin.fabric import Origin
 from canskin.messages import Topic
+from recording.missed import Missed
 from recording.sinks import Sink
 from skin.mcap_file import EVENTS, RECORDER
 from skin.service import StopSignal, say
@@ -44,6 +46,8 @@ class Recorder:
     ----------
     frames, messages : int
         Written so far.
+    missed : Missed
+        Messages that did not come.
     """
 
     def __init__(
@@ -56,6 +60,7 @@ class Recorder:
         mono_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.frames = self.messages = 0
+        self.missed = Missed()
         self._links, self._sink, self._names = dict(links), sink, names
         self._wall_ns, self._mono_ns = wall_ns, mono_ns
         self._waiting: deque[_Waiting] = deque()
@@ -68,8 +73,10 @@ class Recorder:
         """Frames and messages that came and were not recorded."""
         return self._lost_messages + sum(link.dropped for link in self._links.values())
 
-    def take_message(self, topic: Topic, content: bytes) -> None:
+    def take_message(self, topic: Topic, content: bytes, origin: Origin | None = None) -> None:
         """Take a message of the fabric; from any thread."""
+        if origin is not None:
+            self.missed.take(topic.name, origin)
         self._wait(_Waiting(self._wall_ns(), topic, content))
 
     def take_event(self, source: str, text: str) -> None:
@@ -149,6 +156,7 @@ class Recorder:
             "frames": self.frames,
             "messages": self.messages,
             "lost_messages": self._lost_messages,
+            "missed_messages": self.missed.counts(),
             "lost_frames": {self._names[number]: link.dropped for number, link in self._links.items()},
             "wall_offset_ns": now_ns - self._mono_ns(),
         }

@@ -11,7 +11,8 @@ import pytest
 from bandwidth.logs import read_log
 from bus.link import State
 from canskin.errors import InputError, RunError
-from canskin.messages import LABEL
+from canskin.fabric import Origin
+from canskin.messages import IMAGE, LABEL
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
@@ -111,6 +112,24 @@ def test_a_log_leaves_messages_out(contract: Contract, links: dict[int, FakeLink
     run.recorder.take_message(LABEL, b"a label")
     run.turn()
     assert run.recorder.messages == 0
+    run.sink.close()
+
+
+def test_messages_that_never_came_are_counted_by_topic(
+    contract: Contract, links: dict[int, FakeLink], out: Path
+) -> None:
+    run = Run(out, contract, links)
+    # Two publishers of labels; the first starts again. Numbers 6, 7 and 9 of the first do not come, 8 comes late.
+    for publisher, number in (("a", 5), ("b", 1), ("a", 10), ("a", 8), ("b", 2), ("c", 1), ("c", 2)):
+        run.recorder.take_message(LABEL, b"", Origin(publisher, number))
+    run.recorder.take_message(IMAGE, b"", Origin("a", 3))
+    run.recorder.take_message(IMAGE, b"")
+    run.turn(0.6)
+    (counters,) = [
+        msgspec.json.decode(entry.data) for entry in read_entries(out, lambda _: None) if entry.topic == RECORDER
+    ]
+    assert counters["missed_messages"] == {"label": 3}
+    assert counters["lost_messages"] == 0
     run.sink.close()
 
 
