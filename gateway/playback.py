@@ -1,10 +1,10 @@
 """The gateway's loop in recorded time: recorded frames in, measurements out. Nothing is sent, and no clock is read.
 
-The loop does what it does live with frames, but for what frames do not tell. Every node counts as proven, because a
-recording may begin after the proofs. Each SYNC as the layout has it counts as the gateway's. A cycle ends when all
-frames of every node have come, or when it is out of time on the clock of the frames. A live gateway reads its frames a
-little later than they end, so it ends a cycle with the same frames or with fewer: a block that was valid live is valid
-here and has the same sums.
+The loop does what it does live with frames, but for what frames do not tell. Which nodes are proven, their boot-up
+messages and starts tell (`gateway.inferred_proofs`), or the live validity. Each SYNC as the layout has it counts as the
+gateway's. A cycle ends when all frames of every node have come, or when it is out of time on the clock of the frames. A
+live gateway reads its frames a little later than they end, so it ends a cycle with the same frames or with fewer: a
+block that was valid live is valid here and has the same sums.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -20,8 +20,9 @@ from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import SYNC_OVERFLOW, Contract, next_counter
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
-from gateway.cycle_gathering import GRACE
+from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.gathering import Sync
+from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
@@ -46,6 +47,9 @@ class Playback:
         Wall clock minus the clock of the frames.
     calibrator : Calibrator, optional
         Puts offsets into the measurements.
+    judges : bool
+        Find out which complete blocks a gateway uses. Otherwise all complete blocks are valid: who has the live
+        validity knows better.
 
     Attributes
     ----------
@@ -61,6 +65,7 @@ class Playback:
         wall_offset_ns: int = 0,
         *,
         calibrator: Calibrator | None = None,
+        judges: bool = True,
     ) -> None:
         self.cycles = 0
         self._calibrator = calibrator
@@ -74,6 +79,13 @@ class Playback:
         for node in contract.nodes:
             if node.bus in sends:
                 self._loop.gathering.trust(node, proven=True)
+        if not judges and isinstance(self._loop.gathering, CycleGathering):
+            self._loop.gathering.collector.judges = False
+        self._nodes = {(node.bus, node.node_id): node for node in contract.nodes}
+        self._proofs = {
+            number: InferredProofs([node.node_id for node in contract.on_bus(number)] if judges else ())
+            for number in sends
+        }
         self._waiting: dict[int, list[Frames]] = {number: [] for number in sends}
         self._ready = {number: _Ready(frames(0)) for number in sends}
         #: The newest cycles: counter, time of the first SYNC, and the buses whose SYNC has come.
@@ -92,16 +104,22 @@ class Playback:
 
         `Measurement.cycle` is the number of the SYNC, from 1; its times are those of the frames.
         """
-        found: list[tuple[int, int, int]] = []
+        found: list[tuple[int, int, int, Change | None]] = []
         for number, waiting in self._waiting.items():
             seen = np.concatenate((frames(0), *waiting))
             newest_ns = np.maximum.accumulate(seen["time_ns"])
             count = int(np.searchsorted(newest_ns, until_ns, "right"))
             self._waiting[number] = [seen[count:]]
             ready = self._ready[number] = _Ready(seen[:count])
-            found += [(int(newest_ns[place]), number, place) for place in ready.syncs]
-        for time_ns, number, place in sorted(found):
-            self._take_sync(time_ns, number, place)
+            changes = self._proofs[number].changes(ready.frames)
+            told = [*((place, None) for place in ready.syncs), *((change.place, change) for change in changes)]
+            found += [(int(newest_ns[place]), number, place, change) for place, change in told]
+        for time_ns, number, place, change in sorted(found, key=lambda each: each[:3]):
+            if change is None:
+                self._take_sync(time_ns, number, place)
+            else:
+                self._go_to(time_ns, {number: place})
+                self._loop.gathering.trust(self._nodes[number, change.node_id], proven=change.is_proven)
         self._go_to(until_ns, {number: len(ready.frames) for number, ready in self._ready.items()})
         return self._take_made()
 

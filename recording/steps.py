@@ -215,7 +215,12 @@ class _Recorded:
         if self._playback is None:
             start_ns = int(seen["time_ns"][0]) - _FRAMES_NS
             self._playback = Playback(
-                self._contract, self._buses.values(), start_ns, self._offset_ns, calibrator=self._calibrator
+                self._contract,
+                self._buses.values(),
+                start_ns,
+                self._offset_ns,
+                calibrator=self._calibrator,
+                judges=not self._measures,
             )
         self._playback.feed(self._buses[entry.topic], seen)
 
