@@ -18,7 +18,7 @@ from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
 from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import SYNC_OVERFLOW, Contract, next_counter
+from dbc.contract import SYNC_OVERFLOW, Contract, NodeContract, next_counter
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.gathering import Sync
@@ -29,6 +29,10 @@ from gateway.loop import GatewayLoop
 _CYCLES_IN_FLIGHT: Final = 2
 #: Adaptive sums are measured so often.
 _ADAPTIVE_NS: Final = 10_000_000
+#: Between two adaptive measurements in a recording, on a clock of its own: longer than any period between two.
+_ADAPTIVE_TURN_S: Final = 10.0
+#: Time stamps of the gateway and of the recorder differ by less. The shortest frame takes longer.
+_STAMP_NS: Final = 5_000
 #: Length of the parts of a log.
 _PART_NS: Final = 100_000_000
 
@@ -184,6 +188,71 @@ class Playback:
         self._made += self._loop.measurements(time_ns * 1e-9, self._wall_offset_ns)
         for master in self._loop.masters.values():
             master.emergencies.clear()
+
+
+class AdaptivePlayback:
+    """Makes the sums of recorded adaptive measurements anew, of the frames that were in them.
+
+    When a measurement was made live depends on the gateway's clock. `Measurement.bus_sampled_ns` tells which frames
+    were in the sums: those up to the newest of each bus. States and times of the blocks are those of the recording.
+
+    A recording may begin after the gateway. A sum is that of the frames from the first measurement on in which the
+    frames give the recorded value, or in which the gateway held none; before, it is the recorded one.
+
+    Parameters
+    ----------
+    contract : Contract
+    buses : collection of int
+        Numbers of the recorded buses.
+
+    Attributes
+    ----------
+    held : int
+        Sums so far that are the recorded ones.
+    """
+
+    def __init__(self, contract: Contract, buses: Collection[int]) -> None:
+        self.held = 0
+        self._phi = contract.phi
+        self._is_told = np.zeros(contract.phi.shape[0], np.bool_)
+        sends = dict.fromkeys(sorted(buses), len)
+        self._loop = GatewayLoop(contract, sends, 0.0, say=lambda _: None, complain=lambda _: None)
+        self._nodes = [node for node in contract.nodes if node.bus in sends]
+        self._frames: dict[int, Frames] = {number: frames(0) for number in sends}
+        self._now_s = 0.0
+        self._begin(self._nodes)
+
+    def feed(self, bus: int, logged: Frames) -> None:
+        """Take frames of a bus, in bus order."""
+        self._frames[bus] = np.concatenate((self._frames[bus], logged))
+
+    def measured(self, recorded: Measurement) -> Measurement:
+        """Return a recorded measurement with the sums that its frames give; all of these frames have been fed."""
+        self._now_s += _ADAPTIVE_TURN_S
+        newest_ns = np.frombuffer(recorded.bus_sampled_ns, "<i8")
+        for bus, waiting in self._frames.items():
+            end_ns = np.maximum.accumulate(waiting["time_ns"])
+            end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
+            self._loop.take(bus, waiting[:end], self._now_s, stamp_error_ns=None)
+            self._frames[bus] = waiting[end:]
+        (made,) = self._loop.measurements(self._now_s)
+        is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
+        sums, live = (np.frombuffer(each.sums, "<i4") for each in (made, recorded))
+        self._is_told |= ~is_known | (is_held & (sums == live))
+        self.held += int((is_known & ~self._is_told).sum())
+        sums = np.where(self._is_told, sums, live)
+        starts = self._phi.starts
+        self._begin([node for node in self._nodes if not is_known[starts[node.block] : starts[node.block + 1]].any()])
+        return msgspec.structs.replace(
+            recorded, sums=np.where(is_known, sums, 0).astype("<i4").tobytes(), fingerprint=made.fingerprint
+        )
+
+    def _begin(self, nodes: Collection[NodeContract]) -> None:
+        """Forget the sums of nodes, and use their frames that come from now on."""
+        for node in nodes:
+            self._loop.gathering.trust(node, proven=False)
+            self._loop.gathering.trust(node, proven=True)
+        self._loop.gathering.tick(self._now_s)
 
 
 class _Ready:

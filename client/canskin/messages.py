@@ -58,7 +58,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         Wall clock minus monotonic clock.
     bus_sampled_ns : bytes
         int64, shape (buses,): the sampling instant of each bus, on the monotonic clock; 0 if the SYNC was not seen.
-        Empty with adaptive sending.
+        Adaptive: when the newest frame of each bus ended that is in the sums; 0 before the first.
     sums : bytes
         int32, shape (m,), in ADC counts, block by block, in the order of Φ. Sums of invalid blocks are 0; adaptive:
         unknown sums are 0.

@@ -7,8 +7,7 @@ from canskin.fabric import Exchange
 from canskin.messages import Label, Measurement
 from classifier.service import ClassifierService
 from dbc.contract import Contract
-from reconstructor.adaptive import AdaptiveReconstructor
-from reconstructor.engine import Reconstructor
+from reconstructor.command import make_engine
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink
 from recording.steps import steps_of
@@ -30,8 +29,7 @@ def replay(source: Path, out: Path, offset_ns: int, layout: Path) -> Replay:
     """Replay a recording or a log into a new recording."""
     skin = load_layout(layout, adaptive=True)
     contract = Contract.from_layout(skin)
-    rows, columns = skin.taxels.rows, skin.taxels.columns
-    solver = AdaptiveReconstructor(skin) if skin.sending == "adaptive" else Reconstructor(contract.phi, rows, columns)
+    solver = make_engine(skin, None)[0]
     sink = McapSink(out, contract, 1, offset_ns)
     replayed = Replay(skin, solver, Silent, [SinkOutput(sink)], sink=sink, offset_ns=offset_ns)
     names = [bus.name for bus in skin.bus]

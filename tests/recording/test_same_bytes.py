@@ -12,12 +12,13 @@ import pytest
 from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement, Topic
 from dbc.canopen import NmtCommand
-from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from reconstructor.engine import Reconstructor
+from reconstructor.command import make_engine
 from reconstructor.service import ReconstructorService
-from recording.sinks import Sink, open_sink
+from recording.sinks import open_sink
 from skin.layout import layout_text
+from tests.gateway.boards import BoardWorld, small_adaptive
+from tests.gateway.test_disturbances import Losing
 from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract
 from tests.recording.conftest import OFFSET_NS
 from tests.recording.test_replay import messages
@@ -30,9 +31,9 @@ FORMATS = ("run.mcap", "run.log", "run.asc")
 class Seen:
     """All that a gateway sees of a bus, as another station does: without marks of what the gateway sent itself."""
 
-    def __init__(self, end: EndOfWire) -> None:
+    def __init__(self, end: EndOfWire, frame_ns: int) -> None:
         self.new: list[Frames] = []
-        self._newest_ns = 0
+        self._newest_ns, self._frame_ns = 0, frame_ns
         self._receive = end.receive
         end.receive = self.receive  # type: ignore[method-assign]
 
@@ -41,28 +42,48 @@ class Seen:
         mine = arrived.copy()
         mine["flags"] &= ~np.uint8(ECHO)
         for each in range(len(mine)):
-            self._newest_ns = max(int(mine["time_ns"][each]), self._newest_ns + FRAME_NS)
+            self._newest_ns = max(int(mine["time_ns"][each]), self._newest_ns + self._frame_ns)
             mine["time_ns"][each] = self._newest_ns
         self.new.append(mine)
         return arrived
 
 
 class Recorded:
-    """Publishes to files."""
+    """A run with its reconstructor, recorded in files; an `Exchange` of the reconstructor."""
 
-    def __init__(self, sinks: list[Sink], world: World) -> None:
-        self._sinks, self._world = sinks, world
+    def __init__(self, world: World | BoardWorld, files: list[Path], frame_ns: int) -> None:
+        self._world, skin = world, world.contract.layout
+        self.sinks = [open_sink(path, world.contract, 1, OFFSET_NS) for path in files]
+        self._seen = [Seen(wire.gateway, frame_ns) for wire in world.wires]
+        self._service = ReconstructorService(skin, make_engine(skin, None)[0], self, clock_ns=lambda: 7)
+        self.is_on = True
 
     @property
     def now_ns(self) -> int:
         return round(self._world.now_s * 1e9) + OFFSET_NS
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        for sink in self._sinks:
+        for sink in self.sinks if self.is_on else ():
             sink.message(topic, self.now_ns, msgspec.msgpack.encode(message))
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
         return Mailbox(depth)
+
+    def step(self) -> None:
+        made = self._world.step()
+        for bus, seen in enumerate(self._seen):
+            for arrived in seen.new:
+                for sink in self.sinks if self.is_on else ():
+                    sink.frames(bus, arrived, self.now_ns, OFFSET_NS)
+            seen.new.clear()
+        for each in made:
+            published = msgspec.structs.replace(each, wall_offset_ns=OFFSET_NS)
+            self.publish(MEASUREMENT, published)
+            self._service.take(published)
+
+    def close(self) -> None:
+        for sink in self.sinks:
+            sink.close()
 
 
 def sums_frame(world: World, bus: int, place: int) -> int:
@@ -84,36 +105,16 @@ class Loss:
 
 
 @pytest.fixture(scope="module")
-def contract() -> Contract:
-    return small_contract()
-
-
-@pytest.fixture(scope="module")
-def folder(contract: Contract, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recordings of one run in all formats, and its layout."""
     folder = tmp_path_factory.mktemp("runs")
-    (folder / "small.toml").write_text(layout_text(contract.layout))
-    sinks = [open_sink(folder / name, contract, 1, OFFSET_NS) for name in FORMATS]
-    rows, columns = contract.layout.taxels.rows, contract.layout.taxels.columns
-    world = World(contract)
-    seen = [Seen(wire.gateway) for wire in world.wires]
-    live = Recorded(sinks, world)
-    service = ReconstructorService(
-        contract.layout, Reconstructor(contract.phi, rows, columns), live, clock_ns=lambda: 7
-    )
+    world = World(small_contract())
+    (folder / "small.toml").write_text(layout_text(world.contract.layout))
+    recorded = Recorded(world, [folder / name for name in FORMATS], FRAME_NS)
 
     def run(seconds: float) -> None:
         for _ in range(round(seconds / world.step_s)):
-            made = world.step()
-            for bus, each in enumerate(seen):
-                for arrived in each.new:
-                    for sink in sinks:
-                        sink.frames(bus, arrived, live.now_ns, OFFSET_NS)
-                each.new.clear()
-            for each in made:
-                published = msgspec.structs.replace(each, wall_offset_ns=OFFSET_NS)
-                live.publish(MEASUREMENT, published)
-                service.take(published)
+            recorded.step()
 
     run(1.0)
     late = Loss(sums_frame(world, 0, 1))
@@ -125,8 +126,7 @@ def folder(contract: Contract, tmp_path_factory: pytest.TempPathFactory) -> Path
     run(10 * PERIOD_S)
     world.nmt(0, NmtCommand.RESET_NODE, 2)
     run(3.0)
-    for sink in sinks:
-        sink.close()
+    recorded.close()
     return folder
 
 
@@ -149,3 +149,30 @@ def test_same_bytes(folder: Path, name: str) -> None:
     assert [list(each.valid) for each in again] == [list(each.valid) for each in measured]
     assert [each.sums for each in again] == [each.sums for each in measured]
     assert [each.pixels for each in images_again] == [each.pixels for each in images]
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_adaptive_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) -> None:
+    """A recorder that comes late has frames of some groups only: the others are as recorded, until they are sent."""
+    world = BoardWorld(small_adaptive())
+    (tmp_path / "small.toml").write_text(layout_text(world.contract.layout))
+    recorded = Recorded(world, [tmp_path / "run.mcap"], 0)
+    recorded.is_on = not is_late
+    for step in range(700):
+        recorded.is_on |= step == 200
+        if step % 40 == 10:
+            world.touch(step // 40 % 4, seed=step)
+        world.wires[1].gateway.is_held = step % 7 < 3  # frames of this bus are read late
+        if step == 350:
+            world.nmt(0, NmtCommand.RESET_NODE, 1)
+        if step == 450:
+            world.wires[0].loses = Losing(world.wires[0].gateway, 0.3, seed=1)
+        recorded.step()
+    recorded.close()
+    measured, images = messages(tmp_path / "run.mcap", MEASUREMENT), messages(tmp_path / "run.mcap", IMAGE)
+    assert len({each.sums for each in measured}) > 30
+    assert not all(all(each.known) for each in measured[-300:])  # the node was reset
+    again, images_again = replayed(tmp_path, "run.mcap")
+    assert again == measured
+    if not is_late:  # images depend on those before
+        assert [each.pixels for each in images_again] == [each.pixels for each in images]
