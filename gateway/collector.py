@@ -14,10 +14,11 @@ import numpy.typing as npt
 from canskin.messages import FrameCounts
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.codec import decode
-from dbc.contract import Contract, next_counter
+from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from gateway.outstanding import Outstanding
 from gateway.sync_times import SampledTimes, SyncTimes
+from skin.sync_counter import next_counter
 
 #: Two SYNCs whose ends are nearer than this part of a period are too close. The gateway itself keeps half a period.
 CLOSE: Final = 0.4

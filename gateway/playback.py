@@ -18,12 +18,13 @@ from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
 from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import SYNC_OVERFLOW, Contract, NodeContract, next_counter
+from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.gathering import Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
+from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2

@@ -12,6 +12,7 @@ from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from canskin.peers import Peer
 from dbc.contract import Contract
+from recording.calibration import follow_calibration
 from recording.recorder import Recorder
 from recording.sinks import open_sink
 from skin.layout import Layout, load_layout
@@ -107,6 +108,7 @@ def _join(  # noqa: PLR0917 - the arguments of a thread
     fabric.watch_peers(note)
     for topic in TOPICS:
         fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
+    follow_calibration(fabric, recorder.take_file, stop)
 
 
 def _conclude(recorder: Recorder, out: Path) -> None:

@@ -10,7 +10,7 @@ from canskin.fabric import Origin
 from canskin.messages import Topic
 from recording.missed import Missed
 from recording.sinks import Sink
-from skin.mcap_file import EVENTS, RECORDER
+from skin.mcap_file import EVENTS, RECORDER, File
 from skin.service import StopSignal, say
 
 #: Frames are read in batches, so often. Links keep some thousands of frames.
@@ -64,6 +64,7 @@ class Recorder:
         self._links, self._sink, self._names = dict(links), sink, names
         self._wall_ns, self._mono_ns = wall_ns, mono_ns
         self._waiting: deque[_Waiting] = deque()
+        self._files: deque[File] = deque()
         self._lost_messages = 0
         self._is_lost = dict.fromkeys(links, False)
         self._flush_ns = mono_ns()
@@ -82,6 +83,10 @@ class Recorder:
     def take_event(self, source: str, text: str) -> None:
         """Take note of an event; from any thread."""
         self._wait(_Waiting(self._wall_ns(), None, {"source": source, "text": text}))
+
+    def take_file(self, file: File) -> None:
+        """Take an attachment; from any thread."""
+        self._files.append(file)
 
     def run(self, stop: StopSignal, until_s: float = float("inf")) -> None:
         """Record until `stop`, or for `until_s` seconds.
@@ -128,6 +133,8 @@ class Recorder:
                 self._sink.message(topic, time_ns, content)
             elif not isinstance(content, bytes):
                 self._sink.note(EVENTS, time_ns, content)
+        while self._files:
+            self._sink.attach(self._files.popleft(), now_ns)
         if self._mono_ns() - self._flush_ns >= FLUSH_S * 1e9:
             self._flush_ns = self._mono_ns()
             self._tell_counters()

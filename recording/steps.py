@@ -14,12 +14,13 @@ from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement, Topic
-from dbc.contract import Contract, next_counter
+from dbc.contract import Contract
 from dbc.stored_frames import from_bytes
 from gateway.playback import AdaptivePlayback, Playback, play
 from skin.mcap_file import FRAMES, Entry, message_decoder, read_entries, read_topics, wall_offset_ns
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
+from skin.sync_counter import next_counter
 
 #: Frames of all buses are in the file so long after their end.
 _FRAMES_NS: Final = 1_000_000_000

@@ -72,8 +72,8 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or sums or validity have another length, or the measurement is one of
-        adaptive sending.
+        If the sums were measured with another Φ, or an array has another length, or sums less offsets do not fit int32,
+        or the measurement is one of adaptive sending.
     """
     check_measurement(measurement, phi)
     if measurement.known or measurement.states or measurement.since_ns:
@@ -81,7 +81,7 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
     valid_sums = phi.sums_of_blocks(np.frombuffer(measurement.valid, np.uint8) != 0)
     if measurement.usable:
         valid_sums &= np.frombuffer(measurement.usable, np.uint8) != 0
-    return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
+    return MeasuredSums(_corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
 
 
 def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
@@ -92,11 +92,20 @@ def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
     return valid
 
 
-def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-    """Return the sums of a synchronous measurement less their offsets, 0 if not valid, ADC counts, shape (m,)."""
+def _corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Return the sums of a synchronous measurement less their offsets, 0 if not valid, ADC counts, shape (m,).
+
+    Raises
+    ------
+    InputError
+        If sums less offsets do not fit int32.
+    """
     counts = np.frombuffer(measurement.sums, "<i4")
     if measurement.offsets:
-        counts = counts - np.frombuffer(measurement.offsets, "<i4")
+        wide = counts.astype(np.int64) - np.frombuffer(measurement.offsets, "<i4")
+        if np.abs(wide).max() > _MOST_COUNTS:
+            raise InputError(f"sums less offsets beyond {_MOST_COUNTS} counts")
+        counts = wide.astype(np.int32)
         counts[~valid_sums] = 0
     elif measurement.usable:
         counts = np.where(valid_sums, counts, 0)
@@ -139,7 +148,7 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or an array has another length, or sums less offsets do not fit int32.
+        If the sums were measured with another Φ, or an array has another length.
     """
     if measurement.fingerprint != phi.fingerprint:
         came = measurement.fingerprint[:32]
@@ -156,10 +165,6 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     ):
         if found and len(found) != wanted:
             raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
-    if measurement.offsets:
-        corrected = np.frombuffer(measurement.sums, "<i4") - np.frombuffer(measurement.offsets, "<i4").astype(np.int64)
-        if np.abs(corrected).max() > _MOST_COUNTS:
-            raise InputError(f"sums less offsets beyond {_MOST_COUNTS} counts")
 
 
 class MeasurementReader(Generic[Sums]):
