@@ -51,6 +51,7 @@ def label_of(measurement: Measurement) -> Label:
         cycle=measurement.cycle,
         sync_counter=measurement.sync_counter,
         sampled_mono_ns=measurement.sampled_mono_ns,
+        sampled_error_ns=measurement.sampled_error_ns,
         label=str(measurement.valid.count(1)),
         confidence=1.0,
         valid_sums=0,

@@ -171,6 +171,7 @@ def test_adaptive_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) 
     recorded.close()
     measured, images = messages(tmp_path / "run.mcap", MEASUREMENT), messages(tmp_path / "run.mcap", IMAGE)
     assert len({each.sums for each in measured}) > 30
+    assert [each.sampled_error_ns for each in images] == [each.sampled_error_ns for each in measured]
     assert not all(all(each.known) for each in measured[-300:])  # the node was reset
     again, images_again = replayed(tmp_path, "run.mcap")
     assert again == measured
