@@ -18,9 +18,10 @@ from bandwidth.measured import (
 )
 from bandwidth.plan import BusPlan
 from dbc.canopen import HEARTBEAT_BASE
-from dbc.contract import Contract, next_counter
+from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import ERROR, Frames
+from skin.sync_counter import next_counter
 
 #: Largest relative difference between the mean SYNC period and the layout's.
 PERIOD_TOLERANCE = 0.01

@@ -12,11 +12,12 @@ from bandwidth.response import UNBOUNDED
 from bandwidth.touched_bits import touched_bits
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import SYNC_OVERFLOW, Contract
+from dbc.contract import Contract
 from dbc.dictionary import window_s
 from dbc.frame import frames
 from dbc.frame_bits import Stuffing, wire_bits
 from skin.layout import Bus
+from skin.sync_counter import SYNC_OVERFLOW
 
 #: Bus load of a plan with reserve.
 CAUTION: Final = 0.8

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -10,13 +11,28 @@ from calibration.calibrator import Calibrator, Tare
 from calibration.stored import load_calibration
 from calibration.windows import Bools
 from canskin.errors import InputError
-from canskin.messages import MEASUREMENT, Measurement
+from canskin.messages import Measurement
 from skin.layout import Layout
-from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe
-from skin.output import RECORDING_SUFFIX
 from skin.service import say
+from skin.sync_counter import next_counter
+
+
+class OffsetSource(Protocol):
+    """Puts offsets into measurements, one after the other: a `Calibrator`, or `calibration.recorded`."""
+
+    def apply(self, measurement: Measurement) -> Measurement:
+        """Return a measurement with its offsets."""
+        ...
+
+    def take(self, measurement: Measurement) -> None:
+        """Learn from a measurement."""
+        ...
+
+    def work(self) -> None:
+        """Go on learning."""
+        ...
 
 
 def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str) -> Calibrator | None:
@@ -35,23 +51,7 @@ def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str)
     return Calibrator(layout, offsets_n=offsets_n, tares=tare == "at-start", say=lambda text: say(service, text))
 
 
-def has_offsets(path: Path) -> bool:
-    """Tell whether a file is a recording whose measurements have offsets.
-
-    Raises
-    ------
-    InputError
-        If it is a recording that cannot be read.
-    """
-    if path.suffix.lower() != RECORDING_SUFFIX:
-        return False
-    decode = message_decoder(path, MEASUREMENT)
-    return any(
-        decode(entry.data).offsets for entry in read_entries(path, lambda _: None) if entry.topic == MEASUREMENT.name
-    )
-
-
-def calibrated(measurements: Iterable[Measurement], calibrator: Calibrator | None) -> Iterator[Measurement]:
+def calibrated(measurements: Iterable[Measurement], calibrator: OffsetSource | None) -> Iterator[Measurement]:
     """Yield measurements with offsets; without a calibrator, as they are."""
     for each in measurements:
         if calibrator is None:
@@ -67,7 +67,7 @@ def calibrated_cycles(
     counts: npt.NDArray[np.int32],
     valid: Bools,
     time_ns: npt.NDArray[np.int64],
-    calibrator: Calibrator,
+    calibrator: OffsetSource,
 ) -> tuple[npt.NDArray[np.int32], Bools]:
     """Return the sums of all cycles less their offsets, and the validity of their blocks.
 
@@ -77,7 +77,7 @@ def calibrated_cycles(
     counts : array of int32, shape (cycles, m)
     valid : array of bool, shape (cycles, blocks)
     time_ns : array of int64, shape (cycles,)
-    calibrator : Calibrator
+    calibrator : OffsetSource
     """
     phi = layout.phi()
     corrected, whole = np.empty_like(counts), np.empty_like(valid)
@@ -109,7 +109,7 @@ def measurement_of(
     whole = np.ones(layout.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
     return Measurement(
         cycle=cycle + 1,
-        sync_counter=cycle % 240 + 1,
+        sync_counter=next_counter(cycle),
         sampled_mono_ns=time_ns,
         sums=counts.astype("<i4").tobytes(),
         valid=whole.tobytes(),

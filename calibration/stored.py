@@ -11,7 +11,7 @@ from calibration.windows import Floats
 from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import MEASUREMENT, Measurement
 from skin.layout import Layout
-from skin.mcap_file import message_decoder, read_entries
+from skin.mcap_file import CALIBRATION_FILE, message_decoder, newest_file, read_entries
 from skin.measured_sums import check_measurement
 from skin.output import RECORDING_SUFFIX, write_file
 from skin.service import say
@@ -114,7 +114,7 @@ def save_calibration(path: Path, stored: StoredCalibration) -> None:
 
 
 def load_calibration(path: Path, layout: Layout) -> StoredCalibration:
-    """Read a file, or the newest offsets in a recording.
+    """Read a file, or the calibration of a recording.
 
     Raises
     ------
@@ -131,17 +131,27 @@ def load_calibration(path: Path, layout: Layout) -> StoredCalibration:
 
 
 def _recorded(path: Path, layout: Layout) -> StoredCalibration:
-    """Return the newest offsets in a recording."""
-    phi = layout.phi()
+    """Return the calibration that is attached to a recording, with the newest offsets of its measurements.
+
+    Raises
+    ------
+    InputError
+        If there is neither.
+    """
+    content = newest_file(path, CALIBRATION_FILE)
+    attached = None if content is None else parse_calibration(content, layout, str(path))
     newest: Measurement | None = None
     decode = message_decoder(path, MEASUREMENT)
     for entry in read_entries(path, lambda line: say("calibration", line)):
         if entry.topic == MEASUREMENT.name:
             newest = decode(entry.data)
     if newest is None or not newest.offsets:
-        raise InputError(f"{path}: the recorded gateway had no calibration")
-    check_measurement(newest, phi)
-    return store(layout, offsets_n=np.frombuffer(newest.offsets, "<i4") * layout.taxels.newton_per_count)
+        if attached is None:
+            raise InputError(f"{path}: the recorded gateway had no calibration")
+        return attached
+    check_measurement(newest, layout.phi())
+    found = store(layout, offsets_n=np.frombuffer(newest.offsets, "<i4") * layout.taxels.newton_per_count)
+    return found if attached is None else msgspec.structs.replace(attached, offsets_n=found.offsets_n)
 
 
 def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCalibration:

@@ -142,6 +142,7 @@ def _label_of(measurement: Measurement, decision: Decision, valid_sums: int, num
         cycle=measurement.cycle,
         sync_counter=measurement.sync_counter,
         sampled_mono_ns=measurement.sampled_mono_ns,
+        sampled_error_ns=measurement.sampled_error_ns,
         label=decision.label,
         confidence=decision.confidence,
         valid_sums=valid_sums,

@@ -26,15 +26,13 @@ from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe
+from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import GROUPS
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
 #: Number of sets of TPDOs by `sync.identity`, see the module's docstring.
 PHASES: Final = {"window": 1, "alternating": 2}
-#: Largest SYNC counter, and synchronous counter overflow value (1019h) where SYNC has a counter: a multiple of two, so
-#: phases alternate across the overflow, too.
-SYNC_OVERFLOW: Final = 240
 #: Coarse step of adaptive sums near 0, in parts of a taxel's full scale: 0.5 mN of 20 mN.
 COARSE_STEP_RATIO: Final = 1 / 40
 #: The byte of 2005h that tells offset binary (1) tells companded sums by this.
@@ -253,11 +251,6 @@ def sample_age_ns(line: Bus) -> int:
     """
     longest = sum_frame(line, is_fine=True)
     return SAMPLE_NS + int(frame_time_ns(longest, line.bitrate, line.data_bitrate, "worst")[0])
-
-
-def next_counter(sync_counter: int) -> int:
-    """Return the SYNC counter that follows (CiA 301, 7.2.5.1: 1 follows the overflow value)."""
-    return sync_counter % SYNC_OVERFLOW + 1
 
 
 def _adaptive_tpdos(node_id: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:

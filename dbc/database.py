@@ -23,10 +23,11 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.contract import SYNC_OVERFLOW, AdaptiveTpdo, Contract, NodeContract, Tpdo
+from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD
 from dbc.packing import rounding_error_n
+from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import grouped_rows
 
 if TYPE_CHECKING:

@@ -49,6 +49,8 @@ class _Bus:
     errands: Errands
     #: Nodes whose proof has just ended, by place: used from the next frames on.
     newly_proven: set[int]
+    #: When the newest frame ended that is in the sums, 0 before the first.
+    newest_ns: int = 0
     foreign_syncs: int = 0
     is_down: bool = False
 
@@ -159,6 +161,7 @@ class AdaptiveGathering:
         rows = frame_bytes(arrived)
         parts = self._law, mine.is_proven, mine.sums, mine.has_changed, mine.is_fd
         newest_ns = take_all(rows, health.has_gap, *parts)
+        mine.newest_ns = max(mine.newest_ns, newest_ns)
         if newest_ns > self._newest_ns:
             stamp_error_ns = health.stamp_error_ns
             self._newest_ns = newest_ns
@@ -198,6 +201,7 @@ class AdaptiveGathering:
                 sampled_mono_ns=self._newest_ns,
                 sampled_error_ns=self._newest_error_ns,
                 wall_offset_ns=wall_offset_ns,
+                bus_sampled_ns=np.array([bus.newest_ns for bus in self._buses.values()], "<i8").tobytes(),
                 sums=shown.sums.astype("<i4", copy=False).tobytes(),
                 valid=shown.valid.tobytes(),
                 fingerprint=self._fingerprint,

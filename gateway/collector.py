@@ -14,10 +14,11 @@ import numpy.typing as npt
 from canskin.messages import FrameCounts
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.codec import decode
-from dbc.contract import Contract, next_counter
+from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from gateway.outstanding import Outstanding
 from gateway.sync_times import SampledTimes, SyncTimes
+from skin.sync_counter import next_counter
 
 #: Two SYNCs whose ends are nearer than this part of a period are too close. The gateway itself keeps half a period.
 CLOSE: Final = 0.4
@@ -76,6 +77,8 @@ class Collector:
         self._kind = [FD if bus.fd else 0 for bus in contract.layout.bus]
         #: Blocks whose node is proven now; blocks whose node was proven during the whole cycle of a slot.
         self._trusted = np.zeros(contract.phi.blocks, np.bool_)
+        #: Whether complete blocks are left out whose frames may be of another cycle.
+        self.judges = True
         self._proven = np.zeros((SLOTS, contract.phi.blocks), np.bool_)
         self._node_of_block = np.repeat(np.arange(len(contract.nodes)), [node.blocks for node in contract.nodes])
         #: Buses with a foreign SYNC since the newest cycle was opened.
@@ -185,7 +188,7 @@ class Collector:
         missing = rows[~self._seen[slot, rows]]
         self.counts.missing += len(missing)
         np.add.at(self.missing_of_node, self._table.node[missing], 1)
-        whole = self._seen[slot, rows] & ~self._spoilt[slot, rows]
+        whole = self._seen[slot, rows] & ~(self._spoilt[slot, rows] & self.judges)
         good, lost = rows[whole], self._table.gather[rows[~whole]]
         self._judge_phases(rows[self._seen[slot, rows]])
         valid = self._proven[slot].copy()

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from dbc.contract import next_counter
+from skin.sync_counter import next_counter
 
 #: Part of a period. A SYNC is skipped when it is later than this, or nearer than this to the SYNC before.
 LATEST: Final = 0.5

@@ -1,10 +1,10 @@
 """The gateway's loop in recorded time: recorded frames in, measurements out. Nothing is sent, and no clock is read.
 
-The loop does what it does live with frames, but for what frames do not tell. Every node counts as proven, because a
-recording may begin after the proofs. Each SYNC as the layout has it counts as the gateway's. A cycle ends when all
-frames of every node have come, or when it is out of time on the clock of the frames. A live gateway reads its frames a
-little later than they end, so it ends a cycle with the same frames or with fewer: a block that was valid live is valid
-here and has the same sums.
+The loop does what it does live with frames, but for what frames do not tell. Which nodes are proven, their boot-up
+messages and starts tell (`gateway.inferred_proofs`), or the live validity. Each SYNC as the layout has it counts as the
+gateway's. A cycle ends when all frames of every node have come, or when it is out of time on the clock of the frames. A
+live gateway reads its frames a little later than they end, so it ends a cycle with the same frames or with fewer: a
+block that was valid live is valid here and has the same sums.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -18,16 +18,22 @@ from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
 from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import SYNC_OVERFLOW, Contract, next_counter
+from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
-from gateway.cycle_gathering import GRACE
+from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.gathering import Sync
+from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
+from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
 #: Adaptive sums are measured so often.
 _ADAPTIVE_NS: Final = 10_000_000
+#: Between two adaptive measurements in a recording, on a clock of its own: longer than any period between two.
+_ADAPTIVE_TURN_S: Final = 10.0
+#: Time stamps of the gateway and of the recorder differ by less. The shortest frame takes longer.
+_STAMP_NS: Final = 5_000
 #: Length of the parts of a log.
 _PART_NS: Final = 100_000_000
 
@@ -46,6 +52,9 @@ class Playback:
         Wall clock minus the clock of the frames.
     calibrator : Calibrator, optional
         Puts offsets into the measurements.
+    judges : bool
+        Find out which complete blocks a gateway uses. Otherwise all complete blocks are valid: who has the live
+        validity knows better.
 
     Attributes
     ----------
@@ -61,6 +70,7 @@ class Playback:
         wall_offset_ns: int = 0,
         *,
         calibrator: Calibrator | None = None,
+        judges: bool = True,
     ) -> None:
         self.cycles = 0
         self._calibrator = calibrator
@@ -74,6 +84,13 @@ class Playback:
         for node in contract.nodes:
             if node.bus in sends:
                 self._loop.gathering.trust(node, proven=True)
+        if not judges and isinstance(self._loop.gathering, CycleGathering):
+            self._loop.gathering.collector.judges = False
+        self._nodes = {(node.bus, node.node_id): node for node in contract.nodes}
+        self._proofs = {
+            number: InferredProofs([node.node_id for node in contract.on_bus(number)] if judges else ())
+            for number in sends
+        }
         self._waiting: dict[int, list[Frames]] = {number: [] for number in sends}
         self._ready = {number: _Ready(frames(0)) for number in sends}
         #: The newest cycles: counter, time of the first SYNC, and the buses whose SYNC has come.
@@ -92,16 +109,22 @@ class Playback:
 
         `Measurement.cycle` is the number of the SYNC, from 1; its times are those of the frames.
         """
-        found: list[tuple[int, int, int]] = []
+        found: list[tuple[int, int, int, Change | None]] = []
         for number, waiting in self._waiting.items():
             seen = np.concatenate((frames(0), *waiting))
             newest_ns = np.maximum.accumulate(seen["time_ns"])
             count = int(np.searchsorted(newest_ns, until_ns, "right"))
             self._waiting[number] = [seen[count:]]
             ready = self._ready[number] = _Ready(seen[:count])
-            found += [(int(newest_ns[place]), number, place) for place in ready.syncs]
-        for time_ns, number, place in sorted(found):
-            self._take_sync(time_ns, number, place)
+            changes = self._proofs[number].changes(ready.frames)
+            told = [*((place, None) for place in ready.syncs), *((change.place, change) for change in changes)]
+            found += [(int(newest_ns[place]), number, place, change) for place, change in told]
+        for time_ns, number, place, change in sorted(found, key=lambda each: each[:3]):
+            if change is None:
+                self._take_sync(time_ns, number, place)
+            else:
+                self._go_to(time_ns, {number: place})
+                self._loop.gathering.trust(self._nodes[number, change.node_id], proven=change.is_proven)
         self._go_to(until_ns, {number: len(ready.frames) for number, ready in self._ready.items()})
         return self._take_made()
 
@@ -166,6 +189,71 @@ class Playback:
         self._made += self._loop.measurements(time_ns * 1e-9, self._wall_offset_ns)
         for master in self._loop.masters.values():
             master.emergencies.clear()
+
+
+class AdaptivePlayback:
+    """Makes the sums of recorded adaptive measurements anew, of the frames that were in them.
+
+    When a measurement was made live depends on the gateway's clock. `Measurement.bus_sampled_ns` tells which frames
+    were in the sums: those up to the newest of each bus. States and times of the blocks are those of the recording.
+
+    A recording may begin after the gateway. A sum is that of the frames from the first measurement on in which the
+    frames give the recorded value, or in which the gateway held none; before, it is the recorded one.
+
+    Parameters
+    ----------
+    contract : Contract
+    buses : collection of int
+        Numbers of the recorded buses.
+
+    Attributes
+    ----------
+    held : int
+        Sums so far that are the recorded ones.
+    """
+
+    def __init__(self, contract: Contract, buses: Collection[int]) -> None:
+        self.held = 0
+        self._phi = contract.phi
+        self._is_told = np.zeros(contract.phi.shape[0], np.bool_)
+        sends = dict.fromkeys(sorted(buses), len)
+        self._loop = GatewayLoop(contract, sends, 0.0, say=lambda _: None, complain=lambda _: None)
+        self._nodes = [node for node in contract.nodes if node.bus in sends]
+        self._frames: dict[int, Frames] = {number: frames(0) for number in sends}
+        self._now_s = 0.0
+        self._begin(self._nodes)
+
+    def feed(self, bus: int, logged: Frames) -> None:
+        """Take frames of a bus, in bus order."""
+        self._frames[bus] = np.concatenate((self._frames[bus], logged))
+
+    def measured(self, recorded: Measurement) -> Measurement:
+        """Return a recorded measurement with the sums that its frames give; all of these frames have been fed."""
+        self._now_s += _ADAPTIVE_TURN_S
+        newest_ns = np.frombuffer(recorded.bus_sampled_ns, "<i8")
+        for bus, waiting in self._frames.items():
+            end_ns = np.maximum.accumulate(waiting["time_ns"])
+            end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
+            self._loop.take(bus, waiting[:end], self._now_s, stamp_error_ns=None)
+            self._frames[bus] = waiting[end:]
+        (made,) = self._loop.measurements(self._now_s)
+        is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
+        sums, live = (np.frombuffer(each.sums, "<i4") for each in (made, recorded))
+        self._is_told |= ~is_known | (is_held & (sums == live))
+        self.held += int((is_known & ~self._is_told).sum())
+        sums = np.where(self._is_told, sums, live)
+        starts = self._phi.starts
+        self._begin([node for node in self._nodes if not is_known[starts[node.block] : starts[node.block + 1]].any()])
+        return msgspec.structs.replace(
+            recorded, sums=np.where(is_known, sums, 0).astype("<i4").tobytes(), fingerprint=made.fingerprint
+        )
+
+    def _begin(self, nodes: Collection[NodeContract]) -> None:
+        """Forget the sums of nodes, and use their frames that come from now on."""
+        for node in nodes:
+            self._loop.gathering.trust(node, proven=False)
+            self._loop.gathering.trust(node, proven=True)
+        self._loop.gathering.tick(self._now_s)
 
 
 class _Ready:

@@ -4,10 +4,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.codec import encode
-from dbc.contract import SYNC_OVERFLOW, Contract, NodeContract
+from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.indices import split_block
 from nodes.tpdo import Tpdo
+from skin.sync_counter import SYNC_OVERFLOW
 
 
 class Burst:

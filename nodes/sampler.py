@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import Truth
-from dbc.contract import SYNC_OVERFLOW
 from nodes.boards import Boards
 from nodes.electronics import Electronics
 from skin.measurement import Sbhe
 from skin.sources import TaxelSource
+from skin.sync_counter import SYNC_OVERFLOW
 from skin.taxel import to_newtons
 
 #: Longest time between the SYNC frames of one cycle, with the same counter, on different buses. A busy master delays

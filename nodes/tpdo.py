@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 from canopen import SdoAbortedError
 
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, EVENT_MANUFACTURER, LAST_SYNCHRONOUS
-from dbc.contract import SYNC_OVERFLOW
 from dbc.frame import FD_LENGTHS
 from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, split_block
 from nodes.objects import LocalNode
+from skin.sync_counter import SYNC_OVERFLOW
 
 
 @dataclass

@@ -12,7 +12,8 @@ from cyclopts import Parameter
 
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Tare
-from calibration.offline import calibrated_cycles, has_offsets, make_calibrator
+from calibration.offline import OffsetSource, calibrated_cycles, make_calibrator
+from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError, RunError
 from canskin.messages import FrameCounts
 from dbc.contract import Contract
@@ -28,6 +29,8 @@ from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.terminal import progress
 
+#: ``--calibration none``: take nothing off.
+NO_CALIBRATION: Final = Path("none")
 #: First words of a .csv log of python-can.
 _CAN_CSV: Final = b"timestamp,arbitration_id"
 
@@ -47,10 +50,10 @@ def rebuild(
 ) -> None:
     """Make the tactile image of every cycle of a recording or a CAN log, and write all images to one file.
 
-    A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle. A
-    recording is measured as in the nodes, one frame per cycle. Images of ``live``, ``variation`` and
-    ``paper-contourlet`` equal those of ``skin reconstruct``. With wavelets, eight parts of the recording are solved
-    together; with ``paper`` on a GPU, up to 256 parts.
+    A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle.
+    The offsets in a run of ``skin record`` are taken off. A recording is measured as in the nodes, one frame per
+    cycle. Images of ``live``, ``variation`` and ``paper-contourlet`` equal those of ``skin reconstruct``. With
+    wavelets, eight parts of the recording are solved together; with ``paper`` on a GPU, up to 256 parts.
 
     Parameters
     ----------
@@ -73,8 +76,8 @@ def rebuild(
     full_scale
         Recorded value that becomes the skin's largest force; default: the largest value of the recording.
     calibration
-        File of ``skin calibration save``, or a recording, whose newest offsets are taken off all cycles. Without it,
-        and without ``--tare``, nothing is taken off, not even the offsets of a recording.
+        File of ``skin calibration save``, or a recording, whose newest offsets are taken off all cycles; or ``none``.
+        Default: the offsets that were recorded with each cycle.
     tare
         ``at-start``: measure the offsets as the gateway does, once the skin is untouched for 2 s or 64 cycles.
 
@@ -89,7 +92,8 @@ def rebuild(
     if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
         layout = source
     contract = Contract.from_layout(load_layout(layout))
-    calibrator = make_calibrator(contract.layout, calibration, tare, "rebuild")
+    stored = None if calibration == NO_CALIBRATION else calibration
+    calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")
     taxels = contract.layout.taxels
     options = solver or SolverOptions()
     settings = options.settings()
@@ -104,15 +108,10 @@ def rebuild(
         library=library,
     )
     cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
-    if calibrator is None and has_offsets(source):
-        say(
-            "rebuild",
-            f"{source.name}: offsets of the live measurements are not taken off, so images differ from the live ones:"
-            f" take the newest off with --calibration {source.name}, or measure them with --tare at-start",
-        )
+    if calibrator is None and calibration is None and source.suffix.lower() == RECORDING_SUFFIX:
+        cycles = _as_live(contract, source, cycles)
     if calibrator is not None:
-        counts, valid = calibrated_cycles(contract.layout, cycles.counts, cycles.valid, cycles.time_ns, calibrator)
-        cycles = replace(cycles, counts=counts, valid=valid)
+        cycles = _calibrated(contract, cycles, calibrator)
     say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, {solve.method}, on the {device}")
     images = _solved(contract, solve, cycles)
     metadata = {
@@ -128,6 +127,21 @@ def rebuild(
     }
     save_images(out, images, cycles, metadata)
     say("rebuild", f"{len(images)} images written to {out}")
+
+
+def _as_live(contract: Contract, source: Path, cycles: Cycles) -> Cycles:
+    """Take off what the live gateway took off."""
+    recorded = RecordedOffsets(source, contract.layout)
+    if recorded.is_empty:
+        return cycles
+    found = _calibrated(contract, cycles, recorded)
+    say("rebuild", f"offsets of the run are taken off {recorded.applied} of {len(cycles.valid)} cycles")
+    return found
+
+
+def _calibrated(contract: Contract, cycles: Cycles, source: OffsetSource) -> Cycles:
+    counts, valid = calibrated_cycles(contract.layout, cycles.counts, cycles.valid, cycles.time_ns, source)
+    return replace(cycles, counts=counts, valid=valid)
 
 
 def _is_recording(source: Path) -> bool:

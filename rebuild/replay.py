@@ -18,7 +18,7 @@ def replay(
 ) -> tuple[Cycles, FrameCounts]:
     """Return the cycles of a log, and how its frames were counted.
 
-    Every node counts as proven; see `gateway.playback`.
+    See `gateway.playback` for which blocks are valid.
 
     Parameters
     ----------

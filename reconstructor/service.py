@@ -65,7 +65,6 @@ class ReconstructorService:
             self._work, depth = _Cycles(layout, solver), MAILBOX_DEPTH
         self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
         self._phi = layout.phi()
-        self._block_of_taxel = np.argsort(self._phi.order) // self._phi.block_size
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, depth)
 
@@ -99,6 +98,7 @@ class ReconstructorService:
             cycle=measurement.cycle,
             sync_counter=measurement.sync_counter,
             sampled_mono_ns=measurement.sampled_mono_ns,
+            sampled_error_ns=measurement.sampled_error_ns,
             published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
             valid=used_blocks(measurement, self._phi).tobytes(),
@@ -113,12 +113,13 @@ class ReconstructorService:
         """Find the contacts of an image; an image without any valid sum says nothing of them."""
         started_s = time.perf_counter()
         is_blind = message.valid_sums == 0
-        valid = np.frombuffer(message.valid, np.bool_)[self._block_of_taxel].reshape(image.shape)
+        valid = np.frombuffer(message.valid, np.bool_)[self._phi.block_of_taxel].reshape(image.shape)
         found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid)
         return Contacts(
             cycle=message.cycle,
             sync_counter=message.sync_counter,
             sampled_mono_ns=message.sampled_mono_ns,
+            sampled_error_ns=message.sampled_error_ns,
             contacts=found,
             ended=ended,
             find_s=time.perf_counter() - started_s,

@@ -1,4 +1,4 @@
-"""``skin export``: a recording as arrays for a notebook."""
+"""``skin export``: a recording as arrays for a notebook, or as a video."""
 
 import csv
 import io
@@ -21,8 +21,8 @@ from skin.terminal import Json
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
 
-Format = Literal["npz", "hdf5", "csv"]
-_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv"}
+Format = Literal["npz", "hdf5", "csv", "video"]
+_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv", "video": ".mp4"}
 #: Arrays of images, which a .csv has in files of their own.
 _GRIDS: Final = ("pixels", "true", "sensor")
 
@@ -36,7 +36,7 @@ def export(
     node: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     json: Json = False,
 ) -> None:
-    """Write a recording as arrays, or C99 sources for the boards of a skin.
+    """Write a recording as arrays or as a video, or C99 sources for the boards of a skin.
 
     Firmware, without heap: sums, packing, object dictionary, a CANopen slave. Prints the path of every file;
     ``README.md`` among them says what to do with the others.
@@ -47,7 +47,8 @@ def export(
         A recording (.mcap), or the word ``firmware``.
     to
         Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
-        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each.
+        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: the images as
+        H.264 in .mp4, in real time, with colours and marks of the page; needs the extra canskin[video].
     layout
         Firmware: TOML of the skin; without it the default skin.
     out
@@ -61,6 +62,7 @@ def export(
     Examples
     --------
     skin export run.mcap --to hdf5 --out touches.h5
+    skin export run.mcap --to video
     skin export firmware --out firmware
     skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
     """
@@ -75,10 +77,10 @@ def export(
 
 
 def export_recording(source: Path, *, to: Format = "npz", out: Path | None = None) -> None:
-    """Write the images, measurements, contacts, labels and truth of a recording as arrays.
+    """Write the images, measurements, contacts, labels and truth of a recording as arrays, or the images as a video.
 
-    All is read into memory: 100 MB for a minute of images of the default skin. For the images of a CAN log see
-    ``skin rebuild``, for the messages ``skin replay --out``.
+    Of arrays all is read into memory: 100 MB for a minute of images of the default skin. For the images of a CAN log
+    see ``skin rebuild``, for the messages ``skin replay --out``.
 
     Parameters
     ----------
@@ -86,7 +88,8 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
         A recording (.mcap).
     to
         ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip; needs the
-        extra canskin[hdf5]. ``csv``: a file per table, and of images one line each.
+        extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: see
+        `recording.video.save_video`.
     out
         New file; of a csv the names of the tables are added. Default: the name of the recording.
 
@@ -99,9 +102,12 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     """
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
+    path = out or source.with_suffix(_SUFFIXES[to])
+    if to == "video":
+        _export_video(source, path)
+        return
     from recording.tables import read_tables
 
-    path = out or source.with_suffix(_SUFFIXES[to])
     save = {"npz": _save_npz, "hdf5": _save_hdf5, "csv": _save_csv}[to]
     if to == "hdf5":
         _h5py()
@@ -116,6 +122,25 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
         raise RunError(f"{path}: the arrays cannot be written: {error.strerror or error}") from error
     counts = ", ".join(f"{len(table['time_ns'])} {name}" for name, table in tables.named().items())
     say("export", f"{counts} in {', '.join(map(str, written))}")
+
+
+def _export_video(source: Path, path: Path) -> None:
+    from recording.video import require_libraries, save_video
+
+    require_libraries()
+    if path.suffix.lower() != _SUFFIXES["video"]:
+        raise InputError(f"{path}: expected a video that ends in {_SUFFIXES['video']}, got '{path.suffix}'")
+    check_new_path(path, "video")
+    layout = load_layout(source, adaptive=True)
+    try:
+        made = save_video(path, source, layout, lambda line: say("export", line))
+    except OSError as error:
+        raise RunError(f"{path}: the video cannot be written: {error.strerror or error}") from error
+    say(
+        "export",
+        f"{made.images} images in {made.seconds:.2f} s of {path}, {made.gaps} times without images, colours from 0 to"
+        f" {1e3 * made.top_n:.0f} mN",
+    )
 
 
 def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:

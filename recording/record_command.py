@@ -12,6 +12,7 @@ from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from canskin.peers import Peer
 from dbc.contract import Contract
+from recording.calibration import follow_calibration
 from recording.recorder import Recorder
 from recording.sinks import open_sink
 from skin.layout import Layout, load_layout
@@ -107,6 +108,7 @@ def _join(  # noqa: PLR0917 - the arguments of a thread
     fabric.watch_peers(note)
     for topic in TOPICS:
         fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
+    follow_calibration(fabric, recorder.take_file, stop)
 
 
 def _conclude(recorder: Recorder, out: Path) -> None:
@@ -121,5 +123,7 @@ def _conclude(recorder: Recorder, out: Path) -> None:
         raise RunError(f"{out}: nothing came: no frame and no message. Are buses and services those of this layout?")
     size_mb = out.stat().st_size / 1e6
     say("record", f"{recorder.frames} frames and {recorder.messages} messages in {out}, {size_mb:.1f} MB")
+    for topic, count in recorder.missed.counts().items():
+        say("record", f"{count} messages '{topic}' never came: the fabric drops what a busy machine does not take")
     if recorder.lost:
         say("record", f"{recorder.lost} frames or messages came too fast for this machine and are missing")

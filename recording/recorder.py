@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from bus.link import Link, State
+from canskin.fabric import Origin
 from canskin.messages import Topic
+from recording.missed import Missed
 from recording.sinks import Sink
-from skin.mcap_file import EVENTS, RECORDER
+from skin.mcap_file import EVENTS, RECORDER, File
 from skin.service import StopSignal, say
 
 #: Frames are read in batches, so often. Links keep some thousands of frames.
@@ -44,6 +46,8 @@ class Recorder:
     ----------
     frames, messages : int
         Written so far.
+    missed : Missed
+        Messages that did not come.
     """
 
     def __init__(
@@ -56,9 +60,11 @@ class Recorder:
         mono_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.frames = self.messages = 0
+        self.missed = Missed()
         self._links, self._sink, self._names = dict(links), sink, names
         self._wall_ns, self._mono_ns = wall_ns, mono_ns
         self._waiting: deque[_Waiting] = deque()
+        self._files: deque[File] = deque()
         self._lost_messages = 0
         self._is_lost = dict.fromkeys(links, False)
         self._flush_ns = mono_ns()
@@ -68,13 +74,19 @@ class Recorder:
         """Frames and messages that came and were not recorded."""
         return self._lost_messages + sum(link.dropped for link in self._links.values())
 
-    def take_message(self, topic: Topic, content: bytes) -> None:
+    def take_message(self, topic: Topic, content: bytes, origin: Origin | None = None) -> None:
         """Take a message of the fabric; from any thread."""
+        if origin is not None:
+            self.missed.take(topic.name, origin)
         self._wait(_Waiting(self._wall_ns(), topic, content))
 
     def take_event(self, source: str, text: str) -> None:
         """Take note of an event; from any thread."""
         self._wait(_Waiting(self._wall_ns(), None, {"source": source, "text": text}))
+
+    def take_file(self, file: File) -> None:
+        """Take an attachment; from any thread."""
+        self._files.append(file)
 
     def run(self, stop: StopSignal, until_s: float = float("inf")) -> None:
         """Record until `stop`, or for `until_s` seconds.
@@ -121,6 +133,8 @@ class Recorder:
                 self._sink.message(topic, time_ns, content)
             elif not isinstance(content, bytes):
                 self._sink.note(EVENTS, time_ns, content)
+        while self._files:
+            self._sink.attach(self._files.popleft(), now_ns)
         if self._mono_ns() - self._flush_ns >= FLUSH_S * 1e9:
             self._flush_ns = self._mono_ns()
             self._tell_counters()
@@ -149,6 +163,7 @@ class Recorder:
             "frames": self.frames,
             "messages": self.messages,
             "lost_messages": self._lost_messages,
+            "missed_messages": self.missed.counts(),
             "lost_frames": {self._names[number]: link.dropped for number, link in self._links.items()},
             "wall_offset_ns": now_ns - self._mono_ns(),
         }

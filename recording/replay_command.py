@@ -26,7 +26,7 @@ from recording.sinks import McapSink
 from recording.steps import Step, steps_of
 from skin.description import Describing
 from skin.layout import Layout, load_layout
-from skin.mcap_file import wall_offset_ns
+from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
 from skin.output import RECORDING_SUFFIX, check_new_path
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS
@@ -92,6 +92,9 @@ def replay(
     engine, about = _engine(skin, solver)
     classifier = _classifier_maker(skin, model)
     sink = McapSink(out, contract, time.time_ns(), offset_ns) if out is not None else None
+    recorded = newest_file(source, CALIBRATION_FILE) if is_recording else None
+    if sink is not None and recorded is not None:
+        sink.attach(File(CALIBRATION_FILE, "application/json", recorded), time.time_ns())
     fabric = None
     if out is None or listen is not None:
         mark = contract.phi.fingerprint

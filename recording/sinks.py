@@ -55,6 +55,10 @@ class Sink(Protocol):
         """Add what the recorder itself says."""
         ...
 
+    def attach(self, file: File, now_ns: int) -> None:
+        """Attach a file."""
+        ...
+
     def flush(self) -> None:
         """Make all that was added readable."""
         ...
@@ -117,6 +121,10 @@ class McapSink:
         """Add what the recorder itself says."""
         self._writer.add_json(topic, now_ns, values)
 
+    def attach(self, file: File, now_ns: int) -> None:
+        """Attach a file."""
+        self._writer.add_file(file, now_ns)
+
     def flush(self) -> None:
         """Make all that was added readable."""
         self._writer.flush()
@@ -154,6 +162,9 @@ class LogSink:
 
     def note(self, topic: str, now_ns: int, values: Mapping[str, Any]) -> None:
         """Leave the note out."""
+
+    def attach(self, file: File, now_ns: int) -> None:
+        """Leave the file out."""
 
     def flush(self) -> None:
         """Write the frames that no other bus can precede."""

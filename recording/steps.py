@@ -14,12 +14,13 @@ from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement, Topic
-from dbc.contract import Contract, next_counter
+from dbc.contract import Contract
 from dbc.stored_frames import from_bytes
-from gateway.playback import Playback, play
+from gateway.playback import AdaptivePlayback, Playback, play
 from skin.mcap_file import FRAMES, Entry, message_decoder, read_entries, read_topics, wall_offset_ns
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
+from skin.sync_counter import next_counter
 
 #: Frames of all buses are in the file so long after their end.
 _FRAMES_NS: Final = 1_000_000_000
@@ -142,8 +143,11 @@ class _Recorded:
         }
         self._measures = MEASUREMENT.name in topics
         has_frames = any(topic.startswith(FRAMES) for topic in topics)
-        #: Adaptive sums at the instant of a measurement are not told by frames alone.
-        self._uses_frames = has_frames and (contract.layout.sending == "synchronous" or not self._measures)
+        #: Which frames are in an adaptive measurement, the measurement tells; frames alone do not.
+        tells_frames = contract.layout.sending == "adaptive" and self._measures
+        self._uses_frames = has_frames and not tells_frames
+        self._adaptive = AdaptivePlayback(contract, range(len(contract.layout.bus))) if tells_frames else None
+        self._of_frames: deque[tuple[int, Measurement]] = deque()
         #: Without counter a SYNC is known by its time alone.
         self._is_counted = contract.sync_overflow > 0
         self._far_ns = round((_FAR_CYCLES if self._is_counted else 0.5) * contract.layout.sync.period_s * 1e9)
@@ -176,6 +180,8 @@ class _Recorded:
         yield from self._ripe(None)
         if self._unmatched:
             say("replay", f"{self._unmatched} cycles have frames but no recorded measurement: they are left out")
+        if self._adaptive is not None and self._adaptive.held:
+            say("replay", f"{self._adaptive.held} sums are as recorded: their frames came before the recording")
 
     def _is_ripe(self, step: Step, until_ns: int) -> bool:
         """Tell whether nothing can come any more that precedes a step or belongs to its measurement."""
@@ -198,6 +204,8 @@ class _Recorded:
             if self._uses_frames:
                 self._measured_ns = message.sampled_mono_ns
                 self._unpaired.setdefault(self._counter(message), deque()).append(message)
+            elif message.bus_sampled_ns:
+                self._of_frames.append((entry.time_ns, message))
             else:
                 self._add(entry.time_ns, MEASUREMENT, message, message)
         elif entry.topic == IMAGE.name:
@@ -210,17 +218,30 @@ class _Recorded:
     def _take_frames(self, entry: Entry) -> None:
         seen = from_bytes(entry.data, int(entry.about["data_bytes"]))
         self._add(entry.time_ns, None, (self._buses[entry.topic], seen))
+        if self._adaptive is not None:
+            self._adaptive.feed(self._buses[entry.topic], seen)
         if not self._uses_frames:
             return
         if self._playback is None:
             start_ns = int(seen["time_ns"][0]) - _FRAMES_NS
             self._playback = Playback(
-                self._contract, self._buses.values(), start_ns, self._offset_ns, calibrator=self._calibrator
+                self._contract,
+                self._buses.values(),
+                start_ns,
+                self._offset_ns,
+                calibrator=self._calibrator,
+                judges=not self._measures,
             )
         self._playback.feed(self._buses[entry.topic], seen)
 
     def _advance(self, until_ns: int | None) -> None:
         """Make the measurements of the frames up to a time on the wall clock."""
+        while self._adaptive is not None and self._of_frames:
+            time_ns, recorded = self._of_frames[0]
+            if until_ns is not None and time_ns > until_ns:
+                break
+            self._of_frames.popleft()
+            self._add(time_ns, MEASUREMENT, self._adaptive.measured(recorded), recorded)
         playback = self._playback
         if playback is None:
             return

@@ -29,16 +29,15 @@ class Tables:
     Attributes
     ----------
     images : dict
-        ``pixels`` float32 (n, rows, columns) in newtons, ``cycle``, ``time_ns`` of the sampling on the wall clock,
-        ``sampled_mono_ns``, ``valid`` bool (n, blocks), ``valid_sums``.
+        ``pixels`` float32 (n, rows, columns) in newtons, ``valid`` bool (n, blocks), ``valid_sums``, ``cycle``,
+        and times: ``time_ns`` of the sampling on the wall clock, ``sampled_mono_ns``, ``sampled_error_ns``.
     measurements : dict
         ``sums`` and ``offsets`` int32 (n, m) in ADC counts, ``usable`` bool (n, m), ``valid``,
-        ``cycle``, ``time_ns``, ``sampled_mono_ns``,
-        ``sampled_error_ns``.
+        ``cycle`` and times.
     contacts : dict
-        One row per contact and image: the fields of `canskin.messages.Contact`, ``cycle`` and ``time_ns``.
+        One row per contact and image: the fields of `canskin.messages.Contact`, ``cycle`` and times.
     labels : dict
-        ``label``, ``confidence``, ``cycle``, ``time_ns``.
+        ``label``, ``confidence``, ``cycle`` and times.
     truth : dict
         ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns``; of simulated nodes.
     """
@@ -96,7 +95,6 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
             },
             measurements=_times(read["measurement"], wall)
             | {
-                "sampled_error_ns": np.array([each.sampled_error_ns for each in read["measurement"]], np.int64),
                 "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
                 "offsets": _stack([each.offsets or none for each in read["measurement"]], "<i4", (len(none) // 4,)),
                 "usable": _stack(
@@ -137,12 +135,13 @@ class _WallClock:
 
 
 def _times(messages: list[Any], wall: _WallClock) -> Table:
-    """Return number and times of messages; of a contact those of its image."""
+    """Return number, times and error in time of messages; of a contact those of its image."""
     mono_ns = np.array([each.sampled_mono_ns for each in messages], np.int64)
     return {
         "cycle": np.array([each.cycle for each in messages], np.int64),
         "time_ns": wall.time_ns(mono_ns),
         "sampled_mono_ns": mono_ns,
+        "sampled_error_ns": np.array([each.sampled_error_ns for each in messages], np.int64),
     }
 
 

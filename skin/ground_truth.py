@@ -12,12 +12,13 @@ import numpy.typing as npt
 
 from canskin.messages import Image, Label, Measurement, Truth
 from skin.layout import Layout
+from skin.sync_counter import SYNC_OVERFLOW
 
 #: Messages with equal SYNC counters belong to one cycle if their SYNCs are nearer than this: the counter repeats, after
 #: 2.4 s at 100 Hz.
 PAIRED_WITHIN_NS: Final = 1_000_000_000
-#: Messages kept: SYNC counters run from 1 to 240 (CiA 301, 7.2.5.1), so older cycles would be ambiguous.
-REMEMBERED: Final = 240
+#: Messages kept: SYNC counters repeat, so older cycles would be ambiguous.
+REMEMBERED: Final = SYNC_OVERFLOW
 #: There is contact if the largest true force is at least this part of the range: twice the sensor noise.
 CONTACT_RATIO: Final = 0.1
 

@@ -29,6 +29,8 @@ PROFILE: Final = "canskin"
 #: Name of the metadata record, and of the attachment with the layout.
 METADATA: Final = "canskin"
 LAYOUT_FILE: Final = "layout.toml"
+#: Attachment with the calibration of the gateway (`calibration.stored`), again after each change.
+CALIBRATION_FILE: Final = "calibration.json"
 FRAMES: Final = "frames/"
 #: Key of the metadata: wall clock minus CLOCK_MONOTONIC at the beginning, nanoseconds.
 WALL_OFFSET_NS: Final = "wall_offset_ns"
@@ -105,8 +107,12 @@ class RecordingWriter:
         self._writer.start(PROFILE)
         self._writer.add_metadata(METADATA, dict(metadata))
         for each in files:
-            self._writer.add_attachment(time_ns, time_ns, each.name, each.media_type, each.content)
+            self.add_file(each, time_ns)
         self.flush()
+
+    def add_file(self, file: File, time_ns: int) -> None:
+        """Attach a file; of several of one name the newest counts."""
+        self._writer.add_attachment(time_ns, time_ns, file.name, file.media_type, file.content)
 
     def add_topic(self, name: str, encoding: str, about: Mapping[str, str]) -> None:
         """Describe a topic before its first message."""
@@ -173,6 +179,26 @@ def read_about(path: Path) -> About:
         elif isinstance(record, Message):
             break
     return about
+
+
+def newest_file(path: Path, name: str) -> bytes | None:
+    """Return the newest attachment of a name, wherever in the recording it is; None without.
+
+    Raises
+    ------
+    InputError
+        If the file is no recording of a skin, or cannot be read.
+    """
+    found = read_about(path).files.get(name)
+    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
+        if make_reader(file).get_summary() is not None:
+            for record in make_reader(file).iter_attachments():
+                found = record.data if record.name == name else found
+            return found
+    for record in _records(path):  # without an index, as after a crash
+        if isinstance(record, Attachment) and record.name == name:
+            found = record.data
+    return found
 
 
 def wall_offset_ns(path: Path) -> int:

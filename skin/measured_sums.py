@@ -16,7 +16,6 @@ from skin.service import say
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
-_MOST_COUNTS: Final = np.iinfo(np.int32).max
 
 
 class MeasuredSums(NamedTuple):
@@ -73,8 +72,8 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or sums or validity have another length, or the measurement is one of
-        adaptive sending.
+        If the sums were measured with another Φ, or an array has another length, or sums less offsets do not fit int32,
+        or the measurement is one of adaptive sending.
     """
     check_measurement(measurement, phi)
     if measurement.known or measurement.states or measurement.since_ns:
@@ -129,7 +128,7 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or an array has another length, or sums less offsets do not fit int32.
+        If the sums were measured with another Φ, or an array has another length.
     """
     if measurement.fingerprint != phi.fingerprint:
         came = measurement.fingerprint[:32]
@@ -146,10 +145,6 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     ):
         if found and len(found) != wanted:
             raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
-    if measurement.offsets:
-        corrected = np.frombuffer(measurement.sums, "<i4") - np.frombuffer(measurement.offsets, "<i4").astype(np.int64)
-        if np.abs(corrected).max() > _MOST_COUNTS:
-            raise InputError(f"sums less offsets beyond {_MOST_COUNTS} counts")
 
 
 class MeasurementReader(Generic[Sums]):

@@ -100,6 +100,11 @@ class Sbhe:
         """Taxels of every block in the order of its chain, shape (blocks, block_size)."""
         return self.order.reshape(self.kept.shape)
 
+    @cached_property
+    def block_of_taxel(self) -> npt.NDArray[np.intp]:
+        """Block of every taxel, shape (n,)."""
+        return np.argsort(self.order) // self.block_size
+
     def rows_of(self, block: int) -> list[int]:
         """Hadamard rows that `block` sends, ascending."""
         return [int(row) for row in np.nonzero(self.kept[block])[0]]

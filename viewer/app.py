@@ -15,6 +15,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
+from viewer.colours import script
 from viewer.feed import Feed
 from viewer.guard import LOOPBACK, Guard
 from viewer.stream import FrameStream, serve_page
@@ -41,6 +42,9 @@ def build_app(feed: Feed, hosts: Collection[str] | None = LOOPBACK) -> Starlette
     async def page(_request: Request) -> Response:
         return FileResponse(f"{STATIC}/index.html", media_type="text/html")
 
+    async def colour_script(_request: Request) -> Response:
+        return Response(script(), media_type="text/javascript")
+
     async def state(_request: Request) -> Response:
         return Response(msgspec.json.encode(feed.snapshot()[0]), media_type="application/json")
 
@@ -64,6 +68,7 @@ def build_app(feed: Feed, hosts: Collection[str] | None = LOOPBACK) -> Starlette
             Route("/api/state", state),
             Route("/healthz", health),
             WebSocketRoute("/ws", live),
+            Route("/static/colours.js", colour_script),
             Mount("/static", StaticFiles(directory=STATIC)),
         ],
         middleware=[Middleware(Guard, hosts=hosts)],

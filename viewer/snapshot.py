@@ -59,9 +59,12 @@ class ImageState(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     invalid_blocks : list of int
         Blocks without valid sums in this cycle; the solver has estimated the forces of their taxels.
+    sampled_error_ns : int
+        Bound of the error of the sampling instant, see `canskin.messages.Measurement`.
     """
 
     cycle: int
+    sampled_error_ns: int
     age_s: float
     stale: bool
     invalid_blocks: list[int]

@@ -199,6 +199,7 @@ class ViewState:
         invalid = np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0)
         return ImageState(
             cycle=image.cycle,
+            sampled_error_ns=image.sampled_error_ns,
             age_s=now_s - at_s,
             stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S),
             invalid_blocks=[int(block) for block in invalid],

@@ -31,9 +31,7 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
 
 def greeting(layout: Layout) -> dict[str, Any]:
     """Return the skin's constants for the page: sending, grid, buses, block of each taxel, names of the NMT states."""
-    taxels, phi = layout.taxels, layout.phi()
-    block_of_taxel = np.empty(taxels.count, np.int32)
-    block_of_taxel[phi.order] = np.arange(taxels.count) // phi.block_size
+    taxels = layout.taxels
     buses = [
         {
             "name": bus.name,
@@ -54,7 +52,7 @@ def greeting(layout: Layout) -> dict[str, Any]:
         "sums": layout.measurement.sums,
         "rate_hz": layout.sync.rate_hz,
         "blocks": layout.blocks,
-        "block_of_taxel": block_of_taxel.tolist(),
+        "block_of_taxel": layout.phi().block_of_taxel.tolist(),
         "buses": buses,
         "nmt": {str(int(state)): word for state, word in NMT_WORDS.items()},
     }

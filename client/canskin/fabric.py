@@ -12,7 +12,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, Generic, Protocol, TypeVar
+from itertools import count
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 import zenoh
@@ -51,6 +52,21 @@ class Stop(Protocol):
     def is_set(self) -> bool:
         """Tell whether to stop."""
         ...
+
+
+class Origin(NamedTuple):
+    """Where a message comes from, as its attachment tells: a gap in the numbers is messages that were dropped.
+
+    Attributes
+    ----------
+    publisher : str
+        Differs from publisher to publisher, and from start to start.
+    number : int
+        Of the message among those of its publisher and topic, from 1.
+    """
+
+    publisher: str
+    number: int
 
 
 class Mailbox(Generic[Message]):
@@ -132,6 +148,7 @@ class Fabric:
         self._prefix = f"canskin/{skin}"
         self._encoder = msgspec.msgpack.Encoder()
         self._publishers: dict[str, Any] = {}
+        self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         _check_endpoint(endpoint)
         self._session = _listen(endpoint) if hub else _connect(endpoint, service, stop, patience_s)
@@ -146,14 +163,16 @@ class Fabric:
             # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
             key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
             publisher = self._session.declare_publisher(key, congestion_control=control)
+            self._numbers[topic.name] = count(1)
             self._publishers[topic.name] = publisher
-        publisher.put(self._encoder.encode(message))
+        mark = f"{self._peer.instance}-{next(self._numbers[topic.name])}"
+        publisher.put(self._encoder.encode(message), attachment=mark)
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
         decoder = msgspec.msgpack.Decoder(topic.message)
 
-        def receive(content: bytes) -> None:
+        def receive(content: bytes, _origin: Origin | None) -> None:
             try:
                 message = decoder.decode(content)
             except UNDECODABLE:
@@ -163,11 +182,11 @@ class Fabric:
 
         self.subscribe_bytes(topic, receive)
 
-    def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes], None]) -> None:
-        """Call `handler` with the bytes of every message of `topic`, not decoded."""
+    def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes, Origin | None], None]) -> None:
+        """Call `handler` with the bytes of every message of `topic`, not decoded, and its origin, if it tells one."""
 
         def receive(sample: Any) -> None:
-            handler(sample.payload.to_bytes())
+            handler(sample.payload.to_bytes(), _origin_of(sample.attachment))
 
         self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", receive))
 
@@ -284,6 +303,14 @@ def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]],
 def _tell(service: str, text: str, level: int = logging.WARNING) -> None:
     """Log a line in the name of a service."""
     _log.log(level, text, extra={"service": service})
+
+
+def _origin_of(attachment: Any) -> Origin | None:
+    """Return what an attachment tells; other programs attach nothing, or something else."""
+    if attachment is None:
+        return None
+    told = re.fullmatch(rb"(\w+)-(\d{1,18})", attachment.to_bytes())
+    return None if told is None else Origin(told[1].decode(), int(told[2]))
 
 
 def _check_endpoint(endpoint: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.description import Description, boot_id
+from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, Contact, Contacts, EndedContact, Image, Label, Measurement
 from canskin.sums import corrected_counts
 
@@ -186,7 +187,11 @@ class FrameBuilder:
             valid = np.frombuffer(measurement.known, np.uint8) != 0
         if measurement.usable:
             valid = valid & (np.frombuffer(measurement.usable, np.uint8) != 0)
-        return corrected_counts(measurement, valid), valid
+        try:
+            return corrected_counts(measurement, valid), valid
+        except InputError:
+            self.refused += 1
+            return np.zeros(0, np.int32), np.zeros(0, np.bool_)
 
 
 def _key(message: Image | Contacts) -> tuple[int, int]:

@@ -4,7 +4,7 @@ Arrays are little-endian bytes of the dtype named here, so programs in any langu
 Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock, ``time_ns`` of the wall clock.
 
 ``sampled_mono_ns`` is the instant at which the boards sampled the taxels: with synchronous sending the end of the SYNC
-on the bus. Messages that follow from a measurement carry that of the measurement.
+on the bus. Messages that follow from a measurement carry its `sampled_mono_ns` and `sampled_error_ns`.
 """
 
 from enum import IntEnum
@@ -14,7 +14,7 @@ import msgspec
 
 from canskin.calibration_messages import CalibrationStatus
 
-#: `Measurement.sampled_error_ns` of a sampling instant whose error has no proven bound.
+#: `sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1
 
 
@@ -52,13 +52,12 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         The sampling instant of every bus whose SYNC was seen differs at most so much from `sampled_mono_ns`, see
         `gateway.sync_times`; `UNKNOWN_ERROR_NS` if no bound is proven.
     sent_mono_ns : int
-        What the sampling instant would be without time stamps: the time of the send call plus the time of the SYNC
-        frame. 0 if unknown, and adaptive.
+        The sampling instant without time stamps: time of the send call + time of SYNC; 0 if unknown, and adaptive.
     wall_offset_ns : int
         Wall clock minus monotonic clock.
     bus_sampled_ns : bytes
         int64, shape (buses,): the sampling instant of each bus, on the monotonic clock; 0 if the SYNC was not seen.
-        Empty with adaptive sending.
+        Adaptive: when the newest frame of each bus ended that is in the sums; 0 before the first.
     sums : bytes
         int32, shape (m,), in ADC counts, block by block, in the order of Φ. Sums of invalid blocks are 0; adaptive:
         unknown sums are 0.
@@ -68,8 +67,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint : str
         Fingerprint of the Φ of the sums (`skin.measurement.Sbhe.fingerprint`).
     known : bytes
-        Adaptive: uint8, shape (m,), 1 if a value of the sum is held. Empty with synchronous sending, as are the next
-        two.
+        Adaptive: uint8, shape (m,), 1 if a value of the sum is held. This and the next two are otherwise empty.
     states : bytes
         uint8, shape (blocks,): `BlockState`.
     since_ns : bytes
@@ -133,6 +131,7 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     valid_sums: int
     solve_s: float
     number: int = 0
+    sampled_error_ns: int = UNKNOWN_ERROR_NS
 
 
 class Contact(msgspec.Struct, frozen=True, kw_only=True):
@@ -193,7 +192,7 @@ class Contacts(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    cycle, sync_counter, sampled_mono_ns : int
+    cycle, sync_counter, sampled_mono_ns, sampled_error_ns : int
         Of the image.
     contacts : list of Contact
         The strongest first.
@@ -212,6 +211,7 @@ class Contacts(msgspec.Struct, frozen=True, kw_only=True):
     ended: list[EndedContact]
     find_s: float
     blind: bool = False
+    sampled_error_ns: int = UNKNOWN_ERROR_NS
 
 
 #: Label of a contact that differs from all objects of the training.
@@ -243,6 +243,7 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
     valid_sums: int
     blind: bool = False
     number: int = 0
+    sampled_error_ns: int = UNKNOWN_ERROR_NS
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
@@ -279,8 +280,7 @@ class FrameCounts(msgspec.Struct, kw_only=True):
     late, duplicate, malformed : int
         Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used.
     unrefined, unproven : int
-        Adaptive: fine frames whose coarse frame is not held, and frames of nodes that are not proven; they are not
-        used.
+        Adaptive: fine frames whose coarse frame is not held, and frames of nodes that are not proven; not used.
     missing : int
         Frames with sums that did not come in their cycle.
     foreign : int

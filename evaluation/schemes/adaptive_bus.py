@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from dbc.adaptive import LEVELS, PAUSE_MS, Companding, SendingRule, payload_bytes, place_of
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
-from dbc.contract import SYNC_OVERFLOW, frame_flags, sum_frame
+from dbc.contract import frame_flags, sum_frame
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD, FD_LENGTHS
 from dbc.frame_bits import wire_bits
@@ -21,6 +21,7 @@ from evaluation.schemes.wire import TICK_NS
 from nodes.adaptive.sending import SILENT, Groups, identifier_of, look, make_payload, note_sent
 from skin.compiled import njit
 from skin.layout import Bus
+from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import GROUPS
 
 #: Milliseconds between two SYNCs.

@@ -11,11 +11,12 @@ from bandwidth.plan import bus_time, plan, plan_bus
 from bandwidth.traffic import Disturbance, traffic
 from bus.simulated_bus import SimulatedBus
 from dbc.codec import encode
-from dbc.contract import SYNC_OVERFLOW, Contract
+from dbc.contract import Contract
 from dbc.frame import frames
 from nodes.electronics import Electronics
 from skin.layout import SHIPPED, Layout, layout_text, load_layout, parse_layout
 from skin.sources import load_source
+from skin.sync_counter import SYNC_OVERFLOW
 from tests.identity import alternating
 
 #: Shipped layouts whose nodes send in every cycle; `test_adaptive_logs` plans the other.

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from calibration.calibrator import Calibrator
-from calibration.offline import calibrated_cycles, has_offsets, make_calibrator, measurement_of
-from calibration.stored import save_calibration, store
+from calibration.offline import calibrated_cycles, make_calibrator, measurement_of
+from calibration.recorded import RecordedOffsets
+from calibration.stored import encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT
 from skin.layout import load_layout
-from skin.mcap_file import RecordingWriter
+from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from tests.calibration.skins import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
 
 OFFSETS = PHI.forward(offsets_n())
@@ -46,17 +47,58 @@ def test_the_zero_is_measured_over_true_times() -> None:
     assert tared == [True, False]
 
 
-def test_a_recording_tells_whether_it_has_offsets(tmp_path: Path) -> None:
-    zero = np.zeros(PHI.shape[0], np.int32)
-    writer = RecordingWriter(tmp_path / "run.mcap", {}, [], 1)
-    writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(measurement_of(LAYOUT, PHI, 0, zero)))
+def recorded(path: Path, cycles: list[tuple[int, np.ndarray | None]]) -> Path:
+    """A recording with measurements at given times, with offsets or without."""
+    writer = RecordingWriter(path, {"wall_offset_ns": "1000"}, [], 1)
+    for cycle, (time_ns, offsets) in enumerate(cycles):
+        made = measurement_of(LAYOUT, PHI, cycle, np.zeros(PHI.shape[0], np.int32), time_ns=time_ns)
+        if offsets is not None:
+            made = msgspec.structs.replace(made, offsets=offsets.astype("<i4").tobytes())
+        writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
     writer.close()
-    assert not has_offsets(tmp_path / "run.mcap")
-    made = msgspec.structs.replace(measurement_of(LAYOUT, PHI, 0, zero), offsets=zero.tobytes())
-    writer = RecordingWriter(tmp_path / "zero.mcap", {}, [], 1)
-    writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
-    writer.close()
-    assert has_offsets(tmp_path / "zero.mcap")
+    return path
+
+
+def test_cycles_lose_the_offsets_that_were_recorded_with_them(tmp_path: Path) -> None:
+    times_ns = 10_000_000_000 + 25_000_000 * np.arange(6)
+    first, second = np.arange(PHI.shape[0]), 2 * np.arange(PHI.shape[0])
+    offsets = [None, first, first, second, second, second]
+    source = RecordedOffsets(
+        recorded(tmp_path / "run.mcap", list(zip(times_ns.tolist(), offsets, strict=True))), LAYOUT
+    )
+    counts = np.full((6, PHI.shape[0]), 10_000, np.int32)
+    valid = np.ones((6, PHI.blocks), np.bool_)
+    corrected, _ = calibrated_cycles(LAYOUT, counts, valid, times_ns + 1000 - 300_000, source)  # other time stamps
+    for cycle, known in enumerate(offsets):
+        np.testing.assert_array_equal(corrected[cycle], 10_000 - (0 if known is None else known))
+    assert source.applied == 5
+    assert RecordedOffsets(recorded(tmp_path / "none.mcap", [(5, None)]), LAYOUT).is_empty
+
+
+def test_the_attached_calibration_of_a_recording_has_its_newest_offsets(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "run.mcap", [(5, np.full(PHI.shape[0], 7))])
+    assert load_calibration(path, LAYOUT).gains == []
+    gains = np.full(PHI.shape[1], 1.25)
+    for with_offsets in (True, False):
+        path = tmp_path / f"attached-{with_offsets}.mcap"
+        writer = RecordingWriter(path, {}, [], 1)
+        made = measurement_of(LAYOUT, PHI, 0, np.zeros(PHI.shape[0], np.int32))
+        if with_offsets:
+            made = msgspec.structs.replace(made, offsets=np.full(PHI.shape[0], 7, "<i4").tobytes())
+        old = store(LAYOUT, offsets_n=np.zeros(PHI.shape[0]))
+        new = store(LAYOUT, offsets_n=np.full(PHI.shape[0], 0.5), gains=gains, defects=["sum 3 is stuck"])
+        for each in (old, new):
+            writer.add_file(File(CALIBRATION_FILE, "application/json", encoded(each)), 1)
+            writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
+        writer.flush()
+        if with_offsets:
+            writer.close()
+        else:  # as after a crash
+            writer.abandon()
+        found = load_calibration(path, LAYOUT)
+        assert (found.gains, found.defects) == (gains.tolist(), ["sum 3 is stuck"])
+        expected_n = 7 * NEWTON_PER_COUNT if with_offsets else 0.5
+        np.testing.assert_allclose(found.sum_offsets_n(), expected_n)
 
 
 def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ def measurement(layout: Layout, phi: Sbhe, unseen: tuple[np.ndarray, np.ndarray]
         cycle=7,
         sync_counter=9,
         sampled_mono_ns=123,
+        sampled_error_ns=4,
         sums=sums.astype("<i4").tobytes(),
         valid=np.ones(phi.blocks, np.uint8).tobytes(),
         fingerprint=phi.fingerprint,
@@ -49,7 +50,7 @@ def measurement(layout: Layout, phi: Sbhe, unseen: tuple[np.ndarray, np.ndarray]
 def test_label_carries_the_cycle(service: ClassifierService, measurement: Measurement) -> None:
     label = service.label(measurement)
     assert label is not None
-    assert (label.cycle, label.sync_counter, label.sampled_mono_ns) == (7, 9, 123)
+    assert (label.cycle, label.sync_counter, label.sampled_mono_ns, label.sampled_error_ns) == (7, 9, 123, 4)
     assert label.label == "plate"
     assert label.valid_sums == 512
     assert 0.5 < label.confidence <= 1

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 import zenoh
 from hypothesis import given
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from canskin import fabric as fabric_module
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.errors import BusError, Stopped
-from canskin.fabric import Fabric, Mailbox, Reply
+from canskin.fabric import Fabric, Mailbox, Origin, Reply
 from canskin.messages import LABEL, Label
 from canskin.peers import Peer, Roll, new_peer, peer_of_key
 from tests.client.conftest import Log
@@ -50,6 +51,29 @@ def test_message_crosses(hub: Fabric, endpoint: str) -> None:
     send_until_heard(other, heard)
     other.close()
     assert got[0].label == "cup"
+
+
+def test_messages_tell_their_publisher_and_number(hub: Fabric, endpoint: str) -> None:
+    heard = threading.Event()
+    origins: list[Origin] = []
+
+    def handler(_content: bytes, origin: Origin | None) -> None:
+        assert origin is not None
+        origins.append(origin)
+        if len(origins) == 3:
+            heard.set()
+
+    other = Fabric("test", "other", endpoint)
+    hub.subscribe_bytes(LABEL, handler)
+    send_until_heard(other, heard)
+    other.close()
+    assert len({each.publisher for each in origins}) == 1
+    assert np.diff([each.number for each in origins]).tolist() == [1] * (len(origins) - 1)
+
+
+@pytest.mark.parametrize("attachment", [b"", b"abc", b"abc-", b"-7", b"abc-x", b"a\xff-1", b"abc-" + b"9" * 5000])
+def test_an_attachment_of_another_program_is_no_origin(attachment: bytes) -> None:
+    assert fabric_module._origin_of(zenoh.ZBytes(attachment)) is None
 
 
 def test_an_answer_to_someone_who_has_left_is_no_error(hub: Fabric, endpoint: str, log: Log) -> None:

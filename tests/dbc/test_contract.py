@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from canskin.errors import LayoutError
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
-from dbc.contract import PHASES, SYNC_OVERFLOW, Contract, _length, _spread, next_counter
+from dbc.contract import PHASES, Contract, _length, _spread
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
 from skin.layout import Bus, Encoding, Layout, Measuring, Taxels, load_layout
+from skin.sync_counter import SYNC_OVERFLOW, next_counter
 from tests.identity import IDENTITIES, alternating, with_identity
 
 CONTRACT = Contract.from_layout(load_layout())

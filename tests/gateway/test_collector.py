@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
-from dbc.contract import Contract, next_counter
+from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames, frames
 from gateway.collector import Collector, Gathered
 from skin.layout import load_layout
+from skin.sync_counter import next_counter
 from tests.bus.harness import frame
 from tests.identity import alternating
 

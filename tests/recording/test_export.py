@@ -30,7 +30,7 @@ def pixels(cycle: int) -> np.ndarray:
 def run(contract: Contract, out: Path) -> Path:
     sink = McapSink(out, contract, 1, OFFSET_NS)
     for cycle in range(1, COUNT + 1):
-        stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10}
+        stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10, "sampled_error_ns": cycle}
         valid = bytes([cycle > 1] * 16)
         contact = Contact(
             identity=3,
@@ -83,6 +83,8 @@ def test_npz(run: Path) -> None:
         times_ns = [OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2) for cycle in range(1, COUNT + 1)]
         for table in ("measurements", "images", "labels"):
             assert made[f"{table}_time_ns"].tolist() == times_ns
+            assert made[f"{table}_sampled_error_ns"].tolist() == [1, 2, 3, 4]
+        assert made["contacts_sampled_error_ns"].tolist() == [2]
         assert made["contacts_time_ns"].tolist() == times_ns[1:2]
         assert made["images_valid"].all(axis=1).tolist() == [False, True, True, True]
         np.testing.assert_array_equal(made["measurements_sums"][:, 5], [1, 2, 3, 4])

@@ -10,16 +10,19 @@ import pytest
 
 from bandwidth.logs import read_log
 from bus.link import State
+from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.errors import InputError, RunError
-from canskin.messages import LABEL
+from canskin.fabric import Origin
+from canskin.messages import IMAGE, LABEL, FrameCounts, GatewayStatus
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
 from recording import record_command
+from recording.calibration import Changes
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_log, open_sink
 from skin.layout import parse_layout
-from skin.mcap_file import EVENTS, RECORDER, read_about, read_entries
+from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from tests.processes import free_endpoint
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
@@ -106,11 +109,63 @@ def test_layout_contract_and_versions_are_attached(contract: Contract, links: di
     assert {"canskin", "numpy", "python", "mcap"} <= set(about.metadata)
 
 
+def test_a_calibration_is_attached_whenever_it_comes(contract: Contract, links: dict[int, FakeLink], out: Path) -> None:
+    run = Run(out, contract, links)
+    for content in (b"old", b"new"):
+        run.recorder.take_message(LABEL, b"a label")
+        run.turn()
+        run.recorder.take_file(File(CALIBRATION_FILE, "application/json", content))
+    run.turn(0.6)
+    assert newest_file(out, CALIBRATION_FILE) == b"new"  # not closed
+    run.sink.close()
+    assert newest_file(out, CALIBRATION_FILE) == b"new"
+    assert newest_file(out, "nothing") is None
+
+
+def test_the_calibration_is_asked_for_after_each_change() -> None:
+    changes = Changes()
+
+    def status(**about: object) -> GatewayStatus:
+        return GatewayStatus(
+            time_ns=0,
+            cycles=0,
+            cycles_complete=0,
+            frames=FrameCounts(),
+            sync_rate_hz=0.0,
+            buses=[],
+            calibration=CalibrationStatus(state=CalibrationState.FOLLOWING, **about) if about else None,
+        )
+
+    told = []
+    for about in ({}, {"tared_mono_ns": 1}, {"tared_mono_ns": 1, "noise_n": 2.0}, {"tared_mono_ns": 2}):
+        changes.take(status(**about))
+        told.append(changes.pop())
+    assert told == [False, True, False, True]
+
+
 def test_a_log_leaves_messages_out(contract: Contract, links: dict[int, FakeLink], tmp_path: Path) -> None:
     run = Run(tmp_path / "run.log", contract, links)
     run.recorder.take_message(LABEL, b"a label")
     run.turn()
     assert run.recorder.messages == 0
+    run.sink.close()
+
+
+def test_messages_that_never_came_are_counted_by_topic(
+    contract: Contract, links: dict[int, FakeLink], out: Path
+) -> None:
+    run = Run(out, contract, links)
+    # Two publishers of labels; the first starts again. Numbers 6, 7 and 9 of the first do not come, 8 comes late.
+    for publisher, number in (("a", 5), ("b", 1), ("a", 10), ("a", 8), ("b", 2), ("c", 1), ("c", 2)):
+        run.recorder.take_message(LABEL, b"", Origin(publisher, number))
+    run.recorder.take_message(IMAGE, b"", Origin("a", 3))
+    run.recorder.take_message(IMAGE, b"")
+    run.turn(0.6)
+    (counters,) = [
+        msgspec.json.decode(entry.data) for entry in read_entries(out, lambda _: None) if entry.topic == RECORDER
+    ]
+    assert counters["missed_messages"] == {"label": 3}
+    assert counters["lost_messages"] == 0
     run.sink.close()
 
 

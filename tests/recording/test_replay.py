@@ -16,6 +16,7 @@ from classifier.service import ClassifierService
 from dbc.contract import Contract
 from dbc.frame import Frames
 from gateway.playback import play
+from rebuild.command import rebuild
 from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
 from recording.recorder import Recorder
@@ -50,6 +51,7 @@ def label_of(measurement: Measurement) -> Label:
         cycle=measurement.cycle,
         sync_counter=measurement.sync_counter,
         sampled_mono_ns=measurement.sampled_mono_ns,
+        sampled_error_ns=measurement.sampled_error_ns,
         label=str(measurement.valid.count(1)),
         confidence=1.0,
         valid_sums=0,
@@ -262,3 +264,19 @@ def test_frames_alone_take_stored_offsets_and_a_recorded_run_has_its_own(
         np.testing.assert_array_equal(np.frombuffer(each.offsets, "<i4"), offsets)
     with pytest.raises(InputError, match="measurements have the offsets of the run"):
         measured(run)
+
+
+def test_rebuild_takes_off_what_the_run_took_off(run: Path, tmp_path: Path) -> None:
+    def rebuilt(**options: Any) -> tuple[np.ndarray, np.ndarray]:
+        rebuild(run, out=(out := tmp_path / f"{len(list(tmp_path.iterdir()))}.npz"), **options)
+        with np.load(out) as made:
+            return made["images"], made["valid"]
+
+    (images, valid), (raw, all_valid), (newest, _) = (
+        rebuilt(),
+        rebuilt(calibration=Path("none")),
+        rebuilt(calibration=run),
+    )
+    assert np.flatnonzero(~valid.all(axis=0)).tolist() == [0]  # the block of the defective sum
+    assert all_valid.all()
+    assert len({each[0].tobytes() for each in (images, raw, newest)}) == 3  # offsets change

@@ -38,7 +38,7 @@ def header(content: bytes) -> Any:
     return msgspec.json.decode(content[4 : 4 + length])
 
 
-@pytest.mark.parametrize("path", ["/", "/static/main.js", "/static/page.css", "/static/icon.svg"])
+@pytest.mark.parametrize("path", ["/", "/static/main.js", "/static/colours.js", "/static/page.css", "/static/icon.svg"])
 def test_page_is_complete_and_guarded(client: TestClient, path: str) -> None:
     answer = client.get(path)
     assert answer.status_code == 200

@@ -1,6 +1,7 @@
 // One tactile image on a canvas: whole device pixels per taxel, hatching over taxels of invalid blocks.
 
-import { COLOURS, colourIndex } from "./colour.js";
+import { colourIndex } from "./colour.js";
+import { COLOURS } from "./colours.js";
 
 const HATCH = { ground: "#8a9097", line: "#4d535a" };
 

@@ -17,6 +17,9 @@ const MOST_DESCRIBED = 3;
 /** The contacts that are known now. */
 const touching = ({ contacts }) => (contacts && !contacts.stale && !contacts.blind ? contacts.contacts : []);
 
+/** Bound of the error of the sampling instant, where one is proven. */
+const bound = (error_ns) => (error_ns < 0 ? "" : `, sampled within ${(error_ns / 1000).toFixed(0)} µs`);
+
 /** Text of the strongest contacts. */
 function described(contacts) {
   const each = contacts.slice(0, MOST_DESCRIBED).map(({ identity, force_n, row, column, taxels, invalid_taxels }) => {
@@ -80,7 +83,7 @@ export class Images {
   explain({ image, truth, figures }, lost) {
     const old = (age_s) => `stale: ${span(age_s)} old`;
     const { image: rebuilt, true: real, sensor } = this.maps;
-    write(rebuilt.caption, image ? `cycle ${image.cycle}` : "");
+    write(rebuilt.caption, image ? `cycle ${image.cycle}${bound(image.sampled_error_ns)}` : "");
     rebuilt.setStale(lost || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
     if (!truth) return;
     const object = truth.label ? spoken(truth.label) : "no object named";

@@ -1,6 +1,7 @@
 // The colour scale: its top, fixed or automatic, and the bar with its labels.
 
-import { COLOURS, roundUp } from "./colour.js";
+import { roundUp } from "./colour.js";
+import { COLOURS } from "./colours.js";
 
 const MN = 1000;
 // Number of parts between the labels, by the leading digits of the top: these parts give short labels.

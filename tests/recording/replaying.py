@@ -1,0 +1,44 @@
+"""Replays a file in a process of its own: ``python -m tests.recording.replaying SOURCE OUT OFFSET_NS [LAYOUT]``."""
+
+import sys
+from pathlib import Path
+
+from canskin.fabric import Exchange
+from canskin.messages import Label, Measurement
+from classifier.service import ClassifierService
+from dbc.contract import Contract
+from reconstructor.command import make_engine
+from recording.replaying import Replay, SinkOutput
+from recording.sinks import McapSink
+from recording.steps import steps_of
+from skin.layout import load_layout
+from skin.service import StopSignal
+
+
+class Silent(ClassifierService):
+    """A classifier without a model."""
+
+    def __init__(self, _exchange: Exchange) -> None:
+        """It needs nothing."""
+
+    def label(self, measurement: Measurement) -> Label | None:
+        return None
+
+
+def replay(source: Path, out: Path, offset_ns: int, layout: Path) -> Replay:
+    """Replay a recording or a log into a new recording."""
+    skin = load_layout(layout, adaptive=True)
+    contract = Contract.from_layout(skin)
+    solver = make_engine(skin, None)[0]
+    sink = McapSink(out, contract, 1, offset_ns)
+    replayed = Replay(skin, solver, Silent, [SinkOutput(sink)], sink=sink, offset_ns=offset_ns)
+    names = [bus.name for bus in skin.bus]
+    replayed.run(steps_of(source, contract, names, named_by_user=False), StopSignal(), float("inf"))
+    sink.close()
+    return replayed
+
+
+if __name__ == "__main__":
+    played, wanted, offset, of_layout = sys.argv[1:]
+    for line in replay(Path(played), Path(wanted), int(offset), Path(of_layout)).report.lines():
+        print(line)

@@ -1,0 +1,179 @@
+"""A recorded run with losses, late frames and a reset gives the same bytes, in another process, from any format."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from canskin.fabric import Mailbox
+from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement, Topic
+from dbc.canopen import NmtCommand
+from dbc.frame import ECHO, Frames
+from reconstructor.command import make_engine
+from reconstructor.service import ReconstructorService
+from recording.sinks import open_sink
+from skin.layout import layout_text
+from tests.gateway.boards import BoardWorld, small_adaptive
+from tests.gateway.test_disturbances import Losing
+from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract
+from tests.recording.conftest import OFFSET_NS
+from tests.recording.test_replay import messages
+
+#: Frames of a bus follow each other by so much, on the clock of the recorder.
+FRAME_NS = 130_000
+FORMATS = ("run.mcap", "run.log", "run.asc")
+
+
+class Seen:
+    """All that a gateway sees of a bus, as another station does: without marks of what the gateway sent itself."""
+
+    def __init__(self, end: EndOfWire, frame_ns: int) -> None:
+        self.new: list[Frames] = []
+        self._newest_ns, self._frame_ns = 0, frame_ns
+        self._receive = end.receive
+        end.receive = self.receive  # type: ignore[method-assign]
+
+    def receive(self) -> Frames:
+        arrived = self._receive()
+        mine = arrived.copy()
+        mine["flags"] &= ~np.uint8(ECHO)
+        for each in range(len(mine)):
+            self._newest_ns = max(int(mine["time_ns"][each]), self._newest_ns + self._frame_ns)
+            mine["time_ns"][each] = self._newest_ns
+        self.new.append(mine)
+        return arrived
+
+
+class Recorded:
+    """A run with its reconstructor, recorded in files; an `Exchange` of the reconstructor."""
+
+    def __init__(self, world: World | BoardWorld, files: list[Path], frame_ns: int) -> None:
+        self._world, skin = world, world.contract.layout
+        self.sinks = [open_sink(path, world.contract, 1, OFFSET_NS) for path in files]
+        self._seen = [Seen(wire.gateway, frame_ns) for wire in world.wires]
+        self._service = ReconstructorService(skin, make_engine(skin, None)[0], self, clock_ns=lambda: 7)
+        self.is_on = True
+
+    @property
+    def now_ns(self) -> int:
+        return round(self._world.now_s * 1e9) + OFFSET_NS
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        for sink in self.sinks if self.is_on else ():
+            sink.message(topic, self.now_ns, msgspec.msgpack.encode(message))
+
+    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
+        return Mailbox(depth)
+
+    def step(self) -> None:
+        made = self._world.step()
+        for bus, seen in enumerate(self._seen):
+            for arrived in seen.new:
+                for sink in self.sinks if self.is_on else ():
+                    sink.frames(bus, arrived, self.now_ns, OFFSET_NS)
+            seen.new.clear()
+        for each in made:
+            published = msgspec.structs.replace(each, wall_offset_ns=OFFSET_NS)
+            self.publish(MEASUREMENT, published)
+            self._service.take(published)
+
+    def close(self) -> None:
+        for sink in self.sinks:
+            sink.close()
+
+
+def sums_frame(world: World, bus: int, place: int) -> int:
+    """Return the identifier of a frame with sums."""
+    return int(world.contract.table.cob_id[world.contract.table.bus == bus][place])
+
+
+class Loss:
+    """Loses one frame of an identifier, and keeps it."""
+
+    def __init__(self, cob_id: int) -> None:
+        self.cob_id, self.kept = cob_id, None
+
+    def __call__(self, end: EndOfWire, each: np.void) -> bool:
+        if int(each["can_id"]) != self.cob_id or end is not end.wire.gateway or self.kept is not None:
+            return False
+        self.kept = each["data"][: each["length"]].tobytes()
+        return True
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of one run in all formats, and its layout."""
+    folder = tmp_path_factory.mktemp("runs")
+    world = World(small_contract())
+    (folder / "small.toml").write_text(layout_text(world.contract.layout))
+    recorded = Recorded(world, [folder / name for name in FORMATS], FRAME_NS)
+
+    def run(seconds: float) -> None:
+        for _ in range(round(seconds / world.step_s)):
+            recorded.step()
+
+    run(1.0)
+    late = Loss(sums_frame(world, 0, 1))
+    world.wires[0].loses = late
+    run(1.5 * PERIOD_S)  # the frame comes after the next SYNC
+    world.wires[0].put(late.cob_id, late.kept)
+    run(4 * PERIOD_S)
+    world.wires[1].loses = Loss(sums_frame(world, 1, 2))
+    run(10 * PERIOD_S)
+    world.nmt(0, NmtCommand.RESET_NODE, 2)
+    run(3.0)
+    recorded.close()
+    return folder
+
+
+def replayed(folder: Path, name: str) -> tuple[list[Measurement], list[Image]]:
+    out = folder / f"{name}.again.mcap"
+    offset = str(OFFSET_NS if name.endswith(".mcap") else 0)
+    command = [sys.executable, "-m", "tests.recording.replaying", folder / name, out, offset, folder / "small.toml"]
+    subprocess.run(command, check=True)
+    return messages(out, MEASUREMENT), messages(out, IMAGE)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_same_bytes(folder: Path, name: str) -> None:
+    measured, images = messages(folder / FORMATS[0], MEASUREMENT), messages(folder / FORMATS[0], IMAGE)
+    invalid = np.array([list(each.valid) for each in measured]) == 0
+    assert invalid.sum(axis=0).tolist() == [2, 2, 0, 2]  # late: its cycle and the next; reset; lost, and the next cycle
+    again, images_again = replayed(folder, name)
+    if name.endswith(".mcap"):
+        assert again == measured
+    assert [list(each.valid) for each in again] == [list(each.valid) for each in measured]
+    assert [each.sums for each in again] == [each.sums for each in measured]
+    assert [each.pixels for each in images_again] == [each.pixels for each in images]
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_adaptive_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) -> None:
+    """A recorder that comes late has frames of some groups only: the others are as recorded, until they are sent."""
+    world = BoardWorld(small_adaptive())
+    (tmp_path / "small.toml").write_text(layout_text(world.contract.layout))
+    recorded = Recorded(world, [tmp_path / "run.mcap"], 0)
+    recorded.is_on = not is_late
+    for step in range(700):
+        recorded.is_on |= step == 200
+        if step % 40 == 10:
+            world.touch(step // 40 % 4, seed=step)
+        world.wires[1].gateway.is_held = step % 7 < 3  # frames of this bus are read late
+        if step == 350:
+            world.nmt(0, NmtCommand.RESET_NODE, 1)
+        if step == 450:
+            world.wires[0].loses = Losing(world.wires[0].gateway, 0.3, seed=1)
+        recorded.step()
+    recorded.close()
+    measured, images = messages(tmp_path / "run.mcap", MEASUREMENT), messages(tmp_path / "run.mcap", IMAGE)
+    assert len({each.sums for each in measured}) > 30
+    assert [each.sampled_error_ns for each in images] == [each.sampled_error_ns for each in measured]
+    assert not all(all(each.known) for each in measured[-300:])  # the node was reset
+    again, images_again = replayed(tmp_path, "run.mcap")
+    assert again == measured
+    if not is_late:  # images depend on those before
+        assert [each.pixels for each in images_again] == [each.pixels for each in images]
