@@ -68,8 +68,6 @@ class TouchFinder:
     def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
         self._phi = phi
         self._shape = rows, columns
-        self._block_of_taxel = np.empty(phi.shape[1], np.intp)
-        self._block_of_taxel[phi.taxels_of_blocks] = np.arange(phi.blocks)[:, None]
         self._totals = phi.row_of_sum == 0
         self._gain = float(np.sqrt(phi.shape[0] / phi.blocks)) / phi.block_size
 
@@ -101,7 +99,7 @@ class TouchFinder:
                 score, place = float(means.max()), int(means.argmax())
             release = max(release, -float(means.min()))
         blocks = np.zeros(self._phi.blocks, np.bool_)
-        blocks[self._block_of_taxel[touched.ravel()]] = True
+        blocks[self._phi.block_of_taxel[touched.ravel()]] = True
         return Touch(score, release, blocks, place // self._shape[1], place % self._shape[1])
 
     def _picture(self, sums_n: Floats, known: Bools) -> Floats:

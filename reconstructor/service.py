@@ -65,7 +65,6 @@ class ReconstructorService:
             self._work, depth = _Cycles(layout, solver), MAILBOX_DEPTH
         self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
         self._phi = layout.phi()
-        self._block_of_taxel = np.argsort(self._phi.order) // self._phi.block_size
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, depth)
 
@@ -113,7 +112,7 @@ class ReconstructorService:
         """Find the contacts of an image; an image without any valid sum says nothing of them."""
         started_s = time.perf_counter()
         is_blind = message.valid_sums == 0
-        valid = np.frombuffer(message.valid, np.bool_)[self._block_of_taxel].reshape(image.shape)
+        valid = np.frombuffer(message.valid, np.bool_)[self._phi.block_of_taxel].reshape(image.shape)
         found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid)
         return Contacts(
             cycle=message.cycle,

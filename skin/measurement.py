@@ -95,6 +95,11 @@ class Sbhe:
         """Hadamard row of every sum inside its block, shape (m,)."""
         return np.nonzero(self.kept)[1]
 
+    @cached_property
+    def block_of_taxel(self) -> npt.NDArray[np.intp]:
+        """Block of every taxel, row-major, shape (n,)."""
+        return np.argsort(self.order) // self.block_size
+
     @property
     def taxels_of_blocks(self) -> npt.NDArray[np.intp]:
         """Taxels of every block in the order of its chain, shape (blocks, block_size)."""

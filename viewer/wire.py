@@ -31,9 +31,7 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
 
 def greeting(layout: Layout) -> dict[str, Any]:
     """Return the skin's constants for the page: sending, grid, buses, block of each taxel, names of the NMT states."""
-    taxels, phi = layout.taxels, layout.phi()
-    block_of_taxel = np.empty(taxels.count, np.int32)
-    block_of_taxel[phi.order] = np.arange(taxels.count) // phi.block_size
+    taxels, block_of_taxel = layout.taxels, layout.phi().block_of_taxel
     buses = [
         {
             "name": bus.name,

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 import zenoh
@@ -119,7 +119,7 @@ class Fabric:
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
         _check_endpoint(endpoint)
-        self._session = _listen(endpoint) if hub else _connect(endpoint, service, stop, patience_s)
+        self._session = _listen(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
         self._kept.append(self._session.liveliness().declare_token(self._peer.key))
         if fingerprint:
             self.watch_peers(self._compare)
@@ -260,8 +260,42 @@ def _listen(endpoint: str) -> Any:
         raise BusError(f"cannot listen on {endpoint}: {_first_sentence(error)}") from error
 
 
-def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: float) -> Any:
-    """Open a session to the hub, in short attempts: signals are handled only between attempts."""
+class Listener(NamedTuple):
+    """Words of the messages about the process that listens on an endpoint: its name, who starts it, which option."""
+
+    name: str = "hub"
+    full_name: str = "the fabric's hub"
+    starter: str = "'skin gateway'"
+    option: str = "--connect"
+
+
+def open_client(
+    endpoint: str,
+    service: str,
+    stop: StopSignal | None,
+    patience_s: float = math.inf,
+    listener: Listener = Listener(),  # noqa: B008 - immutable
+) -> Any:
+    """Open a client's zenoh session in short attempts: signals are handled only between attempts.
+
+    Parameters
+    ----------
+    endpoint : str
+    service : str
+        Name in the log.
+    stop : StopSignal or None
+        If set while this function waits, `canskin.errors.Stopped` is raised.
+    patience_s : float
+        Longest wait.
+    listener : Listener
+        Who listens on the endpoint.
+
+    Raises
+    ------
+    BusError
+        If the endpoint cannot be used, or nobody answered in time.
+    """
+    _check_endpoint(endpoint)
     started_s, said = time.monotonic(), False
     while True:
         left_s = patience_s - (time.monotonic() - started_s)
@@ -272,13 +306,15 @@ def _connect(endpoint: str, service: str, stop: StopSignal | None, patience_s: f
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
             if waited_s >= patience_s:
-                raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give another --connect") from error
+                raise BusError(
+                    f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
+                ) from error
         else:
             if said:
-                say(service, "the hub is there")
+                say(service, f"the {listener.name} is there")
             return session
         if waited_s >= SILENT_S and not said:
-            say(service, f"waits for the fabric's hub at {endpoint}, usually 'skin gateway'")
+            say(service, f"waits for {listener.full_name} at {endpoint}, usually {listener.starter}")
             said = True
 
 
