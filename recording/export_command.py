@@ -1,4 +1,4 @@
-"""``skin export``: a recording as arrays for a notebook."""
+"""``skin export``: a recording as arrays for a notebook, or as a bag of ROS 2."""
 
 import csv
 import io
@@ -21,8 +21,8 @@ from skin.terminal import Json
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
 
-Format = Literal["npz", "hdf5", "csv"]
-_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv"}
+Format = Literal["npz", "hdf5", "csv", "ros2"]
+_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv", "ros2": ""}
 #: Arrays of images, which a .csv has in files of their own.
 _GRIDS: Final = ("pixels", "true", "sensor")
 
@@ -36,7 +36,7 @@ def export(
     node: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     json: Json = False,
 ) -> None:
-    """Write a recording as arrays, or C99 sources for the boards of a skin.
+    """Write a recording as arrays or as a bag of ROS 2, or C99 sources for the boards of a skin.
 
     Firmware, without heap: sums, packing, object dictionary, a CANopen slave. Prints the path of every file;
     ``README.md`` among them says what to do with the others.
@@ -47,7 +47,8 @@ def export(
         A recording (.mcap), or the word ``firmware``.
     to
         Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
-        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each.
+        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``ros2``: a bag of ROS
+        2, a folder with MCAP and CDR; needs the extra canskin[ros2].
     layout
         Firmware: TOML of the skin; without it the default skin.
     out
@@ -61,6 +62,7 @@ def export(
     Examples
     --------
     skin export run.mcap --to hdf5 --out touches.h5
+    skin export run.mcap --to ros2 --out run-bag
     skin export firmware --out firmware
     skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
     """
@@ -86,7 +88,7 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
         A recording (.mcap).
     to
         ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip; needs the
-        extra canskin[hdf5]. ``csv``: a file per table, and of images one line each.
+        extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``ros2``: a bag of ROS 2.
     out
         New file; of a csv the names of the tables are added. Default: the name of the recording.
 
@@ -99,9 +101,12 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     """
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
+    path = out or source.with_suffix(_SUFFIXES[to])
+    if to == "ros2":
+        _save_bag(source, path)
+        return
     from recording.tables import read_tables
 
-    path = out or source.with_suffix(_SUFFIXES[to])
     save = {"npz": _save_npz, "hdf5": _save_hdf5, "csv": _save_csv}[to]
     if to == "hdf5":
         _h5py()
@@ -116,6 +121,17 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
         raise RunError(f"{path}: the arrays cannot be written: {error.strerror or error}") from error
     counts = ", ".join(f"{len(table['time_ns'])} {name}" for name, table in tables.named().items())
     say("export", f"{counts} in {', '.join(map(str, written))}")
+
+
+def _save_bag(source: Path, folder: Path) -> None:
+    from ros2.bag import write_bag
+
+    check_new_path(folder, "bag")
+    try:
+        made = write_bag(source, folder, load_layout(source, adaptive=True), lambda line: say("export", line))
+    except OSError as error:
+        raise RunError(f"{folder}: the bag cannot be written: {error.strerror or error}") from error
+    say("export", f"{', '.join(f'{count} {topic}' for topic, count in made.items())} in {folder}")
 
 
 def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:

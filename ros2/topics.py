@@ -70,6 +70,8 @@ class Translator:
         Frame of the messages: `skin.taxel_places` says where it lies.
     state : ViewState
         What the diagnostics tell of; takes every message, too.
+    wall_offset_ns : callable
+        Wall clock minus the clock of the messages, for those before the first measurement; default: of this machine.
 
     Attributes
     ----------
@@ -77,10 +79,17 @@ class Translator:
         Messages that do not fit the layout.
     """
 
-    def __init__(self, layout: Layout, frame: str, state: ViewState) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        frame: str,
+        state: ViewState,
+        *,
+        wall_offset_ns: Callable[[], int] = lambda: wall_offset().ns,
+    ) -> None:
         self.refused = 0
         self._layout, self._frame, self._state = layout, frame, state
-        self._grid = Grid(layout)
+        self._grid, self._wall_offset_ns = Grid(layout), wall_offset_ns
         self._offsets: deque[Clocks] = deque(maxlen=_CLOCKS)
         self._drafts: Mapping[type, Callable[[Any], Iterator[Draft]]] = {
             Image: self._image,
@@ -111,10 +120,10 @@ class Translator:
     def time_ns(self, sampled_mono_ns: int) -> int:
         """Return a sampling instant on the wall clock, by the newest measurement that is not later.
 
-        Without any measurement that tells its clocks, by the clocks of this machine.
+        Without any measurement that tells its clocks, by `wall_offset_ns`.
         """
         if not self._offsets:
-            return sampled_mono_ns + wall_offset().ns
+            return sampled_mono_ns + self._wall_offset_ns()
         before = (each for each in reversed(self._offsets) if each.sampled_mono_ns <= sampled_mono_ns)
         return sampled_mono_ns + next(before, self._offsets[0]).wall_offset_ns
 

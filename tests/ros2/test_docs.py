@@ -22,7 +22,7 @@ def test_a_reader_without_ros_gets_the_images(hub: Fabric, endpoint: str, messag
     node = RosNode(endpoint, domain=0, namespace="/skin", name="canskin")
     bridge = Bridge(messages.layout, fabric, node, "palm")
     came: queue.Queue[tuple[float, int]] = queue.Queue()
-    code = "\n".join(CODE).replace("tcp/127.0.0.1:7447", endpoint).replace(", on_image)", ", note)")
+    code = "\n".join(CODE[:2]).replace("tcp/127.0.0.1:7447", endpoint).replace(", on_image)", ", note)")
     names: dict = {"note": lambda message: came.put(names["on_image"](message))}
     exec(code, names)  # noqa: S102 - our own page
     while not bridge._publishers[FORCE_IMAGE].has_readers:
