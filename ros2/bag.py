@@ -13,6 +13,7 @@ from ros2.topics import DIAGNOSTIC_ARRAY, SKIN_TOPICS, RosTopic, Translator
 from ros2.types import encoded, store
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries, wall_offset_ns
+from skin.wall_times import WallTimes
 from viewer.state import ViewState
 
 #: Version of the bags: that of Jazzy. Newer distributions read it, too.
@@ -62,7 +63,7 @@ def _write(source: Path, folder: Path, layout: Layout, warn: Callable[[str], Non
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     node, offset_ns = Node(0, "", f"/{layout.name}", "canskin"), wall_offset_ns(source)
-    translator = Translator(layout, layout.name, ViewState(layout), wall_offset_ns=lambda: offset_ns)
+    translator = Translator(layout, layout.name, ViewState(layout), wall=WallTimes(lambda: offset_ns))
     decoders = {topic.name: message_decoder(source, topic) for topic in SKIN_TOPICS}
     made: Counter[str] = Counter()
     connections: dict[RosTopic, Any] = {}

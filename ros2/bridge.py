@@ -1,12 +1,9 @@
 """From a skin's fabric to ROS 2: the newest message of each topic, and a service for the zero."""
 
-import threading
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Final
-
-import msgspec
 
 from calibration.command import ANSWER_S
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
@@ -15,35 +12,13 @@ from canskin.peers import Peer
 from ros2.node import RosNode
 from ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
 from skin.layout import Layout
+from skin.newest import Newest
 from skin.service import LOOK_S, StopSignal
 from viewer.state import ViewState
 
 #: Diagnostics are published so often, as `diagnostic_updater` does.
 DIAGNOSTICS_S: Final = 1.0
 TARE: Final = "tare"
-
-
-class Newest:
-    """The newest message of each topic that nobody has taken; older messages are counted in `skipped`."""
-
-    def __init__(self) -> None:
-        self.skipped = 0
-        self._waiting: dict[str, msgspec.Struct] = {}
-        self._arrived = threading.Condition()
-
-    def put(self, topic: str, message: msgspec.Struct) -> None:
-        """Add a message in the place of an older one of its topic."""
-        with self._arrived:
-            self.skipped += topic in self._waiting
-            self._waiting[topic] = message
-            self._arrived.notify()
-
-    def take(self, timeout_s: float) -> list[msgspec.Struct]:
-        """Wait for messages, at most `timeout_s`, and return them in the order in which their topics came."""
-        with self._arrived:
-            self._arrived.wait_for(lambda: bool(self._waiting), timeout_s)
-            taken, self._waiting = self._waiting, {}
-        return list(taken.values())
 
 
 class Bridge:

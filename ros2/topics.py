@@ -1,26 +1,22 @@
 """The topics of ROS 2 that a skin has, and what goes out on them when a message of the fabric comes."""
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from canskin.messages import CONTACTS, GATEWAY, LABEL, MEASUREMENT, Contacts, Image, Label, Topic
+from canskin.messages import CONTACTS, GATEWAY, LABEL, Contacts, Image, Label
 from canskin.messages import IMAGE as SKIN_IMAGE
 from ros2 import content
 from ros2.diagnostics import diagnostics
 from ros2.names import RELIABLE, SENSOR_DATA, Qos
 from ros2.types import DIAGNOSTICS, IMAGE, MARKERS, POINT_CLOUD, TEXT
-from skin.clock import wall_offset
 from skin.labels import is_measured
 from skin.layout import Layout
 from skin.taxel_places import Grid
+from skin.wall_times import CLOCKS, Clocks, WallTimes
 from viewer.checks import contacts_fit, image_fits, label_fits
 from viewer.state import ViewState
-
-#: Measurements whose clocks are kept: an image is at most some cycles older than the newest measurement.
-_CLOCKS: Final = 64
 
 
 class RosTopic(NamedTuple):
@@ -44,15 +40,6 @@ ROS_TOPICS: Final = (
 )
 
 
-class Clocks(msgspec.Struct, frozen=True):
-    """The clocks of a `canskin.messages.Measurement`, without its sums."""
-
-    sampled_mono_ns: int
-    wall_offset_ns: int = 0
-
-
-#: The clocks of every measurement.
-CLOCKS: Final = Topic(MEASUREMENT.name, Clocks)
 #: What a `Translator` takes.
 SKIN_TOPICS: Final = (CLOCKS, SKIN_IMAGE, CONTACTS, LABEL, GATEWAY)
 
@@ -70,8 +57,8 @@ class Translator:
         Frame of the messages: `skin.taxel_places` says where it lies.
     state : ViewState
         What the diagnostics tell of; takes every message, too.
-    wall_offset_ns : callable
-        Wall clock minus the clock of the messages, for those before the first measurement; default: of this machine.
+    wall : WallTimes, optional
+        The clocks of the messages; default: before the first measurement those of this machine.
 
     Attributes
     ----------
@@ -85,12 +72,11 @@ class Translator:
         frame: str,
         state: ViewState,
         *,
-        wall_offset_ns: Callable[[], int] = lambda: wall_offset().ns,
+        wall: WallTimes | None = None,
     ) -> None:
         self.refused = 0
         self._layout, self._frame, self._state = layout, frame, state
-        self._grid, self._wall_offset_ns = Grid(layout), wall_offset_ns
-        self._offsets: deque[Clocks] = deque(maxlen=_CLOCKS)
+        self._grid, self._wall = Grid(layout), wall or WallTimes()
         self._drafts: Mapping[type, Callable[[Any], Iterator[Draft]]] = {
             Image: self._image,
             Contacts: self._contacts,
@@ -106,8 +92,7 @@ class Translator:
     def take(self, message: msgspec.Struct, now_s: float) -> Iterator[Draft]:
         """Use a message of a topic of `SKIN_TOPICS` that came at `now_s`; return what goes out because of it."""
         if isinstance(message, Clocks):
-            if message.wall_offset_ns:
-                self._offsets.append(message)
+            self._wall.take(message)
             return iter(())
         self._takes[type(message)](message, now_s)
         make = self._drafts.get(type(message))
@@ -117,18 +102,8 @@ class Translator:
         """Return the state of the skin at `now_s`."""
         return diagnostics(content.header(time_ns, self._frame), self._state.snapshot(now_s)[0])
 
-    def time_ns(self, sampled_mono_ns: int) -> int:
-        """Return a sampling instant on the wall clock, by the newest measurement that is not later.
-
-        Without any measurement that tells its clocks, by `wall_offset_ns`.
-        """
-        if not self._offsets:
-            return sampled_mono_ns + self._wall_offset_ns()
-        before = (each for each in reversed(self._offsets) if each.sampled_mono_ns <= sampled_mono_ns)
-        return sampled_mono_ns + next(before, self._offsets[0]).wall_offset_ns
-
     def _header(self, sampled_mono_ns: int) -> Any:
-        return content.header(self.time_ns(sampled_mono_ns), self._frame)
+        return content.header(self._wall.time_ns(sampled_mono_ns), self._frame)
 
     def _image(self, image: Image) -> Iterator[Draft]:
         if not image_fits(image, self._layout):

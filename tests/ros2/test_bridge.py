@@ -16,7 +16,7 @@ from zenoh_ros2_sdk.utils import ros2_to_dds_type
 from canskin.calibration_messages import CALIBRATION, CalibrationReply
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Measurement
-from ros2.bridge import Bridge, Newest
+from ros2.bridge import Bridge
 from ros2.names import RELIABLE, SENSOR_DATA
 from ros2.node import RosNode
 from ros2.topics import ROS_TOPICS
@@ -281,13 +281,3 @@ def test_a_message_that_does_not_fit_is_refused_and_the_next_is_published(setup:
     image, attached = images.next()
     assert attached.sequence_id == 1
     assert math.isclose(np.array(image.data, np.uint8).view("<f4").max(), setup.messages.grid().max())
-
-
-def test_only_the_newest_message_of_a_topic_waits() -> None:
-    newest = Newest()
-    for number in range(5):
-        newest.put("image", String(str(number)))  # type: ignore[arg-type]
-        newest.put("label", String(f"label {number}"))  # type: ignore[arg-type]
-    assert newest.take(0.0) == [String("4"), String("label 4")]
-    assert newest.skipped == 8
-    assert newest.take(0.0) == []
