@@ -57,7 +57,7 @@ class Run:
         if stop.is_set():
             raise KeyboardInterrupt
         with ExitStack() as last:
-            endpoint, fabric = _hub(self._layout.name, self._options.listen)
+            endpoint, fabric = open_hub(self._layout.name, self._options.listen)
             last.callback(fabric.close)
             last.callback(self._supervisor.stop)
             self._listen(fabric)
@@ -199,8 +199,8 @@ def _known_objects(touching: Collection[str]) -> list[str]:
     return ["--objects", ",".join(dict.fromkeys((*DEFAULT_OBJECTS, *touching)))]
 
 
-def _hub(skin: str, listen: str | None) -> tuple[str, Fabric]:
-    """Open the fabric's hub at `listen`, or on a free loopback port."""
+def open_hub(skin: str, listen: str | None) -> tuple[str, Fabric]:
+    """Open a fabric's hub at `listen`, or on a free loopback port; return its endpoint and the hub."""
     endpoint = listen or f"tcp/127.0.0.1:{_free_port()}"
     return endpoint, Fabric(skin, "demo", endpoint, hub=True)
 

@@ -1,4 +1,4 @@
-"""``skin export``: a recording as arrays for a notebook, or as a video."""
+"""``skin export``: a recording as arrays for a notebook, as a video, or as a bag of ROS 2."""
 
 import csv
 import io
@@ -21,8 +21,8 @@ from skin.terminal import Json
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
 
-Format = Literal["npz", "hdf5", "csv", "video"]
-_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv", "video": ".mp4"}
+Format = Literal["npz", "hdf5", "csv", "video", "ros2"]
+_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv", "video": ".mp4", "ros2": ""}
 #: Arrays of images, which a .csv has in files of their own.
 _GRIDS: Final = ("pixels", "true", "sensor")
 
@@ -36,7 +36,7 @@ def export(
     node: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     json: Json = False,
 ) -> None:
-    """Write a recording as arrays or as a video, or C99 sources for the boards of a skin.
+    """Write a recording as arrays, as a video or as a bag of ROS 2, or C99 sources for the boards of a skin.
 
     Firmware, without heap: sums, packing, object dictionary, a CANopen slave. Prints the path of every file;
     ``README.md`` among them says what to do with the others.
@@ -48,7 +48,8 @@ def export(
     to
         Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
         needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: the images as
-        H.264 in .mp4, in real time, with colours and marks of the page; needs the extra canskin[video].
+        H.264 in .mp4, in real time, with colours and marks of the page; needs the extra canskin[video]. ``ros2``: a bag
+        of ROS 2, a folder with MCAP and CDR; needs the extra canskin[ros2].
     layout
         Firmware: TOML of the skin; without it the default skin.
     out
@@ -63,6 +64,7 @@ def export(
     --------
     skin export run.mcap --to hdf5 --out touches.h5
     skin export run.mcap --to video
+    skin export run.mcap --to ros2 --out run-bag
     skin export firmware --out firmware
     skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
     """
@@ -89,7 +91,7 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     to
         ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip; needs the
         extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: see
-        `recording.video.save_video`.
+        `recording.video.save_video`. ``ros2``: a bag of ROS 2.
     out
         New file; of a csv the names of the tables are added. Default: the name of the recording.
 
@@ -105,6 +107,9 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     path = out or source.with_suffix(_SUFFIXES[to])
     if to == "video":
         _export_video(source, path)
+        return
+    if to == "ros2":
+        _save_bag(source, path)
         return
     from recording.tables import read_tables
 
@@ -141,6 +146,17 @@ def _export_video(source: Path, path: Path) -> None:
         f"{made.images} images in {made.seconds:.2f} s of {path}, {made.gaps} times without images, colours from 0 to"
         f" {1e3 * made.top_n:.0f} mN",
     )
+
+
+def _save_bag(source: Path, folder: Path) -> None:
+    from ros2.bag import write_bag
+
+    check_new_path(folder, "bag")
+    try:
+        made = write_bag(source, folder, load_layout(source, adaptive=True), lambda line: say("export", line))
+    except OSError as error:
+        raise RunError(f"{folder}: the bag cannot be written: {error.strerror or error}") from error
+    say("export", f"{', '.join(f'{count} {topic}' for topic, count in made.items())} in {folder}")
 
 
 def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:

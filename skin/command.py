@@ -33,6 +33,7 @@ VERBS: Final = {
     "reconstruct": "reconstructor.command:reconstruct",
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",
+    "ros2": "ros2.command:ros2",
     "record": "recording.record_command:record",
     "replay": "recording.replay_command:replay",
     "export": "recording.export_command:export",

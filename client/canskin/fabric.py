@@ -151,7 +151,7 @@ class Fabric:
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         _check_endpoint(endpoint)
-        self._session = _listen(endpoint) if hub else _connect(endpoint, service, stop, patience_s)
+        self._session = _listen(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
         self._kept.append(self._session.liveliness().declare_token(self._peer.key))
         if fingerprint:
             self.watch_peers(self._compare)
@@ -288,7 +288,7 @@ def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]],
     """
     _check_endpoint(endpoint)
     give_up_s = time.monotonic() + patience_s
-    session = _connect(endpoint, "client", None, patience_s)
+    session = open_client(endpoint, "client", None, patience_s)
     try:
         while True:
             tokens = session.liveliness().get(EVERY_KEY, timeout=TRY_S)
@@ -329,8 +329,42 @@ def _listen(endpoint: str) -> Any:
         raise BusError(f"cannot listen on {endpoint}: {_first_sentence(error)}") from error
 
 
-def _connect(endpoint: str, service: str, stop: Stop | None, patience_s: float) -> Any:
-    """Open a session to the hub, in short attempts: signals are handled only between attempts."""
+class Listener(NamedTuple):
+    """Words of the messages about the process that listens on an endpoint: its name, who starts it, which option."""
+
+    name: str = "hub"
+    full_name: str = "the fabric's hub"
+    starter: str = "'skin gateway'"
+    option: str = "--connect"
+
+
+def open_client(
+    endpoint: str,
+    service: str,
+    stop: Stop | None,
+    patience_s: float = math.inf,
+    listener: Listener = Listener(),  # noqa: B008 - immutable
+) -> Any:
+    """Open a client's zenoh session in short attempts: signals are handled only between attempts.
+
+    Parameters
+    ----------
+    endpoint : str
+    service : str
+        Name in the log.
+    stop : StopSignal or None
+        If set while this function waits, `canskin.errors.Stopped` is raised.
+    patience_s : float
+        Longest wait.
+    listener : Listener
+        Who listens on the endpoint.
+
+    Raises
+    ------
+    BusError
+        If the endpoint cannot be used, or nobody answered in time.
+    """
+    _check_endpoint(endpoint)
     started_s, said = time.monotonic(), False
     while True:
         left_s = patience_s - (time.monotonic() - started_s)
@@ -341,13 +375,15 @@ def _connect(endpoint: str, service: str, stop: Stop | None, patience_s: float) 
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
             if waited_s >= patience_s:
-                raise BusError(f"no hub at {endpoint}: start 'skin gateway', or give the address of another") from error
+                raise BusError(
+                    f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
+                ) from error
         else:
             if said:
-                _tell(service, "the hub is there")
+                _tell(service, f"the {listener.name} is there")
             return session
         if waited_s >= SILENT_S and not said:
-            _tell(service, f"waits for the fabric's hub at {endpoint}, usually 'skin gateway'")
+            _tell(service, f"waits for {listener.full_name} at {endpoint}, usually {listener.starter}")
             said = True
 
 

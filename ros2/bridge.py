@@ -1,0 +1,99 @@
+"""From a skin's fabric to ROS 2: the newest message of each topic, and a service for the zero."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from calibration.command import ANSWER_S
+from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.fabric import Fabric
+from canskin.peers import Peer
+from ros2.node import RosNode
+from ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
+from skin.layout import Layout
+from skin.newest import Newest
+from skin.service import LOOK_S, StopSignal
+from viewer.state import ViewState
+
+#: Diagnostics are published so often, as `diagnostic_updater` does.
+DIAGNOSTICS_S: Final = 1.0
+TARE: Final = "tare"
+
+
+class Bridge:
+    """Publishes a skin on ROS 2.
+
+    Parameters
+    ----------
+    layout : Layout
+    fabric : Fabric
+        Of the skin.
+    node : RosNode
+    frame : str
+        Frame of the messages.
+    clock_s : callable
+        Monotonic clock.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        fabric: Fabric,
+        node: RosNode,
+        frame: str,
+        *,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._clock_s = clock_s
+        self._state = ViewState(layout, time.time() - clock_s())
+        self._translator = Translator(layout, frame, self._state)
+        self._newest = Newest()
+        self._peers: list[tuple[Peer, bool]] = []
+        self._publishers = {topic: node.publisher(topic) for topic in ROS_TOPICS}
+        self._due_s = clock_s()
+        node.serve_trigger(TARE, partial(tare, fabric))
+        for topic in SKIN_TOPICS:
+            fabric.subscribe(topic, partial(self._newest.put, topic.name))
+        fabric.watch_peers(lambda peer, alive: self._peers.append((peer, alive)))
+
+    @property
+    def skipped(self) -> int:
+        """Messages of the fabric that a newer message of their topic replaced before they were published."""
+        return self._newest.skipped
+
+    @property
+    def published(self) -> dict[str, int]:
+        """Number of messages by name of the topic."""
+        return {topic.name: publisher.published for topic, publisher in self._publishers.items()}
+
+    def run(self, stop: StopSignal) -> None:
+        """Publish until `stop`."""
+        while not stop.is_set():
+            self.turn(LOOK_S)
+
+    def turn(self, timeout_s: float) -> None:
+        """Publish what waits; wait for messages at most `timeout_s`."""
+        taken, now_s = self._newest.take(timeout_s), self._clock_s()
+        while self._peers:
+            self._state.take_peer(*self._peers.pop(0), now_s)
+        for message in taken:
+            for topic, make in self._translator.take(message, now_s):
+                publisher = self._publishers[topic]
+                if publisher.has_readers:
+                    publisher.publish(make())
+        if now_s >= self._due_s:
+            self._due_s = now_s + DIAGNOSTICS_S
+            self._publishers[DIAGNOSTIC_ARRAY].publish(self._translator.diagnostics(now_s, time.time_ns()))
+
+
+def tare(fabric: Fabric) -> tuple[bool, str]:
+    """Have the gateway measure the zero of the skin anew; return whether there is a new zero, and words.
+
+    Raises
+    ------
+    BusError
+        If no gateway answers.
+    """
+    reply: CalibrationReply = fabric.ask(CALIBRATION, CalibrationRequest(action="tare"), ANSWER_S)
+    return reply.is_done, reply.text

@@ -1,0 +1,50 @@
+"""Sampling instants on the wall clock, for programs that read images: only measurements tell both clocks."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from canskin.messages import MEASUREMENT, Topic
+from skin.clock import wall_offset
+
+#: Measurements whose clocks are kept: an image is at most some cycles older than the newest measurement.
+_KEPT: Final = 64
+
+
+class Clocks(msgspec.Struct, frozen=True):
+    """The clocks of a `canskin.messages.Measurement`, without its sums."""
+
+    sampled_mono_ns: int
+    wall_offset_ns: int = 0
+
+
+#: The clocks of every measurement.
+CLOCKS: Final = Topic(MEASUREMENT.name, Clocks)
+
+
+class WallTimes:
+    """The wall clock by the clocks of the measurements: a wall clock may be set during a run.
+
+    Parameters
+    ----------
+    fallback_ns : callable
+        Wall clock minus CLOCK_MONOTONIC before the first measurement that tells its own; default: of this machine.
+    """
+
+    def __init__(self, fallback_ns: Callable[[], int] = lambda: wall_offset().ns) -> None:
+        self._fallback_ns = fallback_ns
+        self._clocks: deque[Clocks] = deque(maxlen=_KEPT)
+
+    def take(self, clocks: Clocks) -> None:
+        """Use the clocks of a measurement."""
+        if clocks.wall_offset_ns:
+            self._clocks.append(clocks)
+
+    def time_ns(self, sampled_mono_ns: int) -> int:
+        """Return a sampling instant on the wall clock, by the newest measurement that is not later."""
+        if not self._clocks:
+            return sampled_mono_ns + self._fallback_ns()
+        before = (each for each in reversed(self._clocks) if each.sampled_mono_ns <= sampled_mono_ns)
+        return sampled_mono_ns + next(before, self._clocks[0]).wall_offset_ns

@@ -1,0 +1,37 @@
+"""The code of docs/ros2.md."""
+
+import queue
+import re
+from pathlib import Path
+
+import numpy as np
+
+from canskin.fabric import Fabric
+from canskin.messages import IMAGE
+from ros2.bridge import Bridge
+from ros2.node import RosNode
+from ros2.topics import FORCE_IMAGE
+from tests.ros2.reader import PATIENCE_S
+from tests.viewer.conftest import Messages
+
+CODE = re.findall(r"```python\n(.*?)```", Path("docs/ros2.md").read_text(), re.DOTALL)
+
+
+def test_a_reader_without_ros_gets_the_images(hub: Fabric, endpoint: str, messages: Messages) -> None:
+    fabric = Fabric("palm", "ros2", endpoint)
+    node = RosNode(endpoint, domain=0, namespace="/skin", name="canskin")
+    bridge = Bridge(messages.layout, fabric, node, "palm")
+    came: queue.Queue[tuple[float, int]] = queue.Queue()
+    code = "\n".join(CODE[:2]).replace("tcp/127.0.0.1:7447", endpoint).replace(", on_image)", ", note)")
+    names: dict = {"note": lambda message: came.put(names["on_image"](message))}
+    exec(code, names)  # noqa: S102 - our own page
+    while not bridge._publishers[FORCE_IMAGE].has_readers:
+        bridge.turn(0.01)
+    hub.publish(IMAGE, messages.image(invalid=(3,)))
+    bridge.turn(PATIENCE_S)
+    force_n, unknown = came.get(timeout=PATIENCE_S)
+    valid = messages.layout.phi().block_of_taxel.reshape(16, 16) != 3
+    assert force_n == np.nansum(np.where(valid, messages.grid(), np.nan))
+    assert unknown == 32
+    for each in (names["reader"], node, fabric):
+        each.close()

@@ -1,0 +1,13 @@
+"""Sampling instants on the wall clock."""
+
+from skin.wall_times import Clocks, WallTimes
+
+
+def test_the_newest_measurement_that_is_not_later_tells_the_offset() -> None:
+    wall = WallTimes(lambda: 7)
+    assert wall.time_ns(100) == 107
+    wall.take(Clocks(sampled_mono_ns=100, wall_offset_ns=0))  # does not know
+    assert wall.time_ns(100) == 107
+    for sampled_ns, offset_ns in ((100, 1000), (200, 2000)):
+        wall.take(Clocks(sampled_mono_ns=sampled_ns, wall_offset_ns=offset_ns))
+    assert [wall.time_ns(each) for each in (50, 100, 199, 200, 300)] == [1050, 1100, 1199, 2200, 2300]
