@@ -7,7 +7,7 @@ import pytest
 
 from classifier.features import WIDTHS, Smoothed, widths_for
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Sbhe, sbhe
 
 
 def measured(phi: Sbhe, sums: np.ndarray, valid: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -76,3 +76,11 @@ def test_measuring_allocates_nothing_worth_mentioning(phi: Sbhe, sums: np.ndarra
     finally:
         tracemalloc.stop()
     assert peak - before < sums.nbytes  # less than any one array of the measurement
+
+
+def test_no_product_of_two_weights_is_subnormal() -> None:
+    """Processors multiply subnormal numbers a hundred times slower, and a tail of that size changes no figure."""
+    smoothed = Smoothed(sbhe(4096, 1024), 64, 64)
+    for stage in smoothed._stages:
+        weights = np.concatenate([stage._left.ravel(), stage._right.ravel()])
+        assert (weights[weights > 0].astype(np.float64) ** 2).min() >= np.finfo(np.float32).tiny

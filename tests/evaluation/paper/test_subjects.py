@@ -42,7 +42,7 @@ def test_every_cell_of_two_objects_stands_beside_the_papers(
 ) -> None:
     module = sparsity if subject == "sparsity" else tables
     monkeypatch.setattr(module, "OBJECTS", ("golf-ball", "drill"))
-    evaluate(subject, quick=True, jobs=2, out=folder, json=True)  # type: ignore[arg-type]
+    evaluate(subject, quick=True, jobs=1, out=folder, json=True)  # type: ignore[arg-type]
     printed = json.loads(capsys.readouterr().out)
     assert len(printed["rows"]) == count
     for row in printed["rows"]:
