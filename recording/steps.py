@@ -253,15 +253,14 @@ class _Recorded:
                     self._status_ns = each.time_ns
                     self._add(each.time_ns, GATEWAY, playback.status())
                 continue
-            recorded = self._recorded(each)
-            was_lost = recorded is None
-            if recorded is None:
-                recorded = self._between(each)
-            if recorded is None:
+            own = self._recorded(each)
+            was_lost = own is None
+            known = own if own is not None else self._between(each)
+            if known is None:
                 self._unmatched += 1
                 continue
-            self._before = recorded
-            self._add(each.time_ns, MEASUREMENT, as_live(each, recorded, self._contract), recorded, was_lost=was_lost)
+            self._before = known
+            self._add(each.time_ns, MEASUREMENT, as_live(each, known, self._contract), known, was_lost=was_lost)
 
     def _recorded(self, made: Measurement) -> Measurement | None:
         """Return the recorded measurement of the same SYNC."""

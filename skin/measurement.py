@@ -95,6 +95,11 @@ class Sbhe:
         """Hadamard row of every sum inside its block, shape (m,)."""
         return np.nonzero(self.kept)[1]
 
+    @property
+    def taxels_of_blocks(self) -> npt.NDArray[np.intp]:
+        """Taxels of every block in the order of its chain, shape (blocks, block_size)."""
+        return self.order.reshape(self.kept.shape)
+
     @cached_property
     def block_of_taxel(self) -> npt.NDArray[np.intp]:
         """Block of every taxel, shape (n,)."""

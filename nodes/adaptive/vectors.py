@@ -59,8 +59,8 @@ _NOISE, _PRESS, _REST = 0.05, 0.45, 0.3
 _SHIFTED, _SHIFT, _DEAD, _NOISY, _NOISIER = 5, 0.15, 17, 26, 3.0
 _WIDTH_TAXELS: Final = 1.3
 #: As 2031h holds it: REAL32, or whole.
-_RULE: Final = SendingRule(
-    *(float(np.float32(value)) if isinstance(value, float) else value for value in SendingRule())
+_RULE: Final = SendingRule._make(
+    float(np.float32(value)) if isinstance(value, float) else value for value in SendingRule()
 )
 
 
