@@ -15,8 +15,8 @@ from tests.adaptive_skin import RestingSkin, resting_skin
 
 #: A slow guest lets the nodes wait for their processor.
 ANSWER_S = 20.0
-#: SDO requests for one object: the gateway's may cross ours.
-TRIES = 10
+#: SDO requests for one object: the gateway's may cross ours, on a busy guest many times in a row.
+TRIES = 100
 
 
 @pytest.fixture(scope="module")
