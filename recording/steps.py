@@ -320,7 +320,8 @@ class _Recorded:
                 step.label, step.makes_label = self._labels.of(step.recorded)
                 answer = step.image or step.label
                 if step.was_lost and answer is not None:
-                    step.message = msgspec.structs.replace(step.message, sampled_mono_ns=answer.sampled_mono_ns)
+                    told = {"sampled_mono_ns": answer.sampled_mono_ns, "sampled_error_ns": answer.sampled_error_ns}
+                    step.message = msgspec.structs.replace(step.message, **told)
             yield step
 
 
