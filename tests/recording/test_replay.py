@@ -30,6 +30,8 @@ from tests.recording.conftest import OFFSET_NS, FakeLink
 #: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
 #: cycles without an image. Its offsets change every four cycles.
 FIRST, UNPROVEN, DEFECTIVE, SKIPPED = 500, 5, 3, {502, 503}
+#: A block whose frames were read too late, and the cycle.
+LATE, LATE_CYCLE = 7, FIRST + 6
 
 
 class Live:
@@ -62,6 +64,8 @@ def as_published(contract: Contract, made: Measurement) -> Measurement:
     """A measurement as a gateway would have published it: other numbers and times, and a node without proof."""
     valid = np.frombuffer(made.valid, np.uint8).copy()
     valid[UNPROVEN] = 0
+    if FIRST + made.cycle == LATE_CYCLE:
+        valid[LATE] = 0
     sums = np.frombuffer(made.sums, "<i4").copy()
     sums[~contract.phi.sums_of_blocks(valid != 0)] = 0
     usable = np.ones(sums.size, np.uint8)
@@ -208,7 +212,7 @@ def without(run: Path, path: Path, topic: Topic, cycle: int) -> Path:
 def test_messages_that_the_recorder_lost_change_nothing(
     run: Path, replayed: Callable[..., tuple[Replay, Path]], tmp_path: Path, topic: Topic
 ) -> None:
-    _, out = replayed(without(run, tmp_path / "lossy.mcap", topic, FIRST + 6))
+    _, out = replayed(without(run, tmp_path / "lossy.mcap", topic, LATE_CYCLE))
     assert messages(out, MEASUREMENT) == messages(run, MEASUREMENT)
     assert [each.pixels for each in messages(out, IMAGE)] == [each.pixels for each in messages(run, IMAGE)]
 
