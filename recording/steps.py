@@ -234,11 +234,11 @@ class _Recorded:
     def _advance(self, until_ns: int | None) -> None:
         """Make the measurements of the frames up to a time on the wall clock."""
         while self._adaptive is not None and self._of_frames:
-            time_ns, recorded = self._of_frames[0]
+            time_ns, live = self._of_frames[0]
             if until_ns is not None and time_ns > until_ns:
                 break
             self._of_frames.popleft()
-            self._add(time_ns, MEASUREMENT, self._adaptive.measured(recorded), recorded)
+            self._add(time_ns, MEASUREMENT, self._adaptive.measured(live), live)
         playback = self._playback
         if playback is None:
             return
