@@ -68,6 +68,7 @@ def calibration(
     connect: str = DEFAULT_ENDPOINT,
     to_nodes: Annotated[bool, Parameter(negative=())] = False,
     force_n: float | None = None,
+    before: Path | None = None,
     out: Path | None = None,
     json: Json = False,
 ) -> None:
@@ -89,6 +90,9 @@ def calibration(
         Of ``load``: write gains (2010h) and offsets of taxels (2011h) to all nodes, which store them (1010h).
     force_n
         Of ``gain``: the force of the weight, newtons.
+    before
+        Of ``gain``: calibration with the gains that the nodes took off during the roll; default: those in the
+        recording. The gains that are found multiply them.
     out
         Of ``gain``: the file (.json) for the gains.
     json
@@ -106,15 +110,15 @@ def calibration(
         raise InputError(f"expected a file: skin calibration {action} FILE")
     if to_nodes and action != "load":
         raise InputError("--to-nodes is for 'skin calibration load'")
-    if action != "gain" and (force_n is not None or out is not None):
-        raise InputError("--force-n and --out are for 'skin calibration gain'")
+    if action != "gain" and (force_n, before, out) != (None, None, None):
+        raise InputError("--force-n, --before and --out are for 'skin calibration gain'")
     if path is None or action == "show":
         _show(skin, connect, path, as_json=json)
     elif action == "gain":
         if out is None:
             raise InputError("expected a file for the gains: --out FILE")
         check_output_path(out, "calibration")
-        _save(out, stored_gains(skin, path, force_n))
+        _save(out, stored_gains(skin, path, force_n, before))
     elif action == "save":
         check_output_path(path, "calibration")
         stored = _gateways(skin, connect)[0]

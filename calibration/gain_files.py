@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.gains import LEAST_FELT, defects_of, find_gains
-from calibration.stored import LEAST_GAIN, MOST_GAIN, StoredCalibration, store
+from calibration.stored import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, store
 from calibration.windows import Floats
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
@@ -17,7 +17,7 @@ from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
 
-def stored_gains(skin: Layout, path: Path, force_n: float | None) -> StoredCalibration:
+def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path | None = None) -> StoredCalibration:
     """Return the gains in a table (.csv), or those that a recording of a rolled weight tells.
 
     Parameters
@@ -26,6 +26,8 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None) -> StoredCalib
     path : pathlib.Path
     force_n : float or None
         The force of the weight; None for a table.
+    before : pathlib.Path, optional
+        Calibration with the gains that the nodes took off during the roll; default: those in the recording.
 
     Raises
     ------
@@ -36,8 +38,8 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None) -> StoredCalib
     """
     taxels = skin.taxels
     if path.suffix.lower() == ".csv":
-        if force_n is not None:
-            raise InputError("--force-n is for a recording: a .csv holds the gains themselves")
+        if force_n is not None or before is not None:
+            raise InputError("--force-n and --before are for a recording: a .csv holds the gains themselves")
         try:
             table = np.loadtxt(path, np.float64, delimiter=",", ndmin=2)
         except (OSError, ValueError) as error:
@@ -59,7 +61,25 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None) -> StoredCalib
     say("calibration", f"{found.cycles} cycles; gains of {known.size} of {taxels.count} taxels, others stay 1")
     # What feels next to nothing is no matter of gain: a node would make its noise a force.
     gains = np.where(found.gains < LEAST_FELT, 1.0, found.gains)
-    return store(skin, gains=gains, defects=defects_of(found, taxels.columns))
+    return store(skin, gains=gains * _gains_before(skin, path, before), defects=defects_of(found, taxels.columns))
+
+
+def _gains_before(skin: Layout, path: Path, before: Path | None) -> Floats:
+    """Return the gains that the nodes took off while a weight was rolled, shape (n,); 1 if nothing tells them.
+
+    Raises
+    ------
+    InputError
+        If the file with them cannot be used, or has none.
+    """
+    gains = load_calibration(before or path, skin).gains
+    if gains:
+        say("calibration", f"times the gains that the nodes took off meanwhile, of {(before or path).name}")
+        return np.array(gains)
+    if before is not None:
+        raise InputError(f"{before}: has no gains of taxels: expected a file of 'skin calibration gain'")
+    say("calibration", "the gateway knew no gains of the nodes: taken as 1; name others with --before FILE")
+    return np.ones(skin.taxels.count)
 
 
 def _rolled(skin: Layout, path: Path) -> tuple[Floats, npt.NDArray[np.float32]]:

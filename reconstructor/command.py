@@ -4,6 +4,10 @@ import threading
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
+from calibration.stored import load_calibration
 from canskin.errors import InputError
 from canskin.fabric import DEFAULT_ENDPOINT, Fabric
 from reconstructor.adaptive import AdaptiveReconstructor
@@ -23,6 +27,7 @@ def reconstruct(
     layout: Path | None = None,
     connect: str = DEFAULT_ENDPOINT,
     solver: SolverOptions | None = None,
+    gains: Path | None = None,
 ) -> None:
     """Compute a tactile image from every measurement; publish the image and its contacts.
 
@@ -34,15 +39,19 @@ def reconstruct(
         Endpoint of the fabric's hub, usually the gateway.
     solver
         Solver of the images; a layout with adaptive sending has one of its own.
+    gains
+        File of ``skin calibration gain``: gains of the taxels that the nodes do not take off (2010h).
 
     Examples
     --------
     skin reconstruct
+    skin reconstruct --gains gains.json
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
     engine, about = make_engine(skin, solver)
+    known = load_gains(gains, skin)
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
     patience.start()
     try:
@@ -52,7 +61,7 @@ def reconstruct(
         patience.cancel()
     fabric = Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)
     try:
-        service = ReconstructorService(skin, engine, fabric)
+        service = ReconstructorService(skin, engine, fabric, gains=known)
         say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {about}")
         service.run(stop)
     finally:
@@ -85,3 +94,21 @@ def make_engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstruc
         samples=skin.samples_per_sync,
     )
     return engine, f"{settings.iterations} iterations"
+
+
+def load_gains(path: Path | None, skin: Layout) -> npt.NDArray[np.float64] | None:
+    """Return the gains of taxels in a file, shape (n,); None without a file.
+
+    Raises
+    ------
+    InputError
+        If there are none, or the layout has adaptive sending.
+    """
+    if path is None:
+        return None
+    if skin.sending == "adaptive":
+        raise InputError("--gains is for synchronous sending: write gains to adaptive boards (2010h)")
+    gains = load_calibration(path, skin).gains
+    if not gains:
+        raise InputError(f"{path}: has no gains of taxels: expected a file of 'skin calibration gain'")
+    return np.array(gains)

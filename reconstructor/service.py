@@ -15,6 +15,7 @@ from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Meas
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
+from reconstructor.gains import GainCorrection
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, used_blocks
 from skin.service import StopSignal, request_real_time
@@ -39,6 +40,8 @@ class ReconstructorService:
     solver : Reconstructor or AdaptiveReconstructor
         For the layout's Φ and grid, and its way of sending.
     fabric : Exchange
+    gains : array, shape (n,), optional
+        Reading / force of each taxel; only with synchronous sending.
     clock_ns : callable, optional
         Monotonic time: when an image is published.
 
@@ -54,6 +57,7 @@ class ReconstructorService:
         solver: Reconstructor | AdaptiveReconstructor,
         fabric: Exchange,
         *,
+        gains: npt.NDArray[np.floating] | None = None,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.images = 0
@@ -62,7 +66,7 @@ class ReconstructorService:
         if isinstance(solver, AdaptiveReconstructor):
             self._work, depth = _Adaptive(layout, solver), 1
         else:
-            self._work, depth = _Cycles(layout, solver), MAILBOX_DEPTH
+            self._work, depth = _Cycles(layout, solver, gains), MAILBOX_DEPTH
         self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
         self._phi = layout.phi()
         self._fabric = fabric
@@ -130,8 +134,9 @@ class ReconstructorService:
 class _Cycles:
     """Images of cycles."""
 
-    def __init__(self, layout: Layout, solver: Reconstructor) -> None:
+    def __init__(self, layout: Layout, solver: Reconstructor, gains: npt.NDArray[np.floating] | None) -> None:
         self._newton_per_count = np.float32(layout.taxels.newton_per_count)
+        self._gains = None if gains is None else GainCorrection(layout.phi(), gains)
         self._solver = solver
         self.reader = MeasurementReader(layout.phi(), "reconstructor", decode_measurement)
 
@@ -142,7 +147,11 @@ class _Cycles:
             return None
         started_s = time.perf_counter()
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        image = self._solver.solve(sums_n, sums.valid_sums)
+        if self._gains is None:
+            image = self._solver.solve(sums_n, sums.valid_sums)
+        else:
+            image = self._solver.solve(self._gains.apply(sums_n), sums.valid_sums)
+            self._gains.keep(image)
         return image, int(np.count_nonzero(sums.valid_sums)), time.perf_counter() - started_s
 
 

@@ -17,7 +17,7 @@ from classifier.modelfile import load_model
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from dbc.contract import Contract
 from reconstructor.adaptive import AdaptiveReconstructor
-from reconstructor.command import make_engine
+from reconstructor.command import load_gains, make_engine
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
@@ -44,6 +44,7 @@ def replay(
     model: Path | None = None,
     calibration: Path | None = None,
     tare: Tare = "never",
+    gains: Path | None = None,
 ) -> None:
     """Play a recording or a CAN log through gateway, reconstructor and classifier, on a hub or into a new recording.
 
@@ -74,6 +75,8 @@ def replay(
         Of frames alone: file of ``skin calibration save``, or a recording, whose newest offsets are taken off.
     tare
         Of frames alone, ``at-start``: measure the offsets as the gateway does, and follow them.
+    gains
+        As of ``skin reconstruct``.
 
     Examples
     --------
@@ -90,6 +93,7 @@ def replay(
     offset_ns = wall_offset_ns(source) if is_recording else 0
     calibrator = make_calibrator(skin, calibration, tare, "replay")
     engine, about = _engine(skin, solver)
+    known = load_gains(gains, skin)
     classifier = _classifier_maker(skin, model)
     sink = McapSink(out, contract, time.time_ns(), offset_ns) if out is not None else None
     recorded = newest_file(source, CALIBRATION_FILE) if is_recording else None
@@ -101,7 +105,7 @@ def replay(
         fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
         fabric.answer(DESCRIPTION, Describing(skin))
     say("replay", f"{source.name}: {about}")
-    played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns)
+    played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns, gains=known)
     names = channel or [bus.name for bus in skin.bus]
     steps = steps_of(
         source, contract, names, named_by_user=bool(channel), every=solver is not None, calibrator=calibrator

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 
 from canskin.fabric import Exchange, Fabric, Mailbox
 from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
@@ -117,6 +119,8 @@ class Replay:
     outputs : iterable of Output
     sink : Sink, optional
         Receives the frames, whose clock is `offset_ns` behind the wall clock.
+    gains : array, shape (n,), optional
+        See `reconstructor.service.ReconstructorService`.
     """
 
     def __init__(
@@ -128,11 +132,12 @@ class Replay:
         *,
         sink: Sink | None = None,
         offset_ns: int = 0,
+        gains: npt.NDArray[np.floating] | None = None,
     ) -> None:
         self.report = Report()
         self._outputs = list(outputs)
         self._sink, self._offset_ns = sink, offset_ns
-        self._reconstructor = ReconstructorService(layout, solver, self, clock_ns=self._published_ns)
+        self._reconstructor = ReconstructorService(layout, solver, self, gains=gains, clock_ns=self._published_ns)
         self._classifier = make_classifier(self)
         self._now_ns = self._label_ns = 0
         self._step: Step | None = None

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -17,7 +17,9 @@ from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, I
 from dbc.contract import Contract
 from dbc.stored_frames import from_bytes
 from gateway.playback import AdaptivePlayback, Playback, play
+from recording.answers import Answers
 from skin.mcap_file import FRAMES, Entry, message_decoder, read_entries, read_topics, wall_offset_ns
+from skin.measured_sums import used_blocks
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.sync_counter import next_counter
@@ -32,11 +34,6 @@ _STATUS_NS: Final = 200_000_000
 _FAR_CYCLES: Final = 120
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
 _AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
-
-#: Most images and labels that wait for their measurements.
-_MOST_KEPT: Final = 10_000
-
-_Answer = TypeVar("_Answer", Image, Label)
 
 
 @dataclass(order=True)
@@ -156,8 +153,8 @@ class _Recorded:
         self._playback: Playback | None = None
         self._waiting: list[Step] = []
         self._unpaired: dict[int, deque[Measurement]] = {}
-        self._images: _Answers[Image] = _Answers(self._near_ns, is_followed=IMAGE.name in topics and not every)
-        self._labels: _Answers[Label] = _Answers(self._near_ns, is_followed=LABEL.name in topics)
+        self._images: Answers[Image] = Answers(self._near_ns, is_followed=IMAGE.name in topics and not every)
+        self._labels: Answers[Label] = Answers(self._near_ns, is_followed=LABEL.name in topics)
         #: The measurement that was played last, and the time of the newest that was read.
         self._before: Measurement | None = None
         self._measured_ns = 0
@@ -237,11 +234,11 @@ class _Recorded:
     def _advance(self, until_ns: int | None) -> None:
         """Make the measurements of the frames up to a time on the wall clock."""
         while self._adaptive is not None and self._of_frames:
-            time_ns, recorded = self._of_frames[0]
+            time_ns, live = self._of_frames[0]
             if until_ns is not None and time_ns > until_ns:
                 break
             self._of_frames.popleft()
-            self._add(time_ns, MEASUREMENT, self._adaptive.measured(recorded), recorded)
+            self._add(time_ns, MEASUREMENT, self._adaptive.measured(live), live)
         playback = self._playback
         if playback is None:
             return
@@ -253,14 +250,15 @@ class _Recorded:
                     self._status_ns = each.time_ns
                     self._add(each.time_ns, GATEWAY, playback.status())
                 continue
-            own = self._recorded(each)
-            was_lost = own is None
-            known = own if own is not None else self._between(each)
-            if known is None:
+            recorded = self._recorded(each)
+            was_lost = recorded is None
+            if recorded is None:
+                recorded = self._between(each)
+            if recorded is None:
                 self._unmatched += 1
                 continue
-            self._before = known
-            self._add(each.time_ns, MEASUREMENT, as_live(each, known, self._contract), known, was_lost=was_lost)
+            self._before = recorded
+            self._add(each.time_ns, MEASUREMENT, each, recorded, was_lost=was_lost)
 
     def _recorded(self, made: Measurement) -> Measurement | None:
         """Return the recorded measurement of the same SYNC."""
@@ -317,52 +315,28 @@ class _Recorded:
             if step.recorded is not None:
                 step.image, step.makes_image = self._images.of(step.recorded)
                 step.label, step.makes_label = self._labels.of(step.recorded)
-                answer = step.image or step.label
-                if step.was_lost and answer is not None:
-                    step.message = msgspec.structs.replace(step.message, sampled_mono_ns=answer.sampled_mono_ns)
+                if self._uses_frames:
+                    known = self._told(step) if step.was_lost else step.recorded
+                    step.message = as_live(step.message, known, self._contract)
             yield step
 
-
-class _Answers(Generic[_Answer]):
-    """The recorded images or labels, until their measurements are played.
-
-    A measurement without an answer was not used live, or its answer was lost on the way to the recorder. The numbers of
-    the answers before and after it tell which; of several measurements the first count as used.
-    """
-
-    def __init__(self, near_ns: int, *, is_followed: bool) -> None:
-        self._near_ns = near_ns
-        self._is_followed = is_followed
-        self._kept: dict[int, _Answer] = {}
-        self._newest_ns = self._number = 0
-
-    def keep(self, answer: _Answer) -> None:
-        """Keep an answer; the oldest, whose measurements are missing, go."""
-        self._kept[answer.cycle] = answer
-        self._newest_ns = answer.sampled_mono_ns
-        if len(self._kept) > _MOST_KEPT:
-            del self._kept[next(iter(self._kept))]
-
-    def reaches(self, sync_ns: int) -> bool:
-        """Tell whether the answer to a measurement, or a later answer, has come."""
-        return not self._is_followed or self._newest_ns >= sync_ns
-
-    def of(self, measurement: Measurement) -> tuple[_Answer | None, bool]:
-        """Return the answer to the next measurement, if it was recorded, and whether there was one live."""
-        sync_ns = measurement.sampled_mono_ns
-        answer = self._kept.get(measurement.cycle)
-        if answer is not None and abs(answer.sampled_mono_ns - sync_ns) < self._near_ns:
-            del self._kept[measurement.cycle]
-            self._number = answer.number
-            return answer, True
-        if not self._is_followed:
-            return None, True
-        later = (each for each in self._kept.values() if each.sampled_mono_ns > sync_ns)
-        following = min(later, key=lambda each: each.sampled_mono_ns, default=None)
-        if following is None or following.number <= self._number + 1:
-            return None, False
-        self._number += 1
-        return None, True
+    def _told(self, step: Step) -> Measurement:
+        """Return the header of a lost measurement, with what its image or its label tells."""
+        header: Measurement = step.message if step.recorded is None else step.recorded
+        answer = step.image or step.label
+        if answer is None:
+            return header
+        phi, valid = self._contract.phi, np.frombuffer(header.valid, np.uint8)
+        if step.image is not None:
+            # Blocks with a sum that is not used are never valid in an image.
+            is_told = used_blocks(msgspec.structs.replace(header, valid=b"\1" * phi.blocks), phi)
+            valid = np.where(is_told, np.frombuffer(step.image.valid, np.uint8), valid)
+        return msgspec.structs.replace(
+            header,
+            sampled_mono_ns=answer.sampled_mono_ns,
+            sampled_error_ns=answer.sampled_error_ns,
+            valid=valid.tobytes(),
+        )
 
 
 def as_live(made: Measurement, recorded: Measurement, contract: Contract) -> Measurement:

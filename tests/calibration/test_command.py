@@ -99,7 +99,7 @@ def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
         (["calibration", "show", "--to-nodes"], "--to-nodes is for 'skin calibration load'"),
         (["calibration", "load", "none.json"], "none.json: cannot read the calibration"),
         (["calibration", "forget"], '"show"'),
-        (["calibration", "show", "--force-n", "1"], "--force-n and --out are for 'skin calibration gain'"),
+        (["calibration", "show", "--force-n", "1"], "--force-n, --before and --out are for 'skin calibration gain'"),
         (["calibration", "gain", "run.mcap", "--force-n", "1"], "expected a file for the gains: --out FILE"),
         (["calibration", "gain", "run.log", "--out", "/dev/null"], "run.log: expected a recording (.mcap)"),
         (["calibration", "gain", "run.mcap", "--out", "/dev/null"], "expected the force of the weight"),

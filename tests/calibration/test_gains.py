@@ -8,11 +8,11 @@ import pytest
 
 from calibration.gain_files import stored_gains
 from calibration.gains import defects_of, find_gains
-from calibration.stored import load_calibration
+from calibration.stored import StoredCalibration, encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.layout import parse_layout
-from skin.mcap_file import RecordingWriter
+from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 
 LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32", "test")
 PHI = LAYOUT.phi()
@@ -71,8 +71,17 @@ def test_too_few_cycles_or_no_force_are_refused(gains: np.ndarray) -> None:
         find_gains(PHI, sums, images, -1.0)
 
 
-def recording(path: Path, gains: np.ndarray, *, images: bool = True, zero: bool = True, restart: int = 0) -> Path:
-    writer = RecordingWriter(path, {}, [], 1)
+def recording(
+    path: Path,
+    gains: np.ndarray,
+    *,
+    images: bool = True,
+    zero: bool = True,
+    restart: int = 0,
+    attached: StoredCalibration | None = None,
+) -> Path:
+    files = [] if attached is None else [File(CALIBRATION_FILE, "application/json", encoded(attached))]
+    writer = RecordingWriter(path, {}, files, 1)
     writer.add_topic(MEASUREMENT.name, "msgpack", {})
     writer.add_topic(IMAGE.name, "msgpack", {})
     newton_per_count = LAYOUT.taxels.newton_per_count
@@ -108,6 +117,23 @@ def test_gains_of_a_recording(gains: np.ndarray, tmp_path: Path) -> None:
     inner = np.zeros((SIDE, SIDE), np.bool_)
     inner[6:-6, 6:-6] = True
     assert (np.array(stored.gains) / gains - 1)[inner.ravel()].std() < 0.03
+
+
+def test_gains_of_a_second_roll_multiply_those_of_the_first(
+    gains: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    set_ = store(LAYOUT, gains=np.linspace(0.8, 1.2, PHI.shape[1]))
+    save_calibration(tmp_path / "first.json", set_)
+    path = recording(tmp_path / "run.mcap", gains)
+    once = np.array(stored_gains(LAYOUT, path, WHOLE_N).gains)
+    assert "taken as 1" in capsys.readouterr().err
+    twice = stored_gains(LAYOUT, path, WHOLE_N, tmp_path / "first.json")
+    np.testing.assert_allclose(twice.gains, once * set_.gains)
+    attached = recording(tmp_path / "attached.mcap", gains, attached=set_)
+    np.testing.assert_allclose(stored_gains(LAYOUT, attached, WHOLE_N).gains, twice.gains)
+    save_calibration(tmp_path / "none.json", store(LAYOUT, offsets_n=np.zeros(PHI.shape[0])))
+    with pytest.raises(InputError, match=r"none\.json: has no gains"):
+        stored_gains(LAYOUT, path, WHOLE_N, tmp_path / "none.json")
 
 
 def test_cycles_of_a_gateway_that_started_again_are_other_cycles(gains: np.ndarray, tmp_path: Path) -> None:

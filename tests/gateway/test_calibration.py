@@ -78,6 +78,26 @@ def test_a_touched_skin_gets_no_zero_by_tare() -> None:
     assert "something touches the skin" in replies[0].text
 
 
+@pytest.mark.parametrize("speed_per_s", [0.0, 6.0])
+def test_a_tare_under_a_touch_or_in_motion_leaves_the_offsets(speed_per_s: float) -> None:
+    lines: list[CalibrationReply] = []
+    calibration = GatewayCalibration(Contract.from_layout(LAYOUT))
+    skin = Skin(calibration)
+    before = skin.run(4.0, lambda _time_s: offsets_n())
+    calibration.ask(CalibrationRequest(action="tare"), lines.append)  # type: ignore[arg-type]
+    calibration.tick({}, 0.0)
+    after = skin.run(4.0, lambda time_s: offsets_n() + pressed(4 + round(speed_per_s * (time_s - 4.0)), 20, 9, 0.005))
+    calibration.tick({}, 4.0)
+    ((is_done, text),) = [(each.is_done, each.text) for each in lines]
+    assert not is_done
+    assert text.startswith("something touches the skin or moves on it, around row ")
+    assert text.endswith(": the zero stays as it was")
+    assert calibration.status().state is CalibrationState.FOLLOWING
+    counts = [np.frombuffer(each.offsets, "<i4") for each in (before, after)]
+    change_n = np.diff(counts, axis=0) * LAYOUT.taxels.newton_per_count
+    assert np.abs(change_n).max() < 2e-3  # a sum with a taxel under the touch changes by 5 mN
+
+
 def test_a_forced_tare_is_answered_when_it_is_done(world: World) -> None:
     asked = Asked(world)
     asked.ask(CalibrationRequest(action="tare", force=True))

@@ -1,0 +1,52 @@
+"""The recorded images or labels of a run, and which measurements they belong to."""
+
+from typing import Final, Generic, TypeVar
+
+from canskin.messages import Image, Label, Measurement
+
+#: Most images and labels that wait for their measurements.
+_MOST_KEPT: Final = 10_000
+
+_Answer = TypeVar("_Answer", Image, Label)
+
+
+class Answers(Generic[_Answer]):
+    """The recorded images or labels, until their measurements are played.
+
+    A measurement without an answer was not used live, or its answer was lost on the way to the recorder. The numbers of
+    the answers before and after it tell which; of several measurements the first count as used.
+    """
+
+    def __init__(self, near_ns: int, *, is_followed: bool) -> None:
+        self._near_ns = near_ns
+        self._is_followed = is_followed
+        self._kept: dict[int, _Answer] = {}
+        self._newest_ns = self._number = 0
+
+    def keep(self, answer: _Answer) -> None:
+        """Keep an answer; the oldest, whose measurements are missing, go."""
+        self._kept[answer.cycle] = answer
+        self._newest_ns = answer.sampled_mono_ns
+        if len(self._kept) > _MOST_KEPT:
+            del self._kept[next(iter(self._kept))]
+
+    def reaches(self, sync_ns: int) -> bool:
+        """Tell whether the answer to a measurement, or a later answer, has come."""
+        return not self._is_followed or self._newest_ns >= sync_ns
+
+    def of(self, measurement: Measurement) -> tuple[_Answer | None, bool]:
+        """Return the answer to the next measurement, if it was recorded, and whether there was one live."""
+        sync_ns = measurement.sampled_mono_ns
+        answer = self._kept.get(measurement.cycle)
+        if answer is not None and abs(answer.sampled_mono_ns - sync_ns) < self._near_ns:
+            del self._kept[measurement.cycle]
+            self._number = answer.number
+            return answer, True
+        if not self._is_followed:
+            return None, True
+        later = (each for each in self._kept.values() if each.sampled_mono_ns > sync_ns)
+        following = min(later, key=lambda each: each.sampled_mono_ns, default=None)
+        if following is None or following.number <= self._number + 1:
+            return None, False
+        self._number += 1
+        return None, True
