@@ -21,8 +21,17 @@ from skin.terminal import Json
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
 
-Format = Literal["npz", "hdf5", "csv", "ros2"]
-_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv", "ros2": ""}
+Format = Literal["npz", "hdf5", "csv", "ros2", "rerun", "foxglove"]
+_SUFFIXES: Final[Mapping[Format, str]] = {
+    "npz": ".npz",
+    "hdf5": ".h5",
+    "csv": ".csv",
+    "ros2": "",
+    "rerun": ".rrd",
+    "foxglove": "-foxglove.mcap",
+}
+#: Formats that are written message by message.
+_VIEWS: Final = ("ros2", "rerun", "foxglove")
 #: Arrays of images, which a .csv has in files of their own.
 _GRIDS: Final = ("pixels", "true", "sensor")
 
@@ -48,7 +57,8 @@ def export(
     to
         Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
         needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``ros2``: a bag of ROS
-        2, a folder with MCAP and CDR; needs the extra canskin[ros2].
+        2, a folder with MCAP and CDR. ``rerun``, ``foxglove``: a file for their viewers. These three need the extra
+        of their name.
     layout
         Firmware: TOML of the skin; without it the default skin.
     out
@@ -89,6 +99,7 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     to
         ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip; needs the
         extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``ros2``: a bag of ROS 2.
+        ``rerun``, ``foxglove``: a file for their viewers.
     out
         New file; of a csv the names of the tables are added. Default: the name of the recording.
 
@@ -101,9 +112,9 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     """
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
-    path = out or source.with_suffix(_SUFFIXES[to])
-    if to == "ros2":
-        _save_bag(source, path)
+    path = out or source.with_name(source.stem + _SUFFIXES[to])
+    if to in _VIEWS:
+        _save_view(source, path, to)
         return
     from recording.tables import read_tables
 
@@ -123,15 +134,26 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     say("export", f"{counts} in {', '.join(map(str, written))}")
 
 
-def _save_bag(source: Path, folder: Path) -> None:
-    from ros2.bag import write_bag
+def _save_view(source: Path, path: Path, to: Format) -> None:
+    """Write a recording for other programs: a bag of ROS 2, or a file for Rerun or Foxglove."""
+    check_new_path(path, "file" if path.suffix else "bag")
+    layout = load_layout(source, adaptive=True)
 
-    check_new_path(folder, "bag")
+    def warn(line: str) -> None:
+        say("export", line)
+
     try:
-        made = write_bag(source, folder, load_layout(source, adaptive=True), lambda line: say("export", line))
+        if to == "ros2":
+            from ros2.bag import write_bag
+
+            made = ", ".join(f"{count} {topic}" for topic, count in write_bag(source, path, layout, warn).items())
+        else:
+            from show.recording import write_view
+
+            made = f"{write_view(source, path, layout, to == 'rerun', warn)} images"
     except OSError as error:
-        raise RunError(f"{folder}: the bag cannot be written: {error.strerror or error}") from error
-    say("export", f"{', '.join(f'{count} {topic}' for topic, count in made.items())} in {folder}")
+        raise RunError(f"{path}: cannot be written: {error.strerror or error}") from error
+    say("export", f"{made} in {path}")
 
 
 def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
