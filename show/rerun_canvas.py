@@ -13,6 +13,8 @@ from skin.layout import Layout
 from skin.taxel_places import Forces, place_m, places_m, radius_m
 
 IMAGE: Final = "skin/image"
+#: The image in colours: on a tensor Rerun gives taxels without a value the colour of the largest force.
+HEAT_MAP: Final = "skin/heat_map"
 TAXELS: Final = "skin/space/taxels"
 CONTACTS: Final = "skin/space/contacts"
 FIGURES: Final = "skin/figures"
@@ -64,12 +66,13 @@ class RerunCanvas:
         self._stream.log(TAXELS, squares, static=True)
 
     def image(self, time_ns: int, cycle: int, measured_n: Forces) -> None:
-        """Draw the forces: as a tensor in newtons, and as the colours of the taxels."""
+        """Draw the forces: as a tensor in newtons, as a picture, and as the colours of the taxels."""
         self._at(time_ns, cycle)
         full_n = self._taxels.force_max_n
         self._stream.log(IMAGE, self._rr.Tensor(measured_n, dim_names=("row", "column"), value_range=(0.0, full_n)))
-        colours = force_colours(measured_n, full_n).reshape(-1, 3)
-        self._stream.log(TAXELS, self._rr.Boxes3D.from_fields(colors=colours))
+        colours = force_colours(measured_n, full_n)
+        self._stream.log(HEAT_MAP, self._rr.Image(colours, magnification_filter="Nearest"))
+        self._stream.log(TAXELS, self._rr.Boxes3D.from_fields(colors=colours.reshape(-1, 3)))
 
     def contacts(self, time_ns: int, cycle: int, contacts: Sequence[Contact]) -> None:
         """Draw a ring of each contact's area, with its force in words."""
@@ -122,7 +125,11 @@ def _blueprint(rr: Any, layout: Layout) -> Any:
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                rrb.TensorView(origin=IMAGE, name="image, N", scalar_mapping=shown),
+                rrb.Tabs(
+                    rrb.Spatial2DView(origin=HEAT_MAP, name="image"),
+                    rrb.TensorView(origin=IMAGE, name="newtons", scalar_mapping=shown),
+                    active_tab="image",
+                ),
                 rrb.Spatial3DView(origin="skin/space", name="taxels and contacts", eye_controls=middle),
             ),
             rrb.Horizontal(

@@ -76,6 +76,8 @@ def test_taxels_lie_in_their_places(run: Path) -> None:
     colours = rows_of(run.with_suffix(".rrd"), "skin/space/taxels")
     assert {len(row["Boxes3D:colors"]) for row in colours} == {256}
     assert set(colours[0]["Boxes3D:colors"]) == {0x808080FF}  # nothing is valid in the first image
+    picture = rows_of(run.with_suffix(".rrd"), "skin/heat_map")[0]
+    assert set(picture["Image:buffer"][0]) == {0x80}
 
 
 def test_a_live_skin_is_drawn_with_contacts_curves_and_log(
