@@ -1,4 +1,4 @@
-"""``skin export``: a recording as arrays for a notebook, as a video, or as a bag of ROS 2."""
+"""``skin export``: a recording as arrays for a notebook, as a video, or for other programs."""
 
 import csv
 import io
@@ -21,8 +21,18 @@ from skin.terminal import Json
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
 
-Format = Literal["npz", "hdf5", "csv", "video", "ros2"]
-_SUFFIXES: Final[Mapping[Format, str]] = {"npz": ".npz", "hdf5": ".h5", "csv": ".csv", "video": ".mp4", "ros2": ""}
+Format = Literal["npz", "hdf5", "csv", "video", "ros2", "rerun", "foxglove"]
+_SUFFIXES: Final[Mapping[Format, str]] = {
+    "npz": ".npz",
+    "hdf5": ".h5",
+    "csv": ".csv",
+    "video": ".mp4",
+    "ros2": "",
+    "rerun": ".rrd",
+    "foxglove": "-foxglove.mcap",
+}
+#: Formats that are written message by message.
+_VIEWS: Final = ("ros2", "rerun", "foxglove")
 #: Arrays of images, which a .csv has in files of their own.
 _GRIDS: Final = ("pixels", "true", "sensor")
 
@@ -48,8 +58,8 @@ def export(
     to
         Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
         needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: the images as
-        H.264 in .mp4, in real time, with colours and marks of the page; needs the extra canskin[video]. ``ros2``: a bag
-        of ROS 2, a folder with MCAP and CDR; needs the extra canskin[ros2].
+        H.264 in .mp4, in real time, with colours and marks of the page. ``ros2``: a bag of ROS 2, a folder with MCAP
+        and CDR. ``rerun``, ``foxglove``: a file for their viewers. These four need the extra of their name.
     layout
         Firmware: TOML of the skin; without it the default skin.
     out
@@ -91,7 +101,7 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     to
         ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip; needs the
         extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: see
-        `recording.video.save_video`. ``ros2``: a bag of ROS 2.
+        `recording.video.save_video`. ``ros2``: a bag of ROS 2. ``rerun``, ``foxglove``: a file for their viewers.
     out
         New file; of a csv the names of the tables are added. Default: the name of the recording.
 
@@ -104,12 +114,12 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
     """
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
-    path = out or source.with_suffix(_SUFFIXES[to])
+    path = out or source.with_name(source.stem + _SUFFIXES[to])
     if to == "video":
         _export_video(source, path)
         return
-    if to == "ros2":
-        _save_bag(source, path)
+    if to in _VIEWS:
+        _save_view(source, path, to)
         return
     from recording.tables import read_tables
 
@@ -148,15 +158,26 @@ def _export_video(source: Path, path: Path) -> None:
     )
 
 
-def _save_bag(source: Path, folder: Path) -> None:
-    from ros2.bag import write_bag
+def _save_view(source: Path, path: Path, to: Format) -> None:
+    """Write a recording for other programs: a bag of ROS 2, or a file for Rerun or Foxglove."""
+    check_new_path(path, "file" if path.suffix else "bag")
+    layout = load_layout(source, adaptive=True)
 
-    check_new_path(folder, "bag")
+    def warn(line: str) -> None:
+        say("export", line)
+
     try:
-        made = write_bag(source, folder, load_layout(source, adaptive=True), lambda line: say("export", line))
+        if to == "ros2":
+            from ros2.bag import write_bag
+
+            made = ", ".join(f"{count} {topic}" for topic, count in write_bag(source, path, layout, warn).items())
+        else:
+            from show.recording import write_view
+
+            made = f"{write_view(source, path, layout, to == 'rerun', warn)} images"
     except OSError as error:
-        raise RunError(f"{folder}: the bag cannot be written: {error.strerror or error}") from error
-    say("export", f"{', '.join(f'{count} {topic}' for topic, count in made.items())} in {folder}")
+        raise RunError(f"{path}: cannot be written: {error.strerror or error}") from error
+    say("export", f"{made} in {path}")
 
 
 def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:

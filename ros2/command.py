@@ -54,10 +54,10 @@ def ros2(
     skin ros2
     skin ros2 --router tcp/robot:7447 --domain 42 --namespace /arm/palm
     """
-    stop = StopSignal().install()
     store()
     skin = load_layout(layout, adaptive=True)
     number, space = check_domain(domain), check_namespace(skin.name if namespace is None else namespace)
+    stop = StopSignal().install()
     fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)
     try:
         node = RosNode(router, domain=number, namespace=space, name="canskin", stop=stop, has_hashes=distro != "humble")

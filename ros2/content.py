@@ -1,7 +1,6 @@
 """What a skin measures as messages of ROS 2: images, clouds of points, markers."""
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -9,14 +8,13 @@ import numpy.typing as npt
 
 from canskin.messages import Contact
 from ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, message
+from skin.colours import force_colours
 from skin.layout import Taxels
-from skin.taxel_places import Forces, place_m, places_m
+from skin.taxel_places import Forces, place_m, places_m, radius_m
 
 NS: Final = 1_000_000_000
 #: Markers of contacts vanish after this time without new ones.
 MARKER_S: Final = 0.5
-#: Colour of taxels without valid sums on the heat map.
-_GREY: Final = (128, 128, 128)
 #: `sensor_msgs/msg/PointField`: the number of a type.
 _FIELD_TYPES: Final = {"u1": 2, "u4": 6, "f4": 7}
 
@@ -51,10 +49,7 @@ def force_image(head: Any, measured_n: Forces) -> Any:
 
 def heat_map(head: Any, measured_n: Forces, full_n: float) -> Any:
     """Return a coloured image: rgb8, viridis from 0 to `full_n`, grey where not measured."""
-    share = np.nan_to_num(measured_n) * (255 / full_n)
-    colours = _viridis()[np.clip(share + 0.5, 0, 255).astype(np.uint8)]
-    colours[np.isnan(measured_n)] = _GREY
-    return _image(head, "rgb8", colours)
+    return _image(head, "rgb8", force_colours(measured_n, full_n))
 
 
 def taxel_cloud(head: Any, taxels: Taxels, forces_n: Forces, valid: npt.NDArray[np.bool_]) -> Any:
@@ -83,9 +78,9 @@ def contact_markers(head: Any, taxels: Taxels, contacts: Sequence[Contact]) -> A
     made = [_marker(head, "", 0, action=3)]
     for each in contacts:
         x_m, y_m = place_m(taxels, each.row, each.column)
-        width_m = 2 * float(np.sqrt(each.taxels / np.pi)) * taxels.pitch_m
-        share = float(np.clip(each.peak_n / taxels.force_max_n, 0, 1))
-        colour = (*(float(part) for part in _viridis()[round(255 * share)] / 255), 0.8)
+        width_m = 2 * radius_m(taxels, each.taxels)
+        parts = force_colours(np.array(each.peak_n, np.float32)[None], taxels.force_max_n)[0] / 255
+        colour = (*map(float, parts), 0.8)
         number = each.identity % 2**31
         disc = (width_m, width_m, taxels.pitch_m / 4)
         made.append(_marker(head, "contacts", number, kind=3, place=(x_m, y_m, 0.0), size=disc, colour=colour))
@@ -173,12 +168,3 @@ def _marker(
         mesh_file=message("visualization_msgs/msg/MeshFile", filename="", data=nothing),
         mesh_use_embedded_materials=False,
     )
-
-
-@cache
-def _viridis() -> npt.NDArray[np.uint8]:
-    """Return the colours of 256 steps, shape (256, 3)."""
-    from matplotlib import colormaps
-
-    found: npt.NDArray[np.uint8] = colormaps["viridis"](np.arange(256), bytes=True)[:, :3]
-    return found

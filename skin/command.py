@@ -34,6 +34,7 @@ VERBS: Final = {
     "classify": "classifier.command:classify",
     "view": "viewer.command:view",
     "ros2": "ros2.command:ros2",
+    "show": "show.command:show",
     "record": "recording.record_command:record",
     "replay": "recording.replay_command:replay",
     "export": "recording.export_command:export",

@@ -4,6 +4,8 @@ The frame of a skin: its origin is the middle of the array, x runs along the col
 skin, so a touch presses along z. The taxels lie at z = 0.
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -25,6 +27,11 @@ def places_m(taxels: Taxels) -> npt.NDArray[np.float32]:
 def place_m(taxels: Taxels, row: float, column: float) -> tuple[float, float]:
     """Return x and y of a place between taxels, as the centre of a contact, metres."""
     return (column - (taxels.columns - 1) / 2) * taxels.pitch_m, (row - (taxels.rows - 1) / 2) * taxels.pitch_m
+
+
+def radius_m(taxels: Taxels, count: int) -> float:
+    """Return the radius of a disc with the area of `count` taxels, metres."""
+    return math.sqrt(count / math.pi) * taxels.pitch_m
 
 
 class Grid:

@@ -1,0 +1,1 @@
+"""A skin in other programs' views: Rerun and Foxglove."""

@@ -1,0 +1,77 @@
+"""A recording drawn on a canvas."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from canskin.errors import RunError
+from show.foxglove_canvas import FoxgloveCanvas
+from show.painter import TOPICS, Canvas, Painter
+from show.rerun_canvas import RerunCanvas
+from skin.layout import Layout
+from skin.mcap_file import message_decoder, read_entries, wall_offset_ns
+from skin.wall_times import WallTimes
+
+
+def write_view(source: Path, path: Path, layout: Layout, for_rerun: bool, warn: Callable[[str], None]) -> int:
+    """Write a recording as a file for Rerun or Foxglove; return the number of images.
+
+    Parameters
+    ----------
+    source : pathlib.Path
+        A recording.
+    path : pathlib.Path
+        A new file; nothing is left of it after an error.
+    layout : Layout
+        Of the recording.
+    for_rerun : bool
+    warn : callable
+        Receives one line of text if the recording is cut.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read, or the library is not installed.
+    RunError
+        If the recording holds no images.
+    """
+    canvas: Canvas = RerunCanvas(layout, str(path)) if for_rerun else FoxgloveCanvas(layout, str(path))
+    try:
+        return draw_recording(source, layout, canvas, warn)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+
+
+def draw_recording(source: Path, layout: Layout, canvas: Canvas, warn: Callable[[str], None]) -> int:
+    """Draw the messages of a recording; return the number of images.
+
+    Parameters
+    ----------
+    source : pathlib.Path
+        A recording.
+    layout : Layout
+        Of the recording.
+    canvas : Canvas
+        Is closed at the end.
+    warn : callable
+        Receives one line of text if the recording is cut.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read.
+    RunError
+        If the recording holds no images.
+    """
+    offset_ns = wall_offset_ns(source)
+    painter = Painter(layout, canvas, WallTimes(lambda: offset_ns))
+    decoders = {topic.name: message_decoder(source, topic) for topic in TOPICS}
+    try:
+        for entry in read_entries(source, warn):
+            if entry.topic in decoders:
+                painter.take(decoders[entry.topic](entry.data), entry.time_ns * 1e-9, entry.time_ns)
+    finally:
+        canvas.close()
+    if not painter.drawn:
+        raise RunError(f"{source}: holds no images: play it with 'skin replay --out'")
+    return painter.drawn

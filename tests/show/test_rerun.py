@@ -1,0 +1,121 @@
+"""What Rerun's own reader finds in the files made for Rerun."""
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from canskin.errors import RunError
+from canskin.fabric import Fabric
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL
+from recording.export_command import export
+from show.command import draw_live
+from show.rerun_canvas import RerunCanvas
+from skin.service import StopSignal
+from tests.recording.conftest import OFFSET_NS
+from tests.recording.test_export import COUNT, SET_NS, pixels
+from tests.viewer.conftest import Messages
+
+
+def rows_of(path: Path, entity: str) -> list[dict[str, Any]]:
+    """Return the rows of an entity that have a time, in its order."""
+    rows = []
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == f"/{entity}" and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            times_ns = batch.column("sampled").cast("int64").to_pylist()
+            columns = {name: batch.column(name).to_pylist() for name in batch.schema.names if name != "sampled"}
+            rows += [
+                {"sampled": time_ns, **{name: values[place] for name, values in columns.items()}}
+                for place, time_ns in enumerate(times_ns)
+            ]
+    return sorted(rows, key=lambda row: row["sampled"])
+
+
+def force_n(row: dict[str, Any]) -> np.ndarray:
+    (tensor,) = row["Tensor:data"]
+    return np.array(tensor["buffer"], np.float32).reshape(tensor["shape"])
+
+
+def test_recording_becomes_a_file_with_every_image_bit_for_bit(run: Path) -> None:
+    export(str(run), to="rerun")
+    rows = rows_of(run.with_suffix(".rrd"), "skin/image")
+    assert [row["sampled"] for row in rows] == [
+        OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2) for cycle in range(1, COUNT + 1)
+    ]
+    assert [row["cycle"] for row in rows] == [1, 2, 3, 4]
+    assert np.isnan(force_n(rows[0])).all()
+    for cycle, row in enumerate(rows[1:], 2):
+        assert force_n(row).tobytes() == pixels(cycle).tobytes()
+
+
+def test_rerun_verifies_the_file(run: Path, tmp_path: Path) -> None:
+    export(str(run), to="rerun", out=tmp_path / "run.rrd")
+    command = [sys.executable, "-m", "rerun", "rrd", "verify", str(tmp_path / "run.rrd")]
+    verified = subprocess.run(command, capture_output=True, text=True, check=False, env={"RERUN_ANALYTICS": "0"})
+    assert verified.returncode == 0, verified.stderr
+    assert "verified without error" in verified.stdout + verified.stderr
+
+
+def test_taxels_lie_in_their_places(run: Path) -> None:
+    export(str(run), to="rerun")
+    static = [
+        chunk.to_record_batch().to_pylist()[0]
+        for chunk in RrdReader(run.with_suffix(".rrd")).stream()
+        if chunk.entity_path == "/skin/space/taxels" and chunk.is_static
+    ]
+    places = np.array(next(row["Boxes3D:centers"] for row in static if "Boxes3D:centers" in row))
+    assert places.shape == (256, 3)
+    assert places[0].tolist() == pytest.approx([-0.03, -0.03, 0.0])
+    assert places[17].tolist() == pytest.approx([-0.026, -0.026, 0.0])
+    colours = rows_of(run.with_suffix(".rrd"), "skin/space/taxels")
+    assert {len(row["Boxes3D:colors"]) for row in colours} == {256}
+    assert set(colours[0]["Boxes3D:colors"]) == {0x808080FF}  # nothing is valid in the first image
+    picture = rows_of(run.with_suffix(".rrd"), "skin/heat_map")[0]
+    assert set(picture["Image:buffer"][0]) == {0x80}
+
+
+def test_a_live_skin_is_drawn_with_contacts_curves_and_log(
+    hub: Fabric, endpoint: str, messages: Messages, tmp_path: Path
+) -> None:
+    path, stop = tmp_path / "live.rrd", StopSignal()
+    canvas, fabric = RerunCanvas(messages.layout, str(path)), Fabric("palm", "show", endpoint)
+    painters: list[Any] = []
+    drawing = threading.Thread(target=lambda: painters.append(draw_live(messages.layout, fabric, canvas, stop)))
+    drawing.start()
+    came = threading.Event()
+    count, draw = 0, canvas.contacts
+    canvas.contacts = lambda *given: (draw(*given), came.set())  # type: ignore[assignment,func-returns-value]
+    while not came.wait(0.05):
+        count += 1
+        for topic, message in (
+            (IMAGE, messages.image(count)),
+            (LABEL, messages.label("ring")),
+            (GATEWAY, messages.gateway()),
+            (CONTACTS, messages.contacts(count)),
+        ):
+            hub.publish(topic, message)
+    stop.set()
+    drawing.join()
+    canvas.close()
+    fabric.close()
+    assert rows_of(path, "skin/space/contacts")[0]["Ellipsoids3D:labels"] == ["7: 376.6 mN"]
+    assert rows_of(path, "skin/figures/load/left")[0]["Scalars:scalars"] == [0.8]
+    assert rows_of(path, "skin/figures/valid_share")[0]["Scalars:scalars"] == [1.0]
+    assert rows_of(path, "skin/figures/label_confidence")[0]["Scalars:scalars"] == [0.93]
+    assert ["touched by: ring"] in [row["TextLog:text"] for row in rows_of(path, "skin/log")]
+
+
+def test_frames_alone_leave_no_file(tmp_path: Path, out: Path, contract: Any) -> None:
+    from recording.sinks import McapSink
+
+    McapSink(out, contract, 1, OFFSET_NS).close()
+    for to in ("rerun", "foxglove"):
+        with pytest.raises(RunError, match="holds no images"):
+            export(str(out), to=to)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == [out]
