@@ -52,7 +52,7 @@ demo: .venv/.demo
 figures: setup
 	@$(BIN)/python -m docs.figures $(ARGS)
 
-# On all cores. Files in the order of their names: neighbours use the same kernels, which one of them compiles.
+# On all cores. One worker begins with all files that compile kernels (tests/conftest.py); the others follow by name.
 ON_ALL_CORES := --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 # Whole chains need the machine for themselves; all other tests share its cores.

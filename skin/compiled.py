@@ -55,7 +55,10 @@ class _Stamped:
         self._file = py_file
 
     def get_source_stamp(self) -> str:
-        """Return a hash over the files of the kernel and of the kernels that it can call, and over their constants."""
+        """Return a hash over the files of the kernel and of the kernels that it can call, and over their constants.
+
+        The files' names are those of their modules: a copy of the project can use what the project has compiled.
+        """
         parts: dict[str, str] = {}
         _collect(self._file, self._globals, parts)
         return hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()
@@ -75,18 +78,19 @@ class FolderOfUser(_Stamped, UserWideCacheLocator):
 
 def _collect(file: str, names: dict[str, Any], parts: dict[str, str]) -> None:
     """Add a file, the constants among its module's `names`, and the files of the kernels among them."""
-    parts[file] = _content(file)
+    module = names["__name__"]
+    parts[module] = _content(file)
     for name, value in list(names.items()):
         if name.startswith("__"):
             continue
         if is_jitted(value):
-            other = inspect.getfile(value.py_func)
-            if other not in parts:
-                _collect(other, value.py_func.__globals__, parts)
+            callee = value.py_func.__globals__
+            if callee["__name__"] not in parts:
+                _collect(inspect.getfile(value.py_func), callee, parts)
         elif _is_plain(value):
-            parts[f"{file}:{name}"] = repr(value)
+            parts[f"{module}:{name}"] = repr(value)
         elif isinstance(value, np.ndarray):
-            parts[f"{file}:{name}"] = f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+            parts[f"{module}:{name}"] = f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
 
 
 def _is_plain(value: object) -> bool:

@@ -105,7 +105,8 @@ class Outside:
         image = (ROOT / "Dockerfile").read_text().split("\nENV ")[1].split("\nUSER")[0]
         words = {name: self._word(value) for name, value in re.findall(r"(\w+)=(\S+)", image)}
         assert words["SKIN_BUS_DIR"] == str(self.folder)
-        del words["PATH"], words["NUMBA_CACHE_DIR"]  # use what this environment has compiled
+        assert words["NUMBA_CACHE_DIR"].startswith(words["SKIN_CACHE"] + "/")  # one volume keeps both
+        del words["PATH"], words["NUMBA_CACHE_DIR"], words["SKIN_CACHE"]  # use what is compiled and trained here
         return words
 
     def _word(self, word: str) -> str:

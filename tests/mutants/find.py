@@ -8,6 +8,7 @@ import argparse
 import ast
 import difflib
 import fcntl
+import glob
 import os
 import random
 import resource
@@ -35,6 +36,7 @@ from cosmic_ray.work_db import use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkItem, WorkResult
 
 from canskin.errors import InputError, RunError, SkinError
+from skin.compiled import FolderGiven
 from skin.terminal import progress
 
 ROOT: Final = Path(__file__).parents[2]
@@ -42,7 +44,7 @@ MARKS: Final = Path(__file__).with_name("equivalent.toml")
 FOLDER: Final = ROOT / "build" / "mutants"
 #: The tree that is changed. It stays where it is, so that no compiled file is made twice.
 COPY: Final = FOLDER / "tree"
-#: Compiled kernels, for mutants that change none.
+#: Compiled kernels, for mutants that change none; kept from run to run.
 KERNELS: Final = FOLDER / "kernels"
 #: Results in cosmic-ray's own form: `cr-report`, `cr-html` read them.
 SESSION: Final = FOLDER / "session.sqlite"
@@ -84,9 +86,10 @@ OPERATORS: Final = (
     "core/ZeroIterationForLoop",
     "canskin/RemoveStatement",
 )
-#: A mutant hangs when its tests take this many times what they take without a fault, and at least so long.
+#: A mutant hangs when its tests take this many times what they take without a fault, and at least so long: some have to
+#: compile.
 PATIENCE: Final = 5.0
-LEAST_PATIENCE_S: Final = 60.0
+LEAST_PATIENCE_S: Final = 180.0
 #: Memory of one process, so that a loop without an end takes the machine's memory away from nobody.
 MEMORY_BYTES: Final = 4 << 30
 
@@ -153,6 +156,7 @@ def main() -> int:
 def _run(options: argparse.Namespace) -> int:
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     _copy_tree()
+    _copy_kernels()
     os.chdir(COPY)
     os.environ["PYTHONPATH"] = str(COPY)
     OPERATOR_PROVIDERS["canskin"] = {"RemoveStatement": RemoveStatement}
@@ -172,13 +176,18 @@ def _options() -> argparse.Namespace:
     return options
 
 
-def _copy_tree() -> None:
-    """Bring `COPY` up to date; a file that did not change keeps its time."""
+def _files() -> set[str]:
+    """Return the names of our files, from the root on."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT, check=True, capture_output=True, text=True,
     ).stdout.split("\0")  # fmt: skip
-    ours = {name for name in listed if name and (ROOT / name).is_file()}
+    return {name for name in listed if name and (ROOT / name).is_file()}
+
+
+def _copy_tree() -> None:
+    """Bring `COPY` up to date; a file that did not change keeps its time."""
+    ours = _files()
     for path in [path for path in COPY.rglob("*") if path.is_file() and "__pycache__" not in path.parts]:
         if path.relative_to(COPY).as_posix() not in ours:
             path.unlink()
@@ -187,6 +196,19 @@ def _copy_tree() -> None:
         if not target.exists() or source.read_bytes() != target.read_bytes():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(source, target)
+
+
+def _copy_kernels() -> None:
+    """Give the copy what was compiled beside our files, where that is newer."""
+    folders = {Path(name).parent for name in _files()}
+    for index in (each for folder in folders for each in (ROOT / folder).glob("__pycache__/*.nbi")):
+        file = COPY / index.relative_to(ROOT).parents[1] / "any.py"
+        target = KERNELS / FolderGiven.get_suitable_cache_subpath(str(file)) / index.name
+        if target.exists() and target.stat().st_mtime >= index.stat().st_mtime:
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        for source in (*index.parent.glob(f"{glob.escape(index.stem)}.*.nbc"), index):  # the index names the others
+            shutil.copy2(source, target.parent)
 
 
 def _mutants(paths: list[str]) -> list[WorkItem]:

@@ -1,5 +1,6 @@
 """Kernels on disk: used again while nothing changed, compiled anew when anything that was compiled in did."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -40,8 +41,12 @@ def result(folder: Path, *, factor: int, constant: str) -> list[int]:
     return [int(word) for word in done.stdout.split()]
 
 
-def test_a_kernel_is_compiled_anew_when_what_it_calls_or_names_in_another_file_changes(folder: Path) -> None:
+def test_a_kernel_is_compiled_anew_when_what_it_calls_or_names_in_another_file_changes(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     assert result(folder, factor=2, constant="SHIFT = 10") == [12, 0]
     assert result(folder, factor=2, constant="SHIFT = 10") == [12, 1]
+    copy = shutil.copytree(folder, tmp_path_factory.mktemp("copies") / "copy")
+    assert result(copy, factor=2, constant="SHIFT = 10") == [12, 1]
     assert result(folder, factor=3, constant="SHIFT = 10") == [13, 0]
     assert result(folder, factor=3, constant="SHIFT = 20") == [23, 0]

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,7 @@ def test_a_replay_gives_the_live_measurements_images_and_labels(chain: Chain, tm
     chain.until("labels of a contact", lambda: sum(bool(label.label) for label in chain.labels) > 40)
     for path in (run, log, blf):
         chain.supervisor.stop(path.suffix[1:])
+    chain.supervisor.stop_at_once()  # replays have the machine for themselves
 
     recorded = {topic.name: messages(run, topic) for topic in (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH)}
     assert all(len(each) > 40 for each in recorded.values())
@@ -87,18 +89,23 @@ def test_a_replay_gives_the_live_measurements_images_and_labels(chain: Chain, tm
         for each in recorded[name]:
             assert by_cycle[each.cycle] == as_compared(each), said
 
+    sources = {"again": (out,), **{path.suffix[1:]: (path, "--layout", str(chain.layout_path)) for path in (log, blf)}}
+    with ThreadPoolExecutor() as threads:
+        for done in [
+            threads.submit(replayed, source, tmp_path / f"{name}.mcap", *options)
+            for name, (source, *options) in sources.items()
+        ]:
+            done.result()
+
     # A recording that a replay wrote gives the same again.
-    replayed(out, tmp_path / "again.mcap")
     assert messages(tmp_path / "again.mcap", MEASUREMENT) == made["measurement"]
     assert [each.pixels for each in messages(tmp_path / "again.mcap", IMAGE)] == [each.pixels for each in made["image"]]
 
     # Logs hold frames alone: sums of the same cycles, in which every node counts as proven.
     complete = [each for each in recorded["measurement"] if b"\0" not in each.valid]
     assert len(complete) > 20  # a busy host leaves gaps
-    for source in (log, blf):
-        other = tmp_path / f"{source.suffix[1:]}.mcap"
-        replayed(source, other, "--layout", str(chain.layout_path))
-        sums = {each.sums for each in messages(other, MEASUREMENT)}
+    for name in ("log", "blf"):
+        sums = {each.sums for each in messages(tmp_path / f"{name}.mcap", MEASUREMENT)}
         assert all(each.sums in sums for each in complete)
     # The recorders did not end together, and the last cycles of the first to end may be cut.
     logs = [[each.pixels for each in messages(tmp_path / f"{name}.mcap", IMAGE)] for name in ("log", "blf")]
@@ -117,6 +124,7 @@ def test_a_killed_recorder_loses_the_last_second_at_most(chain: Chain, tmp_path:
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
     chain.until("images after it", lambda: chain.images[-1].cycle > chain.measurements[0].cycle + 120)
+    chain.supervisor.stop_at_once()
 
     said: list[str] = []
     newest_ns = max(entry.time_ns for entry in read_entries(run, said.append))

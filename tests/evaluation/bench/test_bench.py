@@ -19,6 +19,13 @@ from skin.layout import load_layout
 from touch.trajectory import ACQUISITION_OBJECTS
 
 
+@pytest.fixture
+def _brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look for the minimum in a tenth of the benchmark's iterations, and solve for a moment in each turn."""
+    monkeypatch.setattr("evaluation.bench.problem.EXACT", 300)
+    monkeypatch.setattr("evaluation.bench.timing.TURN_S", 0.001)
+
+
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown subject 'all': expected one of reconstruct"):
         bench("all")  # type: ignore[arg-type]  # what a caller without a type checker may do
@@ -40,6 +47,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_brief")
 def test_comparison_measures_gap_and_quality() -> None:
     problem = make_problem(haar_pyramid(64, 64), 0.0125, lipschitz=32.0)
     rows = compare(
@@ -96,6 +104,7 @@ def test_tables_cut_nothing_off(capsys: pytest.CaptureFixture[str], monkeypatch:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_brief")
 def test_ours_is_as_close_to_the_minimum_as_dense_fista() -> None:
     result = reconstruct.run(rounds=1)
     for rows in (result["rows"], result["contourlet"]):
@@ -110,7 +119,7 @@ def test_ours_is_as_close_to_the_minimum_as_dense_fista() -> None:
 def test_missing_blocks_cost_little(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(missing, "make_scenes", lambda phi, speed: itertools.islice(make_scenes(phi, 2 * speed), 2))
+    monkeypatch.setattr(missing, "make_scenes", lambda phi, speed: itertools.islice(make_scenes(phi, 6 * speed), 2))
     bench("missing", rounds=1, figure=tmp_path / "curves.svg", json=True)
     rows = json.loads(capsys.readouterr().out)["rows"]
     curves = {

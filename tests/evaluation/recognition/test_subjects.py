@@ -1,5 +1,8 @@
 """What must show, on one draw; the whole is averaged over ten."""
 
+from inspect import signature
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -8,8 +11,9 @@ from evaluation.recognition import beyond, classification
 from evaluation.recognition.accuracy import measure_accuracy
 from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import measure_live
-from evaluation.recognition.methods import measure_method
+from evaluation.recognition.methods import METHODS, measure_method
 from evaluation.result import Options
+from touch.classification_poses import CLASSIFICATION_OBJECTS
 
 SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}
 
@@ -55,8 +59,11 @@ def test_adaptive_sums_are_no_worse_than_16_chosen_sums() -> None:
 
 @pytest.mark.slow
 def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The live service is tested with the classifier; here a cell stands in for its twenty seconds.
+    # What cells measure is tested above, and the live service with the classifier: here, one stands in for all of them.
     monkeypatch.setattr(beyond, "measure_live", _live)
+    monkeypatch.setattr(beyond, "measure_method", _method)
+    monkeypatch.setattr(beyond, "measure_adaptive", _adaptive)
+    monkeypatch.setattr(classification, "measure_accuracy", _accuracy)
     both = [subject.evaluate(Options(quick=True)) for subject in (classification, beyond)]
     for found in both:
         assert len({tuple(row) for row in found.rows}) == 1
@@ -64,9 +71,28 @@ def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pyt
             picture.draw()
     named = {row["figure"]: row for row in both[0].rows}
     assert named["volleyball called basketball"]["paper"] == 25
+    assert named["volleyball called basketball"]["ours"] == pytest.approx(100 / 16)
 
 
-def _live(**_cell: object) -> dict[str, float]:
+def _accuracy(**cell: object) -> dict[str, Any]:
+    signature(measure_accuracy).bind(**cell)
+    objects = len(CLASSIFICATION_OBJECTS)
+    return {"accuracy": [0.9], "confusion": np.full((objects, objects), 1 / objects).tolist()}
+
+
+def _method(**cell: object) -> dict[str, list[float]]:
+    signature(measure_method).bind(**cell)
+    assert cell["method"] in METHODS
+    return {"accuracy": [0.9], "plain": [0.8]}
+
+
+def _adaptive(**cell: object) -> dict[str, Any]:
+    signature(measure_adaptive).bind(**cell)
+    return {"accuracy": [0.9], "sums": 1024}
+
+
+def _live(**cell: object) -> dict[str, float]:
+    signature(measure_live).bind(**cell)
     return {"right": 1.0, "unknown": 0.0, "sums": 1024}
 
 

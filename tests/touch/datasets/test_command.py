@@ -98,7 +98,6 @@ def test_a_cluster_makes_the_same_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 def test_ctrl_c_is_quiet_and_the_run_goes_on_later(tmp_path: Path) -> None:
     """The whole foreground group gets the signal, as from a terminal."""
     folder, manifest = tmp_path / "slides", tmp_path / "slides" / "manifest.json"
