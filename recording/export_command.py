@@ -153,7 +153,7 @@ def _export_video(source: Path, path: Path) -> None:
         raise RunError(f"{path}: the video cannot be written: {error.strerror or error}") from error
     say(
         "export",
-        f"{made.images} images in {made.seconds:.2f} s of {path}, {made.gaps} times without images, colours from 0 to"
+        f"{made.images} images in {made.seconds:.2f} s of {path}, gaps: {made.gaps}, colours from 0 to"
         f" {1e3 * made.top_n:.0f} mN",
     )
 

@@ -123,7 +123,8 @@ def _conclude(recorder: Recorder, out: Path) -> None:
         raise RunError(f"{out}: nothing came: no frame and no message. Are buses and services those of this layout?")
     size_mb = out.stat().st_size / 1e6
     say("record", f"{recorder.frames} frames and {recorder.messages} messages in {out}, {size_mb:.1f} MB")
-    for topic, count in recorder.missed.counts().items():
-        say("record", f"{count} messages '{topic}' never came: the fabric drops what a busy machine does not take")
+    missed = ", ".join(f"{count} {topic}" for topic, count in recorder.missed.counts().items())
+    if missed:
+        say("record", f"messages that never came, because the fabric drops them on a busy machine: {missed}")
     if recorder.lost:
         say("record", f"{recorder.lost} frames or messages came too fast for this machine and are missing")
