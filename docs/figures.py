@@ -1,7 +1,7 @@
 """Makes every picture of the README and of docs/.
 
 ``make figures`` makes all pictures of `FIGURES`, ``make figures ARGS="demo.png page.png"`` two of them. The paper's
-figures need the meshes of its objects, ``MESHES=DIR`` in the environment; `page.png` needs chromium.
+figures need the meshes of its objects, ``MESHES=DIR`` in the environment; `page.png` and `rerun.png` need chromium.
 """
 
 import base64
@@ -17,6 +17,7 @@ from typing import Final
 
 import httpx
 
+from docs.rerun_picture import rerun
 from skin.output import write_file
 from tests.browser import CHROMIUM, chromium
 from tests.processes import Processes, free_port
@@ -84,6 +85,7 @@ def paper_psnr(path: Path) -> None:
 FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "demo.png": demo,
     "page.png": page,
+    "rerun.png": rerun,
     "missing-data.svg": missing_data,
     "paper-images.png": paper_images,
     "paper-psnr.png": paper_psnr,

@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,8 +33,8 @@ PATIENCE_S = 20.0
 class Browser:
     """One page of a headless chromium."""
 
-    def __init__(self, socket: ClientConnection) -> None:
-        self._socket = socket
+    def __init__(self, socket: ClientConnection, patience_s: float = PATIENCE_S) -> None:
+        self._socket, self._patience_s = socket, patience_s
         self._numbers = itertools.count(1)
         self.complaints: list[str] = []
         for domain in ("Runtime", "Log", "Page"):
@@ -45,7 +45,7 @@ class Browser:
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._socket.recv(PATIENCE_S))
+            message = json.loads(self._socket.recv(self._patience_s))
             if message.get("id") == number:
                 assert "error" not in message, message
                 return message["result"]
@@ -93,9 +93,9 @@ class Browser:
 
 
 @contextmanager
-def chromium(profile: Path) -> Iterator[Browser]:
+def chromium(profile: Path, flags: Sequence[str] = FLAGS, patience_s: float = PATIENCE_S) -> Iterator[Browser]:
     assert CHROMIUM is not None
-    command = [CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+    command = [CHROMIUM, *flags, f"--user-data-dir={profile}", "about:blank"]
     with (profile / "stderr").open("w+") as said:
         process = subprocess.Popen(command, stderr=said, stdout=subprocess.DEVNULL)
         try:
@@ -107,8 +107,8 @@ def chromium(profile: Path) -> Iterator[Browser]:
                 time.sleep(0.05)
             pages = httpx.get(f"http://127.0.0.1:{port_file.read_text().split()[0]}/json").json()
             address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
-            with connect(address, max_size=None) as devtools:
-                yield Browser(devtools)
+            with connect(address, max_size=None, ping_interval=None) as devtools:
+                yield Browser(devtools, patience_s)
         finally:
             process.terminate()
             process.wait(PATIENCE_S)

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 import zenoh
+from zenoh_ros2_sdk import ROS2ServiceClient, ZenohSession
 from zenoh_ros2_sdk.attachment import Attachment
 from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
 from zenoh_ros2_sdk.keyexpr import endpoint_liveliness_keyexpr, node_liveliness_keyexpr
@@ -271,6 +272,25 @@ def test_tare_asks_the_gateway(setup: Setup, is_done: bool) -> None:
     assert (reply.success, reply.message) == (is_done, "the words")
     assert (attached.sequence_id, attached.gid) == (5, gid)
     assert len(asked) == 1
+
+
+def test_a_client_of_another_library_tares(setup: Setup, endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    setup.hub.answer(CALIBRATION, lambda _, reply: reply(CalibrationReply(is_done=True, text="new zero")))
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", 'mode="client"')
+    monkeypatch.setattr(ZenohSession, "_instance", ZenohSession("127.0.0.1", int(endpoint.rpartition(":")[2])))
+    client = ROS2ServiceClient(
+        "/arm/palm/tare",
+        TRIGGER,
+        request_definition="uint8 structure_needs_at_least_one_member",
+        response_definition="bool success\nstring message",
+        domain_id=7,
+        type_hash=TYPE_HASHES[TRIGGER],
+        timeout=PATIENCE_S,
+    )
+    answer = client.call(structure_needs_at_least_one_member=0)
+    client.close()
+    client.session_mgr.session.close()
+    assert (answer.success, answer.message) == (True, "new zero")
 
 
 def test_a_message_that_does_not_fit_is_refused_and_the_next_is_published(setup: Setup) -> None:
