@@ -161,6 +161,7 @@ def test_what_came_to_rest_is_shown_coarse_and_fine_in_time(seed: int) -> None:
     sums_n[rest:] = sums_n[rest]
     log, groups = arbitrated(sums_n, np.full((TICKS, NODES), 1e-7), np.full(NODES, TICKS * MS))
     coarse_ns, fine_ns = bounds().settled_ns
+    assert coarse_ns < fine_ns < UNBOUNDED
     news = log[log[:, REASON] == NEWS]
     assert 0.4 * coarse_ns < news[:, ENDED].max() - rest * MS <= coarse_ns
     for node in range(NODES):

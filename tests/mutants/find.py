@@ -63,6 +63,8 @@ PATHS: Final = (
     "viewer/guard.py",
     "viewer/state.py",
 )
+#: Files whose tests are in another folder than that of their name.
+ELSEWHERE: Final = {"nodes/adaptive/firmware.py": "firmware", "nodes/firmware_segment.py": "firmware"}
 #: Small faults only: cosmic-ray replaces each binary operator and each comparison by every other one, and most of
 #: those mutants end in the first line that any test runs.
 BINARY: Final = (
@@ -310,7 +312,7 @@ def _judge(chosen: list[tuple[WorkItem, Change]]) -> int:
         session.add_work_items(item for item, _ in chosen)
         try:
             for item, change in chosen:
-                patience_s = _patience_s(change.path.split("/", maxsplit=1)[0])
+                patience_s = _patience_s(_folder(change.path))
                 with _kernels():
                     result: WorkResult = mutate_and_test(item.mutations, _command(change.path), patience_s)
                 if result.worker_outcome is not WorkerOutcome.NORMAL:
@@ -349,9 +351,14 @@ def _kernels() -> Iterator[None]:
         yield
 
 
+def _folder(path: str) -> str:
+    """Return the folder of tests that judge a file of code."""
+    return ELSEWHERE.get(path, path.split("/", maxsplit=1)[0])
+
+
 def _command(path: str) -> str:
     """Return the command that judges a file of code: the quick tests of its folder, those that name it first."""
-    folder, module = path.split("/", maxsplit=1)[0], path.removesuffix(".py").replace("/", ".")
+    folder, module = _folder(path), path.removesuffix(".py").replace("/", ".")
     tests = sorted(
         Path("tests", folder).rglob("test_*.py"),
         key=lambda test: (test.stem != f"test_{Path(path).stem}", module not in test.read_text(), test),

@@ -82,6 +82,13 @@ def test_a_node_keeps_its_budget(contract: Contract) -> None:
     assert len(limited) <= len(free)
 
 
+def test_frames_of_both_lengths_cost_the_budget_their_bits(bus: Bus) -> None:
+    line = bus.contract.layout.bus[0]
+    coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
+    assert fine > coarse
+    assert (bus.boards._boxes.frame_bits == [coarse, fine]).all()
+
+
 class Node:
     """The decisions of one node, whose frames go at once."""
 

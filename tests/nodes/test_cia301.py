@@ -22,7 +22,7 @@ def request(segment: Segment, link: ArrayLink, text: str) -> bytes:
     return sdo(segment, link, 1, bytes.fromhex(text.replace(" ", "")))
 
 
-@pytest.mark.parametrize("cob_id", [0x705, 0x001, 0x101, 0x600 + 1, 0x6E0, 0x580 + 1])
+@pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x705, 0x001, 0x101, 0x600 + 1, 0x6E0, 0x580 + 1])
 def test_emcy_does_not_take_a_restricted_identifier(segment: Segment, link: ArrayLink, cob_id: int) -> None:
     assert write(segment, link, 0x1014, 0, cob_id, 4) == Abort.VALUE
     assert write(segment, link, 0x1014, 0, 0x8000_0000 | cob_id, 4) == 0

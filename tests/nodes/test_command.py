@@ -154,6 +154,7 @@ def test_adaptive_boards_are_those_of_the_chosen_nodes(parts: Parts) -> None:
         ({"noise_n": -0.1}, "expected 0 or more.*--noise-n -0.1"),
         ({"noise_n": float("inf")}, "expected 0 or more.*--noise-n inf"),
         ({"rate": 50.0}, "--rate is for a recording"),
+        ({"input": Path("mat.npz"), "rest": 1.0}, "--rest is for objects"),
         ({"store": Path("/proc/none")}, "--store /proc/none: expected a folder that can be written"),
     ],
 )
