@@ -1,6 +1,7 @@
 """``skin plan``, ``skin load`` and ``skin plan --check`` for adaptive nodes, on logs of the arbitrated bus."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -178,6 +179,8 @@ def test_load_of_a_log_by_level_and_node(skin: Run, log: Path, buses: list[Frame
     table = skin("load", log, "--layout", "adaptive")[1]
     assert "coarse, level 5" in table
     assert "heartbeat" in table
+    # SYNC every 100 ms, of 58 bits with its stuff bits.
+    assert len(re.findall(r"^SYNC +29 +10\.0 +0\.058%", table, re.MULTILINE)) == 4
 
 
 def test_a_log_of_the_layout_has_no_difference(skin: Run, log: Path) -> None:
