@@ -107,7 +107,7 @@ def forces(
             f" {np.shape(image)}"
         )
     stack = levels.reshape(window, -1, levels.shape[1], 3)
-    return np.float32(stack[..., 1] * (force_max_n / FULL)), stack[..., 2] < FULL / 2
+    return (stack[..., 1] * (force_max_n / FULL)).astype(np.float32), stack[..., 2] < FULL / 2
 
 
 class WindowBuffer:
