@@ -34,7 +34,9 @@ def advance(skin: ClockedSkin, camera: CanskinCamera, to_ms: float) -> int:
 
 def test_images_of_a_running_skin(live_chain: LiveChain) -> None:
     live_chain.start()
-    config = CanskinCameraConfig(endpoint=live_chain.endpoint, window=3, force_max_n=20.0, timeout_s=20.0)
+    config = CanskinCameraConfig(
+        endpoint=live_chain.endpoint, window=3, force_max_n=20.0, max_age_ms=20_000, timeout_s=20.0
+    )
     (camera,) = make_cameras_from_configs({"skin": config}).values()
     with camera:
         assert isinstance(camera, Camera)
