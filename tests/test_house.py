@@ -29,12 +29,29 @@ def test_every_folder_of_code_is_a_listed_package() -> None:
     assert folders == set(PACKAGES)
 
 
-def test_application_and_client_are_of_one_version() -> None:
-    application, client = (
-        tomllib.loads((ROOT / path).read_text())["project"] for path in ("pyproject.toml", "client/pyproject.toml")
-    )
-    assert application["version"] == client["version"]
-    assert f"canskin-client=={client['version']}" in application["dependencies"]
+def test_all_distributions_are_of_one_version() -> None:
+    client = tomllib.loads((ROOT / "client/pyproject.toml").read_text())["project"]
+    for path in (ROOT / "pyproject.toml", *ROOT.glob("integrations/*/pyproject.toml")):
+        other = tomllib.loads(path.read_text())["project"]
+        assert other["version"] == client["version"]
+        assert f"canskin-client=={client['version']}" in other["dependencies"]
+
+
+def test_integrations_import_nothing_of_the_application() -> None:
+    found = {
+        name.split(".")[0]
+        for path in ROOT.glob("integrations/*/*/*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        for name in (
+            [node.module or ""]
+            if isinstance(node, ast.ImportFrom)
+            else [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else []
+        )
+    }
+    assert found
+    assert not found & set(PACKAGES)
 
 
 def test_command_is_installed() -> None:
@@ -45,7 +62,7 @@ def test_command_is_installed() -> None:
 def test_no_file_is_over_400_lines() -> None:
     long = [
         str(path.relative_to(ROOT))
-        for package in [*PACKAGES, "client", "tests"]
+        for package in [*PACKAGES, "client", "integrations", "tests"]
         for path in (ROOT / package).rglob("*.py")
         if len(path.read_text().splitlines()) > 400
     ]

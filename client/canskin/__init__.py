@@ -5,7 +5,7 @@
 ...     print(skin.latest().contacts)
 """
 
-from canskin.connection import connect
+from canskin.connection import connect, skins_at
 from canskin.description import Description
 from canskin.errors import BusError, InputError, RunError, SkinError
 from canskin.frame import Frame
@@ -27,4 +27,5 @@ __all__ = [
     "SkinError",
     "connect",
     "simulate",
+    "skins_at",
 ]

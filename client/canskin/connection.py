@@ -57,14 +57,27 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
         raise
 
 
+def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> list[str]:
+    """Return the names of the skins on a hub, in the order of the alphabet.
+
+    Raises
+    ------
+    BusError
+        If there is no such hub in time.
+    """
+    return _skins_of(peers_at(endpoint, timeout_s, lambda peers: bool(_skins_of(peers))))
+
+
+def _skins_of(peers: list[Peer]) -> list[str]:
+    return sorted({peer.skin for peer in peers if peer.service in GATEWAYS})
+
+
 def _skin_at(endpoint: str, wanted: str | None, patience_s: float) -> str:
     """Return the name of the skin on a hub whose gateway is there."""
-
-    def skins_of(peers: list[Peer]) -> list[str]:
-        return sorted({peer.skin for peer in peers if peer.service in GATEWAYS})
-
-    peers = peers_at(endpoint, patience_s, lambda peers: wanted in skins_of(peers) if wanted else bool(skins_of(peers)))
-    skins = skins_of(peers)
+    peers = peers_at(
+        endpoint, patience_s, lambda peers: wanted in _skins_of(peers) if wanted else bool(_skins_of(peers))
+    )
+    skins = _skins_of(peers)
     if wanted in skins or (wanted is None and len(skins) == 1):
         return wanted or skins[0]
     found = ", ".join(f"'{name}'" for name in skins)
