@@ -26,6 +26,7 @@ Subject = Literal[
     "rates",
     "contacts",
     "calibration",
+    "wiring",
     "classification",
     "recognition",
     "postures",
@@ -41,13 +42,14 @@ SUBJECTS: Final[dict[str, str]] = {
     "rates": "evaluation.schemes.rates:evaluate",
     "contacts": "evaluation.schemes.contacts:evaluate",
     "calibration": "evaluation.schemes.calibration:evaluate",
+    "wiring": "evaluation.schemes.wiring:evaluate",
     "classification": "evaluation.recognition.classification:evaluate",
     "recognition": "evaluation.recognition.beyond:evaluate",
     "postures": "evaluation.recognition.postures:evaluate",
 }
 
 #: Subjects that average over no draws of Φ; ``all`` hands draws to the others alone.
-_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts", "calibration")
+_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts", "calibration", "wiring")
 
 
 def evaluate(
@@ -84,7 +86,7 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals``,
-        ``rates``, ``contacts`` and ``calibration`` average over none; ``all`` hands them to the others.
+        ``rates``, ``contacts``, ``calibration`` and ``wiring`` average over none; ``all`` hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes
