@@ -8,6 +8,7 @@ from bandwidth.plan import BusPlan
 from bandwidth.plan import plan as plan_buses
 from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import Disturbance
+from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
 from canskin.errors import InputError
 from dbc.contract import Contract
@@ -27,7 +28,7 @@ def plan(
     disturbance: Disturbance | None = None,
     json_: Json = False,
 ) -> int:
-    """Compute the bus load of a skin before any hardware is bought.
+    """Compute the bus load of a skin, and the length of its wires, before any hardware is bought.
 
     Exit code 1: a bus does not fit, or a log differs from the plan. ``skin design`` searches for a layout.
 
@@ -76,6 +77,7 @@ def plan(
         from bandwidth.tables import print_plan
 
         print_plan(plans, alternatives(contract.layout, allowed))
+        print(f"\n{wiring(contract.layout)}")
     return int(any(each.problems for each in plans))
 
 
@@ -97,12 +99,14 @@ def _plan_adaptive(
                 "allowed": allowed,
                 "fits": not any(each.problems for each in plans),
                 "buses": plans,
+                "wiring": wiring(layout),
             }
         )
     else:
         from bandwidth.adaptive_tables import print_adaptive_plan
 
         print_adaptive_plan(plans)
+        print(f"\n{wiring(contract.layout)}")
     return int(any(each.problems for each in plans))
 
 
@@ -118,6 +122,7 @@ def _document(contract: Contract, plans: list[BusPlan], allowed: Disturbance) ->
         "allowed": allowed,
         "fits": not any(each.problems for each in plans),
         "buses": plans,
+        "wiring": wiring(layout),
         "alternatives": list(alternatives(layout, allowed)),
         "schemes": list(schemes(layout)),
     }

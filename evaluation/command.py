@@ -5,7 +5,9 @@ import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
+
+from cyclopts import Parameter
 
 from canskin.errors import InputError
 from skin.terminal import Json, print_json, print_table
@@ -24,6 +26,7 @@ Subject = Literal[
     "rates",
     "contacts",
     "calibration",
+    "wiring",
     "classification",
     "recognition",
     "postures",
@@ -39,13 +42,14 @@ SUBJECTS: Final[dict[str, str]] = {
     "rates": "evaluation.schemes.rates:evaluate",
     "contacts": "evaluation.schemes.contacts:evaluate",
     "calibration": "evaluation.schemes.calibration:evaluate",
+    "wiring": "evaluation.schemes.wiring:evaluate",
     "classification": "evaluation.recognition.classification:evaluate",
     "recognition": "evaluation.recognition.beyond:evaluate",
     "postures": "evaluation.recognition.postures:evaluate",
 }
 
 #: Subjects that average over no draws of Φ; ``all`` hands draws to the others alone.
-_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts", "calibration")
+_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts", "calibration", "wiring")
 
 
 def evaluate(
@@ -60,6 +64,7 @@ def evaluate(
     seed: int = 0,
     scenes: int = 10,
     scene_seed: int = 0,
+    basis: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     json: Json = False,
 ) -> None:
     """Make tables and figures of the paper again and print ours beside the paper's numbers.
@@ -81,13 +86,16 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals``,
-        ``rates``, ``contacts`` and ``calibration`` average over none; ``all`` hands them to the others.
+        ``rates``, ``contacts``, ``calibration`` and ``wiring`` average over none; ``all`` hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes
         Scenes drawn at random that ``rivals`` measures beside the named ones; none with `quick`.
     scene_seed
         Of the scenes drawn at random: a seed that nobody has tried shows scenes that nobody has tuned to.
+    basis
+        Orthogonal wavelets that ``sparsity`` counts beside the paper's bases: ``sym4`` for Mallat's pyramid,
+        ``sym4-tensor`` for the form of the paper's table.
     json
         Print JSON instead of tables.
 
@@ -95,8 +103,10 @@ def evaluate(
     --------
     skin evaluate all --quick
     skin evaluate all --meshes ycb-meshes --out report
+    skin evaluate sparsity --basis sym4-tensor coif1-tensor
     """
     from evaluation.result import Options
+    from reconstructor.bases.names import wavelet_basis_name
 
     if subject not in get_args(Subject):
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(get_args(Subject))}")
@@ -104,10 +114,13 @@ def evaluate(
         raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
     if draws is not None and subject in _WITHOUT_DRAWS:
         raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
+    if basis and subject not in {"all", "sparsity"}:
+        raise InputError(f"only 'sparsity' takes bases, not '{subject}': leave out --basis")
     if out is None and subject == "all":
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
-    options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed)
+    bases = tuple(map(wavelet_basis_name, basis or ()))
+    options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases)
     results: dict[str, Result] = {}
     for name in SUBJECTS if subject == "all" else [subject]:
         asked = replace(options, draws=None) if name in _WITHOUT_DRAWS else options

@@ -19,7 +19,8 @@ Row = dict[str, Any]
 class Options:
     """What every evaluation is asked: the options of ``skin evaluate``.
 
-    Without `out` nothing is kept; without `draws` each subject has its own number.
+    Without `out` nothing is kept; without `draws` each subject has its own number. `bases` are full names of wavelet
+    bases.
 
     Raises
     ------
@@ -36,6 +37,7 @@ class Options:
     seed: int = 0
     scenes: int = 10
     scene_seed: int = 0
+    bases: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):

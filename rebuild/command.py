@@ -52,8 +52,9 @@ def rebuild(
 
     A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle.
     The offsets in a run of ``skin record`` are taken off. A recording is measured as in the nodes, one frame per
-    cycle. Images of ``live``, ``variation`` and ``paper-contourlet`` equal those of ``skin reconstruct``. With
-    wavelets, eight parts of the recording are solved together; with ``paper`` on a GPU, up to 256 parts.
+    cycle. Images of ``live``, ``variation``, ``paper-contourlet`` and of most wavelets equal those of ``skin
+    reconstruct``. With Haar and D4, eight parts of the recording are solved together; with ``paper`` on a GPU, up to
+    256 parts.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def rebuild(
     layout
         TOML of the skin; default: the layout in the .mcap, else the default skin.
     device
-        ``gpu`` needs an NVIDIA GPU, the extra canskin[gpu], and ``--solver paper``.
+        ``gpu`` needs an NVIDIA GPU, the extra canskin[gpu], and ``--solver paper``; ``--basis`` may name a tensor.
     solver
         Solver of the images.
     channel

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from reconstructor.bases.separable import haar_tensor
+from reconstructor.bases import Separable, wavelet_basis
 from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
-from reconstructor.settings import SolverSettings
+from reconstructor.settings import NO_WAVELETS, SolverSettings
 from skin.measurement import Sbhe, fast_hadamard
 
 
@@ -38,7 +38,7 @@ def gpu_library() -> ModuleType:
 
 
 class BatchSolver:
-    """min ½‖Φx_f - y_f‖² + λ‖Ψᵀx_f‖₁ for all frames f at once, Ψ the tensor Haar: the paper's solver for recordings.
+    """min ½‖Φx_f - y_f‖² + λ‖Ψᵀx_f‖₁ for all frames f at once, Ψ a tensor basis: the paper's solver for recordings.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class BatchSolver:
     rows, columns : int
         Powers of two, 8 to 256.
     settings : SolverSettings
-        With the prior "haar-tensor", without spins, scaled start and temporal filter.
+        With a prior of the form "tensor", without spins, scaled start and temporal filter.
     library : module
         NumPy, CuPy or another library of the array API.
     dtype : float32 or float64
@@ -68,9 +68,10 @@ class BatchSolver:
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         check_grid_of(phi, rows, columns)
-        if settings.prior != "haar-tensor" or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
+        psi = None if settings.prior in NO_WAVELETS else wavelet_basis(settings.prior, rows, columns)
+        if not isinstance(psi, Separable) or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
             raise InputError(
-                "a GPU needs the prior 'haar-tensor' without spins, scaled start and temporal filter, "
+                "a GPU needs a prior of the form 'tensor' without spins, scaled start and temporal filter, "
                 f"as the solver 'paper' has them: got {settings}"
             )
         self._xp: Final = library
@@ -80,7 +81,6 @@ class BatchSolver:
         self._threshold = settings.penalty_n * self._step
         self._nonnegative = settings.nonnegative
         self._momentum = [float(weight) for weight in momentum(settings.iterations)]
-        psi = haar_tensor(rows, columns)
         self._down, self._across = (self._send(matrix) for matrix in (psi.rows_matrix, psi.columns_matrix))
         self._hadamard = self._send(fast_hadamard(np.eye(phi.block_size)))
         self._order = library.asarray(phi.order)

@@ -16,7 +16,7 @@ from reconstructor.array_api import BatchSolver
 from reconstructor.checks import LARGEST_N
 from reconstructor.engine import Reconstructor
 from reconstructor.kernels.lanes import LANES, LaneSolver
-from reconstructor.settings import LIVE, WAVELETS, SolverSettings
+from reconstructor.settings import COMPILED_WAVELETS, LIVE, SolverSettings
 from skin.clipping import ClipCorrection
 from skin.measurement import Sbhe
 
@@ -40,8 +40,9 @@ def _silent(_images: int) -> None:
 class RecordingSolver:
     """Solves whole recordings, each image warm-started from the one before.
 
-    Total variation, contourlets and the temporal filter use the `Reconstructor`, one cycle after the other: the images
-    equal those of the live service, bit by bit. Wavelets use a `LaneSolver`, or with `library` a `BatchSolver`.
+    Haar and D4 use a `LaneSolver`, or with `library` a tensor basis uses a `BatchSolver`. All other priors and the
+    temporal filter use the `Reconstructor`, one cycle after the other: the images equal those of the live service, bit
+    by bit.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ class RecordingSolver:
             self._arrays = BatchSolver(phi, rows, columns, settings, library=library)
             self._solve = self._on_arrays
             self.method = f"up to {ARRAY_STREAMS} parts of the recording side by side on arrays of {library.__name__}"
-        elif settings.prior in WAVELETS and not settings.temporal_filter:
+        elif settings.prior in COMPILED_WAVELETS and not settings.temporal_filter:
             self._lanes = LaneSolver(phi, rows, columns, settings)
             self._solve = self._in_lanes
             self.method = f"{LANES} parts of the recording side by side"

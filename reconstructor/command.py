@@ -79,8 +79,8 @@ def make_engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstruc
     if skin.sending == "adaptive":
         if options is not None:
             raise InputError(
-                "--solver, --iterations, --penalty-n and --noise-n are for synchronous sending: adaptive sums have a"
-                " solver of their own; leave them out"
+                "--solver, --iterations, --basis, --penalty-n and --noise-n are for synchronous sending: adaptive sums"
+                " have a solver of their own; leave them out"
             )
         return AdaptiveReconstructor(skin), "adaptive sums"
     chosen = options or SolverOptions()
@@ -93,7 +93,8 @@ def make_engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstruc
         noise_n=chosen.noise_n,
         samples=skin.samples_per_sync,
     )
-    return engine, f"{settings.iterations} iterations"
+    basis = f", basis {settings.prior}" if chosen.basis else ""
+    return engine, f"{settings.iterations} iterations{basis}"
 
 
 def load_gains(path: Path | None, skin: Layout) -> npt.NDArray[np.float64] | None:

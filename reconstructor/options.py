@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 from cyclopts import Parameter
 
+from canskin.errors import InputError
+from reconstructor.bases.names import wavelet_basis_name
 from reconstructor.settings import SolverSettings, preset
 
 
@@ -20,6 +22,9 @@ class SolverOptions:
         solver, tensor Haar, L = 2B. ``paper-contourlet``: the paper's solver with contourlets.
     iterations : int
         FISTA iterations per image; default: those of the solver.
+    basis : str
+        Orthogonal wavelet in place of the solver's total variation or Haar wavelets, with the name of PyWavelets:
+        ``sym4`` or ``sym4-pyramid`` for Mallat's pyramid, ``sym4-tensor`` for the paper's form.
     penalty_n : float
         λ in newtons; default: that of the solver.
     noise_n : float
@@ -29,6 +34,7 @@ class SolverOptions:
 
     solver: str = "live"
     iterations: int | None = None
+    basis: str | None = None
     penalty_n: float | None = None
     noise_n: float | None = None
 
@@ -38,11 +44,14 @@ class SolverOptions:
         Raises
         ------
         InputError
-            If the solver is unknown, or a number is out of its range.
+            If solver or basis are unknown or do not fit, or a number is out of its range.
         """
         chosen = preset(self.solver)
+        if self.basis is not None and chosen.prior == "contourlet":
+            raise InputError(f"--basis: '{self.solver}' has contourlets as its basis: take another --solver")
         return replace(
             chosen,
+            prior=chosen.prior if self.basis is None else wavelet_basis_name(self.basis),
             iterations=chosen.iterations if self.iterations is None else self.iterations,
             penalty_n=chosen.penalty_n if self.penalty_n is None else self.penalty_n,
         )

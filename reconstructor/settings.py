@@ -1,14 +1,16 @@
 """The settings of a solver: defaults, ranges and presets."""
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal, get_args
+from typing import Final
 
 from canskin.errors import InputError
+from reconstructor.bases.names import wavelet_basis_name
 from reconstructor.checks import check_settings, is_whole
 
-Prior = Literal["haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "variation", "contourlet"]
-#: Priors that are orthonormal wavelets: the grid of their basis can be shifted.
-WAVELETS: Final = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor")
+#: Wavelet priors with compiled transforms.
+COMPILED_WAVELETS: Final = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor")
+#: Priors that are no orthonormal wavelet: no grid of a basis can be shifted.
+NO_WAVELETS: Final = ("variation", "contourlet")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +20,8 @@ class SolverSettings:
     Attributes
     ----------
     prior : str
-        R: the l1 norm of the coefficients of a wavelet or of the contourlet, or the anisotropic total variation.
+        R: ``variation``, the anisotropic total variation, or the l1 norm of the coefficients of a basis: ``contourlet``
+        or the full name of a wavelet basis, for example ``haar-pyramid`` or ``sym4-tensor``.
     iterations : int
         FISTA iterations of each image.
     penalty_n : float
@@ -42,7 +45,7 @@ class SolverSettings:
         If a value is unknown or out of its range, or does not fit the prior.
     """
 
-    prior: Prior
+    prior: str
     iterations: int
     penalty_n: float
     lipschitz_ratio: float = 1.0
@@ -53,11 +56,11 @@ class SolverSettings:
 
     def __post_init__(self) -> None:
         check_settings(self.iterations, self.penalty_n, self.lipschitz_ratio)
-        if self.prior not in get_args(Prior):
-            raise InputError(f"unknown prior '{self.prior}': expected one of {', '.join(get_args(Prior))}")
+        if self.prior not in NO_WAVELETS and self.prior != (full := wavelet_basis_name(self.prior)):
+            raise InputError(f"expected the full name '{full}', got '{self.prior}'")
         if not is_whole(self.spins) or not 1 <= self.spins <= 64:
             raise InputError(f"expected 1 to 64 spins, got {self.spins}")
-        if self.spins > 1 and self.prior not in WAVELETS:
+        if self.spins > 1 and self.prior in NO_WAVELETS:
             raise InputError(f"'{self.prior}' has no wavelet basis to shift: expected spins of 1, got {self.spins}")
         if self.prior == "contourlet" and (self.nonnegative or self.scaled_start):
             raise InputError(

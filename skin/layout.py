@@ -13,6 +13,7 @@ from skin.measurement import Sbhe, sbhe
 from skin.output import RECORDING_SUFFIX
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
+from skin.wiring import check_patch, within_patches
 
 #: Names of the layouts that come with the project.
 SHIPPED: Final = ("adaptive", "adaptive-fd", "default", "fd", "one-bus-12bit")
@@ -88,6 +89,8 @@ class Measuring(_Table, frozen=True, kw_only=True):
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
     # Blocks of taxels from all over the skin, or of neighbours: a patch of each board.
     wiring: Literal["scattered", "board"] = "scattered"
+    # Scattered blocks: side of the region that holds a block, taxels; without the key the whole skin.
+    patch: Literal[8, 16, 32, 64] | None = None
 
 
 class Sync(_Table, frozen=True, kw_only=True):
@@ -186,24 +189,23 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
-        measurement = self.measurement
-        phi = sbhe(
-            self.taxels.count,
-            measurement.sums,
-            block_size=measurement.block_size,
-            selection=measurement.selection,
-            seed=measurement.seed,
-        )
-        return phi if measurement.wiring == "scattered" else Sbhe(np.concatenate(self.patches()).ravel(), phi.kept)
+        taxels, drawn = self.taxels, self.measurement
+        phi = sbhe(taxels.count, drawn.sums, block_size=drawn.block_size, selection=drawn.selection, seed=drawn.seed)
+        if drawn.wiring == "board":
+            return Sbhe(np.concatenate(self.patches()).ravel(), phi.kept)
+        return phi if drawn.patch is None else within_patches(phi, taxels.rows, taxels.columns, drawn.patch, self._held)
 
     def patches(self) -> list[Indices]:
         """Return the taxels of each block of neighbours, by bus: arrays of shape (blocks of the bus, block size)."""
-        blocks = [bus.nodes * bus.blocks_per_node for bus in self.bus]
-        return patches(self.taxels.rows, self.taxels.columns, self.measurement.block_size, blocks)
+        return patches(self.taxels.rows, self.taxels.columns, self.measurement.block_size, self._held)
+
+    @property
+    def _held(self) -> list[int]:
+        return [bus.nodes * bus.blocks_per_node for bus in self.bus]
 
     def first_block(self, bus: int) -> int:
         """Return the first block of node 1 on bus number `bus`; the blocks of the other nodes follow."""
-        return sum(each.nodes * each.blocks_per_node for each in self.bus[:bus])
+        return sum(self._held[:bus])
 
 
 def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
@@ -352,6 +354,7 @@ def _check_measurement(layout: Layout) -> None:
             raise LayoutError(f"expected a power of two, got {size} - at `$.{path}`")
     if taxels.count % measurement.block_size:
         raise LayoutError(f"{taxels.count} taxels do not divide into blocks - at `$.measurement.block_size`")
+    check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
     if not layout.blocks <= measurement.sums <= taxels.count:
         limits = f"{layout.blocks} (one per block) to {taxels.count} sums"
         raise LayoutError(f"expected {limits}, got {measurement.sums} - at `$.measurement.sums`")

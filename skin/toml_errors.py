@@ -5,6 +5,7 @@ msgspec tells what a type expected. The author also needs the value that came, a
 
 import difflib
 import re
+from types import NoneType
 from typing import Any, Final, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -53,7 +54,8 @@ def _missing(found: re.Match[str], _table: type, _keys: list[str], _value: Any) 
 
 
 def _choice(_found: re.Match[str], table: type, keys: list[str], value: Any) -> str:
-    choices = get_args(get_type_hints(table)[keys[-1]])
+    hints = get_args(get_type_hints(table)[keys[-1]])
+    choices = [choice for hint in hints if hint is not NoneType for choice in get_args(hint) or (hint,)]
     return f"expected {' or '.join(map(str, choices))}, got {_shown(value)}"
 
 

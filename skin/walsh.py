@@ -66,15 +66,19 @@ def patches(rows: int, columns: int, taxels: int, blocks: Sequence[int]) -> list
     cells = np.arange(rows * columns).reshape(rows // high, high, columns // wide, wide).swapaxes(1, 2)
     down, across = np.indices(cells.shape[:2])
     buses = len(blocks)
-    wanted = ((down + max(1, buses // 2) * across) % buses).ravel()
-    left, dealt = list(blocks), np.empty(wanted.size, np.intp)
+    bus_of = dealt(((down + max(1, buses // 2) * across) % buses).ravel(), blocks)
+    flat = cells.reshape(-1, taxels)
+    return [flat[bus_of == bus] for bus in range(buses)]
+
+
+def dealt(wanted: Indices, blocks: Sequence[int]) -> Indices:
+    """Return the bus of every block: the `wanted` bus, or the next that has room; `blocks` counts those of a bus."""
+    left, bus_of, buses = list(blocks), np.empty(wanted.size, np.intp), len(blocks)
     for place, first in enumerate(wanted.tolist()):
-        # A bus that is full leaves its patch to the next.
         bus = next(each % buses for each in range(first, first + buses) if left[each % buses])
         left[bus] -= 1
-        dealt[place] = bus
-    flat = cells.reshape(-1, taxels)
-    return [flat[dealt == bus] for bus in range(buses)]
+        bus_of[place] = bus
+    return bus_of
 
 
 @cache

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from typing import Final
 
-from canskin.errors import InputError
 from reconstructor.bases.basis import Basis
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.dct import Dct
+from reconstructor.bases.names import wavelet_of
 from reconstructor.bases.pyramid import Pyramid, daubechies4_pyramid, haar_pyramid
-from reconstructor.bases.separable import Separable, daubechies4_tensor, haar_tensor
+from reconstructor.bases.separable import Separable, daubechies4_tensor, haar_tensor, wavelet_tensor
 
-#: Every basis by name; "tensor" is the form of the paper's tables, "pyramid" that of Mallat.
+#: The paper's bases by name, and DCT; "tensor" is the form of the paper's tables, "pyramid" that of Mallat.
 BASES: Final[dict[str, Callable[[int, int], Basis]]] = {
     "haar-tensor": haar_tensor,
     "haar-pyramid": haar_pyramid,
@@ -22,16 +22,20 @@ BASES: Final[dict[str, Callable[[int, int], Basis]]] = {
 
 
 def make_basis(name: str, rows: int, columns: int) -> Basis:
-    """Return the basis `name` for a grid.
+    """Return the basis `name` for a grid: of `BASES`, or of any orthogonal wavelet (`wavelet_basis_name`).
 
     Raises
     ------
     InputError
         If the name is unknown or the grid does not fit.
     """
-    if name not in BASES:
-        raise InputError(f"unknown basis '{name}': expected one of {', '.join(BASES)}")
-    return BASES[name](rows, columns)
+    return BASES[name](rows, columns) if name in BASES else wavelet_basis(name, rows, columns)
+
+
+def wavelet_basis(name: str, rows: int, columns: int) -> Pyramid | Separable:
+    """Return the basis of any orthogonal wavelet, the paper's among them; raises as `make_basis`."""
+    wavelet, form = wavelet_of(name)
+    return Pyramid(rows, columns, wavelet) if form == "pyramid" else wavelet_tensor(wavelet, rows, columns)
 
 
 __all__ = [
@@ -46,4 +50,5 @@ __all__ = [
     "haar_pyramid",
     "haar_tensor",
     "make_basis",
+    "wavelet_basis",
 ]

@@ -17,6 +17,11 @@ class Pyramid:
     wavelet : pywt.Wavelet
         Orthogonal; periodic, with the phase of `reconstructor.bases.separable.wavelet_tensor`.
 
+    Attributes
+    ----------
+    steps : list of (array, array)
+        H along the columns and along the rows, for each level.
+
     Raises
     ------
     InputError
@@ -27,7 +32,7 @@ class Pyramid:
         check_grid(rows, columns)
         self.image_shape = self.shape = (rows, columns)
         self._sizes = [(rows >> level, columns >> level) for level in range(min(rows, columns).bit_length() - 1)]
-        self._steps = [(wavelet_step(wavelet, height), wavelet_step(wavelet, width)) for height, width in self._sizes]
+        self.steps = [(wavelet_step(wavelet, height), wavelet_step(wavelet, width)) for height, width in self._sizes]
 
     @property
     def dtype(self) -> np.dtype[np.float64]:
@@ -38,7 +43,7 @@ class Pyramid:
         """Return the coefficients, shape (rows, columns), coarsest at the upper left."""
         check_values("image", image, self.image_shape)
         coefficients = image.copy()
-        for (height, width), (down, across) in zip(self._sizes, self._steps, strict=True):
+        for (height, width), (down, across) in zip(self._sizes, self.steps, strict=True):
             coefficients[:height, :width] = down @ coefficients[:height, :width] @ across.T
         return coefficients
 
@@ -46,7 +51,7 @@ class Pyramid:
         """Return the image."""
         check_values("coefficients", coefficients, self.shape)
         image: Values = np.array(coefficients)
-        for (height, width), (down, across) in zip(self._sizes[::-1], self._steps[::-1], strict=True):
+        for (height, width), (down, across) in zip(self._sizes[::-1], self.steps[::-1], strict=True):
             image[:height, :width] = down.T @ image[:height, :width] @ across
         return image
 

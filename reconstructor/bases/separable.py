@@ -40,6 +40,11 @@ class Separable:
         return self.image_shape
 
     @property
+    def steps(self) -> list[tuple[Matrix, Matrix]]:
+        """The matrices of both directions: like a pyramid of one level."""
+        return [(self.rows_matrix, self.columns_matrix)]
+
+    @property
     def dtype(self) -> np.dtype[np.float64]:
         """float64: the entries are real numbers."""
         return np.dtype(np.float64)

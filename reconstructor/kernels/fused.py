@@ -9,6 +9,7 @@ import numpy.typing as npt
 from reconstructor.checks import Values, check_estimate, check_values, placed
 from reconstructor.kernels import daubechies, haar, variation
 from reconstructor.kernels.addresses import spin_shifts
+from reconstructor.kernels.matrices import SCRATCH_ROWS, MatrixWavelet
 from reconstructor.kernels.problem import Model, check_penalty_ratio, checked, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, row, scratch_of
 from reconstructor.settings import SolverSettings
@@ -35,11 +36,12 @@ _KERNELS: Final[dict[str, _Kernel]] = {
 
 
 class FusedSolver:
-    """min ½‖Φx - y‖² + λ R(x) by FISTA, Φ an SBHE, on one thread and without allocation.
+    """min ½‖Φx - y‖² + λ R(x) by FISTA, Φ an SBHE.
 
-    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. The iteration is over the image, not over
-    its coefficients. For an orthonormal Ψ both iterations are the same, and shifts of the basis and non-negativity need
-    no extra time.
+    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. Total variation and the wavelets of
+    `COMPILED_WAVELETS` are compiled as a whole, for one thread and without allocation; all others are `MatrixWavelet`.
+    The iteration is over the image, not over its coefficients. For an orthonormal Ψ both iterations are the same, and
+    shifts of the basis and non-negativity need no extra time.
 
     Parameters
     ----------
@@ -71,7 +73,9 @@ class FusedSolver:
         self.sums: Final = phi.shape[0]
         self.shifts: Final = spin_shifts(settings.spins, rows, columns)
         self.dtype: Final = np.dtype(dtype)
-        self._kernel = _KERNELS[settings.prior]
+        self._kernel = _KERNELS.get(settings.prior) or _Kernel(
+            MatrixWavelet(settings.prior, rows, columns, self.dtype), SCRATCH_ROWS
+        )
         self._taxel = taxels_in_block_order(phi)
         self._problem = model.problem()
         self._threshold = model.threshold

@@ -15,7 +15,7 @@ from reconstructor.kernels import daubechies, haar
 from reconstructor.kernels.problem import Model, checked
 from reconstructor.kernels.steps import Problem, Table, advance, aligned, descend, row, scratch_of, start_scale
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
-from reconstructor.settings import WAVELETS, SolverSettings
+from reconstructor.settings import COMPILED_WAVELETS, SolverSettings
 from skin.compiled import njit
 from skin.measurement import Sbhe
 
@@ -108,8 +108,8 @@ class LaneSolver:
     phi, rows, columns, dtype
         See `reconstructor.kernels.fused.FusedSolver`.
     settings : SolverSettings
-        A wavelet prior. Total variation has no such solver: its loops are vectorised already, and eight duals would not
-        fit the cache.
+        A prior of `COMPILED_WAVELETS`. Total variation has no such solver: its loops are vectorised already, and eight
+        duals would not fit the cache.
 
     Raises
     ------
@@ -126,8 +126,9 @@ class LaneSolver:
         *,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        if settings.prior not in WAVELETS:
-            raise InputError(f"'{settings.prior}' has no solver in lanes: expected one of {', '.join(WAVELETS)}")
+        if settings.prior not in COMPILED_WAVELETS:
+            expected = ", ".join(COMPILED_WAVELETS)
+            raise InputError(f"'{settings.prior}' has no solver in lanes: expected one of {expected}")
         model = Model(phi, rows, columns, settings, dtype)
         self.shape: Final = (rows, columns)
         self.dtype: Final = np.dtype(dtype)

@@ -25,12 +25,10 @@ from reconstructor.kernels.steps import Problem, Table, usable
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
 
+#: The order of pixels of a prior; of all others row by row.
 ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
     "haar-pyramid": pyramid_addresses,
     "haar-tensor": tensor_addresses,
-    "d4-pyramid": row_addresses,
-    "d4-tensor": row_addresses,
-    "variation": row_addresses,
 }
 
 
@@ -52,8 +50,8 @@ class Model:
 
     def __post_init__(self) -> None:
         check_grid_of(self.phi, self.rows, self.columns)
-        if self.settings.prior not in ADDRESSES:
-            raise InputError(f"expected a prior of {', '.join(ADDRESSES)}, got '{self.settings.prior}'")
+        if self.settings.prior == "contourlet":
+            raise InputError("expected a wavelet or 'variation', got 'contourlet'")
         float_kind(self.dtype)
 
     @property
@@ -71,7 +69,7 @@ class Model:
         kind, phi, taxel = np.dtype(self.dtype), self.phi, taxels_in_block_order(self.phi)
         settings = self.settings
         floor = 0.0 if settings.nonnegative else float(np.finfo(kind).min)
-        addresses = ADDRESSES[settings.prior](self.rows, self.columns)
+        addresses = ADDRESSES.get(settings.prior, row_addresses)(self.rows, self.columns)
         shifts = spin_shifts(settings.spins, self.rows, self.columns)
         to_blocks = np.stack([shifted(addresses, shift).ravel()[taxel] for shift in shifts])
         return Problem(

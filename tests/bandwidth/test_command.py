@@ -63,6 +63,10 @@ def test_json_plan_has_buses_alternatives_and_schemes(skin: Skin) -> None:
         each["change"] for each in document["alternatives"]
     }
     assert document["schemes"] == msgspec.to_builtins(list(schemes(load_layout())))  # tested against published tables
+    wires = document["wiring"]
+    assert wires["longest_chain_m"] == pytest.approx(1.627, abs=0.001)
+    assert wires["wires_m"] == pytest.approx(165.6, abs=0.1)
+    assert wires["conversions_per_s"] == 32_000
     full_scan = [each for each in document["schemes"] if each["what"] == "taxels" and each["data_bitrate"] is None]
     assert {each["bits"] for each in full_scan} == {10, 12, 16}
 
@@ -73,6 +77,7 @@ def test_a_person_gets_a_table(skin: Skin) -> None:
     assert "load, touched / worst" in out
     assert "184.2" in out
     assert "bus0: 1: " in out
+    assert "longest chain of taxels 1.63 m, all chains 165.6 m, 12800 conversions a second on a node" in out
 
 
 def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_path: Path) -> None:

@@ -197,6 +197,14 @@ def test_other_solvers(
     assert f"solver {solver}, 7 iterations, {method}" in capsys.readouterr().err
 
 
+def test_any_wavelet(force_n: np.ndarray, layout_file: Path, tmp_path: Path, out: Path) -> None:
+    np.save(tmp_path / "mat.npy", force_n)
+    rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, solver=SolverOptions("paper", basis="sym4-tensor"))
+    images, _, _, about = loaded(out)
+    assert about["settings"]["prior"] == "sym4-tensor"
+    assert np.abs(images - force_n).mean() < 0.001
+
+
 def test_the_gpu_path_on_a_cpu(
     force_n: np.ndarray,
     layout_file: Path,
@@ -285,6 +293,8 @@ def test_what_cannot_be_used_is_named(
         ({"source": log, "full_scale": 1.0}, "leave out --array and --full-scale"),
         ({"source": log, "channel": ["a", "b", "c"]}, "up to 2 channels"),
         ({"source": log, "solver": SolverOptions("best")}, "unknown solver 'best'"),
+        ({"source": log, "solver": SolverOptions(basis="sim4")}, "unknown basis 'sim4': did you mean 'sym4'"),
+        ({"source": log, "solver": SolverOptions("paper-contourlet", basis="sym4")}, "take another --solver"),
         ({"source": no_sync}, "no SYNC with a counter, 1 byte"),
     ):
         with pytest.raises(InputError, match=says):

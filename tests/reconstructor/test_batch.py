@@ -15,7 +15,7 @@ from reconstructor.batch import RecordingSolver
 from reconstructor.engine import Reconstructor
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.lanes import LANES, LaneSolver
-from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, Prior, SolverSettings
+from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, SolverSettings
 from skin.measurement import Sbhe, sbhe
 from tests.reconstructor.conftest import Scene, psnr_db
 from tests.reconstructor.reference import Shrinkage, fista_image
@@ -25,7 +25,7 @@ PHI = sbhe(512, 128, block_size=16, selection="uniform", seed=3)
 
 @pytest.mark.parametrize("prior", ["haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor"])
 @pytest.mark.parametrize("scaled_start", [False, True])
-def test_lanes_are_the_single_solver(prior: Prior, scaled_start: bool) -> None:
+def test_lanes_are_the_single_solver(prior: str, scaled_start: bool) -> None:
     """Twice, so that the second solve starts from the first."""
     rng = np.random.default_rng(0)
     sums = rng.normal(0, 0.03, (LANES, 128)).astype(np.float32)
@@ -72,7 +72,16 @@ def test_recordings_in_lanes_are_as_good_as_one_cycle_after_the_other(
     np.testing.assert_allclose(made[:first], theirs[:first], atol=1e-6)
 
 
-@pytest.mark.parametrize("settings", [LIVE, VARIATION, replace(PAPER_CONTOURLET, iterations=5)])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        LIVE,
+        VARIATION,
+        replace(PAPER_CONTOURLET, iterations=5),
+        replace(LIVE, prior="haar-tensor"),
+        replace(SPUN, prior="sym4-pyramid", iterations=5),
+    ],
+)
 def test_other_recordings_are_those_of_the_live_engine_bit_by_bit(
     phi: Sbhe, golf: Scene, settings: SolverSettings
 ) -> None:

@@ -51,6 +51,9 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("rows = 64", "rowz = 64", "$.taxels"),
         ("adc_bits = 10", "adc_bits = 17", "$.taxels.adc_bits"),
         ("block_size = 32", "block_size = 33", "$.measurement.block_size"),
+        ("block_size = 32", "block_size = 32\npatch = 12", "$.measurement.patch"),
+        ("block_size = 32", "block_size = 128\npatch = 8", "$.measurement.patch"),
+        ("block_size = 32", "block_size = 32\npatch = 16\nwiring = 'board'", "$.measurement.patch"),
         ("sums = 1024", "sums = 1000", "$.measurement.sums"),
         ("sums = 1024", "sums = 100", "$.measurement.sums"),
         ("rate_hz = 100.0", "rate_hz = -1.0", "$.sync.rate_hz"),
@@ -123,6 +126,8 @@ def test_small_skin() -> None:
     ("old", "new", "says"),
     [
         ("sum_bits = 16", "sum_bits = 9", "expected 16 or 12 or 8, got 9"),
+        ("block_size = 32", "block_size = 32\npatch = 12", "expected 8 or 16 or 32 or 64, got 12"),
+        ("block_size = 32", "block_size = 128\npatch = 8", "8 x 8 taxels are fewer than the 128 of a block: got 8"),
         ('ensemble = "sbhe"', 'ensemble = "dct"', 'expected sbhe, got "dct"'),
         ('selection = "balanced"', 'selection = "any"', 'expected balanced or uniform, got "any"'),
         ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "expected 1 or 2 or 4 or 8, got 3"),
