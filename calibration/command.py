@@ -10,7 +10,8 @@ from calibration.gain_files import stored_gains
 from calibration.stored import StoredCalibration, encoded, load_calibration, parse_calibration, save_calibration
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, CalibrationStatus
 from canskin.errors import InputError, RunError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from skin.layout import Layout, load_layout
 from skin.output import check_output_path
 from skin.service import say

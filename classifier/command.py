@@ -5,7 +5,8 @@ from pathlib import Path
 import msgspec
 
 from canskin.errors import InputError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.coarse_sums import classified_phi
 from classifier.model import SIMULATED, Features, Metadata, Model

@@ -11,7 +11,8 @@ from calibration.stored import load_calibration
 from canskin.calibration_messages import CALIBRATION
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration

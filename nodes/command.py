@@ -9,7 +9,8 @@ from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
 from canskin.errors import InputError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from firmware.library import Firmware

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from calibration.stored import load_calibration
 from canskin.errors import InputError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor

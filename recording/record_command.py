@@ -8,9 +8,10 @@ from typing import Final
 
 from bus.options import BusOptions, open_links
 from canskin.errors import BusError, InputError, RunError, Stopped
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from canskin.peers import Peer
+from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
 from recording.recorder import Recorder

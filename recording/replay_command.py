@@ -9,7 +9,8 @@ from calibration.calibrator import Tare
 from calibration.offline import make_calibrator
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError, RunError
-from canskin.fabric import DEFAULT_ENDPOINT, Exchange, Fabric
+from canskin.fabric import Exchange, Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from classifier.cache import find_or_train
 from classifier.coarse_sums import classified_phi
 from classifier.decide import Classifier

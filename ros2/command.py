@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from ros2.bridge import TARE, Bridge
 from ros2.names import check_domain, check_namespace
 from ros2.node import SERVICE, RosNode

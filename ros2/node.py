@@ -8,7 +8,7 @@ from typing import Any, Final
 import zenoh
 
 from canskin.errors import BusError
-from canskin.fabric import Listener, open_client
+from canskin.session import Listener, open_client
 from ros2.names import RELIABLE, Node, attachment, gid_of, parse_attachment
 from ros2.topics import RosTopic
 from ros2.types import TRIGGER, TRIGGER_REPLY, encoded, key_type, message

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from canskin.fabric import open_client
+from canskin.session import open_client
 from ros2.names import Node
 from ros2.node import ROUTER
 from ros2.types import decoded, key_type

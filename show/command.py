@@ -8,7 +8,8 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from canskin.errors import InputError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from show.foxglove_canvas import FoxgloveCanvas
 from show.painter import TOPICS, Canvas, Painter
 from show.rerun_canvas import RerunCanvas

@@ -10,7 +10,8 @@ from typing import Final
 import uvicorn
 
 from canskin.errors import InputError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
 from skin.layout import load_layout
 from skin.service import StopSignal, say
 from viewer.app import build_app

@@ -9,10 +9,11 @@ import msgspec
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.errors import BusError, RunError
-from canskin.fabric import DEFAULT_ENDPOINT, Fabric, peers_at
+from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus
 from canskin.peers import Peer
+from canskin.session import DEFAULT_ENDPOINT, peers_at
 from canskin.skin import FrameHub, Frames, Health, Skin
 
 #: Name of this service on the fabric.

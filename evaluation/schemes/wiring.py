@@ -68,7 +68,8 @@ def measure(*, name: str, meshes: str | None, seed: int, speed: int, wiring: str
     random = np.random.default_rng(seed)
     felt = sense(true, random).reshape(len(true), -1)
     sums_n = phi.forward(felt).astype(np.float32)
-    is_touched: npt.NDArray[np.bool_] = (true.reshape(len(true), -1) > 0)[:, chains].any(axis=2)  # (frames, boards)
+    # (frames, boards)
+    is_touched: npt.NDArray[np.bool_] = np.logical_or.reduce((true.reshape(len(true), -1) > 0)[:, chains], axis=2)
     engine = Reconstructor(phi, layout.taxels.rows, layout.taxels.columns, VARIATION)
 
     def psnr_db(valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canskin import fabric as fabric_module
+from canskin import session as session_module
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.errors import BusError, Stopped
 from canskin.fabric import Fabric, Mailbox, Origin, Reply
@@ -200,8 +201,8 @@ def test_no_hub_is_one_clear_line(endpoint: str) -> None:
 def test_hub_that_comes_later_is_found_and_both_are_told(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, log: Log
 ) -> None:
-    monkeypatch.setattr(fabric_module, "TRY_S", 0.05)
-    monkeypatch.setattr(fabric_module, "SILENT_S", 0.0)
+    monkeypatch.setattr(session_module, "TRY_S", 0.05)
+    monkeypatch.setattr(session_module, "SILENT_S", 0.0)
     hubs: list[Fabric] = []
 
     def start_hub() -> None:
@@ -252,8 +253,8 @@ def test_what_a_service_says_of_itself_survives_its_key() -> None:
 def test_a_stop_while_waiting_for_the_hub_ends_quietly(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, log: Log
 ) -> None:
-    monkeypatch.setattr(fabric_module, "TRY_S", 0.05)
-    monkeypatch.setattr(fabric_module, "SILENT_S", 0.0)
+    monkeypatch.setattr(session_module, "TRY_S", 0.05)
+    monkeypatch.setattr(session_module, "SILENT_S", 0.0)
     stop = threading.Event()
     later = threading.Timer(0.2, stop.set)
     later.start()

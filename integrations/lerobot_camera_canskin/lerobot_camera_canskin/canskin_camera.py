@@ -10,7 +10,7 @@ from lerobot.cameras import Camera
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 import canskin
-from canskin.fabric import DEFAULT_ENDPOINT
+from canskin.session import DEFAULT_ENDPOINT
 from lerobot_camera_canskin.config_canskin_camera import CanskinCameraConfig
 from lerobot_camera_canskin.window import TouchWindow, WindowBuffer
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from lerobot.cameras import CameraConfig
 
-from canskin.fabric import DEFAULT_ENDPOINT
+from canskin.session import DEFAULT_ENDPOINT
 
 
 @CameraConfig.register_subclass("canskin")

@@ -1,0 +1,167 @@
+"""Sessions of zenoh with explicit endpoints and no multicast."""
+
+import json
+import logging
+import math
+import re
+import time
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, Protocol
+
+import zenoh
+
+from canskin.errors import BusError, Stopped
+from canskin.peers import EVERY_KEY, Peer, peer_of_key
+
+#: Name of the logger. Records have the attribute `service`.
+LOG: Final = "canskin"
+DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+#: After this time without a hub a service logs that it waits.
+SILENT_S: Final = 3.0
+#: A service that waits for the hub checks the stop signal at least this often.
+TRY_S: Final = 1.0
+#: Period of a search for services.
+LOOK_S: Final = 0.1
+#: Protocols of zenoh's links; those before ``serial`` need a port.
+PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
+PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
+HIGHEST_PORT: Final = 65535
+_log: Final = logging.getLogger(LOG)
+
+
+class Stop(Protocol):
+    """Tells whether to stop: a `threading.Event`, or a flag that signals set."""
+
+    def is_set(self) -> bool:
+        """Tell whether to stop."""
+        ...
+
+
+def _check_endpoint(endpoint: str) -> None:
+    protocol, _, address = endpoint.partition("/")
+    port = address.rpartition(":")[2]
+    has_port = re.fullmatch(r".+:\d+", address) and int(port) <= HIGHEST_PORT
+    if protocol not in PROTOCOLS or not address or (protocol in PROTOCOLS_WITH_PORT and not has_port):
+        raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
+
+
+def open_hub(endpoint: str) -> Any:
+    """Open the session of the hub.
+
+    Raises
+    ------
+    BusError
+        If the endpoint cannot be used.
+    """
+    _check_endpoint(endpoint)
+    try:
+        return zenoh.open(_config(endpoint, hub=True))
+    except zenoh.ZError as error:
+        raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from error
+
+
+class Listener(NamedTuple):
+    """Words of the messages about the process that listens on an endpoint: its name, who starts it, which option."""
+
+    name: str = "hub"
+    full_name: str = "the fabric's hub"
+    starter: str = "'skin gateway'"
+    option: str = "--connect"
+
+
+def open_client(
+    endpoint: str,
+    service: str,
+    stop: Stop | None,
+    patience_s: float = math.inf,
+    listener: Listener = Listener(),  # noqa: B008 - immutable
+) -> Any:
+    """Open a client's zenoh session in short attempts: signals are handled only between attempts.
+
+    Parameters
+    ----------
+    endpoint : str
+    service : str
+        Name in the log.
+    stop : StopSignal or None
+        If set while this function waits, `canskin.errors.Stopped` is raised.
+    patience_s : float
+        Longest wait.
+    listener : Listener
+        Who listens on the endpoint.
+
+    Raises
+    ------
+    BusError
+        If the endpoint cannot be used, or nobody answered in time.
+    """
+    _check_endpoint(endpoint)
+    started_s, said = time.monotonic(), False
+    while True:
+        left_s = patience_s - (time.monotonic() - started_s)
+        try:
+            session = zenoh.open(_config(endpoint, patience_s=max(0.0, min(TRY_S, left_s))))
+        except zenoh.ZError as error:
+            if stop is not None and stop.is_set():
+                raise Stopped from None
+            waited_s = time.monotonic() - started_s
+            if waited_s >= patience_s:
+                raise BusError(
+                    f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
+                ) from error
+        else:
+            if said:
+                tell(service, f"the {listener.name} is there")
+            return session
+        if waited_s >= SILENT_S and not said:
+            tell(service, f"waits for {listener.full_name} at {endpoint}, usually {listener.starter}")
+            said = True
+
+
+def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any:
+    """Build a zenoh configuration that uses `endpoint` only."""
+    config = zenoh.Config()
+    settings = {
+        "mode": "router" if hub else "client",
+        "listen/endpoints": [endpoint] if hub else [],
+        "connect/endpoints": [] if hub else [endpoint],
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "connect/timeout_ms": round(patience_s * 1000),
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def first_sentence(error: BaseException) -> str:
+    """Return the cause from zenoh's nested message."""
+    return str(error).split(" at ")[0].strip().rstrip(".")
+
+
+def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]], bool]) -> list[Peer]:
+    """Return the services of all skins on a hub: as soon as `is_enough`, else those after `patience_s`.
+
+    Raises
+    ------
+    BusError
+        If the endpoint cannot be used, or no hub answers in time.
+    """
+    _check_endpoint(endpoint)
+    give_up_s = time.monotonic() + patience_s
+    session = open_client(endpoint, "client", None, patience_s)
+    try:
+        while True:
+            tokens = session.liveliness().get(EVERY_KEY, timeout=TRY_S)
+            peers = [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+            if is_enough(peers) or time.monotonic() + LOOK_S > give_up_s:
+                return peers
+            time.sleep(LOOK_S)
+    finally:
+        session.close()
+
+
+def tell(service: str, text: str, level: int = logging.WARNING) -> None:
+    """Log a line in the name of a service."""
+    _log.log(level, text, extra={"service": service})
