@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.labels import MIN_VALID_RATIO
 from canskin.messages import UNKNOWN_OBJECT
 from classifier.descent import descend
 from classifier.missing import Completion, Factors
@@ -13,7 +14,6 @@ from classifier.model import Model
 from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
-from skin.labels import MIN_VALID_RATIO
 from skin.measurement import Sbhe
 
 #: Weight of the newest cycle in the settled decision: two clear cycles in a row change the label.

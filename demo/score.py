@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.labels import is_measured
 from canskin.messages import GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 from dbc.contract import sample_age_ns
 from demo.report import NodeMissing, Percentiles, Report
 from skin.ground_truth import Pairing, Pairs, image_pairs, in_contact, label_pairs
-from skin.labels import is_measured
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 

@@ -1,10 +1,11 @@
 """`canskin.simulate`: sums, images, contacts and labels of a simulated skin, in one process and without a bus."""
 
+import asyncio
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
@@ -26,9 +27,7 @@ from skin.clock import wall_offset
 from skin.description import describe
 from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS, load_source, step_rate_hz
-
-#: Counters of SYNC run from 1 to this (CiA 301, 7.2.5.1).
-_COUNTERS: Final = 240
+from skin.sync_counter import next_counter
 
 
 def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None, seed: int = 0) -> "SimulatedSkin":
@@ -39,6 +38,8 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
     InputError
         If the layout is one of adaptive sending, or cannot be read.
     """
+    if isinstance(objects, str):
+        raise InputError(f"objects: expected a list of names, such as ['{objects}'], got '{objects}'")
     skin = load_layout(None if layout is None else Path(layout), adaptive=True)
     if skin.sending == "adaptive":
         raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
@@ -93,7 +94,7 @@ class SimulatedSkin(Skin):
         known = list(dict.fromkeys((*DEFAULT_OBJECTS, *objects)))
         self._classifier = ClassifierService(Classifier(find_or_train(skin, phi, known), phi), phi, self._messages)
         self._builder = FrameBuilder(self.layout)
-        self._period_ns = round(skin.sync.period_s * 1e9)
+        self._counter = 0
         self._valid = bytes([1]) * phi.blocks
         self._cycle = 0
         self._lock = threading.Lock()
@@ -113,7 +114,7 @@ class SimulatedSkin(Skin):
         """Compute the next cycle."""
         with self._lock:
             self._cycle += 1
-            counter = (self._cycle - 1) % _COUNTERS + 1
+            self._counter = counter = next_counter(self._counter)
             now_ns = time.monotonic_ns()
             sums = self._boards.sample(counter, now_ns)
             measurement = Measurement(
@@ -156,7 +157,7 @@ class _Steps(Frames):
     """Computes each frame when it is read."""
 
     def __init__(self, skin: SimulatedSkin) -> None:
-        super().__init__(1, float("inf"), str, lambda _frames: None)
+        super().__init__(1, float("inf"), str)
         self._skin = skin
         self._is_ended = False
 
@@ -172,4 +173,4 @@ class _Steps(Frames):
     async def __anext__(self) -> Frame:
         if self._is_ended or self._skin.is_closed:
             raise StopAsyncIteration
-        return self._skin.step()
+        return await asyncio.to_thread(self._skin.step)

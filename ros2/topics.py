@@ -5,13 +5,13 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
+from canskin.labels import is_measured
 from canskin.messages import CONTACTS, GATEWAY, LABEL, Contacts, Image, Label
 from canskin.messages import IMAGE as SKIN_IMAGE
 from ros2 import content
 from ros2.diagnostics import diagnostics
 from ros2.names import RELIABLE, SENSOR_DATA, Qos
 from ros2.types import DIAGNOSTICS, IMAGE, MARKERS, POINT_CLOUD, TEXT
-from skin.labels import is_measured
 from skin.layout import Layout
 from skin.taxel_places import Grid
 from skin.wall_times import CLOCKS, Clocks, WallTimes

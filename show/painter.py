@@ -5,8 +5,8 @@ from typing import Final, Protocol
 
 import msgspec
 
+from canskin.labels import is_measured
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, Contact, Contacts, GatewayStatus, Image, Label
-from skin.labels import is_measured
 from skin.layout import Layout
 from skin.taxel_places import Forces, Grid
 from skin.wall_times import CLOCKS, Clocks, WallTimes

@@ -106,7 +106,7 @@ class LabelState(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     measured : bool
-        False when too few sums were valid for a label; see `skin.labels.is_measured`.
+        False when too few sums were valid for a label; see `canskin.labels.is_measured`.
     """
 
     label: str

@@ -5,10 +5,10 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
+from canskin.labels import is_measured
 from canskin.messages import Contacts, GatewayStatus, Image, Label, NodesStatus, Truth
 from canskin.peers import Peer, new_peer
 from skin.ground_truth import Pairs, image_pairs, in_contact
-from skin.labels import is_measured
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 from viewer.buses import gateway_state, nodes_state

@@ -5,21 +5,24 @@ import time
 from typing import Final
 
 import msgspec
+import zenoh
 
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.description import DESCRIPTION, Description, DescriptionRequest
-from canskin.errors import BusError, RunError
+from canskin.errors import BusError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus
-from canskin.peers import Peer
+from canskin.peers import Peer, client_version
 from canskin.session import DEFAULT_ENDPOINT, peers_at
-from canskin.skin import FrameHub, Frames, Health, Skin
+from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 
 #: Name of this service on the fabric.
 NAME: Final = "client"
 #: Longest wait for the answer to a tare, which takes seconds.
 TARE_S: Final = 15.0
+#: Time between two requests for the description of a skin whose layout has changed.
+ASK_AGAIN_S: Final = 1.0
 #: Services that know a skin's geometry.
 GATEWAYS: Final = ("gateway", "replay")
 
@@ -96,12 +99,13 @@ class ConnectedSkin(Skin):
         super().__init__(layout, timeout_s)
         self._fabric = fabric
         self._endpoint = endpoint
-        self._alive: set[str] = set()
+        self._peers: dict[tuple[str, str], Peer] = {}
+        self._asks_at_s = 0.0
         self._status: GatewayStatus | None = None
         self._builder = FrameBuilder(layout)
         self._lock = threading.Lock()
         self._hub = FrameHub(timeout_s, self._silence)
-        fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
+        fabric.watch_peers(self._note)
         fabric.subscribe(GATEWAY, self._take_status)
         for topic in (MEASUREMENT, LABEL, IMAGE, CONTACTS):
             fabric.subscribe(topic, self._take)
@@ -116,6 +120,8 @@ class ConnectedSkin(Skin):
 
     def tare(self, *, force: bool = False) -> str:
         """See `Skin.tare`."""
+        if self._hub.is_closed:
+            raise BusError(CLOSED)
         reply: CalibrationReply = self._fabric.ask(CALIBRATION, CalibrationRequest(action="tare", force=force), TARE_S)
         if not reply.is_done:
             raise RunError(reply.text)
@@ -125,7 +131,7 @@ class ConnectedSkin(Skin):
     def health(self) -> Health:
         """See `Skin.health`."""
         return Health(
-            services=frozenset(self._alive),
+            services=frozenset(self._services()),
             gateway=self._status,
             frames=self._hub.count,
             refused=self._builder.refused + self._fabric.malformed,
@@ -137,22 +143,58 @@ class ConnectedSkin(Skin):
         self._fabric.close()
 
     def _take(self, message: msgspec.Struct) -> None:
-        with self._lock:  # topics may come in several threads
+        with self._lock:  # each topic has a thread
             for frame in self._builder.take(message):
                 self._hub.put(frame)
+            asks = self._builder.is_outdated and time.monotonic() >= self._asks_at_s
+            if asks:
+                self._asks_at_s = time.monotonic() + ASK_AGAIN_S
+        if asks:
+            threading.Thread(target=self._describe, daemon=True).start()
+
+    def _describe(self) -> None:
+        """Ask for the description anew: the gateway was started again with another layout."""
+        try:
+            layout: Description = self._fabric.ask(DESCRIPTION, DescriptionRequest(), ASK_AGAIN_S)
+        except (SkinError, zenoh.ZError):  # asked again with the next measurement, until the skin is closed
+            return
+        with self._lock:
+            if layout.fingerprint != self.layout.fingerprint:
+                self.layout = layout
+                self._builder, refused = FrameBuilder(layout), self._builder.refused
+                self._builder.refused = refused
+
+    def _note(self, peer: Peer, is_alive: bool) -> None:
+        if peer.skin != self.layout.name:
+            return
+        if is_alive:
+            self._peers[peer.service, peer.instance] = peer
+        else:
+            self._peers.pop((peer.service, peer.instance), None)
+
+    def _services(self) -> list[str]:
+        return sorted({service for service, _ in self._peers.copy()} - {NAME})
 
     def _take_status(self, status: GatewayStatus) -> None:
         self._status = status
 
     def _silence(self) -> str:
         """Say why no frame came."""
-        alive, name = sorted(self._alive), self.layout.name
-        missing = [verb for service, verb in _MAKERS if not alive or service not in alive]
-        found = f"found {', '.join(alive)}" if alive else "found no service"
+        alive, own = self._services(), client_version()
+        others = sorted({peer.version for peer in self._peers.copy().values() if peer.version} - {own})
+        missing = [verb for service, verb in _MAKERS if service not in alive]
         if "skin gateway" in missing and "replay" in alive:
-            missing.remove("skin gateway")
-        advice = f"start '{missing[0]}'" if missing else "is its bus silent? See skin.health"
-        return f"no image of skin '{name}' came from {self._endpoint} in {self._timeout_s:g} s, {found}: {advice}"
+            missing.clear()
+        advice = "is its bus silent? See skin.health"
+        if missing:
+            advice = f"start '{missing[0]}'"
+        elif others:
+            advice = f"services are canskin {', '.join(others)}, this client is {own}: install one version"
+        found = f"found {', '.join(alive)}" if alive else "found no service"
+        return (
+            f"no image of skin '{self.layout.name}' came from {self._endpoint} in {self._timeout_s:g} s, {found}:"
+            f" {advice}"
+        )
 
 
 #: Services that an image needs, and how they are started.

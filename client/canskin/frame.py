@@ -11,16 +11,17 @@ import numpy.typing as npt
 
 from canskin.description import Description, boot_id
 from canskin.errors import InputError
+from canskin.labels import is_measured
 from canskin.messages import UNKNOWN_ERROR_NS, Contact, Contacts, EndedContact, Image, Label, Measurement
 from canskin.sums import corrected_counts
 
-#: Measurements and labels that wait for the image of their cycle.
+#: Measurements, contacts and labels that wait for the image of their cycle.
 _KEPT: Final = 32
 #: A label is that of a frame if its sums are at most so much older.
 LABEL_AGE_NS: Final = 500_000_000
 
 
-Message = TypeVar("Message", Measurement, Label)
+Message = TypeVar("Message", Measurement, Contacts, Label)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class Frame:
     is_blind : bool
         True if it is not known whether something touches: no sum was valid, or no message of contacts came.
     label : str or None
-        The touching object; empty without contact; None if the classifier did not tell.
+        The touching object; empty without contact; None if the classifier did not tell, or had too few sums.
     confidence : float
         Of the label, 0 to 1.
     cycle : int
@@ -86,7 +87,7 @@ class Frame:
 class FrameBuilder:
     """Joins messages to frames. Messages of one cycle have its number and its sampling instant.
 
-    An image waits for its contacts, which the reconstructor sends right behind it, and at most for the next image.
+    An image waits for its contacts, and at most for the next image.
 
     Parameters
     ----------
@@ -107,29 +108,44 @@ class FrameBuilder:
         self._measurements: OrderedDict[tuple[int, int], Measurement] = OrderedDict()
         self._labels: OrderedDict[tuple[int, int], Label] = OrderedDict()
         self._wall_offset_ns: int | None = None
+        self._contacts: OrderedDict[tuple[int, int], Contacts] = OrderedDict()
         self._image: Image | None = None
+        self._is_outdated = False
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the newest measurement is of another Φ than the description: no frames are made then."""
+        return self._is_outdated
 
     def take(self, message: msgspec.Struct) -> list[Frame]:
-        """Take a message; return the frames that it completes."""
+        """Take a message, of any topic in any order; return the frames that it completes."""
         if isinstance(message, Measurement):
+            self._is_outdated = message.fingerprint != self._about.fingerprint
             if message.wall_offset_ns:
                 self._wall_offset_ns = message.wall_offset_ns
-            _keep(self._measurements, (message.cycle, message.sampled_mono_ns), message)
+            _keep(self._measurements, message)
         elif isinstance(message, Label):
-            _keep(self._labels, (message.cycle, message.sampled_mono_ns), message)
+            _keep(self._labels, message)
         elif isinstance(message, Image):
             before, self._image = self._image, message
-            return self._frames(before, None)
-        elif isinstance(message, Contacts) and self._image is not None and _key(message) == _key(self._image):
-            image, self._image = self._image, None
-            return self._frames(image, message)
+            frames = self._frames(before, None)
+            contacts = self._contacts.pop(_key(message), None)  # each topic has a thread: contacts may be first
+            if contacts is not None:
+                self._image = None
+                frames += self._frames(message, contacts)
+            return frames
+        elif isinstance(message, Contacts):
+            if self._image is not None and _key(message) == _key(self._image):
+                image, self._image = self._image, None
+                return self._frames(image, message)
+            _keep(self._contacts, message)
         return []
 
     def _frames(self, image: Image | None, contacts: Contacts | None) -> list[Frame]:
         about = self._about
         if image is None:
             return []
-        if len(image.pixels) != 4 * about.rows * about.columns or len(image.valid) != about.blocks:
+        if self._is_outdated or len(image.pixels) != 4 * about.rows * about.columns or len(image.valid) != about.blocks:
             self.refused += 1
             return []
         estimate = np.frombuffer(image.pixels, "<f4").reshape(about.rows, about.columns)
@@ -140,7 +156,6 @@ class FrameBuilder:
         for array in (valid, shown, sums, valid_sums):
             array.flags.writeable = False
         label = self._label(image)
-        error_ns = measurement.sampled_error_ns if measurement is not None else UNKNOWN_ERROR_NS
         offset_ns = self._wall_offset_ns
         return [
             Frame(
@@ -152,12 +167,14 @@ class FrameBuilder:
                 contacts=tuple(contacts.contacts) if contacts is not None else (),
                 ended=tuple(contacts.ended) if contacts is not None else (),
                 is_blind=contacts is None or contacts.blind,
-                label=None if label is None or label.blind else label.label,
-                confidence=0.0 if label is None or label.blind else label.confidence,
+                label=None if label is None else label.label,
+                confidence=0.0 if label is None else label.confidence,
                 cycle=image.cycle,
                 sampled_at=float("nan") if offset_ns is None else (image.sampled_mono_ns + offset_ns) * 1e-9,
                 sampled_mono_ns=image.sampled_mono_ns,
-                sampled_error_s=float("inf") if error_ns == UNKNOWN_ERROR_NS else error_ns * 1e-9,
+                sampled_error_s=float("inf")
+                if image.sampled_error_ns == UNKNOWN_ERROR_NS
+                else image.sampled_error_ns * 1e-9,
                 _same_machine=self._same_machine,
             )
         ]
@@ -168,7 +185,7 @@ class FrameBuilder:
         label = max(before, key=lambda each: each.sampled_mono_ns, default=None)
         if label is None or image.sampled_mono_ns - label.sampled_mono_ns > LABEL_AGE_NS:
             return None
-        return label
+        return label if is_measured(label, self._about.sums) else None
 
     def _sums(self, measurement: Measurement | None) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
         """Return counts less offsets, and which of them are valid; empty if there is no measurement that fits."""
@@ -176,30 +193,29 @@ class FrameBuilder:
         if measurement is None:
             return np.zeros(0, np.int32), np.zeros(0, np.bool_)
         sizes = (len(measurement.sums), len(measurement.valid), measurement.fingerprint)
-        parts = ((measurement.offsets, 4), (measurement.usable, 1), (measurement.known, 1))
+        parts = ((measurement.offsets, 4), (measurement.usable, 1))
         if sizes != (4 * about.sums, about.blocks, about.fingerprint) or any(
             len(part) not in {0, size * about.sums} for part, size in parts
         ):
             self.refused += 1
             return np.zeros(0, np.int32), np.zeros(0, np.bool_)
         valid = (np.frombuffer(measurement.valid, np.uint8) != 0)[self._block_of_sum]
-        if measurement.known:
-            valid = np.frombuffer(measurement.known, np.uint8) != 0
         if measurement.usable:
-            valid = valid & (np.frombuffer(measurement.usable, np.uint8) != 0)
+            valid &= np.frombuffer(measurement.usable, np.uint8) != 0
         try:
-            return corrected_counts(measurement, valid), valid
+            counts = corrected_counts(measurement, valid)
+            return np.where(valid, counts, np.int32(0)), valid
         except InputError:
             self.refused += 1
             return np.zeros(0, np.int32), np.zeros(0, np.bool_)
 
 
-def _key(message: Image | Contacts) -> tuple[int, int]:
+def _key(message: Measurement | Image | Contacts | Label) -> tuple[int, int]:
     return message.cycle, message.sampled_mono_ns
 
 
-def _keep(kept: OrderedDict[tuple[int, int], Message], key: tuple[int, int], message: Message) -> None:
+def _keep(kept: OrderedDict[tuple[int, int], Message], message: Message) -> None:
     """Keep a message, and forget the oldest."""
-    kept[key] = message
+    kept[_key(message)] = message
     while len(kept) > _KEPT:
         kept.popitem(last=False)

@@ -63,9 +63,14 @@ class Peer(msgspec.Struct, frozen=True):
 EVERY_KEY: Final = "canskin/*/alive/*/*"
 
 
+def client_version() -> str:
+    """Return the version of canskin in this environment."""
+    return version("canskin-client")
+
+
 def new_peer(skin: str, service: str, fingerprint: str) -> Peer:
     """Return the peer of a new service of this installation."""
-    return Peer(skin, service, secrets.token_hex(INSTANCE_BYTES), version("canskin-client"), fingerprint)
+    return Peer(skin, service, secrets.token_hex(INSTANCE_BYTES), client_version(), fingerprint)
 
 
 def peer_of_key(key: str) -> Peer:

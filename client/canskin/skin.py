@@ -5,10 +5,12 @@ import contextlib
 import math
 import threading
 import time
+import weakref
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from types import TracebackType
+from typing import Final
 
 import msgspec
 
@@ -16,6 +18,9 @@ from canskin.description import Description
 from canskin.errors import BusError
 from canskin.frame import Frame
 from canskin.messages import GatewayStatus
+
+#: Of what is asked for after `close`.
+CLOSED: Final = "the connection to the skin is closed: connect again"
 
 
 class Health(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,25 +58,22 @@ class Frames:
         Longest wait for a frame.
     explain : callable
         Tells why no frame comes.
-    closed : callable
-        Called when the iteration is closed.
     """
 
-    def __init__(
-        self, depth: int, timeout_s: float, explain: Callable[[], str], closed: "Callable[[Frames], None]"
-    ) -> None:
+    def __init__(self, depth: int, timeout_s: float, explain: Callable[[], str]) -> None:
         self.lost = 0
         self._waiting: deque[Frame] = deque(maxlen=depth)
         self._changed = threading.Condition()
         self._listeners: set[Callable[[], None]] = set()
         self._timeout_s = timeout_s
         self._explain = explain
-        self._forget = closed
         self._is_closed = False
 
     def put(self, frame: Frame) -> None:
         """Add a frame; when the queue is full, its oldest frame is lost."""
         with self._changed:
+            if self._is_closed:
+                return
             self.lost += len(self._waiting) == self._waiting.maxlen
             self._waiting.append(frame)
             self._wake()
@@ -81,7 +83,6 @@ class Frames:
         with self._changed:
             self._is_closed = True
             self._wake()
-        self._forget(self)
 
     def __iter__(self) -> "Frames":
         return self
@@ -98,6 +99,17 @@ class Frames:
         return self
 
     async def __anext__(self) -> Frame:
+        give_up_s = time.monotonic() + self._timeout_s
+        while True:
+            with self._changed:
+                if self._waiting:
+                    return self._waiting.popleft()
+                if self._is_closed:
+                    raise StopAsyncIteration
+            await self._arrival(give_up_s - time.monotonic())  # of a frame that another task may take
+
+    async def _arrival(self, timeout_s: float) -> None:
+        """Wait for a frame or the end."""
         arrived, loop = asyncio.Event(), asyncio.get_running_loop()
 
         def wake() -> None:
@@ -109,16 +121,12 @@ class Frames:
             if self._has_news():
                 arrived.set()
         try:
-            await asyncio.wait_for(arrived.wait(), self._timeout_s)
+            await asyncio.wait_for(arrived.wait(), timeout_s)
         except asyncio.TimeoutError:
             raise BusError(self._explain()) from None
         finally:
             with self._changed:
                 self._listeners.discard(wake)
-        with self._changed:
-            if not self._waiting:
-                raise StopAsyncIteration
-            return self._waiting.popleft()
 
     def _has_news(self) -> bool:
         return bool(self._waiting) or self._is_closed
@@ -218,9 +226,15 @@ class FrameHub:
         self.count = 0
         self._newest: Frame | None = None
         self._changed = threading.Condition()
-        self._readers: set[Frames] = set()
+        self._readers: weakref.WeakSet[Frames] = weakref.WeakSet()
         self._timeout_s = timeout_s
         self._explain = explain
+        self._is_closed = False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._is_closed
 
     def put(self, frame: Frame) -> None:
         """Hand on a frame."""
@@ -234,8 +248,10 @@ class FrameHub:
 
     def frames(self, queue: int) -> Frames:
         """Return a new reader."""
-        reader = Frames(max(1, queue), self._timeout_s, self._explain, self._forget)
+        reader = Frames(max(1, queue), self._timeout_s, self._explain)
         with self._changed:
+            if self._is_closed:
+                reader.close()
             self._readers.add(reader)
         return reader
 
@@ -245,20 +261,24 @@ class FrameHub:
         Raises
         ------
         BusError
-            If none came in time.
+            If none came in time, or the connection is closed.
         """
         give_up_s = time.monotonic() + self._timeout_s
         with self._changed:
-            while self._newest is None or not (max_age_s == math.inf or self._newest.age <= max_age_s):  # NaN is old
+            while True:
+                if self._is_closed:
+                    raise BusError(CLOSED)
+                newest = self._newest
+                if newest is not None and (max_age_s == math.inf or newest.age <= max_age_s):  # no age: too old
+                    return newest
                 if not self._changed.wait(max(0.0, give_up_s - time.monotonic())):
                     raise BusError(self._explain())
-            return self._newest
 
     def close(self) -> None:
         """End all readers."""
-        for reader in list(self._readers):
-            reader.close()
-
-    def _forget(self, reader: Frames) -> None:
         with self._changed:
-            self._readers.discard(reader)
+            self._is_closed = True
+            self._changed.notify_all()
+            readers = list(self._readers)
+        for reader in readers:
+            reader.close()

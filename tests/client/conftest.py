@@ -86,6 +86,7 @@ def image(cycle: int, valid: bytes = bytes((1, 1))) -> Image:
         cycle=cycle,
         sync_counter=1,
         sampled_mono_ns=at_ns(cycle),
+        sampled_error_ns=2000,
         published_mono_ns=at_ns(cycle) + 1,
         pixels=np.arange(16, dtype="<f4").tobytes(),
         valid=valid,

@@ -4,11 +4,12 @@ import itertools
 import threading
 from collections.abc import Iterator
 
+import msgspec
 import pytest
 
 import canskin
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
-from canskin.description import DESCRIPTION
+from canskin.description import DESCRIPTION, DescriptionRequest
 from canskin.fabric import Fabric, Reply
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, FrameCounts, GatewayStatus
 from tests.client.conftest import contacts, description, image, label, measurement
@@ -20,11 +21,15 @@ class Chain:
     def __init__(self, endpoint: str, skin: str = "palm") -> None:
         self.endpoint = endpoint
         self.gateway = Fabric(skin, "gateway", endpoint, hub=True)
-        self.gateway.answer(DESCRIPTION, lambda _request, reply: reply(description()))
+        self.fingerprint = description().fingerprint
+        self.gateway.answer(DESCRIPTION, self._describe)
         self.gateway.answer(CALIBRATION, self._calibrate)
         self._stop = threading.Event()
         self._sending: threading.Thread | None = None
         self.tares: list[bool] = []
+
+    def _describe(self, _request: DescriptionRequest, reply: Reply) -> None:
+        reply(msgspec.structs.replace(description(), fingerprint=self.fingerprint))
 
     def _calibrate(self, request: CalibrationRequest, reply: Reply) -> None:
         self.tares.append(request.force)
@@ -45,7 +50,7 @@ class Chain:
                     time_ns=1, cycles=cycle, cycles_complete=cycle, frames=FrameCounts(), sync_rate_hz=100.0, buses=[]
                 ),
             )
-            self.gateway.publish(MEASUREMENT, measurement(cycle))
+            self.gateway.publish(MEASUREMENT, measurement(cycle, fingerprint=self.fingerprint))
             self.gateway.publish(LABEL, label(cycle))
             self.gateway.publish(IMAGE, image(cycle))
             self.gateway.publish(CONTACTS, contacts(cycle))
@@ -72,11 +77,11 @@ def test_frames_of_a_running_skin(chain: Chain) -> None:
         first = [next(frames) for _ in range(10)]
         assert all(a.cycle < b.cycle for a, b in itertools.pairwise(first))
         assert frames.lost == 0
-        for newest in skin:
-            assert newest.cycle > first[0].cycle
-            assert newest.label == "cup"
-            assert newest.sums.tolist() == [10, 20, 30, 40]
-            break
+        # The stand-in sends all at once: a measurement may come after its image.
+        newest = next(frame for frame in skin if frame.sums.size)
+        assert newest.cycle > first[0].cycle
+        assert newest.label == "cup"
+        assert newest.sums.tolist() == [10, 20, 30, 40]
         assert skin.latest(float("inf")).cycle >= newest.cycle
         health = skin.health
         assert "gateway" in health.services
@@ -84,6 +89,26 @@ def test_frames_of_a_running_skin(chain: Chain) -> None:
         assert health.frames >= 10
         assert health.refused == 0
     assert len(list(frames)) <= 1000  # what was in the queue; the iteration has ended
+
+
+def test_a_gateway_with_another_layout_is_asked_for_its_description(chain: Chain) -> None:
+    chain.start()
+    with canskin.connect(chain.endpoint, timeout_s=20) as skin:
+        assert next(frame for frame in skin if frame.sums.size).cycle > 0
+        chain.fingerprint = "fedcba9876543210"
+        assert next(frame for frame in skin if skin.layout.fingerprint == chain.fingerprint).cycle > 0
+        assert next(frame for frame in skin if frame.sums.size).cycle > 0
+        assert skin.health.refused > 0
+
+
+def test_a_closed_skin_says_so(chain: Chain) -> None:
+    skin = canskin.connect(chain.endpoint, timeout_s=20)
+    skin.close()
+    with pytest.raises(canskin.BusError, match="closed"):
+        skin.tare()
+    with pytest.raises(canskin.BusError, match="closed"):
+        skin.latest()
+    assert list(skin) == []
 
 
 def test_tare_tells_success_and_raises_otherwise(chain: Chain) -> None:

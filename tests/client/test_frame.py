@@ -1,7 +1,9 @@
 """Frames are joined from messages that come in any order, or do not come."""
 
+import itertools
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -53,10 +55,42 @@ def test_offsets_are_taken_off_and_defective_sums_are_not_valid(builder: FrameBu
     assert frame.valid_sums.tolist() == [True, False, True, True]
 
 
-def test_adaptive_sums_are_valid_where_they_are_known(builder: FrameBuilder) -> None:
-    builder.take(measurement(1, valid=bytes((0, 1)), known=bytes((1, 0, 1, 1))))
+def test_adaptive_sums_that_are_held_and_may_be_old_are_not_valid(builder: FrameBuilder) -> None:
+    builder.take(measurement(1, valid=bytes((0, 1)), known=bytes((1, 1, 1, 1))))
     builder.take(image(1))
-    assert builder.take(contacts(1))[0].valid_sums.tolist() == [True, False, True, True]
+    (frame,) = builder.take(contacts(1))
+    assert frame.valid_sums.tolist() == [False, False, True, True]
+    assert frame.sums.tolist() == [0, 0, 30, 40]
+
+
+def test_messages_come_in_any_order(builder: FrameBuilder) -> None:
+    for messages in itertools.permutations((measurement(1), label(1), image(1), contacts(1))):
+        builder = FrameBuilder(description())
+        frames = [frame for message in messages for frame in builder.take(message)]
+        assert [len(frame.contacts) for frame in frames] == [1]
+        assert not frames[0].is_blind
+
+
+def test_contacts_of_a_lost_image_are_no_other_images(builder: FrameBuilder) -> None:
+    builder.take(contacts(1))
+    builder.take(image(2))
+    assert [each.cycle for each in builder.take(contacts(2))] == [2]
+
+
+def test_a_label_of_few_sums_is_none(builder: FrameBuilder) -> None:
+    builder.take(msgspec.structs.replace(label(1, ""), valid_sums=0))
+    builder.take(image(1))
+    assert builder.take(contacts(1))[0].label is None
+
+
+def test_frames_of_another_layout_are_not_made(builder: FrameBuilder) -> None:
+    builder.take(measurement(1, fingerprint="another"))
+    assert builder.is_outdated
+    builder.take(image(1))
+    assert not builder.take(contacts(1))
+    builder.take(measurement(2))
+    builder.take(image(2))
+    assert len(builder.take(contacts(2))) == 1
 
 
 def test_an_image_without_contacts_comes_with_the_next_image(builder: FrameBuilder) -> None:
@@ -72,13 +106,18 @@ def test_without_a_measurement_nothing_is_made_up(builder: FrameBuilder) -> None
     builder.take(image(2))
     (frame,) = builder.take(contacts(2))
     assert frame.sums.size == frame.valid_sums.size == 0
-    assert frame.sampled_error_s == math.inf
+    assert frame.sampled_error_s == pytest.approx(2e-6)  # the image has it, too
     assert frame.sampled_at == pytest.approx(7.02)  # the offset of the clocks is that of the measurement before
 
 
 def test_the_wall_clock_is_unknown_before_the_first_measurement(builder: FrameBuilder) -> None:
     builder.take(image(2))
     assert math.isnan(builder.take(contacts(2))[0].sampled_at)
+
+
+def test_an_unknown_error_is_infinite(builder: FrameBuilder) -> None:
+    builder.take(msgspec.structs.replace(image(2), sampled_error_ns=-1))
+    assert builder.take(contacts(2))[0].sampled_error_s == math.inf
 
 
 def test_a_label_stands_for_half_a_second_and_no_label_is_none(builder: FrameBuilder) -> None:
@@ -106,7 +145,7 @@ def test_blind_contacts_are_not_no_contact(builder: FrameBuilder) -> None:
 
 
 def test_messages_of_another_layout_are_refused_and_counted(builder: FrameBuilder) -> None:
-    builder.take(measurement(1, fingerprint="another"))
+    builder.take(measurement(1, usable=bytes(3)))
     builder.take(image(1))
     assert builder.take(contacts(1))[0].sums.size == 0
     builder.take(image(2, valid=bytes((1, 1, 1))))

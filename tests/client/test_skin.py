@@ -1,6 +1,7 @@
 """Readers of frames: the newest, or all through a queue; with for and with async for."""
 
 import asyncio
+import gc
 import threading
 
 import pytest
@@ -109,3 +110,36 @@ def test_a_closed_reader_gets_no_more_frames(hub: FrameHub) -> None:
     reader.close()
     hub.put(frame(2))
     assert [each.cycle for each in reader] == [1]
+
+
+def test_a_reader_that_nobody_keeps_is_forgotten(hub: FrameHub) -> None:
+    kept = hub.frames(1)
+    for _ in range(10):
+        hub.frames(1)
+    gc.collect()
+    assert list(hub._readers) == [kept]
+
+
+def test_after_the_end_nothing_waits(hub: FrameHub) -> None:
+    patient = FrameHub(20.0, lambda: "nothing came")
+    later = threading.Timer(0.05, patient.close)
+    later.start()
+    with pytest.raises(BusError, match="closed"):
+        patient.latest(1.0)
+    later.join()
+    assert list(patient.frames(3)) == []
+
+
+def test_two_tasks_share_a_reader() -> None:
+    hub = FrameHub(20.0, lambda: "nothing came")
+
+    async def read() -> list[int]:
+        reader = hub.frames(4)
+        waiting = [asyncio.ensure_future(anext_of(reader)) for _ in range(2)]
+        await asyncio.sleep(0)
+        hub.put(frame(1))
+        await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+        hub.put(frame(2))
+        return sorted(each.cycle for each in await asyncio.gather(*waiting))
+
+    assert asyncio.run(read()) == [1, 2]

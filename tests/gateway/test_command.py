@@ -81,11 +81,11 @@ def test_options_of_the_bus_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> No
     assert parts.calls[0][1][1] is options
 
 
-def test_it_answers_questions_about_its_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_answers_questions_about_its_calibration_and_its_skin(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = Parts(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         command.gateway()
-    assert parts.answered == [CALIBRATION]
+    assert parts.answered == [CALIBRATION, DESCRIPTION]
 
 
 def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(

@@ -2,8 +2,8 @@
 
 import pytest
 
+from canskin.labels import is_measured
 from canskin.messages import Label
-from skin.labels import is_measured
 
 
 @pytest.mark.parametrize(
