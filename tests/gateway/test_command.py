@@ -9,6 +9,7 @@ import pytest
 from bus.options import BusOptions
 from calibration.stored import save_calibration, store
 from canskin.calibration_messages import CALIBRATION, Question
+from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
 from skin.layout import load_layout
