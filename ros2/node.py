@@ -1,13 +1,14 @@
 """A node of ROS 2 on a zenoh session: publishers and services that rmw_zenoh sees."""
 
+import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from queue import SimpleQueue
 from typing import Any, Final
 
 import zenoh
 
-from canskin.errors import BusError
 from canskin.session import Listener, open_client
 from ros2.names import RELIABLE, Node, attachment, gid_of, parse_attachment
 from ros2.topics import RosTopic
@@ -57,7 +58,10 @@ class RosNode:
         self._session = open_client(router, SERVICE, stop, listener=ROUTER)
         self.node = Node(domain, str(self._session.info.zid()), namespace, name)
         self._log = RateLimitedLog(SERVICE)
-        self._work = ThreadPoolExecutor(1, "ROS 2 service")
+        self._is_closed = False
+        self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        # A daemon: the end of the process does not wait for an answer, which may take many seconds.
+        threading.Thread(target=self._serve, name="ROS 2 service", daemon=True).start()
         self._kept: list[Any] = [self._session.liveliness().declare_token(self.node.token)]
         self._endpoints = 0
 
@@ -78,7 +82,7 @@ class RosNode:
     def serve_trigger(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
         """Offer a ``std_srvs/srv/Trigger``; `act` tells success and message, in a thread of its own.
 
-        A `BusError` of `act` is an answer without success.
+        An exception of `act` is an answer without success.
         """
         full_name, wire_type = self.node.full_name(name), key_type(TRIGGER, has_hash=self._has_hashes)
         self._endpoints += 1
@@ -88,7 +92,7 @@ class RosNode:
             if asked is None:
                 self._log.say(f"a request to {full_name} has no attachment of rmw_zenoh, and is not answered")
                 return
-            self._work.submit(self._answer, query, asked, act)
+            self._requests.put(partial(self._answer, query, asked, act))
 
         key = self.node.data_key(full_name, wire_type)
         token = self.node.endpoint_token(self._endpoints, "SS", full_name, wire_type, RELIABLE)
@@ -98,16 +102,24 @@ class RosNode:
         ]
 
     def close(self) -> None:
-        """Leave the network; an answer under way is awaited."""
-        self._work.shutdown(cancel_futures=True)
+        """Leave the network; requests without an answer get none."""
+        self._is_closed = True
+        self._requests.put(lambda: None)
         self._session.close()
+
+    def _serve(self) -> None:
+        """Answer one request after the other, until the node is closed."""
+        while not self._is_closed:
+            self._requests.get()()
 
     def _answer(self, query: Any, asked: tuple[int, int, bytes], act: Callable[[], tuple[bool, str]]) -> None:
         number, _, gid = asked
         try:
             is_done, words = act()
-        except BusError as error:
-            is_done, words = False, str(error)
+        except Exception as error:  # noqa: BLE001 - whatever happened, the caller waits for an answer
+            is_done, words = False, str(error) or type(error).__name__
+        if self._is_closed:
+            return
         content = encoded(TRIGGER_REPLY, message(TRIGGER_REPLY, success=is_done, message=words))
         try:
             query.reply(query.key_expr, content, attachment=attachment(number, time.time_ns(), gid))
