@@ -63,7 +63,7 @@ def _write(source: Path, folder: Path, layout: Layout, warn: Callable[[str], Non
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     node, offset_ns = Node(0, "", f"/{layout.name}", "canskin"), wall_offset_ns(source)
-    translator = Translator(layout, layout.name, ViewState(layout), wall=WallTimes(lambda: offset_ns))
+    translator = Translator(layout, layout.name, ViewState(layout), wall=WallTimes(offset_ns))
     decoders = {topic.name: message_decoder(source, topic) for topic in SKIN_TOPICS}
     made: Counter[str] = Counter()
     connections: dict[RosTopic, Any] = {}

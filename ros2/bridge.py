@@ -8,12 +8,11 @@ from typing import Final
 from calibration.command import ANSWER_S
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.fabric import Fabric
-from canskin.peers import Peer
 from ros2.node import RosNode
 from ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
 from skin.layout import Layout
-from skin.newest import Newest
 from skin.service import LOOK_S, StopSignal
+from viewer.arrivals import Arrivals
 from viewer.state import ViewState
 
 #: Diagnostics are published so often, as `diagnostic_updater` does.
@@ -48,19 +47,15 @@ class Bridge:
         self._clock_s = clock_s
         self._state = ViewState(layout, time.time() - clock_s())
         self._translator = Translator(layout, frame, self._state)
-        self._newest = Newest()
-        self._peers: list[tuple[Peer, bool]] = []
         self._publishers = {topic: node.publisher(topic) for topic in ROS_TOPICS}
         self._due_s = clock_s()
         node.serve_trigger(TARE, partial(tare, fabric))
-        for topic in SKIN_TOPICS:
-            fabric.subscribe(topic, partial(self._newest.put, topic.name))
-        fabric.watch_peers(lambda peer, alive: self._peers.append((peer, alive)))
+        self._arrivals = Arrivals(fabric, SKIN_TOPICS)
 
     @property
     def skipped(self) -> int:
         """Messages of the fabric that a newer message of their topic replaced before they were published."""
-        return self._newest.skipped
+        return self._arrivals.skipped
 
     @property
     def published(self) -> dict[str, int]:
@@ -74,9 +69,9 @@ class Bridge:
 
     def turn(self, timeout_s: float) -> None:
         """Publish what waits; wait for messages at most `timeout_s`."""
-        taken, now_s = self._newest.take(timeout_s), self._clock_s()
-        while self._peers:
-            self._state.take_peer(*self._peers.pop(0), now_s)
+        taken, now_s = self._arrivals.take(timeout_s), self._clock_s()
+        for peer, is_alive in self._arrivals.peers():
+            self._state.take_peer(peer, is_alive, now_s)
         for message in taken:
             for topic, make in self._translator.take(message, now_s):
                 publisher = self._publishers[topic]
@@ -84,7 +79,8 @@ class Bridge:
                     publisher.publish(make())
         if now_s >= self._due_s:
             self._due_s = now_s + DIAGNOSTICS_S
-            self._publishers[DIAGNOSTIC_ARRAY].publish(self._translator.diagnostics(now_s, time.time_ns()))
+            told = self._translator.diagnostics(now_s, time.time_ns(), self._arrivals.malformed)
+            self._publishers[DIAGNOSTIC_ARRAY].publish(told)
 
 
 def tare(fabric: Fabric) -> tuple[bool, str]:

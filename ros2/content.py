@@ -8,13 +8,12 @@ import numpy.typing as npt
 
 from canskin.messages import Contact
 from ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, message
-from skin.colours import force_colours
 from skin.layout import Taxels
 from skin.taxel_places import Forces, place_m, places_m, radius_m
+from skin.viridis import force_colours
+from viewer.state import FRESH_S
 
 NS: Final = 1_000_000_000
-#: Markers of contacts vanish after this time without new ones.
-MARKER_S: Final = 0.5
 #: `sensor_msgs/msg/PointField`: the number of a type.
 _FIELD_TYPES: Final = {"u1": 2, "u4": 6, "f4": 7}
 
@@ -74,7 +73,10 @@ def contact_cloud(head: Any, taxels: Taxels, contacts: Sequence[Contact], sample
 
 
 def contact_markers(head: Any, taxels: Taxels, contacts: Sequence[Contact]) -> Any:
-    """Return what RViz draws: a disc of each contact's area, and its force in words; markers drawn before go."""
+    """Return what RViz draws: a disc of each contact's area, and its force in words.
+
+    Markers drawn before go; without new ones all go after `viewer.state.FRESH_S`.
+    """
     made = [_marker(head, "", 0, action=3)]
     for each in contacts:
         x_m, y_m = place_m(taxels, each.row, each.column)
@@ -156,7 +158,7 @@ def _marker(
         ),
         scale=message("geometry_msgs/msg/Vector3", **dict(zip("xyz", size, strict=True))),
         color=message("std_msgs/msg/ColorRGBA", **dict(zip("rgba", colour, strict=True))),
-        lifetime=message("builtin_interfaces/msg/Duration", sec=0, nanosec=round(MARKER_S * NS)),
+        lifetime=message("builtin_interfaces/msg/Duration", sec=0, nanosec=round(FRESH_S * NS)),
         frame_locked=False,
         points=[],
         colors=[],

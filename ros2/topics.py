@@ -15,7 +15,6 @@ from ros2.types import DIAGNOSTICS, IMAGE, MARKERS, POINT_CLOUD, TEXT
 from skin.layout import Layout
 from skin.taxel_places import Grid
 from skin.wall_times import CLOCKS, Clocks, WallTimes
-from viewer.checks import contacts_fit, image_fits, label_fits
 from viewer.state import ViewState
 
 
@@ -58,12 +57,8 @@ class Translator:
     state : ViewState
         What the diagnostics tell of; takes every message, too.
     wall : WallTimes, optional
-        The clocks of the messages; default: before the first measurement those of this machine.
-
-    Attributes
-    ----------
-    refused : int
-        Messages that do not fit the layout.
+        The clocks of the messages; default: images and contacts before the first measurement have no time, and nothing
+        goes out because of them.
     """
 
     def __init__(
@@ -74,7 +69,6 @@ class Translator:
         *,
         wall: WallTimes | None = None,
     ) -> None:
-        self.refused = 0
         self._layout, self._frame, self._state = layout, frame, state
         self._grid, self._wall = Grid(layout), wall or WallTimes()
         self._drafts: Mapping[type, Callable[[Any], Iterator[Draft]]] = {
@@ -82,7 +76,7 @@ class Translator:
             Contacts: self._contacts,
             Label: self._label,
         }
-        self._takes: Mapping[type, Callable[[Any, float], None]] = {
+        self._takes: Mapping[type, Callable[[Any, float], bool]] = {
             Image: state.take_image,
             Contacts: state.take_contacts,
             Label: state.take_label,
@@ -94,38 +88,36 @@ class Translator:
         if isinstance(message, Clocks):
             self._wall.take(message)
             return iter(())
-        self._takes[type(message)](message, now_s)
+        fits = self._takes[type(message)](message, now_s)
         make = self._drafts.get(type(message))
-        return make(message) if make else iter(())
+        return make(message) if make and fits else iter(())
 
-    def diagnostics(self, now_s: float, time_ns: int) -> Any:
-        """Return the state of the skin at `now_s`."""
-        return diagnostics(content.header(time_ns, self._frame), self._state.snapshot(now_s)[0])
+    def diagnostics(self, now_s: float, time_ns: int, undecodable: int = 0) -> Any:
+        """Return the state of the skin at `now_s`; `undecodable` messages count as ignored."""
+        return diagnostics(content.header(time_ns, self._frame), self._state.snapshot(now_s, undecodable)[0])
 
-    def _header(self, sampled_mono_ns: int) -> Any:
-        return content.header(self._wall.time_ns(sampled_mono_ns), self._frame)
+    def _header(self, sampled_mono_ns: int) -> Any | None:
+        """Return a header with a sampling instant; None if its time on the wall clock is not known."""
+        time_ns = self._wall.time_ns(sampled_mono_ns)
+        return None if time_ns is None else content.header(time_ns, self._frame)
 
     def _image(self, image: Image) -> Iterator[Draft]:
-        if not image_fits(image, self._layout):
-            self.refused += 1
-            return
         taxels, grid, head = self._layout.taxels, self._grid, self._header(image.sampled_mono_ns)
+        if head is None:
+            return
         measured_n = grid.measured_n(image)
         yield FORCE_IMAGE, lambda: content.force_image(head, measured_n)
         yield HEAT_MAP, lambda: content.heat_map(head, measured_n, taxels.force_max_n)
         yield TAXEL_CLOUD, lambda: content.taxel_cloud(head, taxels, grid.forces_n(image), grid.valid(image))
 
     def _contacts(self, contacts: Contacts) -> Iterator[Draft]:
-        if contacts.blind:  # an empty message would mean: no contact
-            return
-        if not contacts_fit(contacts, self._layout):
-            self.refused += 1
-            return
         taxels, found, sampled_ns = self._layout.taxels, contacts.contacts, contacts.sampled_mono_ns
         head = self._header(sampled_ns)
+        if contacts.blind or head is None:  # an empty message would mean: no contact
+            return
         yield CONTACT_CLOUD, lambda: content.contact_cloud(head, taxels, found, sampled_ns)
         yield CONTACT_MARKERS, lambda: content.contact_markers(head, taxels, found)
 
     def _label(self, label: Label) -> Iterator[Draft]:
-        if label_fits(label) and is_measured(label, self._layout.measurement.sums):
+        if is_measured(label, self._layout.measurement.sums):
             yield LABEL_TEXT, lambda: content.text(label.label)

@@ -1,7 +1,7 @@
 """``skin show``: a running skin in Rerun or Foxglove."""
 
 import time
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -13,14 +13,12 @@ from canskin.session import DEFAULT_ENDPOINT
 from show.foxglove_canvas import FoxgloveCanvas
 from show.painter import TOPICS, Canvas, Painter
 from show.rerun_canvas import RerunCanvas
+from show.target import foxglove_target, rerun_target
 from skin.layout import Layout, load_layout
-from skin.newest import Newest
-from skin.output import check_new_path
 from skin.service import LOOK_S, StopSignal, say
+from viewer.arrivals import Arrivals
 
 SERVICE: Final = "show"
-#: Foxglove's own default, 8765, is that of ``skin view``.
-FOXGLOVE_ADDRESS: Final = "127.0.0.1:8766"
 
 
 def show(
@@ -38,8 +36,9 @@ def show(
     Parameters
     ----------
     target
-        Rerun: the address of a running viewer, or a new file (.rrd); without it a viewer is started. Foxglove:
-        HOST:PORT of the server that the app connects to, default 127.0.0.1:8766, or a new file (.mcap).
+        Rerun: URL or HOST:PORT of a running viewer, or a new file (.rrd); without it a viewer is started. Foxglove:
+        HOST:PORT of the server that the app connects to, default 127.0.0.1:8766, or a new file (.mcap). A PORT alone is
+        of 127.0.0.1.
     rerun
         Show the skin in Rerun; needs the extra canskin[rerun].
     foxglove
@@ -58,12 +57,12 @@ def show(
     """
     if rerun == foxglove:
         raise InputError(f"skin show: expected --rerun or --foxglove, got {'both' if rerun else 'neither'}")
-    _check(target, ".rrd" if rerun else ".mcap")
+    open_canvas = _opener(target, for_rerun=rerun)
     skin = load_layout(layout, adaptive=True)
     stop = StopSignal().install()
     fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)
     try:
-        canvas = RerunCanvas(skin, target) if rerun else _serving(skin, target or FOXGLOVE_ADDRESS)
+        canvas = open_canvas(skin)
         try:
             draw_live(skin, fabric, canvas, stop)
         finally:
@@ -74,34 +73,33 @@ def show(
 
 def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) -> Painter:
     """Draw the newest messages of a running skin until `stop`."""
-    painter, newest = Painter(layout, canvas), Newest()
-    for topic in TOPICS:
-        fabric.subscribe(topic, partial(newest.put, topic.name))
+    painter, arrivals = Painter(layout, canvas), Arrivals(fabric, TOPICS)
     while not stop.is_set():
-        for message in newest.take(LOOK_S):
-            painter.take(message, time.monotonic(), time.time_ns())
-        painter.look(time.monotonic(), time.time_ns())
+        taken, now_s, time_ns = arrivals.take(LOOK_S), time.monotonic(), time.time_ns()
+        for peer, is_alive in arrivals.peers():
+            painter.take_peer(peer, is_alive, now_s)
+        for message in taken:
+            painter.take(message, now_s, time_ns)
+        painter.look(now_s, time_ns, arrivals.malformed)
     return painter
 
 
-def _check(target: str, suffix: str) -> None:
-    """Check a target that is a file, before anything else is opened.
+def _opener(target: str, *, for_rerun: bool) -> Callable[[Layout], Canvas]:
+    """Check the target, before anything else is opened; return what opens the canvas.
 
     Raises
     ------
     InputError
-        If no file can be written there.
+        If it cannot be used.
     """
-    is_address = not target or "://" in target or target.rpartition(":")[2].isdecimal()
-    if is_address:
-        return
-    if Path(target).suffix.lower() != suffix:
-        raise InputError(f"{target}: expected an address, or a new file that ends in {suffix}")
-    check_new_path(Path(target), "view")
+    if for_rerun:
+        viewer = rerun_target(target)
+        return lambda skin: RerunCanvas(skin, viewer)
+    app = foxglove_target(target)
+    return lambda skin: _serving(FoxgloveCanvas(skin, app))
 
 
-def _serving(skin: Layout, target: str) -> FoxgloveCanvas:
-    canvas = FoxgloveCanvas(skin, target)
+def _serving(canvas: FoxgloveCanvas) -> FoxgloveCanvas:
     if canvas.address:
         say(SERVICE, f"open {canvas.address} in Foxglove: 'Open connection', 'Foxglove WebSocket'")
     return canvas

@@ -8,16 +8,16 @@ import numpy as np
 
 from canskin.errors import InputError, RunError
 from canskin.messages import Contact
+from show.target import Address
 from skin.layout import Layout
 from skin.taxel_places import Forces, place_m, radius_m
+from viewer.state import FRESH_S
 
 IMAGE: Final = "/image"
 TAXELS: Final = "/taxels"
 CONTACTS: Final = "/contacts"
 FIGURES: Final = "/figures"
 LOG: Final = "/log"
-#: Contacts vanish after this time without new ones.
-CONTACT_S: Final = 0.5
 _LEVELS: Final = {"info": "Info", "warning": "Warning", "error": "Error"}
 _NS: Final = 1_000_000_000
 
@@ -28,8 +28,8 @@ class FoxgloveCanvas:
     Parameters
     ----------
     layout : Layout
-    target : str
-        ``HOST:PORT``: serve the app there; port 0 takes a free one. Else a path: write a file (.mcap).
+    target : Address or pathlib.Path
+        Serve the app there; port 0 takes a free one. Or write a file (.mcap).
 
     Attributes
     ----------
@@ -44,20 +44,21 @@ class FoxgloveCanvas:
         If the server cannot listen there.
     """
 
-    def __init__(self, layout: Layout, target: str) -> None:
+    def __init__(self, layout: Layout, target: Address | Path) -> None:
         foxglove = _foxglove()
         self._messages, self._taxels, self._frame = foxglove.messages, layout.taxels, layout.name
         context, channels = foxglove.Context(), foxglove.channels
         self.address = ""
-        host, _, port = target.rpartition(":")
         try:
-            if host and port.isdecimal():
-                self._sink = foxglove.start_server(name=layout.name, host=host, port=int(port), context=context)
-                self.address = f"ws://{host}:{self._sink.port}"
+            if isinstance(target, Address):
+                host = target.host.strip("[]")
+                self._sink = foxglove.start_server(name=layout.name, host=host, port=target.port, context=context)
+                self.address = f"ws://{target.host}:{self._sink.port}"
             else:
-                self._sink = foxglove.open_mcap(Path(target), context=context)
+                self._sink = foxglove.open_mcap(target, context=context)
         except (RuntimeError, OSError) as error:
-            raise RunError(f"Foxglove: {target}: {error}") from error
+            where = f"{target.host}:{target.port}" if isinstance(target, Address) else target
+            raise RunError(f"Foxglove: {where}: {error}") from error
         self._image = channels.RawImageChannel(IMAGE, context=context)
         self._grid = channels.GridChannel(TAXELS, context=context)
         self._contacts = channels.SceneUpdateChannel(CONTACTS, context=context)
@@ -99,14 +100,14 @@ class FoxgloveCanvas:
             log_time=time_ns,
         )
 
-    def contacts(self, time_ns: int, _cycle: int, contacts: Sequence[Contact]) -> None:
-        """Draw a disc of each contact's area, and its force in words."""
+    def contacts(self, time_ns: int, _cycle: int | None, contacts: Sequence[Contact]) -> None:
+        """Draw a disc of each contact's area, and its force in words; all vanish after `viewer.state.FRESH_S`."""
         messages, taxels = self._messages, self._taxels
         entity = messages.SceneEntity(
             timestamp=self._stamp(time_ns),
             frame_id=self._frame,
             id="contacts",
-            lifetime=messages.Duration(sec=0, nsec=round(CONTACT_S * _NS)),
+            lifetime=messages.Duration(sec=0, nsec=round(FRESH_S * _NS)),
             cylinders=[
                 messages.CylinderPrimitive(
                     pose=self._pose(*place_m(taxels, each.row, each.column)),

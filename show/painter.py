@@ -7,17 +7,19 @@ import msgspec
 
 from canskin.labels import is_measured
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, Contact, Contacts, GatewayStatus, Image, Label
+from canskin.peers import Peer
 from skin.layout import Layout
 from skin.taxel_places import Forces, Grid
 from skin.wall_times import CLOCKS, Clocks, WallTimes
-from viewer.checks import contacts_fit, image_fits, label_fits, status_fits
-from viewer.state import ViewState
+from viewer.snapshot import Notice
+from viewer.state import FRESH_S, ViewState
 
 #: What a `Painter` takes.
 TOPICS: Final = (CLOCKS, IMAGE, CONTACTS, LABEL, GATEWAY)
 #: Notices are looked for so often.
 NOTICES_S: Final = 1.0
-NS: Final = 1_000_000_000
+#: After this time without an image contacts are no longer drawn.
+_FRESH_NS: Final = round(FRESH_S * 1e9)
 
 
 class Canvas(Protocol):
@@ -27,8 +29,8 @@ class Canvas(Protocol):
         """Draw the force on every taxel, shape (rows, columns), newtons; NaN where not measured."""
         ...
 
-    def contacts(self, time_ns: int, cycle: int, contacts: Sequence[Contact]) -> None:
-        """Draw the contacts of an image in the place of those before."""
+    def contacts(self, time_ns: int, cycle: int | None, contacts: Sequence[Contact]) -> None:
+        """Draw the contacts of an image in the place of those before; without cycle they are of no image."""
         ...
 
     def figure(self, time_ns: int, name: str, value: float) -> None:
@@ -45,7 +47,7 @@ class Canvas(Protocol):
 
 
 class Painter:
-    """Draws what comes.
+    """Draws what comes; images and contacts whose time on the wall clock is not known are not drawn.
 
     Parameters
     ----------
@@ -58,56 +60,68 @@ class Painter:
     ----------
     drawn : int
         Number of images so far.
-    refused : int
-        Messages that do not fit the layout.
     """
 
     def __init__(self, layout: Layout, canvas: Canvas, wall: WallTimes | None = None) -> None:
-        self.drawn = self.refused = 0
+        self.drawn = 0
         self._layout, self._canvas, self._grid = layout, canvas, Grid(layout)
         self._wall, self._state = wall or WallTimes(), ViewState(layout)
         self._label = ""
-        self._notices: dict[str, str] = {}
+        self._notices: dict[str, Notice] = {}
         self._due_s = float("-inf")
+        #: When contacts that are drawn came, and their sampling instant.
+        self._contacts_at: tuple[float, int] | None = None
 
     def take(self, message: msgspec.Struct, now_s: float, time_ns: int) -> None:
         """Draw a message of a topic of `TOPICS`; the clocks say when it came, and `time_ns` is of the wall."""
         match message:
             case Clocks():
                 self._wall.take(message)
-            case Image() if image_fits(message, self._layout):
-                self._state.take_image(message, now_s)
+            case Image() if self._state.take_image(message, now_s):
                 self._image(message)
-            case Contacts() if contacts_fit(message, self._layout):
-                self._state.take_contacts(message, now_s)
-                if not message.blind:  # no contacts would mean: no contact
-                    at_ns = self._wall.time_ns(message.sampled_mono_ns)
-                    self._canvas.contacts(at_ns, message.cycle, message.contacts)
-            case Label() if label_fits(message):
-                self._state.take_label(message, now_s)
+            case Contacts() if self._state.take_contacts(message, now_s):
+                self._contacts(message, now_s)
+            case Label() if self._state.take_label(message, now_s):
                 self._name(message)
-            case GatewayStatus() if status_fits(message):
-                self._state.take_gateway(message, now_s)
+            case GatewayStatus() if self._state.take_gateway(message, now_s):
                 for bus in message.buses:
                     self._canvas.figure(time_ns, f"load/{bus.name}", bus.load_ratio)
-            case _:
-                self.refused += 1
-        self.look(now_s, time_ns)
 
-    def look(self, now_s: float, time_ns: int) -> None:
-        """Write notices that begin or end to the log, once in `NOTICES_S`."""
+    def take_peer(self, peer: Peer, is_alive: bool, now_s: float) -> None:
+        """Note that a peer came or went at `now_s`."""
+        self._state.take_peer(peer, is_alive, now_s)
+
+    def look(self, now_s: float, time_ns: int, undecodable: int = 0) -> None:
+        """Clear contacts of stale images; write notices that begin or end to the log, once in `NOTICES_S`.
+
+        `undecodable` messages count as ignored.
+        """
+        if self._contacts_at is not None and now_s - self._contacts_at[0] > FRESH_S:
+            self._canvas.contacts(self._contacts_at[1] + _FRESH_NS, None, [])
+            self._contacts_at = None
         if now_s < self._due_s:
             return
         self._due_s = now_s + NOTICES_S
-        found = {notice.text: notice.level for notice in self._state.snapshot(now_s)[0].notices}
-        for text in found.keys() - self._notices.keys():
-            self._canvas.line(time_ns, found[text], text)
-        for text in self._notices.keys() - found.keys():
-            self._canvas.line(time_ns, "info", f"over: {text}")
+        found = {notice.kind or notice.text: notice for notice in self._state.snapshot(now_s, undecodable)[0].notices}
+        for kind in found.keys() - self._notices.keys():
+            self._canvas.line(time_ns, found[kind].level, found[kind].text)
+        for kind in self._notices.keys() - found.keys():
+            self._canvas.line(time_ns, "info", f"over: {self._notices[kind].text}")
         self._notices = found
+
+    def _contacts(self, contacts: Contacts, now_s: float) -> None:
+        """Draw the contacts; none while the skin is blind, as none is known then."""
+        time_ns = self._wall.time_ns(contacts.sampled_mono_ns)
+        if time_ns is None:
+            return
+        found = [] if contacts.blind else contacts.contacts
+        self._canvas.contacts(time_ns, contacts.cycle, found)
+        self._contacts_at = (now_s, time_ns) if found else None
 
     def _image(self, image: Image) -> None:
         time_ns, valid = self._wall.time_ns(image.sampled_mono_ns), self._grid.valid(image)
+        if time_ns is None:
+            return
         self.drawn += 1
         self._canvas.image(time_ns, image.cycle, self._grid.measured_n(image))
         self._canvas.figure(time_ns, "valid_share", float(valid.mean()))
@@ -115,6 +129,8 @@ class Painter:
 
     def _name(self, label: Label) -> None:
         time_ns = self._wall.time_ns(label.sampled_mono_ns)
+        if time_ns is None:
+            return
         measured = is_measured(label, self._layout.measurement.sums)
         self._canvas.figure(time_ns, "label_confidence", label.confidence if measured and label.label else 0.0)
         if measured and label.label != self._label:

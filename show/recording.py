@@ -34,7 +34,7 @@ def write_view(source: Path, path: Path, layout: Layout, for_rerun: bool, warn: 
     RunError
         If the recording holds no images.
     """
-    canvas: Canvas = RerunCanvas(layout, str(path)) if for_rerun else FoxgloveCanvas(layout, str(path))
+    canvas: Canvas = RerunCanvas(layout, path) if for_rerun else FoxgloveCanvas(layout, path)
     try:
         return draw_recording(source, layout, canvas, warn)
     except BaseException:
@@ -64,12 +64,14 @@ def draw_recording(source: Path, layout: Layout, canvas: Canvas, warn: Callable[
         If the recording holds no images.
     """
     offset_ns = wall_offset_ns(source)
-    painter = Painter(layout, canvas, WallTimes(lambda: offset_ns))
+    painter = Painter(layout, canvas, WallTimes(offset_ns))
     decoders = {topic.name: message_decoder(source, topic) for topic in TOPICS}
     try:
         for entry in read_entries(source, warn):
             if entry.topic in decoders:
-                painter.take(decoders[entry.topic](entry.data), entry.time_ns * 1e-9, entry.time_ns)
+                now_s = entry.time_ns * 1e-9
+                painter.look(now_s, entry.time_ns)  # before the message: it may end a gap
+                painter.take(decoders[entry.topic](entry.data), now_s, entry.time_ns)
     finally:
         canvas.close()
     if not painter.drawn:

@@ -8,9 +8,9 @@ import numpy as np
 
 from canskin.errors import InputError, RunError
 from canskin.messages import Contact
-from skin.colours import force_colours
 from skin.layout import Layout
 from skin.taxel_places import Forces, place_m, places_m, radius_m
+from skin.viridis import force_colours
 
 IMAGE: Final = "skin/image"
 #: The image in colours: on a tensor Rerun gives taxels without a value the colour of the largest force.
@@ -22,6 +22,8 @@ LOG: Final = "skin/log"
 #: Timelines: the sampling instant on the wall clock, and the number of the measurement.
 SAMPLED: Final = "sampled"
 CYCLE: Final = "cycle"
+#: A viewer that runs answers within this time.
+_ANSWER_S: Final = 5.0
 _LEVELS: Final = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
@@ -31,30 +33,31 @@ class RerunCanvas:
     Parameters
     ----------
     layout : Layout
-    target : str
-        Empty: start the viewer. ``rerun+http://HOST:9876/proxy``: a running viewer. A path: write a file (.rrd).
+    target : str or pathlib.Path, optional
+        URL of a running viewer, ``rerun+http://HOST:9876/proxy``, or a new file (.rrd); default: start the viewer.
 
     Raises
     ------
     InputError
         If rerun-sdk is not installed.
     RunError
-        If the viewer cannot be started.
+        If the viewer cannot be started, or does not answer.
     """
 
-    def __init__(self, layout: Layout, target: str = "") -> None:
+    def __init__(self, layout: Layout, target: str | Path | None = None) -> None:
         rr = _rerun()
         self._rr, self._taxels = rr, layout.taxels
         self._stream = rr.RecordingStream("canskin")
         self._stream.set_log_time_enabled(enabled=False)
         blueprint = _blueprint(rr, layout)
         try:
-            if not target:
+            if target is None:
                 self._stream.spawn(default_blueprint=blueprint)
-            elif "://" in target:
-                self._stream.connect_grpc(target, default_blueprint=blueprint)
+            elif isinstance(target, Path):
+                self._stream.save(target, default_blueprint=blueprint)
             else:
-                self._stream.save(Path(target), default_blueprint=blueprint)
+                self._stream.connect_grpc(target, default_blueprint=blueprint)
+                self._stream.flush(timeout_sec=_ANSWER_S)  # no viewer is no error before that
         except (RuntimeError, ValueError) as error:
             raise RunError(f"Rerun: {error}") from error
         half_m = layout.taxels.pitch_m / 2
@@ -74,7 +77,7 @@ class RerunCanvas:
         self._stream.log(HEAT_MAP, self._rr.Image(colours, magnification_filter="Nearest"))
         self._stream.log(TAXELS, self._rr.Boxes3D.from_fields(colors=colours.reshape(-1, 3)))
 
-    def contacts(self, time_ns: int, cycle: int, contacts: Sequence[Contact]) -> None:
+    def contacts(self, time_ns: int, cycle: int | None, contacts: Sequence[Contact]) -> None:
         """Draw a ring of each contact's area, with its force in words."""
         self._at(time_ns, cycle)
         taxels = self._taxels
@@ -102,9 +105,19 @@ class RerunCanvas:
         self._stream.log(LOG, self._rr.TextLog(text, level=_LEVELS[level]))
 
     def close(self) -> None:
-        """Send what waits."""
-        self._stream.flush()
-        self._stream.disconnect()
+        """Send what waits.
+
+        Raises
+        ------
+        RunError
+            If the viewer has gone, or the file cannot be written.
+        """
+        try:
+            self._stream.flush()
+        except RuntimeError as error:
+            raise RunError(f"Rerun: {error}") from error
+        finally:
+            self._stream.disconnect()
 
     def _at(self, time_ns: int, cycle: int | None = None) -> None:
         self._stream.reset_time()

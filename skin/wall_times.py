@@ -1,23 +1,23 @@
 """Sampling instants on the wall clock, for programs that read images: only measurements tell both clocks."""
 
 from collections import deque
-from collections.abc import Callable
 from typing import Final
 
 import msgspec
 
 from canskin.messages import MEASUREMENT, Topic
-from skin.clock import wall_offset
 
+#: Times on the wall clock end here, in 2038: ROS 2 has int32 seconds.
+END_NS: Final = 2**31 * 1_000_000_000
 #: Measurements whose clocks are kept: an image is at most some cycles older than the newest measurement.
 _KEPT: Final = 64
 
 
 class Clocks(msgspec.Struct, frozen=True):
-    """The clocks of a `canskin.messages.Measurement`, without its sums."""
+    """The clocks of a `canskin.messages.Measurement`, without its sums; no offset from a gateway that tells none."""
 
     sampled_mono_ns: int
-    wall_offset_ns: int = 0
+    wall_offset_ns: int | None = None
 
 
 #: The clocks of every measurement.
@@ -29,22 +29,29 @@ class WallTimes:
 
     Parameters
     ----------
-    fallback_ns : callable
-        Wall clock minus CLOCK_MONOTONIC before the first measurement that tells its own; default: of this machine.
+    first_offset_ns : int, optional
+        Wall clock minus monotonic clock before the first measurement that tells its own; default: not known. The clocks
+        of this machine tell nothing of those of the gateway's.
     """
 
-    def __init__(self, fallback_ns: Callable[[], int] = lambda: wall_offset().ns) -> None:
-        self._fallback_ns = fallback_ns
-        self._clocks: deque[Clocks] = deque(maxlen=_KEPT)
+    def __init__(self, first_offset_ns: int | None = None) -> None:
+        self._first_offset_ns = first_offset_ns
+        #: Sampling instants and offsets.
+        self._clocks: deque[tuple[int, int]] = deque(maxlen=_KEPT)
 
     def take(self, clocks: Clocks) -> None:
         """Use the clocks of a measurement."""
-        if clocks.wall_offset_ns:
-            self._clocks.append(clocks)
+        if clocks.wall_offset_ns is not None:
+            self._clocks.append((clocks.sampled_mono_ns, clocks.wall_offset_ns))
 
-    def time_ns(self, sampled_mono_ns: int) -> int:
-        """Return a sampling instant on the wall clock, by the newest measurement that is not later."""
-        if not self._clocks:
-            return sampled_mono_ns + self._fallback_ns()
-        before = (each for each in reversed(self._clocks) if each.sampled_mono_ns <= sampled_mono_ns)
-        return sampled_mono_ns + next(before, self._clocks[0]).wall_offset_ns
+    def time_ns(self, sampled_mono_ns: int) -> int | None:
+        """Return a sampling instant on the wall clock, by the newest measurement that is not later.
+
+        None if no offset is known, or if the instant is before 1970 or after `END_NS`.
+        """
+        first_ns = self._clocks[0][1] if self._clocks else self._first_offset_ns
+        before = (offset_ns for at_ns, offset_ns in reversed(self._clocks) if at_ns <= sampled_mono_ns)
+        offset_ns = next(before, first_ns)
+        if offset_ns is None or not 0 <= sampled_mono_ns + offset_ns < END_NS:
+            return None
+        return sampled_mono_ns + offset_ns

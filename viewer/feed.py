@@ -31,7 +31,7 @@ class Feed:
     def join(self, fabric: Fabric) -> None:
         """Subscribe to all topics that the page shows."""
         state = self._state
-        handlers: tuple[tuple[Topic, Callable[[Any, float], None]], ...] = (
+        handlers: tuple[tuple[Topic, Callable[[Any, float], object]], ...] = (
             (IMAGE, state.take_image),
             (CONTACTS, state.take_contacts),
             (TRUTH, state.take_truth),
@@ -50,7 +50,7 @@ class Feed:
         with self._lock:
             return self._state.snapshot(time.monotonic(), undecodable)
 
-    def _noting(self, take: Callable[[Any, float], None]) -> Callable[[Any], None]:
+    def _noting(self, take: Callable[[Any, float], object]) -> Callable[[Any], None]:
         def note(message: Any) -> None:
             with self._lock:
                 take(message, time.monotonic())

@@ -78,7 +78,9 @@ def _images(state: Snapshot) -> Iterator[Notice]:
 
 
 def _why(state: Snapshot, token: Service | None) -> str:
-    """Name the service because of which no images come."""
+    """Name the service because of which no images come; without any token, as in recordings, no service is known."""
+    if not state.services:
+        return "no more came"
     if token is None or not token.alive:
         return "reconstructor is gone"
     gateway = state.services.get("gateway")
@@ -93,8 +95,8 @@ def _labels(state: Snapshot) -> Iterator[Notice]:
         yield Notice(level="error", text="labels stopped: classifier is gone", since_time_s=token.since_time_s)
     elif label is not None and label.stale and _measures(state):
         since_time_s = state.time_s - label.age_s
-        text = "labels stopped: classifier is there but sends none" if token else "labels stopped: classifier is gone"
-        yield _error(text, since_time_s)
+        why = "classifier is there but sends none" if token else "classifier is gone"
+        yield _error(f"labels stopped: {why if state.services else 'no more came'}", since_time_s)
 
 
 def _nodes(state: Snapshot) -> Iterator[Notice]:
@@ -129,7 +131,8 @@ def _calibration(state: Snapshot) -> Iterator[Notice]:
     for text in calibration.defects[:NAMED]:
         yield Notice(level="warning", text=text)
     if len(calibration.defects) > NAMED:
-        yield Notice(level="warning", text=f"{len(calibration.defects) - NAMED} more defects: skin calibration show")
+        text = f"{len(calibration.defects) - NAMED} more defects: skin calibration show"
+        yield Notice(level="warning", text=text, kind="more defects")
 
 
 def _off_duty(bus: BusView) -> Iterator[Notice]:
@@ -158,7 +161,7 @@ def _nodes_of_word(bus: BusView) -> dict[str, list[int]]:
 def _ignored(state: Snapshot) -> Iterator[Notice]:
     if state.ignored:
         text = f"{state.ignored} messages ignored that do not fit this skin: is every service given the same layout?"
-        yield Notice(level="warning", text=text)
+        yield Notice(level="warning", text=text, kind="ignored")
 
 
 def _measures(state: Snapshot) -> bool:

@@ -20,11 +20,14 @@ class Notice(msgspec.Struct, frozen=True, kw_only=True):
         "info" (start is not finished), "warning" (degraded) or "error" (stopped).
     since_time_s : float or None
         Wall-clock time when the condition began.
+    kind : str
+        The same for notices of one condition whose text changes with a number; empty for a text that stays.
     """
 
     level: str
     text: str
     since_time_s: float | None = None
+    kind: str = ""
 
 
 class Service(msgspec.Struct, frozen=True, kw_only=True):

@@ -29,7 +29,7 @@ from viewer.snapshot import (
 )
 from viewer.window import Window
 
-#: Images, labels and truths older than this are stale.
+#: Images, contacts, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
 STATUS_FRESH_S: Final = 1.5
@@ -83,11 +83,11 @@ class ViewState:
         self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
 
-    def take_image(self, image: Image, now_s: float) -> None:
-        """Use an image that came at `now_s`."""
+    def take_image(self, image: Image, now_s: float) -> bool:
+        """Use an image that came at `now_s`; return whether it fits the skin."""
         if not image_fits(image, self._layout):
             self.ignored += 1
-            return
+            return False
         # An image without any new sum, of a skin with nothing to send, has no latency.
         is_new = self._image is None or self._image.message.sampled_mono_ns != image.sampled_mono_ns
         self._image = Last(image, now_s)
@@ -98,13 +98,15 @@ class ViewState:
             self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
         for shown, truth in self._pairing.take(image):
             self._compare(shown, truth, now_s)
+        return True
 
-    def take_contacts(self, contacts: Contacts, now_s: float) -> None:
-        """Use the contacts of an image that came at `now_s`."""
+    def take_contacts(self, contacts: Contacts, now_s: float) -> bool:
+        """Use the contacts of an image that came at `now_s`; return whether they fit the skin."""
         if not contacts_fit(contacts, self._layout):
             self.ignored += 1
-            return
+            return False
         self._contacts = Last(contacts, now_s)
+        return True
 
     def take_truth(self, truth: Truth, now_s: float) -> None:
         """Use a truth that came at `now_s`."""
@@ -115,19 +117,21 @@ class ViewState:
         for image, true in self._pairing.take_truth(truth):
             self._compare(image, true, now_s)
 
-    def take_label(self, label: Label, now_s: float) -> None:
-        """Use a label that came at `now_s`."""
+    def take_label(self, label: Label, now_s: float) -> bool:
+        """Use a label that came at `now_s`; return whether it fits the skin."""
         if not label_fits(label):
             self.ignored += 1
-            return
+            return False
         self._label = Last(label, now_s)
+        return True
 
-    def take_gateway(self, status: GatewayStatus, now_s: float) -> None:
-        """Use the gateway's counters that came at `now_s`."""
+    def take_gateway(self, status: GatewayStatus, now_s: float) -> bool:
+        """Use the gateway's counters that came at `now_s`; return whether they fit the skin."""
         if not status_fits(status):
             self.ignored += 1
-            return
+            return False
         self._gateway = Last(status, now_s)
+        return True
 
     def take_nodes(self, status: NodesStatus, now_s: float) -> None:
         """Use the counters of one process of nodes that came at `now_s`."""

@@ -16,8 +16,10 @@ from ros2.bridge import Bridge
 from ros2.node import RosNode
 from ros2.reader import RosReader
 from ros2.topics import FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, RosTopic
+from skin.clock import wall_offset
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal
+from skin.wall_times import CLOCKS, Clocks
 
 #: Images of a round, at the rate of the default skin.
 _IMAGES: Final = 100
@@ -88,6 +90,7 @@ def _await_first(layout: Layout, hub: Fabric, came: "queue.Queue[tuple[int, byte
     while came.empty():
         if time.monotonic() > ends_s:
             raise RunError("no image came")
+        hub.publish(CLOCKS, Clocks(time.monotonic_ns(), wall_offset().ns))
         hub.publish(IMAGE, _image(layout, 0, pixels))
         time.sleep(layout.sync.period_s)
     time.sleep(0.5)

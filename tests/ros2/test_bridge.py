@@ -1,7 +1,9 @@
 """A skin on ROS 2's wire, as a reader with other libraries sees it."""
 
 import math
+import threading
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,8 +22,9 @@ from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Measu
 from ros2.bridge import Bridge
 from ros2.names import RELIABLE, SENSOR_DATA
 from ros2.node import RosNode
-from ros2.topics import ROS_TOPICS
+from ros2.topics import ROS_TOPICS, Translator
 from ros2.types import TRIGGER, key_type
+from skin.wall_times import Clocks, WallTimes
 from tests.ros2.reader import (
     PATIENCE_S,
     TYPE_HASHES,
@@ -37,9 +40,12 @@ from tests.ros2.reader import (
     time_ns,
 )
 from tests.viewer.conftest import Messages
+from viewer.state import ViewState
 
 WALL_NS = 1_700_000_000_000_000_000
 SAMPLED_NS = 1_000_000_000
+#: Of the client that asks a service.
+GID = bytes(range(16))
 
 
 class Setup:
@@ -58,6 +64,7 @@ class Setup:
         of_bridge = next(each for each in ROS_TOPICS if each.name == name)
         while not self.bridge._publishers[of_bridge].has_readers:
             self.bridge.turn(0.01)
+        self.clocks()
         return topic
 
     def publish(self, topic: object, message: object) -> None:
@@ -94,7 +101,6 @@ def setup(hub: Fabric, endpoint: str, messages: Messages) -> Iterator[Setup]:
 
 def test_images_are_equal_bit_for_bit_and_nan_where_not_measured(setup: Setup) -> None:
     images = setup.topic("image", "sensor_msgs/msg/Image", Image)
-    setup.clocks()
     random = np.random.default_rng(1)
     for cycle in range(1, 51):
         pixels = random.random((16, 16), np.float32)
@@ -250,6 +256,17 @@ def test_type_hashes_are_those_of_the_distributions(ros_type: str) -> None:
     assert key_type(ros_type) == f"{ros2_to_dds_type(ros_type)}/{TYPE_HASHES[ros_type]}"
 
 
+def ask(setup: Setup, service: str) -> Any:
+    """Ask a service of the node; return the replies to come."""
+    return setup.reader.session.get(
+        key(service, TRIGGER, 7),
+        payload=b"\0\1\0\0\0",
+        attachment=Attachment(sequence_id=5, timestamp_ns=1, gid=GID).to_bytes(),
+        target=zenoh.QueryTarget.ALL_COMPLETE,
+        timeout=PATIENCE_S,
+    )
+
+
 @pytest.mark.parametrize("is_done", [True, False])
 def test_tare_asks_the_gateway(setup: Setup, is_done: bool) -> None:
     asked = []
@@ -259,19 +276,39 @@ def test_tare_asks_the_gateway(setup: Setup, is_done: bool) -> None:
         reply(CalibrationReply(is_done=is_done, text="the words"))  # type: ignore[operator]
 
     setup.hub.answer(CALIBRATION, answer)
-    gid = bytes(range(16))
-    (answered,) = setup.reader.session.get(
-        key("/arm/palm/tare", TRIGGER, 7),
-        payload=b"\0\1\0\0\0",
-        attachment=Attachment(sequence_id=5, timestamp_ns=1, gid=gid).to_bytes(),
-        target=zenoh.QueryTarget.ALL_COMPLETE,
-        timeout=PATIENCE_S,
-    )
+    (answered,) = ask(setup, "/arm/palm/tare")
     reply = TriggerReply.deserialize(answered.ok.payload.to_bytes())
     attached = Attachment.from_bytes(answered.ok.attachment.to_bytes())
     assert (reply.success, reply.message) == (is_done, "the words")
-    assert (attached.sequence_id, attached.gid) == (5, gid)
+    assert (attached.sequence_id, attached.gid) == (5, GID)
     assert len(asked) == 1
+
+
+def test_every_error_of_a_service_is_an_answer(setup: Setup) -> None:
+    def fail() -> tuple[bool, str]:
+        raise ValueError("the reason")
+
+    setup.node.serve_trigger("fail", fail)
+    (answered,) = ask(setup, "/arm/palm/fail")
+    reply = TriggerReply.deserialize(answered.ok.payload.to_bytes())
+    assert (reply.success, reply.message) == (False, "the reason")
+
+
+def test_closing_does_not_wait_for_an_answer(setup: Setup) -> None:
+    began, may_end, ended = threading.Event(), threading.Event(), []
+
+    def act() -> tuple[bool, str]:
+        began.set()
+        ended.append(may_end.wait(2.0))
+        return True, ""
+
+    setup.node.serve_trigger("slow", act)
+    replies = ask(setup, "/arm/palm/slow")
+    assert began.wait(PATIENCE_S)
+    setup.node.close()
+    assert not ended
+    may_end.set()
+    del replies
 
 
 def test_a_client_of_another_library_tares(setup: Setup, endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -293,11 +330,43 @@ def test_a_client_of_another_library_tares(setup: Setup, endpoint: str, monkeypa
     assert (answer.success, answer.message) == (True, "new zero")
 
 
-def test_a_message_that_does_not_fit_is_refused_and_the_next_is_published(setup: Setup) -> None:
+@pytest.mark.parametrize("wrong", [{"pixels": b"1234"}, {"sampled_mono_ns": 2**62}, {"sampled_mono_ns": -1}], ids=str)
+def test_an_image_that_does_not_fit_is_ignored_and_the_next_is_published(setup: Setup, wrong: dict[str, Any]) -> None:
     images = setup.topic("image", "sensor_msgs/msg/Image", Image)
     good = setup.messages.image()
-    setup.publish(IMAGE, msgspec.structs.replace(good, pixels=b"1234"))
+    setup.publish(IMAGE, msgspec.structs.replace(good, **wrong))
     setup.publish(IMAGE, good)
     image, attached = images.next()
     assert attached.sequence_id == 1
     assert math.isclose(np.array(image.data, np.uint8).view("<f4").max(), setup.messages.grid().max())
+
+
+def test_no_image_goes_out_before_the_clocks_of_the_gateway_are_known(messages: Messages) -> None:
+    translator = Translator(messages.layout, "palm", ViewState(messages.layout))
+    clocks = Clocks(sampled_mono_ns=0, wall_offset_ns=WALL_NS)
+    drafts = [
+        len(list(translator.take(each, 0.0)))
+        for each in (messages.image(), messages.contacts(), clocks, messages.image())
+    ]
+    assert drafts == [0, 0, 0, 3]
+
+
+def test_diagnostics_count_what_is_ignored(messages: Messages) -> None:
+    translator = Translator(messages.layout, "palm", ViewState(messages.layout))
+    translator.take(messages.contacts(row=99.0), 0.0)
+    status = translator.diagnostics(0.1, 0, undecodable=2).status[0]
+    assert "3 messages ignored that do not fit this skin" in " ".join(each.value for each in status.values)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"identity": -1}, {"identity": 2**32}, {"taxels": -1}, {"invalid_taxels": 257}, {"peak_n": math.nan}],
+    ids=str,
+)
+def test_contacts_out_of_range_are_ignored(messages: Messages, wrong: dict[str, Any]) -> None:
+    state = ViewState(messages.layout)
+    translator = Translator(messages.layout, "palm", state, wall=WallTimes(WALL_NS))
+    good = messages.contacts()
+    bad = msgspec.structs.replace(good, contacts=[msgspec.structs.replace(good.contacts[0], **wrong)])
+    assert [len(list(translator.take(each, 0.0))) for each in (bad, good)] == [0, 2]
+    assert state.ignored == 1

@@ -11,6 +11,7 @@ from canskin.messages import IMAGE
 from ros2.bridge import Bridge
 from ros2.node import RosNode
 from ros2.topics import FORCE_IMAGE
+from skin.wall_times import CLOCKS, Clocks
 from tests.ros2.reader import PATIENCE_S
 from tests.viewer.conftest import Messages
 
@@ -27,6 +28,8 @@ def test_a_reader_without_ros_gets_the_images(hub: Fabric, endpoint: str, messag
     exec(code, names)  # noqa: S102 - our own page
     while not bridge._publishers[FORCE_IMAGE].has_readers:
         bridge.turn(0.01)
+    hub.publish(CLOCKS, Clocks(sampled_mono_ns=0, wall_offset_ns=0))
+    bridge.turn(PATIENCE_S)
     hub.publish(IMAGE, messages.image(invalid=(3,)))
     bridge.turn(PATIENCE_S)
     force_n, unknown = came.get(timeout=PATIENCE_S)

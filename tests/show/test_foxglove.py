@@ -19,7 +19,9 @@ from canskin.messages import CONTACTS, IMAGE
 from recording.export_command import export
 from show.command import draw_live
 from show.foxglove_canvas import FoxgloveCanvas
+from show.target import Address
 from skin.service import StopSignal
+from skin.wall_times import CLOCKS, Clocks
 from tests.recording.conftest import OFFSET_NS
 from tests.recording.test_export import COUNT, SET_NS, pixels
 from tests.viewer.conftest import Messages
@@ -79,12 +81,13 @@ def test_contacts_curves_and_log(run: Path) -> None:
 
 
 def test_the_app_gets_the_images_of_a_live_skin(hub: Fabric, endpoint: str, messages: Messages) -> None:
-    canvas, stop = FoxgloveCanvas(messages.layout, "127.0.0.1:0"), StopSignal()
+    canvas, stop = FoxgloveCanvas(messages.layout, Address("127.0.0.1", 0)), StopSignal()
     fabric = Fabric("palm", "show", endpoint)
     drawing = threading.Thread(target=draw_live, args=(messages.layout, fabric, canvas, stop))
     drawing.start()
 
     def publish() -> None:
+        hub.publish(CLOCKS, Clocks(sampled_mono_ns=0, wall_offset_ns=OFFSET_NS))
         hub.publish(IMAGE, messages.image())
         hub.publish(CONTACTS, messages.contacts())
 

@@ -1,13 +1,18 @@
 """What is drawn of the messages of a skin."""
 
+import threading
 from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 import pytest
 
+from canskin.fabric import Fabric
 from canskin.messages import Contact
+from canskin.peers import new_peer
+from show.command import draw_live
 from show.painter import Painter
+from skin.service import StopSignal
 from skin.wall_times import Clocks
 from tests.viewer.conftest import Messages
 
@@ -19,14 +24,14 @@ class Drawn:
 
     def __init__(self) -> None:
         self.images: list[tuple[int, int, np.ndarray]] = []
-        self.found: list[tuple[int, list[int]]] = []
+        self.found: list[tuple[int | None, list[int]]] = []
         self.figures: list[tuple[int, str, float]] = []
         self.lines: list[tuple[str, str]] = []
 
     def image(self, time_ns: int, cycle: int, measured_n: np.ndarray) -> None:
         self.images.append((time_ns, cycle, measured_n))
 
-    def contacts(self, time_ns: int, cycle: int, contacts: Sequence[Contact]) -> None:
+    def contacts(self, time_ns: int, cycle: int | None, contacts: Sequence[Contact]) -> None:
         self.found.append((cycle, [each.identity for each in contacts]))
 
     def figure(self, time_ns: int, name: str, value: float) -> None:
@@ -61,11 +66,25 @@ def test_image_is_drawn_at_its_sampling_instant(painter: Painter, drawn: Drawn, 
     assert drawn.figures[1][1:] == ("force_n", pytest.approx(messages.grid()[is_valid].sum()))
 
 
-def test_blind_contacts_are_not_drawn(painter: Painter, drawn: Drawn, messages: Messages) -> None:
+def test_a_blind_skin_has_no_contacts(painter: Painter, drawn: Drawn, messages: Messages) -> None:
     painter.take(messages.contacts(1), 0.0, WALL_NS)
     painter.take(messages.contacts(2, blind=True), 0.0, WALL_NS)
     painter.take(msgspec.structs.replace(messages.contacts(3), contacts=[]), 0.0, WALL_NS)
-    assert drawn.found == [(1, [7]), (3, [])]
+    assert drawn.found == [(1, [7]), (2, []), (3, [])]
+
+
+def test_contacts_go_when_no_more_images_come(painter: Painter, drawn: Drawn, messages: Messages) -> None:
+    painter.take(messages.contacts(1), 1.0, WALL_NS)
+    for now_s in (1.4, 1.6, 1.7):
+        painter.look(now_s, WALL_NS)
+    assert drawn.found == [(1, [7]), (None, [])]
+
+
+def test_nothing_is_drawn_before_the_clocks_of_the_gateway_are_known(drawn: Drawn, messages: Messages) -> None:
+    painter = Painter(messages.layout, drawn)
+    for message in (messages.image(), messages.contacts(), messages.label("ring")):
+        painter.take(message, 0.0, WALL_NS)
+    assert (drawn.images, drawn.found, drawn.figures, drawn.lines, painter.drawn) == ([], [], [], [], 0)
 
 
 def test_a_label_is_a_curve_and_its_changes_are_lines(painter: Painter, drawn: Drawn, messages: Messages) -> None:
@@ -78,15 +97,70 @@ def test_a_label_is_a_curve_and_its_changes_are_lines(painter: Painter, drawn: D
 
 def test_load_of_each_bus_and_notices_that_begin_and_end(painter: Painter, drawn: Drawn, messages: Messages) -> None:
     painter.take(messages.gateway(nmt=((5, 5, 255, 5), (5, 5, 5, 5))), 1.0, WALL_NS)
+    painter.look(1.0, WALL_NS)
     assert [(name, value) for _, name, value in drawn.figures] == [("load/left", 0.8), ("load/right", 0.8)]
     assert ("warning", "left: node 3 silent") in drawn.lines
     painter.take(messages.gateway(), 2.1, WALL_NS)
+    painter.look(2.1, WALL_NS)
     assert drawn.lines[-1] == ("info", "over: left: node 3 silent")
 
 
-def test_what_does_not_fit_is_refused(painter: Painter, drawn: Drawn, messages: Messages) -> None:
-    painter.take(msgspec.structs.replace(messages.image(), pixels=b"1234"), 0.0, WALL_NS)
-    painter.take(messages.contacts(row=99.0), 0.0, WALL_NS)
-    assert painter.refused == 2
+def test_what_does_not_fit_is_counted_in_one_notice(painter: Painter, drawn: Drawn, messages: Messages) -> None:
+    painter.look(0.0, WALL_NS)
+    for now_s in (1.0, 2.0, 3.0):
+        painter.take(msgspec.structs.replace(messages.image(), pixels=b"1234"), now_s, WALL_NS)
+        painter.take(messages.contacts(row=99.0), now_s, WALL_NS)
+        painter.look(now_s, WALL_NS, undecodable=1)
     assert not drawn.images
     assert not drawn.found
+    (line,) = [line for line in drawn.lines if "ignored" in line[1]]
+    assert line == (
+        "warning",
+        "3 messages ignored that do not fit this skin: is every service given the same layout?",
+    )
+
+
+def test_a_service_is_gone_when_its_token_is(painter: Painter, drawn: Drawn, messages: Messages) -> None:
+    peer = new_peer("palm", "reconstructor", messages.layout.phi().fingerprint)
+    painter.take_peer(peer, True, 0.0)
+    painter.take(messages.image(), 0.0, WALL_NS)
+    painter.look(0.0, WALL_NS)
+    painter.look(1.0, WALL_NS)
+    assert ("error", "images stopped: no measurements without the gateway") in drawn.lines
+    painter.take_peer(peer, False, 1.5)
+    painter.look(2.0, WALL_NS)
+    assert ("error", "images stopped: reconstructor is gone") in drawn.lines
+
+
+def test_a_service_that_does_not_fit_is_in_the_log_of_a_live_skin(
+    hub: Fabric, endpoint: str, messages: Messages, drawn: Drawn
+) -> None:
+    came, stop, write = threading.Event(), StopSignal(), drawn.line
+
+    def line(time_ns: int, level: str, text: str) -> None:
+        write(time_ns, level, text)
+        if "reconstructor has Φ 0123456789abcdef" in text:
+            came.set()
+
+    drawn.line = line  # type: ignore[method-assign]
+    fabrics = [
+        Fabric("palm", "show", endpoint),
+        Fabric("palm", "reconstructor", endpoint, fingerprint="0123456789abcdef"),
+    ]
+    drawing = threading.Thread(target=draw_live, args=(messages.layout, fabrics[0], drawn, stop))
+    drawing.start()
+    has_come = came.wait(20.0)
+    stop.set()
+    drawing.join()
+    for each in fabrics:
+        each.close()
+    assert has_come, drawn.lines
+
+
+def test_a_recording_tells_of_no_service_that_it_is_gone(painter: Painter, drawn: Drawn, messages: Messages) -> None:
+    painter.take(messages.image(), 0.0, WALL_NS)
+    painter.take(messages.label(), 0.0, WALL_NS)
+    painter.take(messages.gateway(), 1.0, WALL_NS)
+    painter.look(1.0, WALL_NS)
+    errors = {text for level, text in drawn.lines if level == "error"}
+    assert errors == {"images stopped: no more came", "labels stopped: no more came"}

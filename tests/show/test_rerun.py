@@ -17,6 +17,7 @@ from recording.export_command import export
 from show.command import draw_live
 from show.rerun_canvas import RerunCanvas
 from skin.service import StopSignal
+from skin.wall_times import CLOCKS, Clocks
 from tests.recording.conftest import OFFSET_NS
 from tests.recording.test_export import COUNT, SET_NS, pixels
 from tests.viewer.conftest import Messages
@@ -84,7 +85,7 @@ def test_a_live_skin_is_drawn_with_contacts_curves_and_log(
     hub: Fabric, endpoint: str, messages: Messages, tmp_path: Path
 ) -> None:
     path, stop = tmp_path / "live.rrd", StopSignal()
-    canvas, fabric = RerunCanvas(messages.layout, str(path)), Fabric("palm", "show", endpoint)
+    canvas, fabric = RerunCanvas(messages.layout, path), Fabric("palm", "show", endpoint)
     painters: list[Any] = []
     drawing = threading.Thread(target=lambda: painters.append(draw_live(messages.layout, fabric, canvas, stop)))
     drawing.start()
@@ -94,6 +95,7 @@ def test_a_live_skin_is_drawn_with_contacts_curves_and_log(
     while not came.wait(0.05):
         count += 1
         for topic, message in (
+            (CLOCKS, Clocks(sampled_mono_ns=0, wall_offset_ns=OFFSET_NS)),
             (IMAGE, messages.image(count)),
             (LABEL, messages.label("ring")),
             (GATEWAY, messages.gateway()),
@@ -119,3 +121,20 @@ def test_frames_alone_leave_no_file(tmp_path: Path, out: Path, contract: Any) ->
         with pytest.raises(RunError, match="holds no images"):
             export(str(out), to=to)  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == [out]
+
+
+def test_a_viewer_that_does_not_answer_is_an_error(messages: Messages) -> None:
+    with pytest.raises(RunError, match="unable to connect"):
+        RerunCanvas(messages.layout, "rerun+http://127.0.0.1:1/proxy")
+
+
+def test_a_viewer_that_has_gone_is_an_error_at_the_end(
+    messages: Messages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone() -> None:
+        raise RuntimeError("gRPC has been unable to connect")
+
+    canvas = RerunCanvas(messages.layout, tmp_path / "run.rrd")
+    monkeypatch.setattr(canvas._stream, "flush", gone)
+    with pytest.raises(RunError, match="unable to connect"):
+        canvas.close()

@@ -1,13 +1,27 @@
 """Sampling instants on the wall clock."""
 
+import pytest
+
 from skin.wall_times import Clocks, WallTimes
 
 
 def test_the_newest_measurement_that_is_not_later_tells_the_offset() -> None:
-    wall = WallTimes(lambda: 7)
+    wall = WallTimes(7)
     assert wall.time_ns(100) == 107
-    wall.take(Clocks(sampled_mono_ns=100, wall_offset_ns=0))  # does not know
+    wall.take(Clocks(sampled_mono_ns=100))  # does not know
     assert wall.time_ns(100) == 107
     for sampled_ns, offset_ns in ((100, 1000), (200, 2000)):
         wall.take(Clocks(sampled_mono_ns=sampled_ns, wall_offset_ns=offset_ns))
     assert [wall.time_ns(each) for each in (50, 100, 199, 200, 300)] == [1050, 1100, 1199, 2200, 2300]
+
+
+def test_nothing_is_told_before_the_first_measurement() -> None:
+    wall = WallTimes()
+    assert wall.time_ns(100) is None
+    wall.take(Clocks(sampled_mono_ns=100, wall_offset_ns=0))  # the replay of a log: its frames have Unix times
+    assert wall.time_ns(100) == 100
+
+
+@pytest.mark.parametrize("offset_ns", [-101, 2**62])
+def test_an_instant_that_no_wall_clock_has_is_none(offset_ns: int) -> None:
+    assert WallTimes(offset_ns).time_ns(100) is None
