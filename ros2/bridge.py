@@ -8,7 +8,7 @@ from typing import Final
 from calibration.command import ANSWER_S
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.fabric import Fabric
-from ros2.node import RosNode
+from ros2.node import SERVICE, RosNode
 from ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
 from skin.layout import Layout
 from skin.service import LOOK_S, StopSignal
@@ -45,7 +45,7 @@ class Bridge:
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock_s = clock_s
-        self._state = ViewState(layout, time.time() - clock_s())
+        self._state = ViewState(layout, time.time() - clock_s(), SERVICE)
         self._translator = Translator(layout, frame, self._state)
         self._publishers = {topic: node.publisher(topic) for topic in ROS_TOPICS}
         self._due_s = clock_s()

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -11,14 +11,12 @@ from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from show.foxglove_canvas import FoxgloveCanvas
-from show.painter import TOPICS, Canvas, Painter
+from show.painter import SERVICE, TOPICS, Canvas, Painter
 from show.rerun_canvas import RerunCanvas
 from show.target import foxglove_target, rerun_target
 from skin.layout import Layout, load_layout
 from skin.service import LOOK_S, StopSignal, say
 from viewer.arrivals import Arrivals
-
-SERVICE: Final = "show"
 
 
 def show(

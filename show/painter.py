@@ -14,6 +14,8 @@ from skin.wall_times import CLOCKS, Clocks, WallTimes
 from viewer.snapshot import Notice
 from viewer.state import FRESH_S, ViewState
 
+#: Name of the service on the fabric.
+SERVICE: Final = "show"
 #: What a `Painter` takes.
 TOPICS: Final = (CLOCKS, IMAGE, CONTACTS, LABEL, GATEWAY)
 #: Notices are looked for so often.
@@ -65,7 +67,7 @@ class Painter:
     def __init__(self, layout: Layout, canvas: Canvas, wall: WallTimes | None = None) -> None:
         self.drawn = 0
         self._layout, self._canvas, self._grid = layout, canvas, Grid(layout)
-        self._wall, self._state = wall or WallTimes(), ViewState(layout)
+        self._wall, self._state = wall or WallTimes(), ViewState(layout, service=SERVICE)
         self._label = ""
         self._notices: dict[str, Notice] = {}
         self._due_s = float("-inf")

@@ -30,11 +30,11 @@ LINKS: Final = {
 NAMED: Final = 8
 
 
-def notices(state: Snapshot) -> Snapshot:
-    """Return `state` with its notices, errors first."""
+def notices(state: Snapshot, own: str) -> Snapshot:
+    """Return `state` with its notices, errors first; `own` is the name of the service that shows the skin."""
     if state.cut_off:  # the state of the other services is then unknown
         text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
-        found = [_error(text, state.services["viewer"].since_time_s)]
+        found = [_error(text, state.services[own].since_time_s)]
     else:
         found = [*_gateway(state), *_misfits(state), *_images(state), *_labels(state), *_nodes(state), *_buses(state)]
         found += _calibration(state)

@@ -63,12 +63,15 @@ class ViewState:
         Of the skin shown; messages that do not fit it are counted in `ignored` and not shown.
     epoch_s : float
         Wall-clock time of ``now_s = 0``; notices give wall-clock times.
+    service : str
+        Name of the service that shows the skin: without its own token the hub is out of reach.
     """
 
-    def __init__(self, layout: Layout, epoch_s: float = 0.0) -> None:
+    def __init__(self, layout: Layout, epoch_s: float = 0.0, service: str = "viewer") -> None:
         self.ignored = 0
         self._layout = layout
         self._epoch_s = epoch_s
+        self._service_name = service
         self._image: Last[Image] | None = None
         self._contacts: Last[Contacts] | None = None
         self._truth: Last[Truth] | None = None
@@ -186,7 +189,7 @@ class ViewState:
             true=self._grid(truth[1].true) if truth else None,
             sensor=self._grid(truth[1].sensor) if truth else None,
         )
-        return notices(bare), pictures
+        return notices(bare, self._service_name), pictures
 
     def _compare(self, image: Image, truth: Truth, now_s: float) -> None:
         peak_n = self._layout.taxels.force_max_n
@@ -300,8 +303,8 @@ class ViewState:
         return [nodes_state(status, now_s - at_s, stale=now_s - at_s > STATUS_FRESH_S) for status, at_s in found]
 
     def _is_cut_off(self, now_s: float) -> bool:
-        """Tell whether the hub is out of reach: the viewer's own token is gone, and no message comes."""
-        own = self._services.get("viewer")
+        """Tell whether the hub is out of reach: this service's own token is gone, and no message comes."""
+        own = self._services.get(self._service_name)
         if own is None or own.alive:
             return False
         newest = (self._image, self._truth, self._label, self._gateway)

@@ -132,6 +132,16 @@ def test_a_service_is_gone_when_its_token_is(painter: Painter, drawn: Drawn, mes
     assert ("error", "images stopped: reconstructor is gone") in drawn.lines
 
 
+def test_a_lost_hub_is_one_error(painter: Painter, drawn: Drawn, messages: Messages) -> None:
+    peers = [new_peer("palm", name, messages.layout.phi().fingerprint) for name in ("show", "gateway", "reconstructor")]
+    for is_alive, now_s in ((True, 0.0), (False, 1.0)):
+        for peer in peers:
+            painter.take_peer(peer, is_alive, now_s)
+    painter.look(2.0, WALL_NS)
+    errors = [text for level, text in drawn.lines if level == "error"]
+    assert errors == ["nothing arrives: the fabric's hub, usually the gateway, is out of reach"]
+
+
 def test_a_service_that_does_not_fit_is_in_the_log_of_a_live_skin(
     hub: Fabric, endpoint: str, messages: Messages, drawn: Drawn
 ) -> None:
