@@ -1,6 +1,6 @@
 """Sampling instants on the wall clock, for programs that read images: only measurements tell both clocks."""
 
-from collections import deque
+from bisect import bisect_right
 from collections.abc import Callable
 from typing import Final
 
@@ -9,7 +9,7 @@ import msgspec
 from canskin.messages import MEASUREMENT, Topic
 from skin.clock import wall_offset
 
-#: Measurements whose clocks are kept: an image is at most some cycles older than the newest measurement.
+#: Measurements whose clocks a running program keeps: an image is at most some cycles older than the newest measurement.
 _KEPT: Final = 64
 
 
@@ -31,20 +31,26 @@ class WallTimes:
     ----------
     fallback_ns : callable
         Wall clock minus CLOCK_MONOTONIC before the first measurement that tells its own; default: of this machine.
+    kept : int
+        Number of measurements whose clocks are kept.
     """
 
-    def __init__(self, fallback_ns: Callable[[], int] = lambda: wall_offset().ns) -> None:
-        self._fallback_ns = fallback_ns
-        self._clocks: deque[Clocks] = deque(maxlen=_KEPT)
+    def __init__(self, fallback_ns: Callable[[], int] = lambda: wall_offset().ns, kept: int = _KEPT) -> None:
+        self._fallback_ns, self._kept = fallback_ns, kept
+        self._clocks: list[Clocks] = []
 
     def take(self, clocks: Clocks) -> None:
         """Use the clocks of a measurement."""
-        if clocks.wall_offset_ns:
-            self._clocks.append(clocks)
+        if not clocks.wall_offset_ns:
+            return
+        if self._clocks and clocks.sampled_mono_ns < self._clocks[-1].sampled_mono_ns:
+            self._clocks.clear()  # the gateway's machine has started again, or is another
+        self._clocks.append(clocks)
+        del self._clocks[: -self._kept]
 
     def time_ns(self, sampled_mono_ns: int) -> int:
         """Return a sampling instant on the wall clock, by the newest measurement that is not later."""
         if not self._clocks:
             return sampled_mono_ns + self._fallback_ns()
-        before = (each for each in reversed(self._clocks) if each.sampled_mono_ns <= sampled_mono_ns)
-        return sampled_mono_ns + next(before, self._clocks[0]).wall_offset_ns
+        later = bisect_right(self._clocks, sampled_mono_ns, key=lambda each: each.sampled_mono_ns)
+        return sampled_mono_ns + self._clocks[max(later - 1, 0)].wall_offset_ns

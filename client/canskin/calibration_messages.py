@@ -94,3 +94,5 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
 
 
 CALIBRATION: Final = Question("calibration", CalibrationRequest, CalibrationReply)
+#: Longest wait for an answer, but for that to ``write``: a zero takes seconds.
+ANSWER_S: Final = 15.0

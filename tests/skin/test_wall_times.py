@@ -11,3 +11,10 @@ def test_the_newest_measurement_that_is_not_later_tells_the_offset() -> None:
     for sampled_ns, offset_ns in ((100, 1000), (200, 2000)):
         wall.take(Clocks(sampled_mono_ns=sampled_ns, wall_offset_ns=offset_ns))
     assert [wall.time_ns(each) for each in (50, 100, 199, 200, 300)] == [1050, 1100, 1199, 2200, 2300]
+
+
+def test_after_a_restart_of_the_machine_its_new_clock_counts() -> None:
+    wall = WallTimes(lambda: 7, kept=2)
+    for sampled_ns, offset_ns in ((1000, 10), (2000, 20), (3000, 30), (100, 5000), (200, 6000)):
+        wall.take(Clocks(sampled_mono_ns=sampled_ns, wall_offset_ns=offset_ns))
+    assert [wall.time_ns(each) for each in (100, 150, 200)] == [5100, 5150, 6200]

@@ -230,17 +230,10 @@ uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
     return requests;
 }
 
-/* Number of the TPDO of an identifier, -1 for none. */
+/* Number of the TPDO of an identifier, -1 for none. The stack sends classic frames: all TPDOs have one length. */
 static int tpdo_of(uint16_t identifier)
 {
-    uint8_t number;
-
-    for (number = 0; number < board->tpdos; number++) {
-        if (identifier != 0 && sender.tpdos[number].cob_id == identifier) {
-            return number;
-        }
-    }
-    return -1;
+    return skin_sender_tpdo_of(&sender, identifier, SKIN_GROUP_SUMS);
 }
 
 void skin_app_sent(uint16_t identifier, const uint8_t *data)
