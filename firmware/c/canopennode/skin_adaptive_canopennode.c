@@ -230,15 +230,9 @@ uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
     return requests;
 }
 
-/* Number of the TPDO of an identifier, -1 for none. The stack sends classic frames: all TPDOs have one length. */
-static int tpdo_of(uint16_t identifier)
+void skin_app_sent(uint16_t identifier, uint8_t length, const uint8_t *data)
 {
-    return skin_sender_tpdo_of(&sender, identifier, SKIN_GROUP_SUMS);
-}
-
-void skin_app_sent(uint16_t identifier, const uint8_t *data)
-{
-    const int number = tpdo_of(identifier);
+    const int number = skin_sender_tpdo_of(&sender, identifier, length);
 
     if (number >= 0) {
         skin_od_health[1]++;
@@ -246,19 +240,19 @@ void skin_app_sent(uint16_t identifier, const uint8_t *data)
     }
 }
 
-void skin_app_given_up(uint16_t identifier)
+void skin_app_given_up(uint16_t identifier, uint8_t length)
 {
-    const int number = tpdo_of(identifier);
+    const int number = skin_sender_tpdo_of(&sender, identifier, length);
 
     if (number >= 0) {
         skin_sender_give_up(&sender, (uint8_t)number);
     }
 }
 
-void skin_app_refused(uint16_t identifier)
+void skin_app_refused(uint16_t identifier, uint8_t length)
 {
-    skin_app_given_up(identifier);
-    if (tpdo_of(identifier) >= 0) {
+    skin_app_given_up(identifier, length);
+    if (skin_sender_tpdo_of(&sender, identifier, length) >= 0) {
         skin_od_health[2]++;
     }
 }
