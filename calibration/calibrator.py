@@ -73,6 +73,8 @@ class Calibrator:
     state : CalibrationState
     result : TareResult or None
         Of the newest measurement of the zero that has ended.
+    revision : int
+        Number of times the zero was measured, loaded or forgotten.
     """
 
     def __init__(
@@ -109,6 +111,7 @@ class Calibrator:
         self._valid_ratio = 0.0
         self._bias_n: Floats | float = 0.0
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
+        self.revision = 0
         if offsets_n is not None:
             self.load(offsets_n)
         self.result: TareResult | None = None
@@ -157,6 +160,7 @@ class Calibrator:
         """Go back to the state of the start; `result` ends a measurement of the zero."""
         is_measuring = self.state in {CalibrationState.MEASURING, CalibrationState.TOUCHED}
         self.tare()
+        self.revision += 1
         self.result = result if is_measuring else None
         self._centre_ns = self._tared_ns = self._negative = 0
         if not self._tares:
@@ -225,6 +229,7 @@ class Calibrator:
             noise_n=self._noise_n,
             held_blocks=self._held_blocks,
             defects=self._defects.words,
+            revision=self.revision,
         )
 
     def _offsets_at(self, time_ns: int) -> npt.NDArray[np.int32] | None:
@@ -308,6 +313,7 @@ class Calibrator:
         self._forced = False
         self._patience = NEGATIVE_WINDOWS
         self._tared_ns = window.centre_ns
+        self.revision += 1
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
         self._tell(
             is_done=True,

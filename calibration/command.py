@@ -8,7 +8,13 @@ from cyclopts import Parameter
 
 from calibration.gain_files import stored_gains
 from calibration.stored import StoredCalibration, encoded, load_calibration, parse_calibration, save_calibration
-from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, CalibrationStatus
+from canskin.calibration_messages import (
+    ANSWER_S,
+    CALIBRATION,
+    CalibrationReply,
+    CalibrationRequest,
+    CalibrationStatus,
+)
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
@@ -17,9 +23,8 @@ from skin.output import check_output_path
 from skin.service import say
 from skin.terminal import Json, print_json, print_table
 
-#: Longest wait for the hub, and for answers: the zero takes seconds, writing to nodes up to a minute.
+#: Longest wait for the hub, and for the answer to ``write``: writing to nodes takes up to a minute.
 PATIENCE_S: Final = 5.0
-ANSWER_S: Final = 15.0
 WRITING_S: Final = 300.0
 
 Action = Literal["show", "save", "load", "gain"]

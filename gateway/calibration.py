@@ -201,9 +201,9 @@ class GatewayCalibration:
                 gains=stored.gains or self._stored.gains,
                 taxel_offsets_n=stored.taxel_offsets_n or self._stored.taxel_offsets_n,
             )
+        had_offsets = self._calibrator.offsets_n is not None
+        self._calibrator.forget()
         if self._contract.layout.sending == "synchronous":
-            had_offsets = self._calibrator.offsets_n is not None
-            self._calibrator.forget()
             if self._tares:
                 text += "; the zero is measured anew"
             elif had_offsets:

@@ -15,6 +15,7 @@ from reconstructor.bases import Separable, wavelet_basis
 from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
 from reconstructor.settings import NO_WAVELETS, SolverSettings
+from skin.extras import not_installed
 from skin.measurement import Sbhe, fast_hadamard
 
 
@@ -29,7 +30,7 @@ def gpu_library() -> ModuleType:
     try:
         import cupy
     except ImportError as error:
-        raise InputError(f'CuPy cannot be loaded ({error}): pip install "canskin[gpu]"') from error
+        raise not_installed(f"CuPy cannot be loaded ({error})", "gpu") from error
     try:
         cupy.cuda.runtime.getDeviceCount()
     except cupy.cuda.runtime.CUDARuntimeError as error:

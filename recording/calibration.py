@@ -11,18 +11,22 @@ from canskin.messages import GATEWAY, GatewayStatus
 from skin.mcap_file import CALIBRATION_FILE, File
 from skin.service import StopSignal
 
-#: Longest wait for an answer; the gateway tells its calibration within milliseconds.
-ANSWER_S: Final = 2.0
+#: Longest wait for an answer, shorter than `ANSWER_S`: the gateway tells its calibration within milliseconds, and who
+#: stops the recorder waits as long.
+_SHOW_S: Final = 2.0
+#: Pause before a request that was not answered is repeated.
+_AGAIN_S: Final = 1.0
 #: The stop signal is looked at so often.
 _TURN_S: Final = 0.1
 
 
 class Changes:
-    """Notices when the calibration in the status of the gateway is another: a new zero, other defects, a start."""
+    """Notices when the calibration of the gateway is another: new zero, gains, defects, or a start of the gateway."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._seen: tuple[object, ...] = ()
+        self._cycles = 0
         self._is_new = False
 
     def take(self, status: GatewayStatus) -> None:
@@ -30,9 +34,10 @@ class Changes:
         known = status.calibration
         if known is None:
             return
+        mark = _mark(known)
         with self._lock:
-            self._is_new |= (mark := _mark(known)) != self._seen
-            self._seen = mark
+            self._is_new |= mark != self._seen or status.cycles < self._cycles  # a start counts cycles from 0
+            self._seen, self._cycles = mark, status.cycles
 
     def pop(self) -> bool:
         """Tell whether there was a change since the last call."""
@@ -40,9 +45,14 @@ class Changes:
             was_new, self._is_new = self._is_new, False
         return was_new
 
+    def put_back(self) -> None:
+        """Have `pop` tell the last change again."""
+        with self._lock:
+            self._is_new = True
+
 
 def _mark(status: CalibrationStatus) -> tuple[object, ...]:
-    return status.state, status.tared_mono_ns, status.known_sums, *status.defects
+    return status.state, status.revision, status.tared_mono_ns, status.known_sums, *status.defects
 
 
 def follow_calibration(fabric: Fabric, attach: Callable[[File], None], stop: StopSignal) -> None:
@@ -52,9 +62,18 @@ def follow_calibration(fabric: Fabric, attach: Callable[[File], None], stop: Sto
     while not stop.wait(_TURN_S):
         if not changes.pop():
             continue
-        try:
-            reply: CalibrationReply = fabric.ask(CALIBRATION, CalibrationRequest(action="show"), ANSWER_S)
-        except BusError:  # a gateway that ends, or a replay: the next change asks again
-            continue
-        if reply.content:
-            attach(File(CALIBRATION_FILE, "application/json", reply.content))
+        content = _shown(fabric)
+        if content:
+            attach(File(CALIBRATION_FILE, "application/json", content))
+        else:
+            changes.put_back()
+            stop.wait(_AGAIN_S)
+
+
+def _shown(fabric: Fabric) -> bytes:
+    """Return the calibration as a file; nothing if the gateway is busy, has ended, or is a replay."""
+    try:
+        reply: CalibrationReply = fabric.ask(CALIBRATION, CalibrationRequest(action="show"), _SHOW_S)
+    except BusError:
+        return b""
+    return reply.content

@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 import firmware.command
 from canskin.errors import InputError, RunError
+from skin.extras import not_installed
 from skin.layout import layout_text, load_layout
 from skin.mcap_file import read_about, wall_offset_ns
 from skin.output import RECORDING_SUFFIX, check_new_path, replacing
@@ -256,5 +257,5 @@ def _h5py() -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise InputError('--to hdf5 needs h5py: pip install "canskin[hdf5]"') from error
+        raise not_installed("--to hdf5 needs h5py", "hdf5") from error
     return h5py

@@ -19,7 +19,7 @@ from dbc.frame import Frames, frames
 from dbc.generate import contract_files
 from dbc.stored_frames import CLASSIC_BYTES, FD_BYTES, RECORD_TEXT, to_bytes
 from skin.layout import Layout, layout_text
-from skin.mcap_file import FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
+from skin.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
 from skin.output import RECORDING_SUFFIX
 
 #: Formats of python-can that do not keep the channel of a frame.
@@ -89,7 +89,7 @@ class McapSink:
         layout = contract.layout
         metadata = {
             "skin": layout.name,
-            "fingerprint": contract.phi.fingerprint,
+            FINGERPRINT: contract.phi.fingerprint,
             WALL_OFFSET_NS: str(offset_ns),
             "python": platform.python_version(),
             "platform": platform.platform(),

@@ -3,6 +3,7 @@
 import heapq
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -18,8 +19,17 @@ from dbc.contract import Contract
 from dbc.stored_frames import from_bytes
 from gateway.playback import AdaptivePlayback, Playback, play
 from recording.answers import Answers
-from skin.mcap_file import FRAMES, Entry, message_decoder, read_entries, read_topics, wall_offset_ns
-from skin.measured_sums import used_blocks
+from skin.mcap_file import (
+    FINGERPRINT,
+    FRAMES,
+    Entry,
+    message_decoder,
+    read_about,
+    read_entries,
+    read_topics,
+    wall_offset_ns,
+)
+from skin.measured_sums import check_adaptive, check_fingerprint, check_measurement, used_blocks
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.sync_counter import next_counter
@@ -95,7 +105,7 @@ def steps_of(
     Raises
     ------
     InputError
-        If the file cannot be read, or holds nothing to play.
+        If the file cannot be read, or holds nothing to play, or what it holds does not fit the layout.
     """
     if path.suffix.lower() == RECORDING_SUFFIX:
         topics = read_topics(path)
@@ -135,6 +145,7 @@ class _Recorded:
     ) -> None:
         self._calibrator = calibrator
         self._path, self._contract = path, contract
+        self._check_fingerprint()
         self._decoders: dict[str, Callable[[bytes], Any]] = {
             topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE, LABEL, *_AS_RECORDED.values())
         }
@@ -198,10 +209,11 @@ class _Recorded:
             return
         message = decode(entry.data)
         if entry.topic == MEASUREMENT.name:
+            self._check(message)
             if self._uses_frames:
                 self._measured_ns = message.sampled_mono_ns
                 self._unpaired.setdefault(self._counter(message), deque()).append(message)
-            elif message.bus_sampled_ns:
+            elif self._adaptive is not None and message.bus_sampled_ns:
                 self._of_frames.append((entry.time_ns, message))
             else:
                 self._add(entry.time_ns, MEASUREMENT, message, message)
@@ -211,6 +223,30 @@ class _Recorded:
             self._labels.keep(message)
         else:
             self._add(entry.time_ns, _AS_RECORDED[entry.topic], message)
+
+    def _check_fingerprint(self) -> None:
+        """Raise InputError if the recording is that of another Φ: its frames have other sums."""
+        fingerprint = read_about(self._path).metadata.get(FINGERPRINT)
+        if fingerprint is not None:
+            with self._naming():
+                check_fingerprint(fingerprint, self._contract.phi)
+
+    def _check(self, measurement: Measurement) -> None:
+        """Raise InputError if a measurement does not fit the layout."""
+        check = check_measurement if self._adaptive is None else check_adaptive
+        found, expected = len(measurement.bus_sampled_ns), 8 * len(self._buses)
+        with self._naming():
+            check(measurement, self._contract.phi)
+            if found not in {0, expected}:
+                raise InputError(f"bus_sampled_ns of {found} bytes, expected {expected}, or none")
+
+    @contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Name the recording in an InputError."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self._path}: {error}") from error
 
     def _take_frames(self, entry: Entry) -> None:
         seen = from_bytes(entry.data, int(entry.about["data_bytes"]))

@@ -13,6 +13,7 @@ from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
+from skin.wall_times import Clocks, WallTimes
 
 Table = dict[str, npt.NDArray[Any]]
 
@@ -82,7 +83,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
     if not any(read.values()):
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
-    wall = _WallClock(read["measurement"], offset_ns)
+    wall = _wall_times(read["measurement"], offset_ns)
     none, all_usable = bytes(4 * layout.measurement.sums), b"\1" * layout.measurement.sums
     try:
         return Tables(
@@ -109,7 +110,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
                 "confidence": np.array([each.confidence for each in read["label"]], np.float64),
             },
             truth={
-                "time_ns": wall.time_ns(np.array([each.sampled_mono_ns for each in read["truth"]], np.int64)),
+                "time_ns": _wall_ns(read["truth"], wall),
                 "true": _stack([each.true for each in read["truth"]], "<f4", shape),
                 "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
                 "label": np.array([each.label for each in read["truth"]], np.str_),
@@ -119,33 +120,31 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
         raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
 
 
-class _WallClock:
-    """The wall clock of a run by the offsets of its measurements: a wall clock may be set during a run."""
-
-    def __init__(self, measurements: list[Measurement], offset_ns: int) -> None:
-        known = sorted((each.sampled_mono_ns, each.wall_offset_ns) for each in measurements if each.wall_offset_ns)
-        self._mono_ns = np.array([mono_ns for mono_ns, _ in known], np.int64)
-        self._offset_ns = np.array([offset for _, offset in known] or [offset_ns], np.int64)
-
-    def time_ns(self, mono_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Return the wall time of instants, by the offset of the newest measurement that is not later."""
-        before = np.searchsorted(self._mono_ns, mono_ns, "right") - 1
-        found: npt.NDArray[np.int64] = mono_ns + self._offset_ns[np.maximum(before, 0)]
-        return found
+def _wall_times(measurements: list[Measurement], offset_ns: int) -> WallTimes:
+    """Return the wall clock of a run."""
+    wall = WallTimes(offset_ns, kept=len(measurements))
+    for each in sorted(measurements, key=lambda each: each.sampled_mono_ns):
+        wall.take(Clocks(each.sampled_mono_ns, each.wall_offset_ns or None))
+    return wall
 
 
-def _times(messages: list[Any], wall: _WallClock) -> Table:
+def _wall_ns(messages: list[Any], wall: WallTimes) -> npt.NDArray[np.int64]:
+    """Return the sampling instants on the wall clock; -1 where no clock has them."""
+    times_ns = (wall.time_ns(each.sampled_mono_ns) for each in messages)
+    return np.array([-1 if time_ns is None else time_ns for time_ns in times_ns], np.int64)
+
+
+def _times(messages: list[Any], wall: WallTimes) -> Table:
     """Return number, times and error in time of messages; of a contact those of its image."""
-    mono_ns = np.array([each.sampled_mono_ns for each in messages], np.int64)
     return {
         "cycle": np.array([each.cycle for each in messages], np.int64),
-        "time_ns": wall.time_ns(mono_ns),
-        "sampled_mono_ns": mono_ns,
+        "time_ns": _wall_ns(messages, wall),
+        "sampled_mono_ns": np.array([each.sampled_mono_ns for each in messages], np.int64),
         "sampled_error_ns": np.array([each.sampled_error_ns for each in messages], np.int64),
     }
 
 
-def _contacts(messages: list[Any], wall: _WallClock) -> Table:
+def _contacts(messages: list[Any], wall: WallTimes) -> Table:
     found = [(each, contact) for each in messages for contact in each.contacts]
     return _times([each for each, _ in found], wall) | {
         name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in CONTACT_FIELDS.items()

@@ -10,6 +10,7 @@ import numpy as np
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, Contacts, Image, Label
 from recording.drawing import Drawing, Picture
+from skin.extras import not_installed
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.output import replacing
@@ -109,7 +110,7 @@ def require_libraries() -> None:
         import av
         import PIL.Image  # noqa: F401
     except ImportError as error:
-        raise InputError('--to video needs PyAV and Pillow: pip install "canskin[video]"') from error
+        raise not_installed("--to video needs PyAV and Pillow", "video") from error
     if _CODEC not in av.codecs_available:
         raise InputError(f"--to video: this build of PyAV has no {_CODEC}: install PyAV from its wheels")
 

@@ -5,8 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from calibration.command import ANSWER_S
-from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.fabric import Fabric
 from ros2.node import SERVICE, RosNode
 from ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator

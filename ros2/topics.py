@@ -1,6 +1,7 @@
 """The topics of ROS 2 that a skin has, and what goes out on them when a message of the fabric comes."""
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -105,9 +106,9 @@ class Translator:
         taxels, grid, head = self._layout.taxels, self._grid, self._header(image.sampled_mono_ns)
         if head is None:
             return
-        measured_n = grid.measured_n(image)
-        yield FORCE_IMAGE, lambda: content.force_image(head, measured_n)
-        yield HEAT_MAP, lambda: content.heat_map(head, measured_n, taxels.force_max_n)
+        measured_n = cache(partial(grid.measured_n, image))
+        yield FORCE_IMAGE, lambda: content.force_image(head, measured_n())
+        yield HEAT_MAP, lambda: content.heat_map(head, measured_n(), taxels.force_max_n)
         yield TAXEL_CLOUD, lambda: content.taxel_cloud(head, taxels, grid.forces_n(image), grid.valid(image))
 
     def _contacts(self, contacts: Contacts) -> Iterator[Draft]:

@@ -3,8 +3,8 @@
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from canskin.errors import InputError
 from ros2.names import NO_TYPE_HASH, wire_type
+from skin.extras import not_installed
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -49,7 +49,7 @@ def store() -> "Typestore":
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise InputError('ROS 2 needs rosbags: pip install "canskin[ros2]"') from error
+        raise not_installed("ROS 2 needs rosbags", "ros2") from error
     return get_typestore(Stores.ROS2_JAZZY)
 
 

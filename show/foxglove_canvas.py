@@ -6,9 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from canskin.errors import InputError, RunError
+from canskin.errors import RunError
 from canskin.messages import Contact
 from show.target import Address
+from skin.extras import not_installed
 from skin.layout import Layout
 from skin.taxel_places import Forces, place_m, radius_m
 from viewer.state import FRESH_S
@@ -182,5 +183,5 @@ def _foxglove() -> Any:
         import foxglove.channels
         import foxglove.messages
     except ImportError as error:
-        raise InputError('Foxglove needs foxglove-sdk: pip install "canskin[foxglove]"') from error
+        raise not_installed("Foxglove needs foxglove-sdk", "foxglove") from error
     return foxglove

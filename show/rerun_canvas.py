@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from canskin.errors import InputError, RunError
+from canskin.errors import RunError
 from canskin.messages import Contact
+from skin.extras import not_installed
 from skin.layout import Layout
 from skin.taxel_places import Forces, place_m, places_m, radius_m
 from skin.viridis import force_colours
@@ -172,5 +173,5 @@ def _rerun() -> Any:
         import rerun
         import rerun.blueprint
     except ImportError as error:
-        raise InputError('Rerun needs rerun-sdk: pip install "canskin[rerun]"') from error
+        raise not_installed("Rerun needs rerun-sdk", "rerun") from error
     return rerun

@@ -34,6 +34,8 @@ CALIBRATION_FILE: Final = "calibration.json"
 FRAMES: Final = "frames/"
 #: Key of the metadata: wall clock minus CLOCK_MONOTONIC at the beginning, nanoseconds.
 WALL_OFFSET_NS: Final = "wall_offset_ns"
+#: Key of the metadata: fingerprint of the Φ of the skin.
+FINGERPRINT: Final = "fingerprint"
 #: What happened: services that came and went, buses that were lost.
 EVENTS: Final = "events"
 #: The recorder's own counters.

@@ -101,13 +101,7 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
         If the sums were measured with another Φ, or an array has another length or values that it cannot have, or the
         measurement is one of synchronous sending.
     """
-    check_measurement(measurement, phi)
-    if not (measurement.known or measurement.states or measurement.since_ns):
-        raise InputError("a measurement of synchronous sending, expected adaptive: give both ends the same --layout")
-    lengths = (len(measurement.known), len(measurement.states), len(measurement.since_ns))
-    expected = (phi.shape[0], phi.blocks, 8 * phi.blocks)
-    if lengths != expected:
-        raise InputError(f"known, states and since_ns of {lengths} bytes, expected {expected}")
+    check_adaptive(measurement, phi)
     if not (math.isfinite(measurement.noise_n) and measurement.noise_n >= 0):
         raise InputError(f"noise_n of {measurement.noise_n}, expected a number of 0 or more")
     known, valid = (np.frombuffer(each, np.uint8) != 0 for each in (measurement.known, measurement.valid))
@@ -122,6 +116,24 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     return AdaptiveSums(np.frombuffer(measurement.sums, "<i4"), valid, known, states, since_ns, measurement.noise_n)
 
 
+def check_adaptive(measurement: Measurement, phi: Sbhe) -> None:
+    """Check the lengths of an adaptive measurement.
+
+    Raises
+    ------
+    InputError
+        If the sums were measured with another Φ, or an array has another length, or the measurement is one of
+        synchronous sending.
+    """
+    check_measurement(measurement, phi)
+    if not (measurement.known or measurement.states or measurement.since_ns):
+        raise InputError("a measurement of synchronous sending, expected adaptive: give both ends the same --layout")
+    lengths = (len(measurement.known), len(measurement.states), len(measurement.since_ns))
+    expected = (phi.shape[0], phi.blocks, 8 * phi.blocks)
+    if lengths != expected:
+        raise InputError(f"known, states and since_ns of {lengths} bytes, expected {expected}")
+
+
 def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     """Check what measurements of both ways of sending have.
 
@@ -130,9 +142,7 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     InputError
         If the sums were measured with another Φ, or an array has another length.
     """
-    if measurement.fingerprint != phi.fingerprint:
-        came = measurement.fingerprint[:32]
-        raise InputError(f"measured with Φ {came!r}, expected {phi.fingerprint}: give both ends the same --layout")
+    check_fingerprint(measurement.fingerprint, phi)
     lengths = (len(measurement.sums), len(measurement.valid))
     expected = (4 * phi.shape[0], phi.blocks)
     if lengths != expected:
@@ -145,6 +155,19 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     ):
         if found and len(found) != wanted:
             raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
+
+
+def check_fingerprint(fingerprint: str, phi: Sbhe) -> None:
+    """Check that sums were measured with Φ.
+
+    Raises
+    ------
+    InputError
+        If the fingerprint is that of another Φ.
+    """
+    if fingerprint != phi.fingerprint:
+        came = fingerprint[:32]
+        raise InputError(f"measured with Φ {came!r}, expected {phi.fingerprint}: give both ends the same --layout")
 
 
 class MeasurementReader(Generic[Sums]):

@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
 from canskin.errors import InputError
+from skin.extras import not_installed
 
 _CONNECT_S: Final = 10
 
@@ -107,7 +108,7 @@ def _client(cluster: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError('a Dask cluster needs the package distributed: pip install "canskin[cluster]"') from error
+        raise not_installed("a Dask cluster needs the package distributed", "cluster") from error
     try:
         return Client(cluster, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:

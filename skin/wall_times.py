@@ -1,6 +1,6 @@
 """Sampling instants on the wall clock, for programs that read images: only measurements tell both clocks."""
 
-from collections import deque
+from bisect import bisect_right
 from typing import Final
 
 import msgspec
@@ -9,7 +9,7 @@ from canskin.messages import MEASUREMENT, Topic
 
 #: Times on the wall clock end here, in 2038: ROS 2 has int32 seconds.
 END_NS: Final = 2**31 * 1_000_000_000
-#: Measurements whose clocks are kept: an image is at most some cycles older than the newest measurement.
+#: Measurements whose clocks a running program keeps: an image is at most some cycles older than the newest measurement.
 _KEPT: Final = 64
 
 
@@ -32,26 +32,33 @@ class WallTimes:
     first_offset_ns : int, optional
         Wall clock minus monotonic clock before the first measurement that tells its own; default: not known. The clocks
         of this machine tell nothing of those of the gateway's.
+    kept : int
+        Number of measurements whose clocks are kept.
     """
 
-    def __init__(self, first_offset_ns: int | None = None) -> None:
-        self._first_offset_ns = first_offset_ns
+    def __init__(self, first_offset_ns: int | None = None, kept: int = _KEPT) -> None:
+        self._first_offset_ns, self._kept = first_offset_ns, kept
         #: Sampling instants and offsets.
-        self._clocks: deque[tuple[int, int]] = deque(maxlen=_KEPT)
+        self._clocks: list[tuple[int, int]] = []
 
     def take(self, clocks: Clocks) -> None:
         """Use the clocks of a measurement."""
-        if clocks.wall_offset_ns is not None:
-            self._clocks.append((clocks.sampled_mono_ns, clocks.wall_offset_ns))
+        if clocks.wall_offset_ns is None:
+            return
+        if self._clocks and clocks.sampled_mono_ns < self._clocks[-1][0]:
+            self._clocks.clear()  # the gateway's machine has started again, or is another
+        self._clocks.append((clocks.sampled_mono_ns, clocks.wall_offset_ns))
+        del self._clocks[: -self._kept]
 
     def time_ns(self, sampled_mono_ns: int) -> int | None:
         """Return a sampling instant on the wall clock, by the newest measurement that is not later.
 
         None if no offset is known, or if the instant is before 1970 or after `END_NS`.
         """
-        first_ns = self._clocks[0][1] if self._clocks else self._first_offset_ns
-        before = (offset_ns for at_ns, offset_ns in reversed(self._clocks) if at_ns <= sampled_mono_ns)
-        offset_ns = next(before, first_ns)
+        offset_ns = self._first_offset_ns
+        if self._clocks:
+            later = bisect_right(self._clocks, sampled_mono_ns, key=lambda each: each[0])
+            offset_ns = self._clocks[max(later - 1, 0)][1]
         if offset_ns is None or not 0 <= sampled_mono_ns + offset_ns < END_NS:
             return None
         return sampled_mono_ns + offset_ns

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from canskin.errors import InputError
+from skin.extras import not_installed
 from touch.contact import TRAVEL_M, FloatArray, Spheres
 
 #: Largest file and number of vertices; larger meshes are refused. The paper's objects have 0.5 MB and 14 000 vertices.
@@ -122,5 +123,5 @@ def _trimesh() -> Any:
     try:
         import trimesh
     except ImportError as error:
-        raise InputError('meshes need the package trimesh: pip install "canskin[mesh]"') from error
+        raise not_installed("meshes need the package trimesh", "mesh") from error
     return trimesh

@@ -40,6 +40,8 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
         Blocks that are touched now: their offsets are not measured.
     defects : list of str
         Defective sums, taxels and blocks in words.
+    revision : int
+        Number of zeros measured, calibrations loaded and writings to nodes since the start of the gateway.
     """
 
     state: CalibrationState
@@ -50,6 +52,7 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
     noise_n: float = 0.0
     held_blocks: int = 0
     defects: list[str] = []
+    revision: int = 0
 
 
 class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
@@ -91,3 +94,5 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
 
 
 CALIBRATION: Final = Question("calibration", CalibrationRequest, CalibrationReply)
+#: Longest wait for an answer, but for that to ``write``: a zero takes seconds.
+ANSWER_S: Final = 15.0

@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 import zenoh
 
-from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.errors import BusError, RunError, SkinError
 from canskin.fabric import Fabric
@@ -19,8 +19,6 @@ from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 
 #: Name of this service on the fabric.
 NAME: Final = "client"
-#: Longest wait for the answer to a tare, which takes seconds.
-TARE_S: Final = 15.0
 #: Time between two requests for the description of a skin whose layout has changed.
 ASK_AGAIN_S: Final = 1.0
 #: Services that know a skin's geometry.
@@ -122,7 +120,8 @@ class ConnectedSkin(Skin):
         """See `Skin.tare`."""
         if self._hub.is_closed:
             raise BusError(CLOSED)
-        reply: CalibrationReply = self._fabric.ask(CALIBRATION, CalibrationRequest(action="tare", force=force), TARE_S)
+        request = CalibrationRequest(action="tare", force=force)
+        reply: CalibrationReply = self._fabric.ask(CALIBRATION, request, ANSWER_S)
         if not reply.is_done:
             raise RunError(reply.text)
         return reply.text

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+import gateway.calibration
 from calibration.stored import StoredCalibration, encoded, parse_calibration, store
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState
 from canskin.messages import Measurement
@@ -238,3 +239,49 @@ def test_adaptive_boards_look_after_their_zero() -> None:
     calibration.tick({}, 0.0)
     assert not replies[0].is_done
     assert "power-up" in replies[0].text
+
+
+class Written:
+    """A writing to nodes that is done, and complete, at once."""
+
+    done = is_complete = True
+
+    def __init__(self, *_: object) -> None:
+        """Write nothing."""
+
+    def tick(self, _now_s: float) -> None:
+        """Do nothing."""
+
+    def text(self) -> str:
+        return "4 nodes have written and stored it"
+
+
+@pytest.mark.parametrize("is_adaptive", [False, True])
+def test_the_revision_tells_of_every_load_and_write(
+    small: Contract, monkeypatch: pytest.MonkeyPatch, *, is_adaptive: bool
+) -> None:
+    monkeypatch.setattr(gateway.calibration, "NodeWriting", Written)
+    contract = small_adaptive() if is_adaptive else small
+    calibration = GatewayCalibration(contract, tares=False)
+    taxels, sums = contract.layout.taxels.count, contract.phi.shape[0]
+    stored = store(contract.layout, offsets_n=np.zeros(sums), gains=np.full(taxels, 1.1))
+    seen = [calibration.status().revision]
+    for action in ("write", "write", *(() if is_adaptive else ("load", "load"))):
+        request = CalibrationRequest(action=action, content=encoded(stored))  # type: ignore[arg-type]
+        replies: list[CalibrationReply] = []
+        calibration.ask(request, replies.append)  # type: ignore[arg-type]
+        calibration.tick({}, 0.0)
+        assert replies[0].is_done
+        seen.append(calibration.status().revision)
+    assert len(set(seen)) == len(seen)
+    assert calibration.status().state is (CalibrationState.OFF if is_adaptive else CalibrationState.LOADED)
+
+
+def test_the_revision_tells_of_every_zero(world: World) -> None:
+    asked = Asked(world)
+    asked.run(4.0)
+    before = asked.calibration.status().revision
+    asked.ask(CalibrationRequest(action="tare", force=True))
+    asked.run(4.0)
+    assert asked.replies[0].is_done
+    assert asked.calibration.status().revision == before + 1

@@ -159,7 +159,9 @@ def test_array_solver_asks_for_nothing_beyond_the_array_standard(dtype: type) ->
 
 def test_without_a_gpu_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cupy", None)  # as if it were not installed
-    with pytest.raises(InputError, match=r'CuPy cannot be loaded \(.*\): pip install "canskin\[gpu\]"$'):
+    with pytest.raises(
+        InputError, match=r'CuPy cannot be loaded \(.*\): in a clone of canskin, pip install ./client "\.\[gpu\]"$'
+    ):
         gpu_library()
 
     def no_driver() -> int:

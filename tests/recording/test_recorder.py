@@ -2,7 +2,10 @@
 
 import signal
 import threading
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -10,19 +13,21 @@ import pytest
 
 from bandwidth.logs import read_log
 from bus.link import State
-from canskin.calibration_messages import CalibrationState, CalibrationStatus
-from canskin.errors import InputError, RunError
-from canskin.fabric import Origin
-from canskin.messages import IMAGE, LABEL, FrameCounts, GatewayStatus
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
+from canskin.errors import BusError, InputError, RunError
+from canskin.fabric import Fabric, Origin
+from canskin.messages import IMAGE, LABEL, FrameCounts, GatewayStatus, Topic
+from canskin.question import Question
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
-from recording import record_command
-from recording.calibration import Changes
+from recording import calibration, record_command
+from recording.calibration import Changes, follow_calibration
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_log, open_sink
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
+from skin.service import StopSignal
 from tests.processes import free_endpoint
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
@@ -122,25 +127,62 @@ def test_a_calibration_is_attached_whenever_it_comes(contract: Contract, links: 
     assert newest_file(out, "nothing") is None
 
 
+def status(calibration: CalibrationStatus | None, cycles: int = 0) -> GatewayStatus:
+    return GatewayStatus(
+        time_ns=0,
+        cycles=cycles,
+        cycles_complete=0,
+        frames=FrameCounts(),
+        sync_rate_hz=0.0,
+        buses=[],
+        calibration=calibration,
+    )
+
+
 def test_the_calibration_is_asked_for_after_each_change() -> None:
     changes = Changes()
-
-    def status(**about: object) -> GatewayStatus:
-        return GatewayStatus(
-            time_ns=0,
-            cycles=0,
-            cycles_complete=0,
-            frames=FrameCounts(),
-            sync_rate_hz=0.0,
-            buses=[],
-            calibration=CalibrationStatus(state=CalibrationState.FOLLOWING, **about) if about else None,
-        )
-
+    following = partial(CalibrationStatus, state=CalibrationState.FOLLOWING)
     told = []
-    for about in ({}, {"tared_mono_ns": 1}, {"tared_mono_ns": 1, "noise_n": 2.0}, {"tared_mono_ns": 2}):
-        changes.take(status(**about))
+    for found, cycles in (
+        (None, 1),
+        (following(tared_mono_ns=1), 2),
+        (following(tared_mono_ns=1, noise_n=2.0), 3),
+        (following(tared_mono_ns=2), 4),
+        (following(tared_mono_ns=2, revision=1), 5),
+        (following(tared_mono_ns=2, revision=1), 6),
+        (following(tared_mono_ns=2, revision=1), 1),  # the gateway has started again
+    ):
+        changes.take(status(found, cycles))
         told.append(changes.pop())
-    assert told == [False, True, False, True]
+    assert told == [False, True, False, True, True, False, True]
+
+
+class Gateway:
+    """A fabric with one change of the calibration, and a gateway that answers as it is told."""
+
+    def __init__(self, answers: list[CalibrationReply | BusError], stop: StopSignal) -> None:
+        self._answers, self._stop = answers, stop
+
+    def subscribe(self, _topic: Topic, take: Callable[[GatewayStatus], None]) -> None:
+        take(status(CalibrationStatus(state=CalibrationState.FOLLOWING)))
+
+    def ask(self, _question: Question, _request: CalibrationRequest, _timeout_s: float) -> CalibrationReply:
+        answer = self._answers.pop(0)
+        if not self._answers:
+            self._stop.set()
+        if isinstance(answer, BusError):
+            raise answer
+        return answer
+
+
+def test_a_change_is_asked_for_until_the_gateway_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calibration, "_AGAIN_S", 0.0)
+    stop, files = StopSignal(), list[File]()
+    busy = CalibrationReply(is_done=False, text="8 requests wait")
+    shown = CalibrationReply(is_done=True, text="", content=b"gains")
+    fabric = Gateway([BusError("no service answers"), busy, shown], stop)
+    follow_calibration(cast("Fabric", fabric), files.append, stop)
+    assert [each.content for each in files] == [b"gains"]
 
 
 def test_a_log_leaves_messages_out(contract: Contract, links: dict[int, FakeLink], tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from canskin.fabric import Mailbox
 from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
 from classifier.service import ClassifierService
 from dbc.contract import Contract
-from dbc.frame import Frames
+from dbc.frame import Frames, frames
 from gateway.playback import play
 from rebuild.command import rebuild
 from reconstructor.engine import Reconstructor
@@ -25,6 +25,8 @@ from recording.sinks import McapSink, open_sink
 from recording.steps import steps_of
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from skin.service import StopSignal
+from tests.adaptive_messages import adaptive_measurement
+from tests.gateway.boards import small_adaptive
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
 #: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
@@ -265,6 +267,70 @@ def test_frames_alone_take_stored_offsets_and_a_recorded_run_has_its_own(
         np.testing.assert_array_equal(np.frombuffer(each.offsets, "<i4"), offsets)
     with pytest.raises(InputError, match="measurements have the offsets of the run"):
         measured(run)
+
+
+def with_measurement(contract: Contract, path: Path, measurement: Measurement, seen: Frames) -> Path:
+    """Return a recording of some frames of the first bus and one measurement."""
+    sink = McapSink(path, contract, 1, 0)
+    if len(seen):
+        sink.frames(0, seen, int(seen["time_ns"][-1]), 0)
+    sink.message(MEASUREMENT, 1, msgspec.msgpack.encode(measurement))
+    sink.close()
+    return path
+
+
+def played(path: Path, contract: Contract) -> list[Measurement]:
+    steps = steps_of(path, contract, [], named_by_user=False)
+    return [step.message for step in steps if step.topic is MEASUREMENT]
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"bus_sampled_ns": bytes(8)}, "one.mcap: bus_sampled_ns of 8 bytes, expected 16, or none"),
+        ({"known": b""}, r"one.mcap: known, states and since_ns of \(0, 4, 32\) bytes, expected \(128, 4, 32\)"),
+        ({"sums": b""}, "one.mcap: sums and validity of 0 and 4 bytes, expected 512 and 4"),
+        ({"fingerprint": "0" * 16}, "one.mcap: measured with Φ '0000000000000000', expected"),
+    ],
+)
+def test_an_adaptive_measurement_that_does_not_fit_is_refused(
+    tmp_path: Path, changed: dict[str, Any], said: str
+) -> None:
+    contract = small_adaptive()
+    force_n = np.zeros(contract.layout.taxels.count)
+    good = adaptive_measurement(force_n, layout=contract.layout, bus_sampled_ns=bytes(16))
+    some = frames(1)
+    path = with_measurement(contract, tmp_path / "good.mcap", good, some)
+    assert played(path, contract) == [good]
+    bad = msgspec.structs.replace(good, **changed)
+    path = with_measurement(contract, tmp_path / "one.mcap", bad, some)
+    with pytest.raises(InputError, match=said):
+        played(path, contract)
+
+
+def test_a_recording_of_another_layout_is_refused(
+    run: Path, contract: Contract, bus_frames: dict[int, Frames], tmp_path: Path
+) -> None:
+    measurement = contract.layout.measurement
+    other = Contract.from_layout(
+        msgspec.structs.replace(contract.layout, measurement=msgspec.structs.replace(measurement, seed=7))
+    )
+    frames_alone = tmp_path / "frames.mcap"
+    sink = open_sink(frames_alone, contract, 1, OFFSET_NS)
+    sink.frames(0, bus_frames[0], int(bus_frames[0]["time_ns"][-1]) + OFFSET_NS, OFFSET_NS)
+    sink.close()
+    assert other.phi.fingerprint != contract.phi.fingerprint
+    with pytest.raises(InputError, match=r"run.mcap: measured with Φ .* expected .*: give both ends the same --layout"):
+        played(run, other)
+    with pytest.raises(InputError, match=r"frames.mcap: measured with Φ"):
+        played(frames_alone, other)
+
+
+def test_measurements_without_frames_are_played(run: Path, contract: Contract, tmp_path: Path) -> None:
+    recorded = messages(run, MEASUREMENT)[0]
+    path = with_measurement(contract, tmp_path / "one.mcap", recorded, frames(0))
+    assert recorded.bus_sampled_ns
+    assert played(path, contract) == [recorded]
 
 
 def test_rebuild_takes_off_what_the_run_took_off(run: Path, tmp_path: Path) -> None:

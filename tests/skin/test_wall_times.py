@@ -25,3 +25,10 @@ def test_nothing_is_told_before_the_first_measurement() -> None:
 @pytest.mark.parametrize("offset_ns", [-101, 2**62])
 def test_an_instant_that_no_wall_clock_has_is_none(offset_ns: int) -> None:
     assert WallTimes(offset_ns).time_ns(100) is None
+
+
+def test_after_a_restart_of_the_machine_its_new_clock_counts() -> None:
+    wall = WallTimes(7, kept=2)
+    for sampled_ns, offset_ns in ((1000, 10), (2000, 20), (3000, 30), (100, 5000), (200, 6000)):
+        wall.take(Clocks(sampled_mono_ns=sampled_ns, wall_offset_ns=offset_ns))
+    assert [wall.time_ns(each) for each in (100, 150, 200)] == [5100, 5150, 6200]

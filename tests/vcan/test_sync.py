@@ -115,6 +115,11 @@ def test_whatever_nodes_answer_late_every_valid_block_is_of_its_cycle(tmp_path: 
     with running_chain(tmp_path, identity) as chain:
         first = len(chain.measurements)
         for periods in (0.4, 0.8, 1.1, 1.5, 2.3, 3.2):
+            if periods > 1.2:
+                # The nodes are idle now. A burst that is cut in two is none of this test: frames that come two cycles
+                # late are not detected (docs/bus.md).
+                chain.await_cycles(1)
+                chain.await_complete(in_a_row=1)
             before = len(chain.measurements)
             chain.processes.send_signal("nodes", signal.SIGSTOP)
             time.sleep(periods / RATE_HZ)

@@ -230,22 +230,9 @@ uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
     return requests;
 }
 
-/* Number of the TPDO of an identifier, -1 for none. */
-static int tpdo_of(uint16_t identifier)
+void skin_app_sent(uint16_t identifier, uint8_t length, const uint8_t *data)
 {
-    uint8_t number;
-
-    for (number = 0; number < board->tpdos; number++) {
-        if (identifier != 0 && sender.tpdos[number].cob_id == identifier) {
-            return number;
-        }
-    }
-    return -1;
-}
-
-void skin_app_sent(uint16_t identifier, const uint8_t *data)
-{
-    const int number = tpdo_of(identifier);
+    const int number = skin_sender_tpdo_of(&sender, identifier, length);
 
     if (number >= 0) {
         skin_od_health[1]++;
@@ -253,19 +240,19 @@ void skin_app_sent(uint16_t identifier, const uint8_t *data)
     }
 }
 
-void skin_app_given_up(uint16_t identifier)
+void skin_app_given_up(uint16_t identifier, uint8_t length)
 {
-    const int number = tpdo_of(identifier);
+    const int number = skin_sender_tpdo_of(&sender, identifier, length);
 
     if (number >= 0) {
         skin_sender_give_up(&sender, (uint8_t)number);
     }
 }
 
-void skin_app_refused(uint16_t identifier)
+void skin_app_refused(uint16_t identifier, uint8_t length)
 {
-    skin_app_given_up(identifier);
-    if (tpdo_of(identifier) >= 0) {
+    skin_app_given_up(identifier, length);
+    if (skin_sender_tpdo_of(&sender, identifier, length) >= 0) {
         skin_od_health[2]++;
     }
 }

@@ -48,10 +48,10 @@ void skin_app_dropped(void);
  *       }
  *       CO_process_TPDO(co, sync_was, 1000, NULL);       1000 us for each sample, so that no inhibit time is left
  *   in the CAN driver, for frames of sums: identifiers 181h to 580h
- *       sent, in the transmit interrupt                   skin_app_sent(identifier, data)
+ *       sent, in the transmit interrupt                   skin_app_sent(identifier, length, data)
  *       before skin_app_sample: each frame that still waits is taken back, from the controller and from the stack's buffers
- *       (bufferFull, CANtxCount), as CO_CANclearPendingSyncPDOs does it; then          skin_app_given_up(identifier)
- *       CO_CANsend has no room                            skin_app_refused(identifier)
+ *       (bufferFull, CANtxCount), as CO_CANclearPendingSyncPDOs does it; then          skin_app_given_up(identifier, length)
+ *       CO_CANsend has no room                            skin_app_refused(identifier, length)
  *
  * The stack sends waiting buffers by their number; those of the TPDOs are in the order of urgency. A frame of which the
  * adapter hears nothing for half a second counts as lost. Stock CANopenNode has no CAN FD.
@@ -76,10 +76,13 @@ int skin_app_sample(uint16_t *counts);
  */
 uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns);
 
-/* Take note of a frame of sums that was sent, with the bytes that were sent; that was taken back; that found no room. */
-void skin_app_sent(uint16_t identifier, const uint8_t *data);
-void skin_app_given_up(uint16_t identifier);
-void skin_app_refused(uint16_t identifier);
+/* Take note of a frame of sums that was sent, with the bytes that were sent; that was taken back; that found no room.
+ *
+ * length: bytes of the frame. Frames of other identifiers or lengths are no frames of sums.
+ */
+void skin_app_sent(uint16_t identifier, uint8_t length, const uint8_t *data);
+void skin_app_given_up(uint16_t identifier, uint8_t length);
+void skin_app_refused(uint16_t identifier, uint8_t length);
 
 #endif
 

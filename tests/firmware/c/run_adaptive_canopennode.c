@@ -82,9 +82,10 @@ static void send(unsigned number, unsigned is_busy)
         printf("%02x", data[each]);
     }
     if (is_busy) {
-        skin_app_given_up(identifier);
+        skin_app_given_up(identifier, (uint8_t)length);
     } else {
-        skin_app_sent(identifier, data);
+        skin_app_sent(identifier, 0, NULL); /* a frame of another length is none of ours */
+        skin_app_sent(identifier, (uint8_t)length, data);
     }
 }
 

@@ -78,7 +78,7 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
 
 def test_a_cluster_without_dask_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"distributed: pip install \"canskin\[cluster\]\""):
+    with pytest.raises(InputError, match=r"distributed: .*pip install ./client \"\.\[cluster\]\""):
         dataset("classification", out=tmp_path, objects="cup", touches=FEW, cluster="tcp://127.0.0.1:1")
 
 
