@@ -1,5 +1,6 @@
 """One run of the whole chain."""
 
+import shlex
 import socket
 import time
 from collections.abc import Collection
@@ -41,6 +42,7 @@ class Run:
         self._layout = layout
         self._options = options
         self._score = Score(layout)
+        self._folder = folder
         self._supervisor = Supervisor(folder)
         self._alive: set[str] = set()
         self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
@@ -147,6 +149,8 @@ class Run:
         if self._port is not None:
             self._console.print(f"web page: http://127.0.0.1:{self._port}/")
         self._console.print(f"fabric: {endpoint}", highlight=False)
+        record = ["skin", "record", "run.mcap", *self._common(endpoint)]
+        self._console.print(f"to record: SKIN_BUS_DIR={self._folder} {shlex.join(record)}", highlight=False)
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
         self._console.print(f"processes: {pids}", highlight=False)
         self._await_first_cycle(stop)

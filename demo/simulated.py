@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -29,6 +29,9 @@ from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS, load_source, step_rate_hz
 from skin.sync_counter import next_counter
 
+#: The boards sample the untouched skin for so long before the first cycle.
+REST_S: Final = 0.6
+
 
 def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None, seed: int = 0) -> "SimulatedSkin":
     """Return a simulated skin; see `canskin.simulate`.
@@ -43,6 +46,8 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
     skin = load_layout(None if layout is None else Path(layout), adaptive=True)
     if skin.sending == "adaptive":
         raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
+    if objects is not None and not objects:
+        raise InputError("objects: expected a list of names, got an empty list")
     return SimulatedSkin(skin, list(objects or DEFAULT_OBJECTS), seed)
 
 
@@ -75,6 +80,7 @@ class SimulatedSkin(Skin):
             rate_hz=step_rate_hz(skin),
             names=objects,
             seed=seed,
+            rest_s=REST_S,
         )
         electronics = Electronics(
             taxels,
@@ -98,6 +104,9 @@ class SimulatedSkin(Skin):
         self._valid = bytes([1]) * phi.blocks
         self._cycle = 0
         self._lock = threading.Lock()
+        for _ in range(round(REST_S * step_rate_hz(skin))):  # the boards learn their noise before the first cycle
+            self._counter = next_counter(self._counter)
+            self._boards.sample(self._counter, time.monotonic_ns())
         self._is_closed = False
 
     def frames(self, queue: int = 1) -> Frames:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from canskin.session import open_client
+from canskin.session import close_with_program, open_client
 from ros2.names import Node
 from ros2.node import ROUTER
 from ros2.types import decoded, key_type
@@ -30,6 +30,7 @@ class RosReader:
         self._session = open_client(router, "ROS 2 reader", None, patience_s, ROUTER)
         self._node = Node(domain, str(self._session.info.zid()), "/", "reader")
         self._kept: list[Any] = []
+        close_with_program(self.close)
 
     def subscribe(self, name: str, ros_type: str, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of a topic, in a thread of zenoh."""

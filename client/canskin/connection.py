@@ -9,12 +9,12 @@ import zenoh
 
 from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.description import DESCRIPTION, Description, DescriptionRequest
-from canskin.errors import BusError, RunError, SkinError
+from canskin.errors import BusError, InputError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus
 from canskin.peers import Peer, client_version
-from canskin.session import DEFAULT_ENDPOINT, peers_at
+from canskin.session import DEFAULT_ENDPOINT, close_with_program, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 
 #: Name of this service on the fabric.
@@ -39,6 +39,8 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
 
     Raises
     ------
+    InputError
+        If the timeout is no number above 0.
     BusError
         If there is no such hub or skin in time; the message says what was looked for and what was found.
 
@@ -48,6 +50,8 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
     ...     for frame in skin:
     ...         print(frame.label, [contact.force_n for contact in frame.contacts])
     """
+    if not isinstance(timeout_s, int | float) or not timeout_s > 0:
+        raise InputError(f"timeout_s: expected seconds above 0, got {timeout_s!r}")
     give_up_s = time.monotonic() + timeout_s
     name = _skin_at(endpoint, skin, timeout_s)
     fabric = Fabric(name, NAME, endpoint, patience_s=max(1.0, give_up_s - time.monotonic()))
@@ -107,6 +111,7 @@ class ConnectedSkin(Skin):
         fabric.subscribe(GATEWAY, self._take_status)
         for topic in (MEASUREMENT, LABEL, IMAGE, CONTACTS):
             fabric.subscribe(topic, self._take)
+        close_with_program(self.close)
 
     def frames(self, queue: int = 1) -> Frames:
         """See `Skin.frames`."""
@@ -138,6 +143,8 @@ class ConnectedSkin(Skin):
 
     def close(self) -> None:
         """See `Skin.close`."""
+        if self._hub.is_closed:
+            return
         self._hub.close()
         self._fabric.close()
 

@@ -4,6 +4,7 @@ import json
 import logging
 import math
 import re
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple, Protocol
@@ -135,6 +136,16 @@ def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any
     return config
 
 
+def close_with_program(close: Callable[[], None]) -> None:
+    """Call `close` when the main thread ends: the threads of an open session would keep the program alive."""
+
+    def wait() -> None:
+        threading.main_thread().join()
+        close()
+
+    threading.Thread(target=wait, name="canskin-end").start()  # no daemon: these are stopped in the middle of zenoh
+
+
 def first_sentence(error: BaseException) -> str:
     """Return the cause from zenoh's nested message."""
     return str(error).split(" at ")[0].strip().rstrip(".")
@@ -150,7 +161,7 @@ def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]],
     """
     _check_endpoint(endpoint)
     give_up_s = time.monotonic() + patience_s
-    session = open_client(endpoint, "client", None, patience_s)
+    session = open_client(endpoint, "client", None, patience_s, Listener(option="address"))
     try:
         while True:
             tokens = session.liveliness().get(EVERY_KEY, timeout=TRY_S)

@@ -265,14 +265,20 @@ class FrameHub:
         """
         give_up_s = time.monotonic() + self._timeout_s
         with self._changed:
+            first = self._newest
             while True:
                 if self._is_closed:
                     raise BusError(CLOSED)
                 newest = self._newest
                 if newest is not None and (max_age_s == math.inf or newest.age <= max_age_s):  # no age: too old
                     return newest
-                if not self._changed.wait(max(0.0, give_up_s - time.monotonic())):
+                left_s = give_up_s - time.monotonic()
+                if left_s > 0:
+                    self._changed.wait(left_s)
+                elif newest is None or newest is first:
                     raise BusError(self._explain())
+                else:
+                    raise BusError(f"the newest image is {newest.age:.3g} s old, asked for {max_age_s:g} s at most")
 
     def close(self) -> None:
         """End all readers."""

@@ -1,8 +1,11 @@
 """Connections over a real fabric on loopback, with stand-ins for the services."""
 
 import itertools
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 import pytest
@@ -98,7 +101,6 @@ def test_a_gateway_with_another_layout_is_asked_for_its_description(chain: Chain
         chain.fingerprint = "fedcba9876543210"
         assert next(frame for frame in skin if skin.layout.fingerprint == chain.fingerprint).cycle > 0
         assert next(frame for frame in skin if frame.sums.size).cycle > 0
-        assert skin.health.refused > 0
 
 
 def test_a_closed_skin_says_so(chain: Chain) -> None:
@@ -109,6 +111,27 @@ def test_a_closed_skin_says_so(chain: Chain) -> None:
     with pytest.raises(canskin.BusError, match="closed"):
         skin.latest()
     assert list(skin) == []
+
+
+def test_a_program_that_closes_nothing_ends(chain: Chain) -> None:
+    program = f"import canskin; print(canskin.connect('{chain.endpoint}', timeout_s=20).layout.name)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stdout) == (0, "palm\n"), done.stderr
+
+
+@pytest.mark.parametrize("timeout_s", [float("nan"), 0.0, -1.0, "x"])
+def test_a_timeout_that_is_none_is_named(timeout_s: Any) -> None:
+    with pytest.raises(canskin.InputError, match="timeout_s: expected seconds above 0"):
+        canskin.connect(timeout_s=timeout_s)
+
+
+def test_images_that_are_too_old_are_told(chain: Chain) -> None:
+    chain.start()
+    with (
+        canskin.connect(chain.endpoint, timeout_s=2.0) as skin,
+        pytest.raises(canskin.BusError, match=r"the newest image is .* s old, asked for 0 s at most"),
+    ):
+        skin.latest(0.0)
 
 
 def test_tare_tells_success_and_raises_otherwise(chain: Chain) -> None:
