@@ -99,6 +99,7 @@ def test_all_hands_draws_only_to_those_that_average(
         "rates",
         "contacts",
         "calibration",
+        "wiring",
     }
 
 
