@@ -157,14 +157,19 @@ def _boards(
         samples = skin.samples_per_sync
         electronics = Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s, samples=samples)
         return CountSampler(contract.phi, source, electronics)
-    electronics = Electronics(
-        skin.taxels,
-        **analogue,
-        period_s=skin.sync.period_s,
-        samples=skin.samples_per_sync,
-        blocks=contract.phi.taxels_of_blocks,
-    )
-    return Sampler(contract.phi, source, electronics)
+
+    def new_electronics() -> Electronics:
+        return Electronics(
+            skin.taxels,
+            **analogue,
+            period_s=skin.sync.period_s,
+            samples=skin.samples_per_sync,
+            blocks=contract.phi.taxels_of_blocks,
+        )
+
+    # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
+    Sampler(contract.phi, source, new_electronics()).sample(1, 0)
+    return Sampler(contract.phi, source, new_electronics())
 
 
 def _recording(
