@@ -8,14 +8,13 @@ import numpy as np
 
 from bandwidth.plan import CAUTION, CYCLES_BUFFERED, RECEIVED_FRAME_BYTES, bus_time
 from bandwidth.response import UNBOUNDED
-from bandwidth.touched_bits import SOURCE
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
 from canskin.errors import InputError
 from dbc.adaptive import SendingRule
 from dbc.contract import Contract, sum_frame
 from dbc.frame_bits import frame_time_ns
-from skin.sources import ADAPTIVE_STEP_HZ, load_sender, load_source
+from skin.sources import load_objects, load_sender
 from skin.walsh import GROUPS
 
 #: Length of the simulated touches.
@@ -131,11 +130,8 @@ def touched_load(contract: Contract, bus: int) -> float | None:
         sent_of = load_sender("adaptive")
     except InputError:
         return None
-    taxels, line = contract.layout.taxels, contract.layout.bus[bus]
-    source = load_source(
-        SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=ADAPTIVE_STEP_HZ, seed=0
-    )
-    sent = sent_of(contract, bus, source, TOUCHED_S)
+    line = contract.layout.bus[bus]
+    sent = sent_of(contract, bus, load_objects(contract.layout, seed=0), TOUCHED_S)
     return float(frame_time_ns(sent, line.bitrate, line.data_bitrate).sum()) * 1e-9 / TOUCHED_S
 
 

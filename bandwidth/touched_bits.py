@@ -14,11 +14,9 @@ from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.frame_bits import wire_bits
 from skin.layout import Layout
-from skin.sources import TaxelSource, load_source
+from skin.sources import TaxelSource, load_objects
 from skin.taxel import NOISE_N, sense, to_counts
 
-#: Taxel source (entry point in ``canskin.sources``) that presses and slides objects.
-SOURCE: Final = "objects"
 #: Number of steps, and distance between them: several touches of every object, each at another place.
 SAMPLES: Final = 400
 STRIDE_S: Final = 0.137
@@ -36,10 +34,7 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
         Seed of touches and noise.
     """
     layout, table = contract.layout, contract.table
-    taxels = layout.taxels
-    source = load_source(
-        SOURCE, rows=taxels.rows, columns=taxels.columns, pitch_m=taxels.pitch_m, rate_hz=layout.sync.rate_hz, seed=seed
-    )
+    source = load_objects(layout, seed=seed)
     random = np.random.default_rng(seed)
     burst = frames(len(table.cob_id))
     burst["can_id"], burst["length"], burst["flags"] = table.cob_id, table.length, table.flags

@@ -23,7 +23,7 @@ from demo.supervisor import Supervisor
 from skin.layout import Layout
 from skin.psnr import adds_noise
 from skin.service import StopSignal, Talk, say, talks
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import DEFAULT_OBJECTS, known_objects
 from skin.terminal import print_table, progress
 
 DEFAULT_PORT: Final = 8765
@@ -197,10 +197,9 @@ class Run:
 
 
 def _known_objects(touching: Collection[str]) -> list[str]:
-    """Return the classifier's objects: those of the run, and the default objects for a realistic choice."""
-    if set(touching) <= set(DEFAULT_OBJECTS):
-        return []
-    return ["--objects", ",".join(dict.fromkeys((*DEFAULT_OBJECTS, *touching)))]
+    """Return the classifier's option for its objects; none for the default objects."""
+    known = known_objects(touching)
+    return [] if known == DEFAULT_OBJECTS else ["--objects", ",".join(known)]
 
 
 def open_hub(skin: str, listen: str | None) -> tuple[str, Fabric]:

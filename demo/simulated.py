@@ -17,16 +17,14 @@ from canskin.skin import Frames, Health, Skin
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from classifier.service import ClassifierService
-from nodes.electronics import Electronics
-from nodes.sampler import Sampler
+from nodes.sampler import new_sampler
 from reconstructor.command import make_engine
 from reconstructor.contacts import ContactTracker
-from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
 from skin.clock import wall_offset
 from skin.description import describe
 from skin.layout import Layout, load_layout
-from skin.sources import DEFAULT_OBJECTS, load_source, step_rate_hz
+from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, step_rate_hz
 from skin.sync_counter import next_counter
 
 #: The boards sample the untouched skin for so long before the first cycle.
@@ -72,33 +70,14 @@ class SimulatedSkin(Skin):
     def __init__(self, skin: Layout, objects: list[str], seed: int) -> None:
         super().__init__(describe(skin), float("inf"))
         taxels, phi = skin.taxels, skin.phi()
-        source = load_source(
-            "objects",
-            rows=taxels.rows,
-            columns=taxels.columns,
-            pitch_m=taxels.pitch_m,
-            rate_hz=step_rate_hz(skin),
-            names=objects,
-            seed=seed,
-            rest_s=REST_S,
-        )
-        electronics = Electronics(
-            taxels,
-            seed=seed,
-            period_s=skin.sync.period_s,
-            samples=skin.samples_per_sync,
-            blocks=phi.taxels_of_blocks,
-        )
         engine, _ = make_engine(skin, None)
-        if not isinstance(engine, Reconstructor):
-            raise InputError("simulate() has synchronous sending only")
         engine.warm_up()
         ContactTracker(taxels.rows, taxels.columns).warm_up()
-        self._boards = Sampler(phi, source, electronics)
+        self._boards = new_sampler(skin, phi, load_objects(skin, names=objects, seed=seed, rest_s=REST_S), seed=seed)
         self._messages = _Messages()
         self._reconstructor = ReconstructorService(skin, engine, self._messages)
-        known = list(dict.fromkeys((*DEFAULT_OBJECTS, *objects)))
-        self._classifier = ClassifierService(Classifier(find_or_train(skin, phi, known), phi), phi, self._messages)
+        trained = find_or_train(skin, phi, known_objects(objects))
+        self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages)
         self._builder = FrameBuilder(self.layout)
         self._counter = 0
         self._valid = bytes([1]) * phi.blocks
@@ -137,10 +116,9 @@ class SimulatedSkin(Skin):
                 fingerprint=self.layout.fingerprint,
             )
             label = self._classifier.label(measurement)
+            self._messages.kept = [measurement] if label is None else [measurement, label]
             self._reconstructor.take(measurement)
-            self._messages.kept[:0] = [measurement, *([label] if label is not None else [])]
-            made, self._messages.kept[:] = list(self._messages.kept), []
-            return [frame for message in made for frame in self._builder.take(message)][-1]
+            return [frame for message in self._messages.kept for frame in self._builder.take(message)][-1]
 
     def tare(self, *, force: bool = False) -> str:
         """Do nothing: simulated sums have no offsets."""

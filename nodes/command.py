@@ -17,12 +17,12 @@ from firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.firmware import FirmwarePatches
 from nodes.electronics import Electronics
-from nodes.sampler import CountSampler, Sampler
+from nodes.sampler import CountSampler, Sampler, new_sampler
 from nodes.service import NodesService
 from skin.defects import parse_defects
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
-from skin.sources import TaxelSource, load_source, step_rate_hz
+from skin.sources import TaxelSource, load_objects, load_source, step_rate_hz
 from skin.taxel import NOISE_N
 
 
@@ -157,19 +157,7 @@ def _boards(
         samples = skin.samples_per_sync
         electronics = Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s, samples=samples)
         return CountSampler(contract.phi, source, electronics)
-
-    def new_electronics() -> Electronics:
-        return Electronics(
-            skin.taxels,
-            **analogue,
-            period_s=skin.sync.period_s,
-            samples=skin.samples_per_sync,
-            blocks=contract.phi.taxels_of_blocks,
-        )
-
-    # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
-    Sampler(contract.phi, source, new_electronics()).sample(1, 0)
-    return Sampler(contract.phi, source, new_electronics())
+    return new_sampler(skin, contract.phi, source, **analogue)
 
 
 def _recording(
@@ -190,14 +178,5 @@ def _recording(
 
 
 def _objects(skin: Layout, names: str, seed: int, rest_s: float) -> TaxelSource:
-    taxels = skin.taxels
-    return load_source(
-        "objects",
-        rows=taxels.rows,
-        columns=taxels.columns,
-        pitch_m=taxels.pitch_m,
-        rate_hz=step_rate_hz(skin),
-        names=[name.strip() for name in names.split(",") if name.strip()] or None,
-        seed=seed,
-        rest_s=rest_s,
-    )
+    listed = [name.strip() for name in names.split(",") if name.strip()]
+    return load_objects(skin, names=listed or None, seed=seed, rest_s=rest_s)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from canskin.messages import Truth
 from nodes.boards import Boards
 from nodes.electronics import Electronics
+from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.sources import TaxelSource
 from skin.sync_counter import SYNC_OVERFLOW
@@ -141,6 +142,34 @@ class Sampler(Boards):
         """Return the true forces and the sensor signal of the newest cycle, once."""
         truth, self._truth = self._truth, None
         return truth
+
+
+def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any) -> Sampler:
+    """Return the sampler of a skin whose nodes make the sums, with all code compiled.
+
+    Parameters
+    ----------
+    layout : Layout
+    phi : Sbhe
+        Of the layout.
+    source : TaxelSource
+    **analogue
+        ``noise_n``, ``seed`` and ``defects`` of `Electronics`.
+    """
+
+    def new() -> Sampler:
+        electronics = Electronics(
+            layout.taxels,
+            **analogue,
+            period_s=layout.sync.period_s,
+            samples=layout.samples_per_sync,
+            blocks=phi.taxels_of_blocks,
+        )
+        return Sampler(phi, source, electronics)
+
+    # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
+    new().sample(1, 0)
+    return new()
 
 
 class CountSampler(Sampler):

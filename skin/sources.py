@@ -12,7 +12,7 @@ This module is the only place where one package of this distribution uses anothe
 rules do not see this use. So a skin with its own source runs without ``touch``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import entry_points
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -67,6 +67,30 @@ def load_source(name: str, **options: Any) -> TaxelSource:
     """
     source: TaxelSource = _load(SOURCES, name)(**options)
     return source
+
+
+def load_objects(layout: Layout, **options: Any) -> TaxelSource:
+    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`.
+
+    Raises
+    ------
+    InputError
+        If no installed package offers objects, or an option does not fit them.
+    """
+    taxels = layout.taxels
+    return load_source(
+        "objects",
+        rows=taxels.rows,
+        columns=taxels.columns,
+        pitch_m=taxels.pitch_m,
+        rate_hz=step_rate_hz(layout),
+        **options,
+    )
+
+
+def known_objects(touching: Iterable[str]) -> tuple[str, ...]:
+    """Return the objects of a classifier: the default objects, for a realistic choice, and those that touch."""
+    return tuple(dict.fromkeys((*DEFAULT_OBJECTS, *touching)))
 
 
 def load_sender(name: str) -> Callable[..., Any]:

@@ -189,25 +189,24 @@ class FrameBuilder:
 
     def _sums(self, measurement: Measurement | None) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
         """Return counts less offsets, and which of them are valid; empty if there is no measurement that fits."""
-        about = self._about
+        about, nothing = self._about, (np.zeros(0, np.int32), np.zeros(0, np.bool_))
         if measurement is None:
-            return np.zeros(0, np.int32), np.zeros(0, np.bool_)
+            return nothing
         sizes = (len(measurement.sums), len(measurement.valid), measurement.fingerprint)
         parts = ((measurement.offsets, 4), (measurement.usable, 1))
         if sizes != (4 * about.sums, about.blocks, about.fingerprint) or any(
             len(part) not in {0, size * about.sums} for part, size in parts
         ):
             self.refused += 1
-            return np.zeros(0, np.int32), np.zeros(0, np.bool_)
+            return nothing
         valid = (np.frombuffer(measurement.valid, np.uint8) != 0)[self._block_of_sum]
         if measurement.usable:
             valid &= np.frombuffer(measurement.usable, np.uint8) != 0
         try:
-            counts = corrected_counts(measurement, valid)
-            return np.where(valid, counts, np.int32(0)), valid
+            return corrected_counts(measurement, valid), valid
         except InputError:
             self.refused += 1
-            return np.zeros(0, np.int32), np.zeros(0, np.bool_)
+            return nothing
 
 
 def _key(message: Measurement | Image | Contacts | Label) -> tuple[int, int]:

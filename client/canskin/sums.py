@@ -25,7 +25,6 @@ def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]
         if np.abs(wide).max() > _MOST_COUNTS:
             raise InputError(f"sums less offsets beyond {_MOST_COUNTS} counts")
         counts = wide.astype(np.int32)
-        counts[~valid_sums] = 0
-    elif measurement.usable:
-        counts = np.where(valid_sums, counts, 0)
-    return counts
+    corrected = np.where(valid_sums, counts, np.int32(0))
+    corrected.flags.writeable = False
+    return corrected

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+import bandwidth.wiring
 from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
@@ -13,7 +14,6 @@ from reconstructor.engine import Reconstructor
 from reconstructor.settings import VARIATION
 from skin.layout import parse_layout
 from skin.taxel import sense
-from skin.wiring import chain_lengths_m
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 
 #: Taxels of a block, and the region that holds a block as the keys of a layout; 64 x 64 taxels, 1024 sums.
@@ -62,14 +62,15 @@ def measure(*, name: str, meshes: str | None, seed: int, speed: int, wiring: str
     size, keys = WIRINGS[wiring]
     text = f"[taxels]\nrows = 64\ncolumns = 64\n[measurement]\nsums = 1024\nblock_size = {size}\n{keys}\n"
     layout = parse_layout(text.encode(), wiring)
-    phi, chains = layout.phi(), layout.phi().taxels_of_blocks
-    lengths_m = chain_lengths_m(chains, layout.taxels.columns, layout.taxels.pitch_m)
+    phi, wires = layout.phi(), bandwidth.wiring.wiring(layout)
     true = trajectory(name, meshes=Path(meshes) if meshes else None, speed=speed)
     random = np.random.default_rng(seed)
     felt = sense(true, random).reshape(len(true), -1)
     sums_n = phi.forward(felt).astype(np.float32)
     # (frames, boards)
-    is_touched: npt.NDArray[np.bool_] = np.logical_or.reduce((true.reshape(len(true), -1) > 0)[:, chains], axis=2)
+    is_touched: npt.NDArray[np.bool_] = np.logical_or.reduce(
+        (true.reshape(len(true), -1) > 0)[:, phi.taxels_of_blocks], axis=2
+    )
     engine = Reconstructor(phi, layout.taxels.rows, layout.taxels.columns, VARIATION)
 
     def psnr_db(valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
@@ -82,8 +83,8 @@ def measure(*, name: str, meshes: str | None, seed: int, speed: int, wiring: str
     return {
         "wiring": wiring,
         "boards": phi.blocks,
-        "all_m": float(lengths_m.sum()),
-        "longest_m": float(lengths_m.max()),
+        "all_m": wires.wires_m,
+        "longest_m": wires.longest_chain_m,
         "psnr_db": float(all_db.mean()),
         "losses_db": [float(lost[is_touched[:, board]].mean()) for board, lost in zip(dead, losses_db, strict=True)],
     }

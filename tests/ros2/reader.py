@@ -1,15 +1,20 @@
 """A reader of ROS 2's wire with other libraries than the writer: zenoh_ros2_sdk for the keys, pycdr2 for messages."""
 
 import queue
+import threading
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import zenoh
 from pycdr2 import IdlStruct
 from pycdr2.types import float32, float64, int32, sequence, uint8, uint32
 from zenoh_ros2_sdk.attachment import Attachment
 from zenoh_ros2_sdk.keyexpr import topic_keyexpr
 from zenoh_ros2_sdk.utils import ros2_to_dds_type
+
+from canskin.fabric import Fabric
+from canskin.messages import Topic as FabricTopic
 
 PATIENCE_S = 20.0
 
@@ -219,3 +224,12 @@ class Topic:
     def next(self) -> tuple[Any, Attachment]:
         payload, attached = self._came.get(timeout=PATIENCE_S)
         return self._kind.deserialize(payload), Attachment.from_bytes(attached)
+
+
+def publish(hub: Fabric, topic: FabricTopic, message: msgspec.Struct) -> None:
+    """Publish on the fabric when the hub knows of a subscriber: its declaration is on the way for a while."""
+    probe, pause = hub._session.declare_publisher(f"{hub._prefix}/{topic.name}"), threading.Event()
+    while not probe.matching_status.matching:
+        pause.wait(0.005)
+    probe.undeclare()
+    hub.publish(topic, message)

@@ -19,6 +19,7 @@ from zenoh_ros2_sdk.utils import ros2_to_dds_type
 from canskin.calibration_messages import CALIBRATION, CalibrationReply
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Measurement
+from canskin.messages import Topic as FabricTopic
 from ros2.bridge import Bridge
 from ros2.names import RELIABLE, SENSOR_DATA
 from ros2.node import RosNode
@@ -37,6 +38,7 @@ from tests.ros2.reader import (
     Topic,
     TriggerReply,
     key,
+    publish,
     time_ns,
 )
 from tests.viewer.conftest import Messages
@@ -67,9 +69,9 @@ class Setup:
         self.clocks()
         return topic
 
-    def publish(self, topic: object, message: object) -> None:
+    def publish(self, topic: FabricTopic, message: msgspec.Struct) -> None:
         """Publish on the fabric, and have the bridge publish what follows."""
-        self.hub.publish(topic, message)  # type: ignore[arg-type]
+        publish(self.hub, topic, message)
         self.bridge.turn(PATIENCE_S)
 
     def clocks(self) -> None:
@@ -203,7 +205,7 @@ def test_diagnostics_name_what_is_wrong(hub: Fabric, endpoint: str, messages: Me
     bridge = Bridge(messages.layout, fabric, node, "palm", clock_s=lambda: now_s[0])
     bridge.turn(0)
     topic.next()  # none was there yet
-    hub.publish(GATEWAY, messages.gateway(nmt=((5, 5, 255, 5), (5, 5, 5, 5)), links=("active", "bus_off")))
+    publish(hub, GATEWAY, messages.gateway(nmt=((5, 5, 255, 5), (5, 5, 5, 5)), links=("active", "bus_off")))
     now_s[0] += 1.0
     bridge.turn(PATIENCE_S)
     skin, left, right = topic.next()[0].status

@@ -12,7 +12,7 @@ from ros2.bridge import Bridge
 from ros2.node import RosNode
 from ros2.topics import FORCE_IMAGE
 from skin.wall_times import CLOCKS, Clocks
-from tests.ros2.reader import PATIENCE_S
+from tests.ros2.reader import PATIENCE_S, publish
 from tests.viewer.conftest import Messages
 
 CODE = re.findall(r"```python\n(.*?)```", Path("docs/ros2.md").read_text(), re.DOTALL)
@@ -28,9 +28,9 @@ def test_a_reader_without_ros_gets_the_images(hub: Fabric, endpoint: str, messag
     exec(code, names)  # noqa: S102 - our own page
     while not bridge._publishers[FORCE_IMAGE].has_readers:
         bridge.turn(0.01)
-    hub.publish(CLOCKS, Clocks(sampled_mono_ns=0, wall_offset_ns=0))
+    publish(hub, CLOCKS, Clocks(sampled_mono_ns=0, wall_offset_ns=0))
     bridge.turn(PATIENCE_S)
-    hub.publish(IMAGE, messages.image(invalid=(3,)))
+    publish(hub, IMAGE, messages.image(invalid=(3,)))
     bridge.turn(PATIENCE_S)
     force_n, unknown = came.get(timeout=PATIENCE_S)
     valid = messages.layout.phi().block_of_taxel.reshape(16, 16) != 3
