@@ -9,11 +9,12 @@ import numpy as np
 import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
+from skin.layout_checks import ADAPTIVE_SAMPLING_HZ, ADAPTIVE_SYNC_HZ, IDENTITY_MAX, check
 from skin.measurement import Sbhe, sbhe
 from skin.output import RECORDING_SUFFIX
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
-from skin.wiring import check_patch, within_patches
+from skin.wiring import within_patches
 
 #: Names of the layouts that come with the project.
 SHIPPED: Final = ("adaptive", "adaptive-fd", "default", "fd", "one-bus-12bit")
@@ -24,22 +25,11 @@ BITRATE_MAX: Final = 1_000_000
 RATE_MAX_HZ: Final = 2000.0
 #: Highest sampling rate of a layout.
 SAMPLING_MAX_HZ: Final = 10_000.0
-#: Adaptive sending: taxels of a block, SYNC and sampling rate, and nodes of a bus: each has 32 identifiers of its own,
-#: and on CAN FD 8.
-#: The times of `dbc.adaptive.SendingRule` and of the nodes' filter are those of 1000 samples a second.
-ADAPTIVE_BLOCK: Final = 32
-ADAPTIVE_SYNC_HZ: Final = 10.0
-ADAPTIVE_SAMPLING_HZ: Final = 1000.0
-ADAPTIVE_NODES: Final = 32
-ADAPTIVE_FD_NODES: Final = 127
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
 #: Product code of boards whose maker has no vendor number: the characters "SKIN".
 PRODUCT_CODE: Final = 0x534B_494E
-#: Largest value of an entry of the identity object (1018h).
-IDENTITY_MAX: Final = 2**32 - 1
-
 #: Default: one sum for this number of taxels; adaptive nodes send one sum for each taxel.
 SUMS_PART: Final = 4
 #: Default: the smallest number of buses with at most this number of nodes, each of one block.
@@ -267,7 +257,7 @@ def parse_layout(content: bytes, origin: str) -> Layout:
     except msgspec.ValidationError as error:
         raise LayoutError(f"{origin}: {in_words(str(error), document, Layout)}") from error
     try:
-        _check(layout)
+        check(layout)
     except LayoutError as error:
         raise LayoutError(f"{origin}: {error}") from error
     return layout
@@ -307,7 +297,7 @@ def validated(layout: Layout) -> Layout:
         checked = msgspec.convert(document, Layout)
     except msgspec.ValidationError as error:
         raise LayoutError(in_words(str(error), document, Layout)) from error
-    _check(checked)
+    check(checked)
     return checked
 
 
@@ -322,79 +312,3 @@ def layout_text(layout: Layout) -> str:
 
 def _given(table: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if value is not None}
-
-
-def _check(layout: Layout) -> None:
-    """Check keys that depend on each other."""
-    _check_measurement(layout)
-    sampled_hz = layout.sampling.rate_hz
-    if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
-        limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
-        raise LayoutError(f"{limit}, got {sampled_hz:g} - at `$.sampling.rate_hz`")
-    _check_buses(layout)
-    if layout.device.first_serial + layout.blocks - 1 > IDENTITY_MAX:
-        highest = IDENTITY_MAX - layout.blocks + 1
-        raise LayoutError(
-            f"expected {highest} or less, for serial numbers of 32 bits, got {layout.device.first_serial}"
-            " - at `$.device.first_serial`"
-        )
-    if layout.sending == "adaptive":
-        _check_adaptive(layout)
-
-
-def _check_measurement(layout: Layout) -> None:
-    taxels, measurement = layout.taxels, layout.measurement
-    powers = {
-        "taxels.rows": taxels.rows,
-        "taxels.columns": taxels.columns,
-        "measurement.block_size": measurement.block_size,
-    }
-    for path, size in powers.items():
-        if size & (size - 1):
-            raise LayoutError(f"expected a power of two, got {size} - at `$.{path}`")
-    if taxels.count % measurement.block_size:
-        raise LayoutError(f"{taxels.count} taxels do not divide into blocks - at `$.measurement.block_size`")
-    check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
-    if not layout.blocks <= measurement.sums <= taxels.count:
-        limits = f"{layout.blocks} (one per block) to {taxels.count} sums"
-        raise LayoutError(f"expected {limits}, got {measurement.sums} - at `$.measurement.sums`")
-    if measurement.selection == "balanced" and measurement.sums % layout.blocks:
-        wanted = f"balanced needs a multiple of {layout.blocks} blocks"
-        raise LayoutError(f"{wanted}, got {measurement.sums} - at `$.measurement.sums`")
-
-
-def _check_adaptive(layout: Layout) -> None:
-    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, identifiers."""
-    measurement = layout.measurement
-    wanted = {
-        "measurement.wiring": (measurement.wiring, "board"),
-        "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
-        "measurement.sums": (measurement.sums, layout.taxels.count),
-        "sync.rate_hz": (layout.sync.rate_hz, ADAPTIVE_SYNC_HZ),
-        "sampling.rate_hz": (layout.sampling.rate_hz, ADAPTIVE_SAMPLING_HZ),
-    }
-    for path, (got, expected) in wanted.items():
-        if got != expected:
-            raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
-    for index, bus in enumerate(layout.bus):
-        most = ADAPTIVE_FD_NODES if bus.fd else ADAPTIVE_NODES
-        if bus.blocks_per_node != 1 or bus.nodes > most:
-            limits = f"adaptive sending expects at most {most} nodes of one block"
-            raise LayoutError(f"{limits}, got {bus.nodes} of {bus.blocks_per_node} - at `$.bus[{index}]`")
-
-
-def _check_buses(layout: Layout) -> None:
-    names = [bus.name for bus in layout.bus]
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise LayoutError(f"bus name '{name}' is used twice - at `$.bus[{index}].name`")
-        bus = layout.bus[index]
-        if bus.data_bitrate is not None and not bus.fd:
-            raise LayoutError(f"a data bit rate needs `fd = true` - at `$.bus[{index}].data_bitrate`")
-        if bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
-            limit = f"expected {bus.bitrate} (`bitrate`) or more"
-            raise LayoutError(f"{limit}, got {bus.data_bitrate} - at `$.bus[{index}].data_bitrate`")
-    blocks = layout.first_block(len(layout.bus))
-    if blocks != layout.blocks:
-        held = f"the buses' nodes hold {blocks} blocks (`nodes` x `blocks_per_node`)"
-        raise LayoutError(f"{held} but the skin has {layout.blocks} - at `$.bus`")
