@@ -11,14 +11,14 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
 import msgspec
 import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Header, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
+from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from canskin.errors import UNDECODABLE, InputError
@@ -57,6 +57,15 @@ _DAMAGE: Final = (
     TypeError,
     MemoryError,
 )
+
+
+class Gap(NamedTuple):
+    """Part of a recording that cannot be read: all from there on if `is_rest`, else messages of these times."""
+
+    first_ns: int
+    last_ns: int
+    is_rest: bool
+    has_end: bool
 
 
 class File(NamedTuple):
@@ -235,25 +244,40 @@ def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
     ----------
     path : pathlib.Path
     warn : callable
-        Receives one line of text if the file is cut or damaged; it is read up to there.
+        Receives a line of text for each part of the file that is missing or damaged; all other parts are read.
 
     Raises
     ------
     InputError
         If the file is no recording of a skin, or cannot be read.
     """
-    channels: dict[int, Channel] = {}
+    channels: Mapping[int, Channel] = {}
     first_ns = last_ns = 0
     for record in _records(path):
         if isinstance(record, Channel):
-            channels[record.id] = record
+            channels = {**channels, record.id: record}
         elif isinstance(record, Message):
-            channel = channels[record.channel_id]
+            channel = channels.get(record.channel_id)
+            if channel is None:  # described in a part that is damaged, and nowhere else
+                continue
             first_ns, last_ns = first_ns or record.log_time, record.log_time
             yield Entry(channel.topic, record.log_time, record.data, channel.metadata)
-        elif record is None:
-            seconds = (last_ns - first_ns) * 1e-9
-            warn(f"{path}: has no end, as after a crash or on a full disk: read up to its cut, {seconds:.1f} s")
+        elif isinstance(record, Gap) and record.is_rest:
+            what = "is damaged" if record.has_end else "has no end, as after a crash or on a full disk"
+            warn(f"{path}: {what}: read up to its cut, {(last_ns - first_ns) * 1e-9:.1f} s")
+        elif isinstance(record, Gap):
+            first_ns = first_ns or record.first_ns
+            begin_s, length_s = (record.first_ns - first_ns) * 1e-9, (record.last_ns - record.first_ns) * 1e-9
+            warn(f"{path}: is damaged: the {length_s:.1f} s from {begin_s:.1f} s on are missing")
+            channels = {**_indexed_channels(path), **channels}
+
+
+def _indexed_channels(path: Path) -> Mapping[int, Channel]:
+    """Return the topics in the index of a recording by number; none without an index."""
+    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
+        summary = make_reader(file).get_summary()
+        return summary.channels if summary is not None else {}
+    return {}
 
 
 def read_topics(path: Path) -> set[str]:
@@ -274,10 +298,12 @@ def read_topics(path: Path) -> set[str]:
 
 
 def _records(path: Path) -> Iterator[Any]:
-    """Yield the records of a file, and None in the place of what is damaged or missing."""
+    """Yield the records of a file, and a `Gap` in the place of what is damaged or missing."""
     try:
         with path.open("rb") as file:
-            records = StreamReader(file, validate_crcs=True, record_size_limit=_LONGEST_RECORD).records
+            records = StreamReader(
+                file, emit_chunks=True, validate_crcs=True, record_size_limit=_LONGEST_RECORD
+            ).records
             try:
                 header = next(records)
             except (*_DAMAGE, StopIteration) as error:
@@ -285,8 +311,25 @@ def _records(path: Path) -> Iterator[Any]:
             if not isinstance(header, Header) or header.profile != PROFILE:
                 raise InputError(f"{path}: is no recording of a skin: expected a file of 'skin record'")
             try:
-                yield from records
+                for record in records:
+                    yield from _records_of(record) if isinstance(record, Chunk) else (record,)
             except _DAMAGE:
-                yield None
+                yield Gap(0, 0, is_rest=True, has_end=_has_end(file))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _records_of(chunk: Chunk) -> list[Any]:
+    """Return the records of a chunk, or the gap that a damaged chunk leaves."""
+    try:
+        return [*breakup_chunk(chunk, validate_crc=True)]
+    except _DAMAGE:
+        return [Gap(chunk.message_start_time, chunk.message_end_time, is_rest=False, has_end=True)]
+
+
+def _has_end(file: BinaryIO) -> bool:
+    """Return whether a file was closed: an MCAP file begins and ends with the same bytes."""
+    file.seek(0)
+    magic = file.read(MAGIC_SIZE)
+    file.seek(-MAGIC_SIZE, os.SEEK_END)
+    return file.read() == magic

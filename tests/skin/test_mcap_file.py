@@ -81,15 +81,34 @@ def test_a_file_cut_anywhere_is_readable_up_to_the_cut(tmp_path: Path) -> None:
     assert found[-1] == COUNT
 
 
-def test_a_damaged_chunk_ends_the_reading(tmp_path: Path) -> None:
-    path = written(tmp_path / "run.mcap")
-    content = bytearray(path.read_bytes())
-    place = content.index(b"\x28\xb5\x2f\xfd", len(content) // 3)  # the beginning of compressed data
-    content[place + 12] ^= 0x55
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_damaged_chunk_is_left_out_and_named(tmp_path: Path, number: int) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordingWriter(path, {}, [], 0)
+    for place in range(4):
+        writer.add_message(LABEL, 1_000_000_000 * (place + 1), bytes([place]) * 1000)
+        writer.flush()  # a chunk
+    writer.close()
+    content, begin = bytearray(path.read_bytes()), 0
+    for _ in range(number + 1):
+        begin = content.index(b"\x28\xb5\x2f\xfd", begin + 1)  # the beginning of compressed data
+    content[begin + 12] ^= 0x55
     path.write_bytes(content)
     data, said = read(path)
-    assert 0 < len(data) < COUNT
-    assert said
+    assert [each[0] for each in data] == [place for place in range(4) if place != number]
+    assert said == [f"{path}: is damaged: the 0.0 s from {number:.1f} s on are missing"]
+
+
+def test_a_damaged_frame_of_a_closed_file_ends_the_reading_and_is_no_crash(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.mcap")
+    content = bytearray(path.read_bytes())
+    begin = content.index(b"\x28\xb5\x2f\xfd", len(content) // 3)
+    content[begin - 60 : begin - 20] = b"\xff" * 40  # times, sizes and the length of the chunk
+    path.write_bytes(content)
+    data, said = read(path)
+    assert len(data) < COUNT
+    assert len(said) == 1
+    assert "is damaged: read up to its cut" in said[0]
 
 
 @pytest.mark.parametrize("content", [b"\xc1", b"\x81\xa5label\xa1\xff", b"\x81\xa5other" + 100_000 * b"\x91" + b"\0"])
