@@ -13,6 +13,7 @@ from canskin.calibration_messages import (
     CALIBRATION,
     CalibrationReply,
     CalibrationRequest,
+    CalibrationState,
     CalibrationStatus,
 )
 from canskin.errors import InputError, RunError
@@ -127,9 +128,11 @@ def calibration(
         _save(out, stored_gains(skin, path, force_n, before))
     elif action == "save":
         check_output_path(path, "calibration")
-        stored = _gateways(skin, connect)[0]
+        stored, status = _gateways(skin, connect)
         if not stored.offsets_n and not stored.gains:
-            raise RunError("the gateway has no calibration yet: is the skin untouched? See 'skin calibration show'")
+            is_off = status is not None and status.state is CalibrationState.OFF
+            why = "and measures none: start it with --tare at-start." if is_off else "yet: is the skin untouched?"
+            raise RunError(f"the gateway has no calibration {why} See 'skin calibration show'")
         _save(path, stored)
     else:
         content = encoded(load_calibration(path, skin))

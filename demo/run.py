@@ -5,6 +5,7 @@ import socket
 import time
 from collections.abc import Collection
 from contextlib import ExitStack
+from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -33,6 +34,8 @@ REST_S: Final = 3.5
 READY_PATIENCE_S: Final = 180.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
 TURN_S: Final = 0.1
+#: A start that takes longer is explained.
+SLOW_START_S: Final = 8.0
 
 
 class Run:
@@ -135,12 +138,16 @@ class Run:
 
     def _await_services(self, stop: StopSignal) -> None:
         """Wait until every service is on the fabric."""
+        told_s = time.monotonic() + SLOW_START_S
         wanted = {"nodes", "reconstructor", "classifier"} | ({"viewer"} if self._port is not None else set())
         patience_s = time.monotonic() + READY_PATIENCE_S
         with self._console.status("starting") as status:
             while (missing := wanted - self._alive) and not stop.wait(TURN_S):
                 self._supervisor.look(starting=True)
                 status.update(f"starting: waiting for {', '.join(sorted(missing))}")
+                if time.monotonic() > told_s:
+                    told_s = inf
+                    say("demo", "the first start compiles the solver and trains the classifier: one to two minutes")
                 if time.monotonic() > patience_s:
                     raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
 

@@ -136,7 +136,7 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
         written = save(path, tables, metadata)
     except OSError as error:
         raise RunError(f"{path}: the arrays cannot be written: {error.strerror or error}") from error
-    counts = ", ".join(f"{len(table['time_ns'])} {name}" for name, table in tables.named().items())
+    counts = ", ".join(f"{len(next(iter(table.values())))} {name}" for name, table in tables.named().items())
     say("export", f"{counts} in {', '.join(map(str, written))}")
 
 

@@ -96,6 +96,10 @@ def replay(
     engine, about = _engine(skin, solver)
     known = load_gains(gains, skin)
     classifier = _classifier_maker(skin, model)
+    names = channel or [bus.name for bus in skin.bus]
+    steps = steps_of(
+        source, contract, names, named_by_user=bool(channel), every=solver is not None, calibrator=calibrator
+    )
     sink = McapSink(out, contract, time.time_ns(), offset_ns) if out is not None else None
     recorded = newest_file(source, CALIBRATION_FILE) if is_recording else None
     if sink is not None and recorded is not None:
@@ -107,10 +111,6 @@ def replay(
         fabric.answer(DESCRIPTION, Describing(skin))
     say("replay", f"{source.name}: {about}")
     played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns, gains=known)
-    names = channel or [bus.name for bus in skin.bus]
-    steps = steps_of(
-        source, contract, names, named_by_user=bool(channel), every=solver is not None, calibrator=calibrator
-    )
     _run(played, steps, stop, speed or (1.0 if fabric else float("inf")), sink, fabric, out)
     for line in played.report.lines():
         say("replay", line)
@@ -127,7 +127,7 @@ def _run(  # noqa: PLR0917 - parts of one replay
     fabric: Fabric | None,
     out: Path | None,
 ) -> None:
-    """Play all, and close what was opened.
+    """Play all, and close what was opened; a new recording without any measurement is deleted.
 
     Raises
     ------
@@ -143,6 +143,8 @@ def _run(  # noqa: PLR0917 - parts of one replay
     finally:
         if sink is not None:
             sink.abandon()
+        if out is not None and not played.report.measurements.made:
+            out.unlink(missing_ok=True)
         if fabric is not None:
             fabric.close()
 

@@ -102,6 +102,8 @@ class Report:
             if one.made:
                 of_recorded = f", {one.equal} of {one.compared} equal to the recorded" if one.compared else ""
                 told.append(f"{one.made} {name}{of_recorded}")
+        if self.labels.equal < self.labels.compared:
+            told.append("labels differ where the run had another model or other objects: give its model with --model")
         return told
 
 

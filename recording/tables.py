@@ -39,6 +39,8 @@ class Tables:
         One row per contact and image: the fields of `canskin.messages.Contact`, ``cycle`` and times.
     labels : dict
         ``label``, ``confidence``, ``cycle`` and times.
+    taxels : dict
+        Of each taxel, row-major: ``row``, ``column``, and ``block``, the place of its block in ``valid``.
     truth : dict
         ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns``; of simulated nodes.
     """
@@ -48,10 +50,11 @@ class Tables:
     contacts: Table = field(default_factory=dict)
     labels: Table = field(default_factory=dict)
     truth: Table = field(default_factory=dict)
+    taxels: Table = field(default_factory=dict)
 
     def named(self) -> dict[str, Table]:
         """Return the tables that have rows, by name."""
-        return {name: table for name, table in vars(self).items() if table and len(table["time_ns"])}
+        return {name: table for name, table in vars(self).items() if table and len(next(iter(table.values())))}
 
 
 def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str], None]) -> Tables:
@@ -115,9 +118,15 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
                 "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
                 "label": np.array([each.label for each in read["truth"]], np.str_),
             },
+            taxels=_taxels(layout),
         )
     except ValueError as error:
         raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
+
+
+def _taxels(layout: Layout) -> Table:
+    row, column = np.divmod(np.arange(layout.taxels.count), layout.taxels.columns)
+    return {"row": row, "column": column, "block": layout.phi().block_of_taxel}
 
 
 def _wall_times(measurements: list[Measurement], offset_ns: int) -> WallTimes:

@@ -30,20 +30,32 @@ LINKS: Final = {
 NAMED: Final = 8
 
 
+def shower(service: str) -> str:
+    """Return the words for the service that shows the skin."""
+    return "this page" if service == "viewer" else f"this {service}"
+
+
 def notices(state: Snapshot, own: str) -> Snapshot:
     """Return `state` with its notices, errors first; `own` is the name of the service that shows the skin."""
     if state.cut_off:  # the state of the other services is then unknown
         text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
         found = [_error(text, state.services[own].since_time_s)]
     else:
-        found = [*_gateway(state), *_misfits(state), *_images(state), *_labels(state), *_nodes(state), *_buses(state)]
+        found = [
+            *_gateway(state, own),
+            *_misfits(state),
+            *_images(state),
+            *_labels(state),
+            *_nodes(state),
+            *_buses(state),
+        ]
         found += _calibration(state)
     found += _ignored(state)
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
 
 
-def _gateway(state: Snapshot) -> Iterator[Notice]:
+def _gateway(state: Snapshot, own: str) -> Iterator[Notice]:
     token, status = state.services.get("gateway"), state.gateway
     if token is not None and not token.alive:
         yield _error("measurements stopped: gateway is gone", token.since_time_s)
@@ -53,7 +65,7 @@ def _gateway(state: Snapshot) -> Iterator[Notice]:
         yield Notice(level="info", text="waiting for the gateway")
         if token is None and state.other_skins:
             others = ", ".join(f"'{name}'" for name in state.other_skins)
-            text = f"this page shows skin '{state.skin}', and on its hub is {others}: give both the same --layout"
+            text = f"{shower(own)} shows skin '{state.skin}', and on its hub is {others}: give both the same --layout"
             yield Notice(level="warning", text=text)
     elif status.cycles == 0:
         yield Notice(level="info", text="gateway is booting the nodes; SYNC has not started")

@@ -13,7 +13,7 @@ from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 from viewer.buses import gateway_state, nodes_state
 from viewer.checks import contacts_fit, image_fits, label_fits, status_fits, truth_fits
-from viewer.notices import notices
+from viewer.notices import notices, shower
 from viewer.snapshot import (
     ContactsState,
     Figures,
@@ -79,7 +79,7 @@ class ViewState:
         self._gateway: Last[GatewayStatus] | None = None
         self._nodes: dict[str, Last[NodesStatus]] = {}
         self._services: dict[str, Service] = {}
-        self._self = new_peer(layout.name, "this page", layout.phi().fingerprint)
+        self._self = new_peer(layout.name, shower(service), layout.phi().fingerprint)
         self._peers: dict[str, Peer] = {}
         self._pairing: Pairs[Image] = image_pairs(layout)
         self._latency_s = Window(LATENCY_SPAN_S)

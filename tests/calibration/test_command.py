@@ -30,13 +30,13 @@ class Gateway:
 
     def __init__(self, endpoint: str) -> None:
         self.requests: list[CalibrationRequest] = []
-        self.is_done, self.stored = True, STORED
+        self.is_done, self.stored, self.state = True, STORED, CalibrationState.FOLLOWING
         self.fabric = Fabric(LAYOUT.name, "gateway", endpoint, hub=True)
         self.fabric.answer(CALIBRATION, self._answer)
 
     def _answer(self, request: CalibrationRequest, reply: Reply) -> None:
         self.requests.append(request)
-        status = CalibrationStatus(state=CalibrationState.FOLLOWING, noise_n=1e-3)
+        status = CalibrationStatus(state=self.state, noise_n=1e-3)
         reply(CalibrationReply(is_done=self.is_done, text="words", status=status, content=encoded(self.stored)))
 
 
@@ -81,6 +81,9 @@ def test_a_gateway_that_refuses_or_has_nothing_fails_the_verb(gateway: Gateway, 
     with pytest.raises(RunError, match="words"):
         calibration("load", path, connect=endpoint)
     with pytest.raises(RunError, match="no calibration yet"):
+        calibration("save", tmp_path / "other.json", connect=endpoint)
+    gateway.state = CalibrationState.OFF
+    with pytest.raises(RunError, match="measures none: start it with --tare at-start"):
         calibration("save", tmp_path / "other.json", connect=endpoint)
     assert not (tmp_path / "other.json").exists()
 

@@ -76,7 +76,7 @@ def run(contract: Contract, out: Path) -> Path:
     return out
 
 
-def test_npz(run: Path) -> None:
+def test_npz(run: Path, contract: Contract) -> None:
     export(str(run))
     with np.load(run.with_suffix(".npz")) as made:
         np.testing.assert_array_equal(made["images_pixels"], [pixels(cycle) for cycle in range(1, COUNT + 1)])
@@ -86,6 +86,9 @@ def test_npz(run: Path) -> None:
             assert made[f"{table}_sampled_error_ns"].tolist() == [1, 2, 3, 4]
         assert made["contacts_sampled_error_ns"].tolist() == [2]
         assert made["contacts_time_ns"].tolist() == times_ns[1:2]
+        measured = made["images_valid"][:, made["taxels_block"]].reshape(made["images_pixels"].shape)
+        assert measured.all(axis=(1, 2)).tolist() == [False, True, True, True]
+        np.testing.assert_array_equal(made["taxels_block"], contract.phi.block_of_taxel)
         assert made["images_valid"].all(axis=1).tolist() == [False, True, True, True]
         np.testing.assert_array_equal(made["measurements_sums"][:, 5], [1, 2, 3, 4])
         assert made["measurements_usable"].shape == made["measurements_sums"].shape

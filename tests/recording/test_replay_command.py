@@ -1,0 +1,34 @@
+"""``skin replay`` as a user calls it."""
+
+from pathlib import Path
+
+import pytest
+
+from canskin.errors import InputError, RunError
+from dbc.contract import Contract
+from dbc.frame import frames
+from recording import replay_command
+from recording.replay_command import replay
+from recording.sinks import McapSink
+from tests.recording.conftest import OFFSET_NS
+
+
+def test_a_replay_that_made_no_measurement_leaves_no_file(
+    contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A model takes long to train, and nothing is classified here.
+    monkeypatch.setattr(replay_command, "_classifier_maker", lambda *_: lambda _exchange: None)
+    empty, out = tmp_path / "empty.mcap", tmp_path / "new.mcap"
+    McapSink(empty, contract, 1, OFFSET_NS).close()
+    with pytest.raises(InputError, match="nothing to play"):
+        replay(empty, out=out)
+    assert not out.exists()
+    strange = tmp_path / "strange.mcap"
+    sink = McapSink(strange, contract, 1, OFFSET_NS)
+    strange_frames = frames(1)
+    strange_frames["can_id"], strange_frames["time_ns"] = 0x7FF, 1_000_000
+    sink.frames(0, strange_frames, 1_000_000 + OFFSET_NS, OFFSET_NS)
+    sink.close()
+    with pytest.raises(RunError, match="gave no measurement"):
+        replay(strange, out=out)
+    assert not out.exists()
