@@ -52,7 +52,7 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
 
 def _keeps_window(contract: Contract, bus: int, allowed: Disturbance) -> bool:
     streams = traffic(contract, bus, allowed=allowed)
-    needed_ns = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
+    needed_ns = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max(initial=0))
     return needed_ns <= window_s(contract.layout) * 1e9
 
 

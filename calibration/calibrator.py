@@ -262,9 +262,8 @@ class Calibrator:
     def _begin_late(self, follower: DriftFollower, window: Window, held: Bools) -> None:
         """Give blocks that came late their zero, by the same test as at the start."""
         self._recent.append(window)
-        starts = self._phi.starts[:-1]
-        late = ~np.logical_and.reduceat(follower.known, starts)
-        self._still = np.where(late & ~held & np.logical_and.reduceat(window.known, starts), self._still + 1, 0)
+        late = ~self._phi.all_of_blocks(follower.known)
+        self._still = np.where(late & ~held & self._phi.all_of_blocks(window.known), self._still + 1, 0)
         ready = self._still >= TARE_WINDOWS
         if not ready.any():
             return
@@ -364,8 +363,9 @@ class Calibrator:
 
     def _new_follower(self, level_n: Floats, slope_n: Floats, known: Bools, age: int, noise_n: float) -> DriftFollower:
         least_n = LEAST_STEP * self._newton_per_count
+        phi = self._phi
         return DriftFollower(
-            self._phi.block_of_sum, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n
+            phi.block_of_sum, phi.blocks, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n
         )
 
 

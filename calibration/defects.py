@@ -70,13 +70,13 @@ class DefectFinder:
         held : array of bool, shape (blocks,)
             Blocks under a touch, whose changes are no noise.
         """
-        phi, starts = self._phi, self._phi.starts[:-1]
+        phi = self._phi
         moves = (window.noise_n > 0) & window.known
         others = np.diff(phi.starts) - 1
-        moving = np.add.reduceat(moves, starts)[phi.block_of_sum] - moves
+        moving = phi.total_of_blocks(moves)[phi.block_of_sum] - moves
         tells = window.known & (others[phi.block_of_sum] > 0) & (moving >= STUCK_PART * others[phi.block_of_sum])
         self._unchanged = np.where(moves, 0, self._unchanged + tells)
-        free = np.logical_and.reduceat(window.known, starts) & ~held
+        free = phi.all_of_blocks(window.known) & phi.has_sums & ~held
         self._windows += free
         gain = (free / np.clip(self._windows, 1, MEMORY))[phi.block_of_sum]
         self._square += gain * (window.noise_n**2 - self._square)
@@ -92,7 +92,7 @@ class DefectFinder:
         stuck = self._unchanged >= STUCK_WINDOWS
         noisy = np.zeros_like(stuck)
         words = [f"sum {self._name(each)} is stuck and left out" for each in np.flatnonzero(stuck).tolist()]
-        of_block = np.sqrt(np.add.reduceat(self._square, phi.starts[:-1]) / np.diff(phi.starts))
+        of_block = np.sqrt(phi.total_of_blocks(self._square) / np.maximum(np.diff(phi.starts), 1))
         if judged.any():
             typical_n = float(np.median(of_block[judged]))
             is_quiet = judged & (typical_n > self._least_n) & (of_block < typical_n / QUIET_RATIO)

@@ -27,6 +27,8 @@ class DriftFollower:
     Parameters
     ----------
     block_of_sum : array of int, shape (m,)
+    blocks : int
+        Number of blocks.
     level_n, slope_n : array, shape (m,)
         Offsets in newtons, and their change in a window.
     known : array of bool, shape (m,)
@@ -42,6 +44,7 @@ class DriftFollower:
     def __init__(
         self,
         block_of_sum: Ages,
+        blocks: int,
         level_n: Floats,
         slope_n: Floats,
         known: Bools,
@@ -54,7 +57,7 @@ class DriftFollower:
         self.noise_n = max(noise_n, least_noise_n)
         self._slope_n = np.where(known, slope_n, 0.0)
         self._block_of_sum = block_of_sum
-        self._age = np.full(int(block_of_sum.max()) + 1, age, np.intp)
+        self._age = np.full(blocks, age, np.intp)
         self._held = np.zeros_like(self._age)
         self._least_noise_n = least_noise_n
 

@@ -11,8 +11,8 @@ from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, kee
 from classifier.coarse_sums import classified_phi
 from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
-from skin.layout import Layout, load_layout
-from skin.output import check_output_path
+from skin.layout import Layout, layout_text, load_layout
+from skin.output import check_output_path, write_file
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS, load_touches
 from skin.taxel import NOISE_N
@@ -77,6 +77,8 @@ def train(
     features: Features = "energies",
     seed: int = 0,
     out: Path | None = None,
+    choose: int = 0,
+    layout_out: Path | None = None,
     json: Json = False,
 ) -> None:
     """Train a classifier for a skin on simulated touches.
@@ -97,6 +99,10 @@ def train(
         Seed of touches, noise and validation set.
     out
         Model file; default: the file in the cache folder that ``skin classify`` uses without ``--model``.
+    choose
+        Number of rows of Φ that separate the touches best, in place of the layout's; needs ``--layout-out``.
+    layout_out
+        Layout file with the chosen rows: the model is for this layout.
     json
         Print the model card as one JSON object.
 
@@ -104,6 +110,7 @@ def train(
     --------
     skin train --objects golf-ball,ring,tuna-can
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
+    skin train --choose 16 --layout-out palm-16.toml --features sums
     """
     skin = load_layout(layout, adaptive=True)
     names = _named(objects)
@@ -111,9 +118,18 @@ def train(
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
     if out is not None:
         check_output_path(out, "model")
+    if (choose != 0) != (layout_out is not None):
+        raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
+    if layout_out is not None:
+        check_output_path(layout_out, "layout")
+    skin, model = _train(
+        skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed, choose=choose
+    )
     path = out or cached_path(skin, classified_phi(skin), names)
-    model = _train(skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed)
     (save_model if out else keep_model)(model, path)
+    if layout_out is not None:
+        write_file(layout_out, layout_text(skin))
+        say("train", f"layout with the {choose} chosen rows: {layout_out}")
     _show(model.metadata, path, as_json=json)
 
 
@@ -122,23 +138,24 @@ def _named(objects: str) -> list[str]:
     return list(dict.fromkeys(name.strip() for name in objects.split(",") if name.strip())) or list(DEFAULT_OBJECTS)
 
 
-def _train(skin: Layout, names: list[str], count: int, noise_n: float, features: Features, *, seed: int) -> Model:
-    """Train with a progress bar on a terminal's stderr."""
+def _train(
+    skin: Layout, names: list[str], count: int, noise_n: float, features: Features, *, seed: int, choose: int
+) -> tuple[Layout, Model]:
+    """Train with a progress bar on a terminal's stderr; return layout and model, the layout with the chosen rows."""
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     with progress("drawing touches", 1.2) as bar:
         force_n, labels = load_touches(names, count, skin, seed=seed)
+        if choose:
+            from classifier.rows import with_chosen_rows
+
+            skin = with_chosen_rows(skin, force_n, labels, choose, noise_n=noise_n, seed=seed)
 
         def show(doing: str, ratio: float) -> None:
             bar.update(0.2 + ratio, doing)
 
-        return train(
-            force_n,
-            labels,
-            skin,
-            options=TrainingOptions(features=features, noise_n=noise_n, seed=seed, data=SIMULATED),
-            progress=show,
-        )
+        options = TrainingOptions(features=features, noise_n=noise_n, seed=seed, data=SIMULATED)
+        return skin, train(force_n, labels, skin, options=options, progress=show)
 
 
 def _show(about: Metadata, path: Path, *, as_json: bool) -> None:

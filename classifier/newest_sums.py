@@ -28,13 +28,14 @@ class NewestSums:
         self._came = np.ones(phi.blocks, np.bool_)
         self._came_sums = np.ones(phi.shape[0], np.bool_)
         self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
+        self._sending = np.flatnonzero(phi.has_sums)
 
     def forget(self) -> None:
         """Drop all sums."""
         self._age.fill(HOLD_CYCLES)
 
     def take(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], step: int) -> float:
-        """Take new sums, `step` cycles after the last; return the fraction of blocks in use."""
+        """Take new sums, `step` cycles after the last; return the fraction in use of the blocks that send sums."""
         np.not_equal(valid, 0, out=self._came)
         np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
         np.copyto(self.sums, sums, where=self._came_sums)
@@ -42,7 +43,7 @@ class NewestSums:
         np.minimum(self._age, HOLD_CYCLES + 1, out=self._age)
         np.copyto(self._age, 0, where=self._came)
         np.less_equal(self._age, HOLD_CYCLES, out=self.valid, casting="unsafe")
-        return float(self.valid.mean())
+        return float(self.valid[self._sending].mean())
 
     def valid_sums(self) -> npt.NDArray[np.bool_]:
         """Return which sums are in use, shape (m,); the array is reused."""

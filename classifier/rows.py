@@ -7,11 +7,14 @@ the mean covariance of a pair, two objects at Mahalanobis distance d are confuse
 
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
 from classifier.dag import pairs
+from classifier.samples import simulate_sums
+from skin.layout import Layout, validated
 from skin.measurement import Sbhe
 
 #: A row counts as noise if the selected rows leave less than this part of its variance unexplained, or if its variance
@@ -48,6 +51,46 @@ def choose_rows(phi: Sbhe, sums: npt.NDArray[Any], labels: npt.NDArray[Any], cou
     kept = np.zeros_like(phi.kept)
     kept[phi.block_of_sum[chosen], phi.row_of_sum[chosen]] = True
     return Sbhe(phi.order, kept)
+
+
+def with_chosen_rows(
+    layout: Layout,
+    force_n: npt.NDArray[np.float32],
+    labels: npt.NDArray[np.str_],
+    count: int,
+    *,
+    noise_n: float,
+    seed: int = 0,
+) -> Layout:
+    """Return the layout with the `count` rows of Φ that separate labelled touches best, by name.
+
+    Parameters
+    ----------
+    layout : Layout
+        All rows of its blocks are candidates.
+    force_n : array, shape (touches, rows, columns)
+        True forces in newtons.
+    labels : array, shape (touches,)
+    count : int
+    noise_n : float
+        Standard deviation of the taxel noise.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    InputError
+        If there are too few rows or touches, or the layout sends adaptively.
+    """
+    if layout.sending == "adaptive":
+        raise InputError("adaptive nodes send every row: expected a layout with synchronous sending")
+    drawn = layout.phi()
+    every = Sbhe(drawn.order, np.ones_like(drawn.kept))
+    sums = simulate_sums(force_n, layout, every, noise_n, np.random.default_rng(seed))
+    chosen = choose_rows(every, sums, labels, count)
+    rows = tuple(zip(chosen.block_of_sum.tolist(), chosen.row_of_sum.tolist(), strict=True))
+    measurement = msgspec.structs.replace(layout.measurement, sums=count, rows=rows, selection="balanced")
+    return validated(msgspec.structs.replace(layout, measurement=measurement))
 
 
 def _chosen(observed: list[npt.NDArray[np.float32]], count: int) -> list[int]:

@@ -116,11 +116,12 @@ class FeatureExtractor:
         taxels, means = layout.taxels, layout.sending == "adaptive"
         self._observer = Observer(phi, taxels.rows, taxels.columns, no_touch, means=means)
         self._valid = np.ones(phi.blocks, np.float32)
+        self._sending = np.flatnonzero(phi.has_sums)
 
     @property
     def blocks(self) -> int:
-        """Blocks of the skin."""
-        return self._valid.size
+        """Number of blocks that send sums."""
+        return self._sending.size
 
     def features(self, sums: npt.NDArray[np.int32], lost: npt.NDArray[np.intp], rng: np.random.Generator) -> Float64:
         """Return the features of `sums`, shape (count, 2 widths), with `lost` missing blocks in each."""
@@ -128,8 +129,8 @@ class FeatureExtractor:
         for one, gone, made in zip(sums, lost, seen, strict=True):
             self._valid.fill(1)
             if gone:
-                self._valid[rng.permutation(self._valid.size)[:gone]] = 0
-            self._observer.look(one, self._valid, float(self._valid.mean()))
+                self._valid[self._sending[rng.permutation(self.blocks)[:gone]]] = 0
+            self._observer.look(one, self._valid, float(self._valid[self._sending].mean()))
             made[:] = self._observer.features
         return seen
 

@@ -168,7 +168,7 @@ def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32
         return raw, fit_factors(raw[training.split.development])
     count, rng = len(force_n), training.rng
     sums = training.sums(force_n, draw_noise_levels(count, training.options.noise_n, 0.0, rng))
-    features = training.extractor.features(sums, draw_missing_counts(count, training.phi.blocks, rng), rng)
+    features = training.extractor.features(sums, draw_missing_counts(count, training.extractor.blocks, rng), rng)
     return features, Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
 
 

@@ -286,8 +286,7 @@ def _blocks(contract: Contract, node: NodeContract, values: _Values) -> list[Boa
     blocks = []
     for place in range(node.blocks):
         taxels, rows, gain, offset = (
-            [values[of_block(index, place), sub] for sub in range(1, int(values[of_block(index, place), 0]) + 1)]
-            for index in (OD_TAXELS, OD_ROWS, OD_GAIN, OD_OFFSET)
+            _array(values, of_block(index, place)) for index in (OD_TAXELS, OD_ROWS, OD_GAIN, OD_OFFSET)
         )
         blocks.append(
             BoardBlock(
@@ -301,6 +300,11 @@ def _blocks(contract: Contract, node: NodeContract, values: _Values) -> list[Boa
             )
         )
     return blocks
+
+
+def _array(values: _Values, index: int) -> list[Value]:
+    """Return the entries of an array; none of one that the board has not, as the rows of a block without sums."""
+    return [values[index, place] for place in range(1, int(values.get((index, 0), 0)) + 1)]
 
 
 def _signs(row: int, size: int) -> str:

@@ -323,7 +323,7 @@ def _record(index: int, group: str, entries: Sequence[tuple[str, int, Access, Va
 
 
 def _block(contract: Contract, block: int, place: int) -> list[Object]:
-    """Return the objects of one block: taxels in chain order, calibration, test pattern, sums."""
+    """Return the objects of one block: taxels in chain order, calibration, test pattern, and what sums it sends."""
     size, rows = contract.phi.block_size, contract.phi.rows_of(block)
     taxels = [int(taxel) for taxel in contract.phi.order[block * size : (block + 1) * size]]
     of = f" of block {place + 1}" if place else ""
@@ -335,15 +335,14 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
     def at(index: int) -> int:
         return of_block(index, place)
 
+    sum_type = SUM_TYPES[contract.packing.bits, contract.packing.is_signed]
     return [
-        *_array(at(OD_ROWS), f"Hadamard rows{of}", row_names, UNSIGNED8, "ro", value=rows),
+        *(_array(at(OD_ROWS), f"Hadamard rows{of}", row_names, UNSIGNED8, "ro", value=rows) if rows else []),
         *_array(at(OD_TAXELS), f"Taxels{of}", taxel_names, UNSIGNED16, "ro", value=taxels),
         *_array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
         *_array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
         Object(at(OD_TEST_PATTERN), None, f"Test pattern{of}", UNSIGNED8, "rw", 0),
-        *_array(
-            at(OD_SUMS), f"Sums{of}", sums, SUM_TYPES[contract.packing.bits, contract.packing.is_signed], "ro", pdo=True
-        ),
+        *(_array(at(OD_SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
     ]
 
 

@@ -80,7 +80,7 @@ class SimulatedSkin(Skin):
         self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages)
         self._builder = FrameBuilder(self.layout)
         self._counter = 0
-        self._valid = bytes([1]) * phi.blocks
+        self._valid = phi.has_sums.tobytes()
         self._cycle = 0
         self._lock = threading.Lock()
         for _ in range(round(REST_S * step_rate_hz(skin))):  # the boards learn their noise before the first cycle

@@ -9,8 +9,11 @@ _PER_LINE: Final = 16
 
 
 def array(kind: str, name: str, numbers: Iterable[object], *, per_line: int = _PER_LINE) -> list[str]:
-    """Return the lines of the definition of an array; `kind` is the type of its elements with its qualifiers."""
-    texts = [str(number) for number in numbers]
+    """Return the lines of the definition of an array; `kind` is the type of its elements with its qualifiers.
+
+    C99 has no empty arrays: one without numbers has a 0.
+    """
+    texts = [str(number) for number in numbers] or ["0"]
     lines = [f"    {', '.join(texts[at : at + per_line])}," for at in range(0, len(texts), per_line)]
     return [f"{kind} {name}[] = {{", *lines, "};"]
 

@@ -135,8 +135,8 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_BOARDS": (len(boards), "boards of board.c"),
         "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
         "SKIN_BLOCK_SIZE": (contract.phi.block_size, "taxels of a block"),
-        "SKIN_SUMS": (max(each.node.sums for each in boards), "sums of a board"),
-        "SKIN_TPDOS": (max(_tpdos(each.node) for each in boards), "TPDO communication records of a board"),
+        "SKIN_SUMS": (max(1, *(each.node.sums for each in boards)), "sums of a board"),
+        "SKIN_TPDOS": (max(1, *(_tpdos(each.node) for each in boards)), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
         "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
         "SKIN_SAMPLES": (

@@ -30,16 +30,15 @@ SWAPPED_CYCLES: Final = 5
 
 @dataclass(frozen=True)
 class Gathered:
-    """One cycle: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,); `times` of the sampling."""
+    """One cycle: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,); `times` of the sampling.
+
+    A block without sums is never valid; a cycle is `complete` if all other blocks are.
+    """
 
     sums: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
     times: SampledTimes
-
-    @property
-    def complete(self) -> bool:
-        """Whether every block is valid."""
-        return bool(self.valid.all())
+    complete: bool
 
 
 class Collector:
@@ -191,12 +190,12 @@ class Collector:
         whole = self._seen[slot, rows] & ~(self._spoilt[slot, rows] & self.judges)
         good, lost = rows[whole], self._table.gather[rows[~whole]]
         self._judge_phases(rows[self._seen[slot, rows]])
-        valid = self._proven[slot].copy()
+        valid = self._proven[slot] & self._phi.has_sums
         valid[self._phi.block_of_sum[lost[lost >= 0]]] = False
         sums = np.zeros(self._phi.shape[0], np.int32)
         decode(self._payload[slot, good], self._table.gather[good], self._packing, sums)
         sums[~self._phi.sums_of_blocks(valid)] = 0
-        return Gathered(sums, valid, self._times.close(counter))
+        return Gathered(sums, valid, self._times.close(counter), bool(valid[self._phi.has_sums].all()))
 
     def _spoil(self, bus: int) -> None:
         """Use no sums of a bus in the open cycles, nor in the next cycle."""

@@ -200,7 +200,7 @@ def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycl
         cycles, counts = replay(contract, logged, bar.advance)
     if not cycles.valid.any():
         raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")
-    complete = int(cycles.valid.all(axis=1).sum())
+    complete = int(cycles.valid[:, contract.phi.has_sums].all(axis=1).sum())
     say("rebuild", f"{complete} of {len(cycles.valid)} cycles are complete: {_counted(counts)}")
     return cycles
 

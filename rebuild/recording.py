@@ -18,7 +18,7 @@ def measure_recording(
     full_scale: float | None,
     advance: Callable[[int], None],
 ) -> Cycles:
-    """Measure every frame of a recording in one cycle of the skin; every block is valid.
+    """Measure every frame of a recording in one cycle of the skin; every block with sums is valid.
 
     Parameters
     ----------
@@ -49,4 +49,4 @@ def measure_recording(
         counts[step] = packing.counts(packing.raw(sums))
         advance(1)
     time_ns = np.rint(np.arange(source.frames) * (1e9 * layout.sync.period_s)).astype(np.int64)
-    return Cycles(counts, np.ones((source.frames, phi.blocks), np.bool_), time_ns)
+    return Cycles(counts, np.tile(phi.has_sums, (source.frames, 1)), time_ns)

@@ -68,6 +68,7 @@ class Painter:
         self.drawn = 0
         self._layout, self._canvas, self._grid = layout, canvas, Grid(layout)
         self._wall, self._state = wall or WallTimes(), ViewState(layout, service=SERVICE)
+        self._sending_ratio = float(layout.phi().has_sums.mean())
         self._label = ""
         self._notices: dict[str, Notice] = {}
         self._due_s = float("-inf")
@@ -126,7 +127,7 @@ class Painter:
             return
         self.drawn += 1
         self._canvas.image(time_ns, image.cycle, self._grid.measured_n(image))
-        self._canvas.figure(time_ns, "valid_share", float(valid.mean()))
+        self._canvas.figure(time_ns, "valid_share", float(valid.mean() / self._sending_ratio))
         self._canvas.figure(time_ns, "force_n", float(self._grid.forces_n(image)[valid].sum()))
 
     def _name(self, label: Label) -> None:

@@ -10,14 +10,14 @@ import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.layout_checks import ADAPTIVE_SAMPLING_HZ, ADAPTIVE_SYNC_HZ, IDENTITY_MAX, check
-from skin.measurement import Sbhe, sbhe
+from skin.measurement import Sbhe, of_rows, sbhe
 from skin.output import RECORDING_SUFFIX
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 from skin.wiring import within_patches
 
 #: Names of the layouts that come with the project.
-SHIPPED: Final = ("adaptive", "adaptive-fd", "default", "fd", "one-bus-12bit")
+SHIPPED: Final = ("adaptive", "adaptive-fd", "default", "fd", "one-bus-12bit", "recognition")
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
@@ -75,6 +75,8 @@ class Measuring(_Table, frozen=True, kw_only=True):
     # The taxels of a block are one array of its node's dictionary, which holds 254 entries.
     block_size: Annotated[int, msgspec.Meta(ge=2, le=128)] = 32
     sums: Positive = 1024
+    # Block and Hadamard row of each sum; without the key they are drawn.
+    rows: Annotated[tuple[tuple[int, int], ...], msgspec.Meta(min_length=1)] | None = None
     selection: Literal["balanced", "uniform"] = "balanced"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
     # Blocks of taxels from all over the skin, or of neighbours: a patch of each board.
@@ -180,10 +182,13 @@ class Layout(_Table, frozen=True, kw_only=True):
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
         taxels, drawn = self.taxels, self.measurement
-        phi = sbhe(taxels.count, drawn.sums, block_size=drawn.block_size, selection=drawn.selection, seed=drawn.seed)
+        count = drawn.sums if drawn.rows is None else self.blocks
+        phi = sbhe(taxels.count, count, block_size=drawn.block_size, selection=drawn.selection, seed=drawn.seed)
         if drawn.wiring == "board":
-            return Sbhe(np.concatenate(self.patches()).ravel(), phi.kept)
-        return phi if drawn.patch is None else within_patches(phi, taxels.rows, taxels.columns, drawn.patch, self._held)
+            phi = Sbhe(np.concatenate(self.patches()).ravel(), phi.kept)
+        elif drawn.patch is not None:
+            phi = within_patches(phi, taxels.rows, taxels.columns, drawn.patch, self._held)
+        return phi if drawn.rows is None else of_rows(phi.order, drawn.block_size, drawn.rows)
 
     def patches(self) -> list[Indices]:
         """Return the taxels of each block of neighbours, by bus: arrays of shape (blocks of the bus, block size)."""
@@ -277,7 +282,8 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
         return tables
     blocks = max(1, taxels.count // measuring.block_size)
     part = 1 if tables.get("sending") == "adaptive" else SUMS_PART
-    tables.setdefault("measurement", {}).setdefault("sums", blocks * max(1, measuring.block_size // part))
+    sums = blocks * max(1, measuring.block_size // part) if measuring.rows is None else len(measuring.rows)
+    tables.setdefault("measurement", {}).setdefault("sums", sums)
     buses = -(-blocks // NODES_PER_BUS)
     if "taxels" in tables:  # without taxels and buses the file is no layout
         tables.setdefault("bus", [{"name": f"bus{each}", "nodes": blocks // buses} for each in range(buses)])

@@ -1,8 +1,12 @@
 """The rules that the keys of a layout keep together; `skin.layout` has the rules of single keys."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from canskin.errors import LayoutError
+import numpy as np
+
+from canskin.errors import InputError, LayoutError
+from skin.measurement import of_rows
 from skin.wiring import check_patch
 
 if TYPE_CHECKING:
@@ -57,12 +61,26 @@ def _check_measurement(layout: "Layout") -> None:
     if taxels.count % measurement.block_size:
         raise LayoutError(f"{taxels.count} taxels do not divide into blocks - at `$.measurement.block_size`")
     check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
-    if not layout.blocks <= measurement.sums <= taxels.count:
-        limits = f"{layout.blocks} (one per block) to {taxels.count} sums"
-        raise LayoutError(f"expected {limits}, got {measurement.sums} - at `$.measurement.sums`")
-    if measurement.selection == "balanced" and measurement.sums % layout.blocks:
-        wanted = f"balanced needs a multiple of {layout.blocks} blocks"
+    if not 1 <= measurement.sums <= taxels.count:
+        raise LayoutError(f"expected 1 to {taxels.count} sums, got {measurement.sums} - at `$.measurement.sums`")
+    if measurement.rows is not None:
+        _check_rows(layout, measurement.rows)
+    elif measurement.selection == "balanced" and measurement.sums > layout.blocks and measurement.sums % layout.blocks:
+        wanted = f"balanced needs fewer sums than the {layout.blocks} blocks, or a multiple of them"
         raise LayoutError(f"{wanted}, got {measurement.sums} - at `$.measurement.sums`")
+
+
+def _check_rows(layout: "Layout", rows: Sequence[tuple[int, int]]) -> None:
+    measurement = layout.measurement
+    if measurement.sums != len(rows):
+        limit = f"expected {len(rows)}, one sum for each of `measurement.rows`, or no `sums`"
+        raise LayoutError(f"{limit}, got {measurement.sums} - at `$.measurement.sums`")
+    if measurement.selection != "balanced":
+        raise LayoutError("named rows are not drawn: leave `selection` or `rows` out - at `$.measurement.selection`")
+    try:
+        of_rows(np.arange(layout.taxels.count), measurement.block_size, rows)
+    except InputError as error:
+        raise LayoutError(f"{error} - at `$.measurement.rows`") from error
 
 
 def _check_adaptive(layout: "Layout") -> None:

@@ -88,7 +88,7 @@ def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
     """Return which blocks came with sums that are all usable, shape (blocks,)."""
     valid: npt.NDArray[np.bool_] = np.frombuffer(measurement.valid, np.uint8) != 0
     if measurement.usable:
-        valid &= np.logical_and.reduceat(np.frombuffer(measurement.usable, np.uint8) != 0, phi.starts[:-1])
+        valid &= phi.all_of_blocks(np.frombuffer(measurement.usable, np.uint8) != 0)
     return valid
 
 
@@ -108,7 +108,7 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     states = np.frombuffer(measurement.states, np.uint8)
     if states.max() > max(BlockState):
         raise InputError(f"a block's state is {states.max()}, expected 0 to {max(BlockState):d}")
-    if not known.all() and not np.logical_and.reduceat(known, phi.starts[:-1])[valid].all():
+    if not known.all() and not phi.all_of_blocks(known)[valid].all():
         raise InputError("a block is valid, but not all its sums are known")
     if (states[valid] < BlockState.QUIET).any():
         raise InputError("a block is valid, but neither fresh nor quiet")

@@ -6,6 +6,7 @@ so the board of the block can compute it. W W^T = B I, hence Φ Φ^T = B I exact
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, TypeVar, get_args
@@ -95,10 +96,20 @@ class Sbhe:
         """Hadamard row of every sum inside its block, shape (m,)."""
         return np.nonzero(self.kept)[1]
 
+    @cached_property
+    def has_sums(self) -> npt.NDArray[np.bool_]:
+        """Whether a block sends any sum, shape (blocks,); a block without sums is never valid."""
+        return np.asarray(self.kept.any(axis=1), np.bool_)
+
     @property
     def taxels_of_blocks(self) -> npt.NDArray[np.intp]:
         """Taxels of every block in the order of its chain, shape (blocks, block_size)."""
         return self.order.reshape(self.kept.shape)
+
+    @cached_property
+    def _sending_taxels(self) -> npt.NDArray[np.intp]:
+        """Taxels of the blocks that send sums."""
+        return self.taxels_of_blocks[self.has_sums]
 
     @cached_property
     def block_of_taxel(self) -> npt.NDArray[np.intp]:
@@ -137,8 +148,7 @@ class Sbhe:
         """
         check_vectors("taxels", x, self.shape[1])
         work = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32)
-        scrambled = work[..., self.order].reshape(*x.shape[:-1], *self.kept.shape)
-        return fast_hadamard(scrambled)[..., self.kept]
+        return fast_hadamard(work[..., self._sending_taxels])[..., self.kept[self.has_sums]]
 
     def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
         """Return Φᵀ y, shape (..., n), of sums `y` of shape (..., m)."""
@@ -177,6 +187,14 @@ class Sbhe:
             raise InputError(f"expected {self.blocks} booleans, one a block, got {valid.dtype} of shape {valid.shape}")
         return valid[self.block_of_sum]
 
+    def total_of_blocks(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.float64]:
+        """Return the total of one value per sum, shape (m,), over each block, shape (blocks,)."""
+        return np.bincount(self.block_of_sum, values, self.blocks).astype(np.float64, copy=False)
+
+    def all_of_blocks(self, flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Tell of which blocks every sum has its flag set; `flags` has shape (m,). A block without sums has all set."""
+        return np.asarray(self.total_of_blocks(~flags) == 0, np.bool_)
+
 
 def sbhe(
     taxels: int,
@@ -193,7 +211,8 @@ def sbhe(
     taxels, sums : int
         n and m.
     selection : {"balanced", "uniform"}
-        "balanced" selects the same number of rows in every block; "uniform" draws m of the n rows, as in the
+        "balanced" selects the same number of rows in every block or, with fewer sums than blocks, one row in each of
+        m blocks, one block out of each of m runs of neighbouring blocks. "uniform" draws m of the n rows, as in the
         paper, so blocks send different numbers of sums.
     seed : int
         Same seed, same Φ, on every platform (NumPy's PCG64).
@@ -211,13 +230,49 @@ def sbhe(
     order = random.permutation(taxels)
     kept = np.zeros((blocks, block_size), np.bool_)
     if selection == "balanced":
-        if sums % blocks:
+        if sums > blocks and sums % blocks:
             raise InputError(f"balanced rows: {sums} sums are not a multiple of {blocks} blocks")
         for block in range(blocks):
-            kept[block, random.permutation(block_size)[: sums // blocks]] = True
+            kept[block, random.permutation(block_size)[: max(1, sums // blocks)]] = True
+        if sums < blocks:
+            kept[~_one_of_each_run(blocks, sums, random)] = False
     else:
         kept.flat[random.permutation(taxels)[:sums]] = True
     return Sbhe(order.astype(np.intp), kept)
+
+
+def _one_of_each_run(blocks: int, runs: int, random: np.random.Generator) -> npt.NDArray[np.bool_]:
+    """Draw one block out of each of so many runs of neighbouring blocks, so that each node sends its share."""
+    ends = np.arange(runs + 1) * blocks // runs
+    drawn = np.zeros(blocks, np.bool_)
+    drawn[random.integers(ends[:-1], ends[1:])] = True
+    return drawn
+
+
+def of_rows(order: npt.NDArray[np.intp], block_size: int, rows: Sequence[tuple[int, int]]) -> Sbhe:
+    """Return the SBHE that sends the named rows.
+
+    Parameters
+    ----------
+    order : array of int, shape (n,)
+        Permutation P.
+    rows : sequence of (int, int)
+        Block and Hadamard row of each sum.
+
+    Raises
+    ------
+    InputError
+        If a row does not exist or is named twice.
+    """
+    kept = np.zeros((order.size // block_size, block_size), np.bool_)
+    for block, row in rows:
+        if not (0 <= block < kept.shape[0] and 0 <= row < block_size):
+            limits = f"blocks of 0 to {kept.shape[0] - 1} and rows of 0 to {block_size - 1}"
+            raise InputError(f"expected {limits}, got block {block}, row {row}")
+        if kept[block, row]:
+            raise InputError(f"row {row} of block {block} is named twice")
+        kept[block, row] = True
+    return Sbhe(order, kept)
 
 
 def _check_sizes(taxels: int, sums: int, block_size: int) -> None:

@@ -69,7 +69,8 @@ class ViewState:
 
     def __init__(self, layout: Layout, epoch_s: float = 0.0, service: str = "viewer") -> None:
         self.ignored = 0
-        self._layout = layout
+        self._layout, phi = layout, layout.phi()
+        self._sending_blocks = int(phi.has_sums.sum())
         self._epoch_s = epoch_s
         self._service_name = service
         self._image: Last[Image] | None = None
@@ -79,7 +80,7 @@ class ViewState:
         self._gateway: Last[GatewayStatus] | None = None
         self._nodes: dict[str, Last[NodesStatus]] = {}
         self._services: dict[str, Service] = {}
-        self._self = new_peer(layout.name, shower(service), layout.phi().fingerprint)
+        self._self = new_peer(layout.name, shower(service), phi.fingerprint)
         self._peers: dict[str, Peer] = {}
         self._pairing: Pairs[Image] = image_pairs(layout)
         self._latency_s = Window(LATENCY_SPAN_S)
@@ -264,7 +265,7 @@ class ViewState:
             sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self._layout.taxels.adc_bits),
             valid_blocks=self._valid_blocks(self._image.message) if self._image else None,
             valid_blocks_low=int(min(low)) if low else None,
-            blocks=self._layout.blocks,
+            blocks=self._sending_blocks,
         )
 
     def _service(self, name: str, gateway: GatewayState | None, now_s: float) -> Service:

@@ -63,7 +63,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         unknown sums are 0.
     valid : bytes
         uint8, shape (blocks,): 1 if every sum of the block came in this cycle and its node is proven; adaptive: if the
-        block is fresh or quiet, and all its sums are known.
+        block is fresh or quiet, and all its sums are known. Always 0 for a block that sends no sums.
     fingerprint : str
         Fingerprint of the Φ of the sums (`skin.measurement.Sbhe.fingerprint`).
     known : bytes
@@ -357,7 +357,7 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     cycles, cycles_complete : int
-        Number of cycles that have ended, and of cycles in which every block was valid.
+        Number of cycles that have ended, and of cycles in which every block that sends sums was valid.
     syncs_skipped : int
         Number of SYNCs that were not sent because they were too late.
     calibration : CalibrationStatus or None

@@ -24,7 +24,8 @@ IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name), adaptive=True).
 
 
 @pytest.mark.parametrize(
-    ("name", "average_hz", "worst_hz"), [("default", 135.6, 114.6), ("fd", 216, 184), ("one-bus-12bit", 39.6, 33.6)]
+    ("name", "average_hz", "worst_hz"),
+    [("default", 135.6, 114.6), ("fd", 216, 184), ("one-bus-12bit", 39.6, 33.6), ("recognition", 735.9, 630.3)],
 )
 def test_rates_of_the_shipped_layouts(name: str, average_hz: float, worst_hz: float) -> None:
     for each in plan(Contract.from_layout(load_layout(Path(name)))):

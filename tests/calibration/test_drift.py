@@ -5,14 +5,14 @@ import pytest
 
 from calibration.drift import LONGEST_HELD, MEMORY, DriftFollower, line_through
 
-SUMS, NOISE_N = 400, 1e-4
+SUMS, BLOCKS, NOISE_N = 400, 100, 1e-4
 BLOCK_OF_SUM = np.arange(SUMS) // 4
-ALL, NO_BLOCK = np.ones(SUMS, np.bool_), np.zeros(SUMS // 4, np.bool_)
+ALL, NO_BLOCK = np.ones(SUMS, np.bool_), np.zeros(BLOCKS, np.bool_)
 
 
 def follower(known: np.ndarray = ALL) -> DriftFollower:
     nothing = np.zeros(SUMS)
-    return DriftFollower(BLOCK_OF_SUM, nothing, nothing, known, age=8, noise_n=NOISE_N, least_noise_n=1e-6)
+    return DriftFollower(BLOCK_OF_SUM, BLOCKS, nothing, nothing, known, age=8, noise_n=NOISE_N, least_noise_n=1e-6)
 
 
 def noise(seed: int) -> np.ndarray:

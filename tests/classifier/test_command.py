@@ -88,6 +88,17 @@ def test_train_writes_a_model_and_tells(
     assert load_model(out, skin, skin.phi()).metadata.fingerprint == told["fingerprint"]
 
 
+@pytest.mark.usefixtures("offer")
+def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path: Path) -> None:
+    out, chosen = tmp_path / "out.npz", tmp_path / "chosen.toml"
+    train(layout=small, objects="dome,plate", touches=240, out=out, choose=8, layout_out=chosen, features="sums")
+    skin = load_layout(chosen)
+    assert (skin.measurement.sums, skin.phi().shape[0]) == (8, 8)
+    assert load_model(out, skin, skin.phi()).metadata.card.validation_accuracy > 0.9
+    with pytest.raises(InputError, match="belong together"):
+        train(layout=small, choose=8)
+
+
 @pytest.mark.usefixtures("trained")
 def test_train_prints_a_table_and_keeps_the_model_for_classify(
     offer: Offer, small: Path, capsys: pytest.CaptureFixture[str]

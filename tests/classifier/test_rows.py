@@ -1,10 +1,12 @@
 """Which rows tell objects apart."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from classifier.rows import choose_rows
+from classifier.rows import choose_rows, with_chosen_rows
+from skin.layout import parse_layout
 from skin.measurement import sbhe
 
 PHI = sbhe(64, 64, block_size=8)
@@ -53,3 +55,18 @@ def test_chosen_sums_are_columns_of_the_candidates() -> None:
 def test_what_cannot_be_used(sums: np.ndarray, labels: np.ndarray, count: int, says: str) -> None:
     with pytest.raises(InputError, match=says):
         choose_rows(PHI, sums, labels, count)
+
+
+def test_layout_that_names_the_chosen_rows() -> None:
+    layout = parse_layout(b"[taxels]\nrows = 16\ncolumns = 16\n[[bus]]\nname = 'a'\nnodes = 8\n", "small")
+    force_n = np.zeros((40, 16, 16), np.float32)
+    force_n[:20, :8], force_n[20:, 8:] = 0.01, 0.01
+    labels = np.repeat(["top", "bottom"], 20)
+    chosen = with_chosen_rows(layout, force_n, labels, 3, noise_n=1e-3)
+    assert (chosen.measurement.sums, len(chosen.measurement.rows or ())) == (3, 3)
+    phi = chosen.phi()
+    assert (phi.order == layout.phi().order).all()
+    sums = phi.forward(force_n.reshape(40, -1))
+    assert (np.abs(sums[0] - sums[-1]) > 0.05).all()
+    with pytest.raises(InputError, match="adaptive nodes"):
+        with_chosen_rows(msgspec.structs.replace(layout, sending="adaptive"), force_n, labels, 3, noise_n=1e-3)

@@ -49,7 +49,8 @@ fd = true
 """
 #: Serial number, and what a node measures: the values in which nodes of a type differ.
 DIFFERING = {OD_IDENTITY, OD_BLOCK, OD_ROWS, OD_TAXELS}
-LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in ("default", "fd", "one-bus-12bit")}
+SHIPPED = "default", "fd", "one-bus-12bit", "recognition"
+LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in SHIPPED}
 LAYOUTS["alternating"] = alternating(load_layout())
 LAYOUTS["mixed"] = parse_layout(SMALL.encode(), "mixed.toml")
 

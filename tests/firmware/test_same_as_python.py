@@ -14,7 +14,7 @@ from dbc.dictionary import dictionary
 from dbc.indices import OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
 from firmware.library import Boards, Firmware
 from nodes.electronics import Calibration
-from skin.layout import Encoding, Sampling, load_layout
+from skin.layout import Encoding, Sampling, load_layout, validated
 from tests.bus.harness import frame
 from tests.firmware.twins import Twins, needs_compiler, small_contract, windows
 
@@ -32,6 +32,14 @@ def eight_bits() -> Contract:
     return Contract.from_layout(msgspec.structs.replace(default, encoding=Encoding(sum_bits=8), sampling=Sampling()))
 
 
+def few_sums(bus: str) -> Contract:
+    """Three sums of four blocks: one block has none."""
+    layout = small_contract(bus=bus).layout
+    return Contract.from_layout(
+        validated(msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=3)))
+    )
+
+
 ALTERNATING = '[sync]\nidentity = "alternating"\n'
 TWO_BLOCKS = "nodes = 1\nblocks_per_node = 2"
 CONTRACTS = {
@@ -41,6 +49,8 @@ CONTRACTS = {
     "12 bits, offset binary": lambda: small_contract("[encoding]\nsum_bits = 12\noffset_binary = true", TWO_BLOCKS),
     "12 bits, fd": lambda: small_contract("[encoding]\nsum_bits = 12", f"{TWO_BLOCKS}\nfd = true"),
     "uniform": lambda: small_contract('selection = "uniform"\nseed = 4'),
+    "fewer sums than blocks": lambda: few_sums("nodes = 2"),
+    "fewer sums than blocks, nodes of two": lambda: few_sums(TWO_BLOCKS),
     "8 bits, default skin": eight_bits,
 }
 

@@ -55,7 +55,14 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("block_size = 32", "block_size = 128\npatch = 8", "$.measurement.patch"),
         ("block_size = 32", "block_size = 32\npatch = 16\nwiring = 'board'", "$.measurement.patch"),
         ("sums = 1024", "sums = 1000", "$.measurement.sums"),
-        ("sums = 1024", "sums = 100", "$.measurement.sums"),
+        ("sums = 1024", "sums = 0", "$.measurement.sums"),
+        ("sums = 1024", "sums = 2\nrows = [[0, 1]]", "$.measurement.sums"),
+        ("sums = 1024", "rows = [[0, 1], [0, 1]]", "$.measurement.rows"),
+        ("sums = 1024", "rows = [[128, 0]]", "$.measurement.rows"),
+        ("sums = 1024", "rows = [[0, 32]]", "$.measurement.rows"),
+        ("sums = 1024", "rows = []", "$.measurement.rows"),
+        ("sums = 1024", "rows = [[0]]", "$.measurement.rows[0]"),
+        ('sums = 1024\nselection = "balanced"', 'rows = [[0, 1]]\nselection = "uniform"', "$.measurement.selection"),
         ("rate_hz = 100.0", "rate_hz = -1.0", "$.sync.rate_hz"),
         ("rate_hz = 100.0", "rate_hz = 1e-9", "$.sync.rate_hz"),
         ("force_max_n = 0.02", "force_max_n = 1e308", "$.taxels.force_max_n"),
@@ -91,6 +98,19 @@ def test_errors_name_the_path(old: str, new: str, path: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("more", ["", "patch = 16", "wiring = 'board'"])
+def test_layout_that_names_its_rows(more: str) -> None:
+    def with_lines(lines: str) -> Layout:
+        return parse_layout(DEFAULT.replace("sums = 1024", f"{lines}\n{more}").encode(), "palm.toml")
+
+    named, drawn = with_lines("rows = [[127, 31], [3, 5], [3, 0]]"), with_lines("sums = 1024")
+    assert named.measurement.sums == 3
+    assert (named.phi().order == drawn.phi().order).all()
+    rows = zip(named.phi().block_of_sum.tolist(), named.phi().row_of_sum.tolist(), strict=True)
+    assert list(rows) == [(3, 0), (3, 5), (127, 31)]
+    assert parse_layout(layout_text(named).encode(), "again") == named
+
+
 @pytest.mark.parametrize(
     "content", [b"", b"[[bus]]\n", b"\xff\xfe", b"[taxels\n", b"a = 1\na = 2\n", b"a = " + 9999 * b"["]
 )
@@ -102,8 +122,9 @@ def test_broken_files_are_layout_errors(content: bytes) -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_layouts_are_known_by_their_names(name: str) -> None:
     layout = load_layout(Path(name), adaptive=True)
-    is_same = layout.phi().fingerprint == load_layout().phi().fingerprint
-    assert is_same == (layout.sending == "synchronous")
+    phi, default = layout.phi(), load_layout().phi()
+    assert (phi.order == default.order).all() == (layout.sending == "synchronous")
+    assert (phi.fingerprint == default.fingerprint) == (layout.measurement.sums == 1024)
     assert layout.first_block(len(layout.bus)) == layout.blocks == 128
 
 

@@ -18,7 +18,7 @@ def operators(draw: st.DrawFn) -> Sbhe:
     taxels = block_size * blocks
     seed = draw(st.integers(0, 2**32 - 1))
     if draw(st.booleans()):
-        sums = blocks * draw(st.integers(1, block_size))
+        sums = draw(st.integers(1, block_size).map(lambda each: blocks * each) | st.integers(1, blocks))
         return sbhe(taxels, sums, block_size=block_size, seed=seed)
     sums = draw(st.integers(1, taxels))
     return sbhe(taxels, sums, block_size=block_size, selection="uniform", seed=seed)
@@ -115,3 +115,24 @@ def test_sizes_that_do_not_fit(taxels: int, sums: int, block_size: int) -> None:
 def test_balanced_needs_a_multiple() -> None:
     with pytest.raises(InputError, match="multiple of 3 blocks"):
         sbhe(96, 10)
+
+
+@given(operators())
+@settings(max_examples=30, deadline=None)
+def test_blocks_with_and_without_sums(phi: Sbhe) -> None:
+    sums = np.arange(1, phi.shape[0] + 1)
+    total = [sums[phi.block_of_sum == block].sum() for block in range(phi.blocks)]
+    assert phi.total_of_blocks(sums).tolist() == total
+    assert phi.has_sums.tolist() == [each > 0 for each in total]
+    odd = [all(each % 2 for each in sums[phi.block_of_sum == block]) for block in range(phi.blocks)]
+    assert phi.all_of_blocks(sums % 2 == 1).tolist() == odd
+
+
+@pytest.mark.parametrize("sums", [1, 16, 64, 100, 127])
+def test_fewer_balanced_sums_than_blocks_are_spread_evenly(sums: int) -> None:
+    phi = sbhe(4096, sums, seed=5)
+    assert phi.shape[0] == sums
+    assert phi.kept.sum(axis=1).max() == 1
+    before = np.concatenate(([0], np.cumsum(phi.has_sums)))
+    assert np.abs(before - np.arange(129) * sums / 128).max() <= 1
+    assert phi.fingerprint == sbhe(4096, sums, seed=5).fingerprint != sbhe(4096, sums, seed=6).fingerprint
