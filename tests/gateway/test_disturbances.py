@@ -13,7 +13,7 @@ from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
 from dbc.frame import ECHO
 from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, SIGNATURE_LOAD, SIGNATURE_SAVE
-from gateway.nmt_master import LATER_S, PAUSES_S
+from gateway.nmt_master import LATER_S, PAUSES_S, SILENT_AFTER_S
 from tests.gateway.test_proof import little, swap_mapping
 from tests.gateway.world import STEP_S, EndOfWire, Wire, World, small_contract
 from tests.identity import IDENTITIES
@@ -122,6 +122,7 @@ def drive(world: World, actions: list[tuple], *, gateway_loses: bool, pause_s: f
                 assert ago_s < limit_s, f"block {block} is wrong, changed {ago_s:.2f} s ago"
     for wire in world.wires:
         wire.loses = None
+    world.run(SILENT_AFTER_S)  # the next heartbeat shows a command that the gateway has lost
     skip_pauses(world)
     world.until_whole(BOUND_S)
 
