@@ -121,8 +121,7 @@ class FrameBuilder:
         """Take a message, of any topic in any order; return the frames that it completes."""
         if isinstance(message, Measurement):
             self._is_outdated = message.fingerprint != self._about.fingerprint
-            if message.wall_offset_ns:
-                self._wall_offset_ns = message.wall_offset_ns
+            self._wall_offset_ns = message.wall_offset_ns
             _keep(self._measurements, message)
         elif isinstance(message, Label):
             _keep(self._labels, message)

@@ -115,6 +115,12 @@ def test_the_wall_clock_is_unknown_before_the_first_measurement(builder: FrameBu
     assert math.isnan(builder.take(contacts(2))[0].sampled_at)
 
 
+def test_the_clock_of_a_log_that_is_replayed_is_the_wall_clock(builder: FrameBuilder) -> None:
+    builder.take(measurement(2, wall_offset_ns=0))
+    builder.take(image(2))
+    assert builder.take(contacts(2))[0].sampled_at == pytest.approx(0.02)
+
+
 def test_an_unknown_error_is_infinite(builder: FrameBuilder) -> None:
     builder.take(msgspec.structs.replace(image(2), sampled_error_ns=-1))
     assert builder.take(contacts(2))[0].sampled_error_s == math.inf
