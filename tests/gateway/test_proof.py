@@ -242,7 +242,10 @@ def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
     small: Contract, change: tuple[str, str], words: str
 ) -> None:
     other = Contract.from_layout(
-        parse_layout(SMALL.format(top="", bus="nodes = 2", identity="window").replace(*change).encode(), "other")
+        parse_layout(
+            SMALL.format(top="", bus="nodes = 2", identity="window", measurement="sums = 32").replace(*change).encode(),
+            "other",
+        )
     )
     world = World(small, built=other)
     world.segments[1] = world.new_segment(1, small)
