@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Subject = Literal[
     "all",
+    "claims",
     "sparsity",
     "compression",
     "iterations",
@@ -33,6 +34,7 @@ Subject = Literal[
 ]
 #: Where each subject's function ``options -> Result`` lives, in the order of the report.
 SUBJECTS: Final[dict[str, str]] = {
+    "claims": "evaluation.claims:evaluate",
     "sparsity": "evaluation.paper.sparsity:evaluate",
     "compression": "evaluation.paper.tables:compression",
     "iterations": "evaluation.paper.tables:iterations",

@@ -49,7 +49,7 @@ def evaluate(options: Options) -> Result:
     true, felt, rebuilt = _sample(options)
     rebuilt_db, sensor_db = psnr_db(true, rebuilt), psnr_db(true, felt)
     sample = {"true": true, f"sensor, {sensor_db:.1f} dB": felt, f"from 1024 sums, {rebuilt_db:.1f} dB": rebuilt}
-    converged = _convergence(options)
+    converged = convergence(options)
     curve = {f"{TABLE_SUMS} sums": (list(converged), [level for level, _ in converged.values()])}
     shown = {f"{each} iterations, {converged[each][0]:.1f} dB": converged[each][1] for each in SHOWN}
     rows = [
@@ -109,7 +109,7 @@ def _sample(options: Options) -> tuple[Force, Force, Force]:
     return true[-1], felt[-1], rebuilt
 
 
-def _convergence(options: Options) -> dict[int, tuple[float, Force]]:
+def convergence(options: Options) -> dict[int, tuple[float, Force]]:
     """Return PSNR, dB, and image of the clamp after each number of iterations from zero."""
     true = true_force("clamp", options.shared["meshes"], 1)[STEP]
     felt = felt_force(true, options.seed, 0)

@@ -8,6 +8,9 @@ from typing import Final, Literal, NamedTuple
 Matrix = Literal["sbhe", "noiselet"]
 BasisName = Literal["haar", "contourlet"]
 
+#: Abstract: images of 4096 taxels "at a rate over" this many a second.
+RATE_HZ: Final = 100.0
+
 
 class Psnr(NamedTuple):
     """Mean, least and largest PSNR over the 4200 steps of a trajectory, dB."""

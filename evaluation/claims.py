@@ -1,0 +1,324 @@
+"""``skin evaluate claims``: every claim of the paper's abstract and conclusion, and what is measured here."""
+
+import json
+import subprocess
+import sys
+from itertools import product
+from pathlib import Path
+from statistics import mean
+from tempfile import TemporaryDirectory
+from typing import Any, Final, Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from bandwidth.wiring import wiring
+from canskin.errors import RunError
+from classifier.descent import descend
+from dbc.contract import Contract
+from evaluation.bench.timing import race
+from evaluation.observations import OBJECTS as CLASSES
+from evaluation.paper.figures import convergence
+from evaluation.paper.printed import RATE_HZ, SENSOR, TABLE_THREE, TABLE_TWO, BasisName
+from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method, cell, measure
+from evaluation.paper.tables import (
+    QUICK_STRIDES,
+    QUICK_TIMED_STEPS,
+    STRIDES,
+    TABLE_ITERATIONS,
+    TABLE_SUMS,
+    TIMED_STEPS,
+    measure_sensor,
+    measure_times,
+)
+from evaluation.recognition.accuracy import measure_accuracy
+from evaluation.recognition.printed import ACCURACIES, FULL, ONE_PERCENT, THREE_PERCENT
+from evaluation.result import Options, Result, Row, beside
+from evaluation.result_cache import measure_cells
+from evaluation.schemes.scan import run_scan
+from evaluation.schemes.scenes import TAXELS, Touch
+from evaluation.schemes.sums import run_sums
+from skin.layout import Taxels, load_layout
+
+#: Draws of Φ and of the noise, and splits of the observations, one for each draw, without --draws.
+IMAGE_DRAWS: Final = 2
+RECOGNITION_DRAWS: Final = 5
+#: Milliseconds of the golf ball's slide whose frames are counted.
+TICKS, QUICK_TICKS = 1000, 300
+#: Bits of a value of a scan: the converter's.
+SCAN_BITS: Final = Taxels().adc_bits
+#: Seconds of the chain.
+CHAIN_S, QUICK_CHAIN_S = 20.0, 8.0
+#: Longest time of a run of the chain besides its own seconds: a first start compiles and trains.
+PATIENCE_S: Final = 400.0
+#: Turns in which decisions are timed.
+ROUNDS, QUICK_ROUNDS = 20, 5
+#: Signals whose accuracy is measured: kind, size, and development and validation set.
+SUMS_64: Final = ("sbhe", 64, FULL)
+SUMS_16: Final = ("sbhe", 16, FULL)
+ALL_TAXELS: Final = ("averaged", TAXELS, FULL)
+LARGE_64: Final = ("averaged", 64, FULL)
+LARGE_16: Final = ("averaged", 16, FULL)
+SIGNALS: Final = (
+    SUMS_64,
+    SUMS_16,
+    ("sbhe", 16, THREE_PERCENT),
+    ("sbhe", 16, ONE_PERCENT),
+    ALL_TAXELS,
+    LARGE_64,
+    LARGE_16,
+)
+#: Iterations of an image from zero: the paper's images have then converged.
+FROM_ZERO: Final = 100
+Mode = Literal["offline", "live"]
+
+
+class Claim(NamedTuple):
+    """A claim in short words, and the command that shows more."""
+
+    words: str
+    command: str
+
+    def row(self, quantity: str, ours: float, *, runs: int, paper: float | None = None, mode: Mode = "offline") -> Row:
+        """Return a row of the table."""
+        about = {"claim": self.words, "quantity": quantity}
+        numbers = beside(float(ours), None if paper is None else round(float(paper), 2))
+        return about | numbers | {"mode": mode, "runs": runs, "command": self.command}
+
+
+def evaluate(options: Options) -> Result:
+    """Return a row for each claim and quantity."""
+    asked = {"seconds": QUICK_CHAIN_S if options.quick else CHAIN_S, "seed": options.seed}
+    (chain,) = measure_cells(measure_chain, [asked], options, "chain", jobs=1)
+    rows = [
+        *_image_rows(options),
+        *_rate_rows(options),
+        *_accuracy_rows(options),
+        *_chain_rows(chain),
+        *_data_rows(options),
+        *_wire_rows(),
+        _decision_row(options),
+    ]
+    note = (
+        "paper: the number of the text, or of the table on which the claim rests; empty where the paper has none. "
+        "offline: arrays, or frames on simulated buses; live: the processes of skin demo. runs: trajectories, splits, "
+        "cycles, images or decisions behind the figure. Live rows are of the default skin: the solver, the averages of "
+        "samples on the boards, the features of the classifier and the five objects are ours, not the paper's."
+    )
+    return Result("Claims of the paper's abstract and conclusion", rows, note=note)
+
+
+def _image_rows(options: Options) -> list[Row]:
+    """Return the rows on the quality of images."""
+    draws, bases = options.draws_or(IMAGE_DRAWS), get_args(BasisName)
+    stride = QUICK_STRIDES if options.quick else {basis: STRIDES[basis, TABLE_ITERATIONS] for basis in bases}
+    calls = [
+        cell(name, Method("sbhe", TABLE_SUMS, basis, TABLE_ITERATIONS), options, draw=draw, stride=stride[basis])
+        for basis, name, draw in product(bases, OBJECTS, range(draws))
+    ]
+    image_db = _means(measure_cells(measure, calls, options, RECONSTRUCTIONS), len(bases), len(OBJECTS), draws)
+    sensed = [
+        {"name": name, "draw": draw, "stride": stride["haar"], **options.shared}
+        for name, draw in product(OBJECTS, range(draws))
+    ]
+    sensor_db = _means(measure_cells(measure_sensor, sensed, options, "sensor"), len(OBJECTS), draws)
+    as_good = Claim("1024 sums are as good as all 4096 taxels", "skin evaluate compression")
+    quarter = Claim("a quality signal from a fourth of its size", "skin evaluate compression")
+    when_needed = Claim("full signal recovered when needed", "skin evaluate figures")
+    rows, runs = [], len(OBJECTS) * draws
+    for basis, level_db in zip(bases, image_db, strict=True):
+        printed_db = np.array([TABLE_TWO[name, "sbhe", TABLE_SUMS][basis].mean for name in OBJECTS])
+        printed_gain_db = printed_db - [SENSOR[name].mean for name in OBJECTS]
+        gain_db, gain = level_db - sensor_db, f"PSNR of images - PSNR of sensor, {basis}"
+        rows += [
+            as_good.row(f"{gain}, mean of 5 objects, dB", gain_db.mean(), paper=printed_gain_db.mean(), runs=runs),
+            as_good.row(f"{gain}, worst object, dB", gain_db.min(), paper=printed_gain_db.min(), runs=runs),
+            quarter.row(f"PSNR of images, {basis}, dB", level_db.mean(), paper=printed_db.mean(), runs=runs),
+        ]
+    from_zero_db, _ = convergence(options)[FROM_ZERO]
+    quantity = f"PSNR of a single image from zero, contourlet, {FROM_ZERO} iterations, clamp, dB"
+    return [*rows, when_needed.row(quantity, from_zero_db, runs=1)]
+
+
+def _means(found: list[Row], *shape: int) -> npt.NDArray[np.float64]:
+    """Return the mean PSNR of each cell over its draws, the last axis of `shape`."""
+    mean_db: npt.NDArray[np.float64] = np.array([each["mean"] for each in found]).reshape(shape).mean(axis=-1)
+    return mean_db
+
+
+def _rate_rows(options: Options) -> list[Row]:
+    """Return the rows on images a second."""
+    steps = QUICK_TIMED_STEPS if options.quick else TIMED_STEPS
+    (times_ms,) = measure_cells(measure_times, [{**options.shared, "steps": steps}], options, "times", jobs=1)
+    claim = Claim("4096 taxels at over 100 Hz", "skin evaluate iterations")
+    printed_ms = {
+        basis: mean(TABLE_THREE[name, basis, TABLE_ITERATIONS].ms for name in OBJECTS) for basis in get_args(BasisName)
+    }
+    return [
+        claim.row(
+            f"images a second, {basis}, {TABLE_ITERATIONS} iterations",
+            1e3 / times_ms[f"{basis} {TABLE_ITERATIONS}"],
+            paper=1e3 / paper_ms,
+            runs=steps,
+        )
+        for basis, paper_ms in printed_ms.items()
+    ]
+
+
+def _accuracy_rows(options: Options) -> list[Row]:
+    """Return the rows on recognition."""
+    draws = options.draws_or(RECOGNITION_DRAWS)
+    runs = {signal: 1 if signal == ALL_TAXELS else draws for signal in SIGNALS}
+    calls = [
+        {"kind": kind, "size": size, "draw": draw if kind == "sbhe" else 0, "splits": [draw]}
+        | {"development": parts[0], "validation": parts[1], **options.shared}
+        for (kind, size, parts), count in runs.items()
+        for draw in range(count)
+    ]
+    found = iter(measure_cells(measure_accuracy, calls, options, "classification"))
+    ours = {signal: mean(100 * next(found)["accuracy"][0] for _ in range(count)) for signal, count in runs.items()}
+    command = "skin evaluate classification"
+    best = Claim("up to 98 % accuracy at 64:1", command)
+    little = Claim("high accuracy with much compression and little training", command)
+    full = Claim("accuracy as on the original signal", command)
+    same = Claim("better than sensor signals of the same size", command)
+    rows = [
+        claim.row(
+            f"accuracy, 16 objects, {signal[1]} sums, {words}, %", ours[signal], paper=ACCURACIES[signal], runs=draws
+        )
+        for claim, signal, words in (
+            (best, SUMS_64, "60 % training"),
+            (little, SUMS_16, "60 % training"),
+            (little, ("sbhe", 16, THREE_PERCENT), "3 % training"),
+            (little, ("sbhe", 16, ONE_PERCENT), "1 % training"),
+        )
+    ]
+    for claim, sums, sensor, words in (
+        (full, SUMS_64, ALL_TAXELS, "all 4096 taxels"),
+        (same, SUMS_64, LARGE_64, "64 large taxels"),
+        (same, SUMS_16, LARGE_16, "16 large taxels"),
+    ):
+        printed = ACCURACIES[sums] - ACCURACIES[sensor] if sensor in ACCURACIES else None
+        quantity = f"accuracy of {sums[1]} sums - accuracy of {words}, points"
+        rows.append(claim.row(quantity, ours[sums] - ours[sensor], paper=printed, runs=runs[sensor]))
+    return rows
+
+
+def _chain_rows(chain: Row) -> list[Row]:
+    """Return the rows of the running chain."""
+    if chain["psnr_image_db"] is None or chain["label_accuracy"] is None:
+        raise RunError("no object touched the skin while the chain ran: give more --seconds to 'skin demo'")
+    cycles, touched = chain["cycles"], chain["contact_cycles"]
+    complete_hz = chain["sync_rate_hz"] * chain["cycles_complete"] / cycles
+    gain_db = chain["psnr_image_db"] - chain["psnr_sensor_db"]
+    as_good, fast, named = (
+        Claim(words, "skin demo")
+        for words in (
+            "1024 sums are as good as all 4096 taxels",
+            "4096 taxels at over 100 Hz",
+            "objects are named from the compressed signal",
+        )
+    )
+    share = 100 * chain["label_accuracy"]
+    return [
+        as_good.row("PSNR of images - PSNR of sensor, dB", gain_db, runs=touched, mode="live"),
+        fast.row("complete cycles a second", complete_hz, paper=RATE_HZ, runs=cycles, mode="live"),
+        named.row("cycles with the right label, 5 objects, 1024 sums, %", share, runs=touched, mode="live"),
+    ]
+
+
+def _data_rows(options: Options) -> list[Row]:
+    """Return the rows on what is sent, and how fast."""
+    asked = {"ticks": QUICK_TICKS if options.quick else TICKS, **options.shared}
+    (sent,) = measure_cells(measure_bits, [asked], options, "frames", jobs=1)
+    layout, runs = load_layout(), sent["cycles"]
+    less = Claim("less data is sent, faster acquisition", "skin evaluate rivals")
+    compression = layout.taxels.count / layout.measurement.sums
+    ratio = sent["scan_kbit_per_s"] / sent["sums_kbit_per_s"]
+    quantity = f"bits on the bus: scan of all taxels, {SCAN_BITS} bits / sums, {layout.encoding.sum_bits} bits"
+    return [
+        less.row("taxels / sums", compression, paper=TAXELS / TABLE_SUMS, runs=runs),
+        less.row(quantity, ratio, runs=runs),
+    ]
+
+
+def _wire_rows() -> list[Row]:
+    """Return the rows on wires; the figures are geometry."""
+    layout = load_layout()
+    phi, taxels = layout.phi(), layout.taxels
+    claim = Claim("less wiring", "skin evaluate wiring")
+    ratio = star_length_m(phi.taxels_of_blocks, taxels.columns, taxels.pitch_m) / wiring(layout).wires_m
+    return [
+        claim.row("taxels / chains of taxels", taxels.count / phi.blocks, runs=1),
+        claim.row("length of a wire to each taxel from the middle of its block / length of the chains", ratio, runs=1),
+    ]
+
+
+def _decision_row(options: Options) -> Row:
+    asked = {"rounds": QUICK_ROUNDS if options.quick else ROUNDS, "seed": options.seed}
+    (times,) = measure_cells(measure_decisions, [asked], options, "decisions", jobs=1)
+    claim = Claim("less processing", "skin bench classify")
+    ratio = times["taxels_us"] / times["sums_us"]
+    return claim.row("time of a decision: 4096 taxels / 64 sums", ratio, runs=asked["rounds"])
+
+
+def measure_chain(*, seconds: float, seed: int) -> Row:
+    """Run ``skin demo`` and return what it reports, see `demo.report.Report`.
+
+    Raises
+    ------
+    RunError
+        If the run failed.
+    """
+    with TemporaryDirectory() as folder:
+        options = ["--seconds", f"{seconds:g}", "--seed", str(seed), "--picture", str(Path(folder) / "chain.png")]
+        command = [sys.executable, "-m", "skin", "demo", *options, "--no-view", "--json"]
+        try:
+            ended = subprocess.run(  # noqa: S603 - our own command, no shell
+                command, capture_output=True, text=True, timeout=seconds + PATIENCE_S, check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            raise RunError(f"skin demo did not end in {error.timeout:g} s") from error
+    if ended.returncode:
+        raise RunError(f"skin demo ended with {ended.returncode}: {ended.stderr.strip().rpartition(chr(10))[2]}")
+    report: Row = json.loads(ended.stdout)
+    return report
+
+
+def measure_bits(*, ticks: int, meshes: str | None, seed: int) -> Row:
+    """Return the kbit/s of the default skin and of a scan of all taxels at its rate, on simulated buses."""
+    layout = load_layout()
+    touch = Touch("golf-ball", ticks=ticks, meshes=meshes, seed=seed)
+    scene = touch.load()
+    sums = run_sums(Contract.from_layout(layout), scene.counts, idle_counts=touch.idle())
+    scan = run_scan(scene.felt_n, SCAN_BITS, layout.sync.rate_hz)
+    return {
+        "sums_kbit_per_s": sums.sent.traffic()["kbit_per_s"],
+        "scan_kbit_per_s": scan.sent.traffic()["kbit_per_s"],
+        "cycles": len(sums.sums_n),
+    }
+
+
+def measure_decisions(*, rounds: int, seed: int) -> Row:
+    """Return the median time of one decision between the paper's objects, µs, from 64 sums and from 4096 taxels."""
+    random, pairs = np.random.default_rng(seed), CLASSES * (CLASSES - 1) // 2
+
+    def decision(size: int) -> Any:
+        weights, biases, values = (random.standard_normal(shape) for shape in ((pairs, size), pairs, size))
+        return lambda: descend(values, weights, biases, CLASSES)
+
+    sums_s, taxels_s = race([decision(SUMS_64[1]), decision(TAXELS)], rounds)
+    return {"sums_us": 1e6 * float(np.median(sums_s)), "taxels_us": 1e6 * float(np.median(taxels_s))}
+
+
+def star_length_m(taxels_of_blocks: npt.NDArray[np.integer], columns: int, pitch_m: float) -> float:
+    """Return the length of a wire to every taxel from the middle of its block's taxels, metres.
+
+    Parameters
+    ----------
+    taxels_of_blocks : array of int, shape (blocks, B)
+        Taxel numbers, row by row of the grid.
+    """
+    places = np.stack(np.divmod(taxels_of_blocks, columns), axis=-1) * pitch_m
+    away = places - places.mean(axis=1, keepdims=True)
+    return float(np.linalg.norm(away, axis=-1).sum())
