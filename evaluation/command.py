@@ -23,6 +23,7 @@ Subject = Literal[
     "iterations",
     "figures",
     "solvers",
+    "noiselets",
     "rivals",
     "rates",
     "contacts",
@@ -40,6 +41,7 @@ SUBJECTS: Final[dict[str, str]] = {
     "iterations": "evaluation.paper.tables:iterations",
     "figures": "evaluation.paper.figures:evaluate",
     "solvers": "evaluation.paper.solvers:evaluate",
+    "noiselets": "evaluation.paper.noiselets:evaluate",
     "rivals": "evaluation.schemes.comparison:evaluate",
     "rates": "evaluation.schemes.rates:evaluate",
     "contacts": "evaluation.schemes.contacts:evaluate",
@@ -51,7 +53,17 @@ SUBJECTS: Final[dict[str, str]] = {
 }
 
 #: Subjects that average over no draws of Φ; ``all`` hands draws to the others alone.
-_WITHOUT_DRAWS: Final = ("sparsity", "figures", "solvers", "rivals", "rates", "contacts", "calibration", "wiring")
+_WITHOUT_DRAWS: Final = (
+    "sparsity",
+    "figures",
+    "solvers",
+    "noiselets",
+    "rivals",
+    "rates",
+    "contacts",
+    "calibration",
+    "wiring",
+)
 
 
 def evaluate(
@@ -87,8 +99,9 @@ def evaluate(
     jobs
         Processes at the same time. Default: one per core.
     draws
-        Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``rivals``,
-        ``rates``, ``contacts``, ``calibration`` and ``wiring`` average over none; ``all`` hands them to the others.
+        Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``noiselets``,
+        ``rivals``, ``rates``, ``contacts``, ``calibration`` and ``wiring`` average over none; ``all`` hands them to the
+        others.
     seed
         Of all random numbers but those that draw scenes.
     scenes
