@@ -1,21 +1,17 @@
 """``skin evaluate claims``: every claim of the paper's abstract and conclusion, and what is measured here."""
 
-import json
-import subprocess
-import sys
 from itertools import product
-from pathlib import Path
 from statistics import mean
-from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from bandwidth.plan import plan
 from bandwidth.wiring import wiring
-from canskin.errors import RunError
 from classifier.descent import descend
 from dbc.contract import Contract
+from dbc.dictionary import window_s
 from evaluation.bench.timing import race
 from evaluation.observations import OBJECTS as CLASSES
 from evaluation.paper.figures import convergence
@@ -32,41 +28,42 @@ from evaluation.paper.tables import (
     measure_times,
 )
 from evaluation.recognition.accuracy import measure_accuracy
+from evaluation.recognition.live import measure_live
 from evaluation.recognition.printed import ACCURACIES, FULL, ONE_PERCENT, THREE_PERCENT
 from evaluation.result import Options, Result, Row, beside
 from evaluation.result_cache import measure_cells
+from evaluation.schemes.judge import quality
 from evaluation.schemes.scan import run_scan
-from evaluation.schemes.scenes import TAXELS, Touch
+from evaluation.schemes.scenes import SLIDE_TICKS, TAXELS, Touch
 from evaluation.schemes.sums import run_sums
 from skin.layout import Taxels, load_layout
+from skin.psnr import decibels
+from skin.sources import DEFAULT_OBJECTS
+from skin.taxel import FORCE_MAX_N
 
 #: Draws of Φ and of the noise, and splits of the observations, one for each draw, without --draws.
 IMAGE_DRAWS: Final = 2
 RECOGNITION_DRAWS: Final = 5
-#: Milliseconds of the golf ball's slide whose frames are counted.
-TICKS, QUICK_TICKS = 1000, 300
+#: Milliseconds of a slide on simulated buses, for a quick look.
+QUICK_TICKS: Final = 1200
 #: Bits of a value of a scan: the converter's.
 SCAN_BITS: Final = Taxels().adc_bits
-#: Seconds of the chain.
-CHAIN_S, QUICK_CHAIN_S = 20.0, 8.0
-#: Longest time of a run of the chain besides its own seconds: a first start compiles and trains.
-PATIENCE_S: Final = 400.0
 #: Turns in which decisions are timed.
 ROUNDS, QUICK_ROUNDS = 20, 5
 #: Signals whose accuracy is measured: kind, size, and development and validation set.
 SUMS_64: Final = ("sbhe", 64, FULL)
 SUMS_16: Final = ("sbhe", 16, FULL)
 ALL_TAXELS: Final = ("averaged", TAXELS, FULL)
-LARGE_64: Final = ("averaged", 64, FULL)
-LARGE_16: Final = ("averaged", 16, FULL)
+COARSE_64: Final = ("averaged", 64, FULL)
+COARSE_16: Final = ("averaged", 16, FULL)
 SIGNALS: Final = (
     SUMS_64,
     SUMS_16,
     ("sbhe", 16, THREE_PERCENT),
     ("sbhe", 16, ONE_PERCENT),
     ALL_TAXELS,
-    LARGE_64,
-    LARGE_16,
+    COARSE_64,
+    COARSE_16,
 )
 #: Iterations of an image from zero: the paper's images have then converged.
 FROM_ZERO: Final = 100
@@ -88,22 +85,21 @@ class Claim(NamedTuple):
 
 def evaluate(options: Options) -> Result:
     """Return a row for each claim and quantity."""
-    asked = {"seconds": QUICK_CHAIN_S if options.quick else CHAIN_S, "seed": options.seed}
-    (chain,) = measure_cells(measure_chain, [asked], options, "chain", jobs=1)
     rows = [
         *_image_rows(options),
         *_rate_rows(options),
+        *_skin_rows(options),
         *_accuracy_rows(options),
-        *_chain_rows(chain),
-        *_data_rows(options),
+        *_label_rows(options),
         *_wire_rows(),
         _decision_row(options),
     ]
     note = (
         "paper: the number of the text, or of the table on which the claim rests; empty where the paper has none. "
-        "offline: arrays, or frames on simulated buses; live: the processes of skin demo. runs: trajectories, splits, "
-        "cycles, images or decisions behind the figure. Live rows are of the default skin: the solver, the averages of "
-        "samples on the boards, the features of the classifier and the five objects are ours, not the paper's."
+        "offline: arrays. live: the code of boards, frames, solver and classifier of the running skin, in one process "
+        "and on simulated buses; skin demo shows the same in real time. runs: trajectories, splits, cycles, images, "
+        "touches or decisions behind the figure. Live rows are of our default skin: solver, averages of samples on the "
+        "boards, features of the classifier and the five objects are ours, not the paper's."
     )
     return Result("Claims of the paper's abstract and conclusion", rows, note=note)
 
@@ -195,8 +191,8 @@ def _accuracy_rows(options: Options) -> list[Row]:
     ]
     for claim, sums, sensor, words in (
         (full, SUMS_64, ALL_TAXELS, "all 4096 taxels"),
-        (same, SUMS_64, LARGE_64, "64 large taxels"),
-        (same, SUMS_16, LARGE_16, "16 large taxels"),
+        (same, SUMS_64, COARSE_64, "64 coarse taxels"),
+        (same, SUMS_16, COARSE_16, "16 coarse taxels"),
     ):
         printed = ACCURACIES[sums] - ACCURACIES[sensor] if sensor in ACCURACIES else None
         quantity = f"accuracy of {sums[1]} sums - accuracy of {words}, points"
@@ -204,42 +200,37 @@ def _accuracy_rows(options: Options) -> list[Row]:
     return rows
 
 
-def _chain_rows(chain: Row) -> list[Row]:
-    """Return the rows of the running chain."""
-    if chain["psnr_image_db"] is None or chain["label_accuracy"] is None:
-        raise RunError("no object touched the skin while the chain ran: give more --seconds to 'skin demo'")
-    cycles, touched = chain["cycles"], chain["contact_cycles"]
-    complete_hz = chain["sync_rate_hz"] * chain["cycles_complete"] / cycles
-    gain_db = chain["psnr_image_db"] - chain["psnr_sensor_db"]
-    as_good, fast, named = (
-        Claim(words, "skin demo")
-        for words in (
-            "1024 sums are as good as all 4096 taxels",
-            "4096 taxels at over 100 Hz",
-            "objects are named from the compressed signal",
-        )
-    )
-    share = 100 * chain["label_accuracy"]
-    return [
-        as_good.row("PSNR of images - PSNR of sensor, dB", gain_db, runs=touched, mode="live"),
-        fast.row("complete cycles a second", complete_hz, paper=RATE_HZ, runs=cycles, mode="live"),
-        named.row("cycles with the right label, 5 objects, 1024 sums, %", share, runs=touched, mode="live"),
-    ]
-
-
-def _data_rows(options: Options) -> list[Row]:
-    """Return the rows on what is sent, and how fast."""
-    asked = {"ticks": QUICK_TICKS if options.quick else TICKS, **options.shared}
-    (sent,) = measure_cells(measure_bits, [asked], options, "frames", jobs=1)
-    layout, runs = load_layout(), sent["cycles"]
+def _skin_rows(options: Options) -> list[Row]:
+    """Return the rows of the default skin on simulated buses."""
+    asked = {"ticks": QUICK_TICKS if options.quick else SLIDE_TICKS, **options.shared}
+    found = measure_cells(measure_skin, [{"name": name, **asked} for name in OBJECTS], options, "skin")
+    layout, cycles = load_layout(), sum(each["cycles"] for each in found)
+    as_good = Claim("1024 sums are as good as all 4096 taxels", "skin evaluate rivals")
+    fast = Claim("4096 taxels at over 100 Hz", "skin plan")
     less = Claim("less data is sent, faster acquisition", "skin evaluate rivals")
+    gain_db = mean(each["image_db"] - each["sensor_db"] for each in found)
+    complete_hz = layout.sync.rate_hz * sum(each["complete"] for each in found) / cycles
+    most_hz = min(bus.max_rate_hz_touched for bus in plan(Contract.from_layout(layout)))
+    ratio = mean(each["scan_kbit_per_s"] / each["sums_kbit_per_s"] for each in found)
+    bits = f"bits on the bus: scan of all taxels, {SCAN_BITS} bits / sums, {layout.encoding.sum_bits} bits"
     compression = layout.taxels.count / layout.measurement.sums
-    ratio = sent["scan_kbit_per_s"] / sent["sums_kbit_per_s"]
-    quantity = f"bits on the bus: scan of all taxels, {SCAN_BITS} bits / sums, {layout.encoding.sum_bits} bits"
     return [
-        less.row("taxels / sums", compression, paper=TAXELS / TABLE_SUMS, runs=runs),
-        less.row(quantity, ratio, runs=runs),
+        as_good.row("PSNR of images - PSNR of sensor, 5 objects, dB", gain_db, runs=cycles, mode="live"),
+        fast.row("complete cycles a second", complete_hz, paper=RATE_HZ, runs=cycles, mode="live"),
+        fast.row("cycles a second that four buses of 1 Mbit/s carry", most_hz, paper=RATE_HZ, runs=1),
+        less.row("taxels / sums", compression, paper=TAXELS / TABLE_SUMS, runs=cycles, mode="live"),
+        less.row(bits, ratio, runs=cycles, mode="live"),
     ]
+
+
+def _label_rows(options: Options) -> list[Row]:
+    """Return the rows of the running classifier."""
+    touches = len(DEFAULT_OBJECTS) * (1 if options.quick else 3)
+    asked = {"names": list(DEFAULT_OBJECTS), "touches": touches, "lost_ratio": 0.0, "noise_ratio": 1.0}
+    (found,) = measure_cells(measure_live, [asked | {"seed": options.seed}], options, "live", jobs=1)
+    claim = Claim("objects are named from the compressed signal", "skin evaluate recognition")
+    quantity = f"cycles with the right label, our {len(DEFAULT_OBJECTS)} objects, {found['sums']} sums, %"
+    return [claim.row(quantity, 100 * found["right"], runs=touches, mode="live")]
 
 
 def _wire_rows() -> list[Row]:
@@ -262,40 +253,29 @@ def _decision_row(options: Options) -> Row:
     return claim.row("time of a decision: 4096 taxels / 64 sums", ratio, runs=asked["rounds"])
 
 
-def measure_chain(*, seconds: float, seed: int) -> Row:
-    """Run ``skin demo`` and return what it reports, see `demo.report.Report`.
+def measure_skin(*, name: str, ticks: int, meshes: str | None, seed: int) -> Row:
+    """Return what the default skin makes of a slide: PSNR, cycles, and kbit/s beside those of a scan at its rate.
 
-    Raises
-    ------
-    RunError
-        If the run failed.
+    Returns
+    -------
+    dict
+        ``image_db`` of the image in use at each millisecond, ``sensor_db``, ``cycles``, ``complete`` of them with every
+        frame in the window, ``sums_kbit_per_s`` and ``scan_kbit_per_s``.
     """
-    with TemporaryDirectory() as folder:
-        options = ["--seconds", f"{seconds:g}", "--seed", str(seed), "--picture", str(Path(folder) / "chain.png")]
-        command = [sys.executable, "-m", "skin", "demo", *options, "--no-view", "--json"]
-        try:
-            ended = subprocess.run(  # noqa: S603 - our own command, no shell
-                command, capture_output=True, text=True, timeout=seconds + PATIENCE_S, check=False
-            )
-        except subprocess.TimeoutExpired as error:
-            raise RunError(f"skin demo did not end in {error.timeout:g} s") from error
-    if ended.returncode:
-        raise RunError(f"skin demo ended with {ended.returncode}: {ended.stderr.strip().rpartition(chr(10))[2]}")
-    report: Row = json.loads(ended.stdout)
-    return report
-
-
-def measure_bits(*, ticks: int, meshes: str | None, seed: int) -> Row:
-    """Return the kbit/s of the default skin and of a scan of all taxels at its rate, on simulated buses."""
     layout = load_layout()
-    touch = Touch("golf-ball", ticks=ticks, meshes=meshes, seed=seed)
+    contract, touch = Contract.from_layout(layout), Touch(name, ticks=ticks, meshes=meshes, seed=seed)
     scene = touch.load()
-    sums = run_sums(Contract.from_layout(layout), scene.counts, idle_counts=touch.idle())
+    run = run_sums(contract, scene.counts, idle_counts=touch.idle())
+    errors_n2 = np.mean((scene.felt_n.astype(np.float64) - scene.true_n) ** 2, axis=1)
+    late_ns = run.latency_ns.reshape(len(run.sums_n), -1).max(axis=1)
     scan = run_scan(scene.felt_n, SCAN_BITS, layout.sync.rate_hz)
     return {
-        "sums_kbit_per_s": sums.sent.traffic()["kbit_per_s"],
+        "image_db": quality(scene.true_n, run.images(contract))["psnr_mean_db"],
+        "sensor_db": float(decibels(errors_n2, FORCE_MAX_N).mean()),
+        "cycles": len(run.sums_n),
+        "complete": int(np.count_nonzero(run.valid.all(axis=1) & (late_ns <= 1e9 * window_s(layout)))),
+        "sums_kbit_per_s": run.sent.traffic()["kbit_per_s"],
         "scan_kbit_per_s": scan.sent.traffic()["kbit_per_s"],
-        "cycles": len(sums.sums_n),
     }
 
 

@@ -25,7 +25,7 @@ from demo.score import Score
 from reconstructor.command import make_engine
 from reconstructor.service import ReconstructorService
 from skin.layout import load_layout
-from tests.processes import Processes, free_endpoint, free_port, slow_layout
+from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port, slow_layout
 from tests.vcan.chain import Chain, complete
 
 #: Rates, the highest first: a slow guest does not keep the first.
@@ -144,22 +144,22 @@ def started(processes: Processes, fabric: Fabric, paths: dict[float, Path], endp
 
 def watch(run: Run, port: int) -> None:
     """Look at the page until enough has come, and stop the services."""
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=60) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE_S) as answer:
         run.index = answer.read().decode()
-    ended = threading.Event()
+    ended, processes = threading.Event(), run.chain.processes
     looking = threading.Thread(target=look_at_page, args=(run, port, ended))
     looking.start()
     try:
-        run.chain.processes.until(
-            lambda: run.score.labelled >= LABELS and len(run.objects) >= OBJECTS and len(run.frames) >= FRAMES,
-            f"{LABELS} labels of {OBJECTS} objects, and {FRAMES} frames of the page",
-            0.1,
+        processes.until(
+            lambda: len(run.frames) >= FRAMES or not looking.is_alive(), f"{FRAMES} frames of the page", 0.1
         )
+        processes.until(lambda: run.score.labelled >= LABELS, f"{LABELS} labels of complete cycles with contact", 0.1)
+        processes.until(lambda: len(run.objects) >= OBJECTS, f"{OBJECTS} objects", 0.1)
     finally:
         ended.set()
         looking.join()
     for name in ("gateway", "nodes", *SERVICES):
-        run.chain.processes.stop(name)
+        processes.stop(name)
     report = run.score.report()
     print(
         f"image {report.psnr_image_db} dB, sensor {report.psnr_sensor_db} dB, label right {report.label_accuracy:.0%}"
@@ -168,7 +168,7 @@ def watch(run: Run, port: int) -> None:
 
 def look_at_page(run: Run, port: int, ended: threading.Event) -> None:
     """Be a page that shows a frame each `PAGE_S`."""
-    with connect(f"ws://127.0.0.1:{port}/ws", max_size=None, open_timeout=60) as page:
+    with connect(f"ws://127.0.0.1:{port}/ws", max_size=None, open_timeout=PATIENCE_S, ping_interval=None) as page:
         skin = msgspec.json.decode(page.recv())
         shape = (-1, skin["rows"], skin["columns"])
         while not ended.wait(PAGE_S):

@@ -68,7 +68,7 @@ def test_figures_show_what_the_paper_says_of_them() -> None:
         assert picture.draw().get_axes()
 
 
-@pytest.mark.parametrize("subject", ["sparsity", "figures", "solvers", "rivals", "rates", "contacts"])
+@pytest.mark.parametrize("subject", ["sparsity", "figures", "solvers", "noiselets", "rivals", "rates", "contacts"])
 def test_draws_are_refused_where_nothing_is_averaged(subject: str) -> None:
     with pytest.raises(InputError, match=f"'{subject}' averages over no draws of Φ, got 3 draws"):
         evaluate(subject, draws=3)  # type: ignore[arg-type]
@@ -89,7 +89,7 @@ def test_all_hands_draws_only_to_those_that_average(
     monkeypatch.setattr(command, "import_module", subject_of)
     evaluate("all", draws=3, out=tmp_path, json=True)
     assert json.loads(capsys.readouterr().out) == {"rows": [], "notes": []}
-    averaging = {"tables", "classification", "beyond", "postures"}
+    averaging = {"claims", "tables", "classification", "beyond", "postures"}
     assert {name for name, draws in asked.items() if draws == 3} == averaging
     assert {name for name, draws in asked.items() if draws is None} == {
         "sparsity",
@@ -100,6 +100,7 @@ def test_all_hands_draws_only_to_those_that_average(
         "contacts",
         "calibration",
         "wiring",
+        "noiselets",
     }
 
 
