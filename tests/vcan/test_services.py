@@ -29,7 +29,7 @@ from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port, slo
 from tests.vcan.chain import Chain, complete
 
 #: Rates, the highest first: a slow guest does not keep the first.
-RATES_HZ: Final = (20.0, 10.0, 5.0, 2.0)
+RATES_HZ: Final = (10.0, 5.0, 2.0)
 #: Cycles of a look, and those that have to be complete at a rate that the machine keeps.
 LOOK: Final = 25
 COMPLETE_RATIO: Final = 0.6
