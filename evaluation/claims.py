@@ -1,6 +1,7 @@
 """``skin evaluate claims``: every claim of the paper's abstract and conclusion, and what is measured here."""
 
 from itertools import product
+from pathlib import Path
 from statistics import mean
 from typing import Any, Final, Literal, NamedTuple, get_args
 
@@ -36,7 +37,7 @@ from evaluation.schemes.judge import quality
 from evaluation.schemes.scan import run_scan
 from evaluation.schemes.scenes import SLIDE_TICKS, TAXELS, Touch
 from evaluation.schemes.sums import run_sums
-from skin.layout import Taxels, load_layout
+from skin.layout import Layout, Taxels, load_layout
 from skin.psnr import decibels
 from skin.sources import DEFAULT_OBJECTS
 from skin.taxel import FORCE_MAX_N
@@ -210,7 +211,7 @@ def _skin_rows(options: Options) -> list[Row]:
     less = Claim("less data is sent, faster acquisition", "skin evaluate rivals")
     gain_db = mean(each["image_db"] - each["sensor_db"] for each in found)
     complete_hz = layout.sync.rate_hz * sum(each["complete"] for each in found) / cycles
-    most_hz = min(bus.max_rate_hz_touched for bus in plan(Contract.from_layout(layout)))
+    most_hz, few_hz = (highest_rate_hz(each) for each in (layout, load_layout(Path("recognition"))))
     ratio = mean(each["scan_kbit_per_s"] / each["sums_kbit_per_s"] for each in found)
     bits = f"bits on the bus: scan of all taxels, {SCAN_BITS} bits / sums, {layout.encoding.sum_bits} bits"
     compression = layout.taxels.count / layout.measurement.sums
@@ -220,7 +221,15 @@ def _skin_rows(options: Options) -> list[Row]:
         fast.row("cycles a second that four buses of 1 Mbit/s carry", most_hz, paper=RATE_HZ, runs=1),
         less.row("taxels / sums", compression, paper=TAXELS / TABLE_SUMS, runs=cycles, mode="live"),
         less.row(bits, ratio, runs=cycles, mode="live"),
+        Claim(less.words, "skin plan recognition").row(
+            "cycles of 64 sums a second that one bus of 1 Mbit/s carries", few_hz, runs=1
+        ),
     ]
+
+
+def highest_rate_hz(layout: Layout) -> float:
+    """Return the cycles a second that the buses of a layout carry with random data."""
+    return min(bus.max_rate_hz_random for bus in plan(Contract.from_layout(layout)))
 
 
 def _label_rows(options: Options) -> list[Row]:
