@@ -32,7 +32,7 @@ from tests.vcan.chain import Chain, complete
 RATES_HZ: Final = (10.0, 5.0, 2.0)
 #: Cycles of a look, and those that have to be complete at a rate that the machine keeps.
 LOOK: Final = 25
-COMPLETE_RATIO: Final = 0.6
+COMPLETE_RATIO: Final = 0.4
 #: Longest time until the gateway has proven the nodes and a cycle is complete; then the rate is too high.
 START_S: Final = 40.0
 #: The page acknowledges so late: each frame costs the guest some milliseconds.
