@@ -13,7 +13,7 @@ from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.frame_bits import wire_bits
-from skin.layout import Layout
+from skin.frontend import converter
 from skin.sources import TaxelSource, load_objects
 from skin.taxel import NOISE_N, sense, to_counts
 
@@ -41,16 +41,21 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
     total = np.zeros((len(layout.bus), contract.phases, 2))
     stride = max(1, round(STRIDE_S * layout.sync.rate_hz))
     for sample in range(samples):
-        counts = _counts(layout, source, sample * stride, random)
-        payloads = encode(contract.phi.block_sums(counts), table.gather, contract.packing)
+        payloads = encode(_sums(contract, source, sample * stride, random), table.gather, contract.packing)
         burst["data"][:, : payloads.shape[1]] = payloads
         np.add.at(total, (table.bus, table.phase), np.stack(wire_bits(burst), axis=1))
     mean: npt.NDArray[np.float64] = total / samples
     return mean
 
 
-def _counts(layout: Layout, source: TaxelSource, step: int, random: np.random.Generator) -> npt.NDArray[np.int32]:
-    """Return the ADC counts of the nodes: noise, clipping, rounding."""
+def _sums(
+    contract: Contract, source: TaxelSource, step: int, random: np.random.Generator
+) -> npt.NDArray[np.int16 | np.int32]:
+    """Return the sums of the nodes in ADC counts: noise, clipping, rounding; an analogue front end clips no taxel."""
+    taxels, phi = contract.layout.taxels, contract.phi
     noise_n = 0.0 if source.has_noise else NOISE_N
     force_n = source.frame(step).force_n.ravel()
-    return to_counts(sense(force_n, random, noise_n, layout.taxels.force_max_n, dtype=np.float64), layout.taxels)
+    read = converter(contract.layout)
+    if read is not None:
+        return read.counts(np.asarray(phi.forward(force_n + random.normal(0.0, noise_n, force_n.shape)), np.float64))
+    return phi.block_sums(to_counts(sense(force_n, random, noise_n, taxels.force_max_n, dtype=np.float64), taxels))

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from skin.layout import Layout
 from skin.wiring import chain_lengths_m
 
@@ -25,6 +27,18 @@ class Wiring:
 def wiring(layout: Layout) -> Wiring:
     """Return the wiring of a layout."""
     lengths_m = chain_lengths_m(layout.phi().taxels_of_blocks, layout.taxels.columns, layout.taxels.pitch_m)
-    taxels = layout.measurement.block_size * max(bus.blocks_per_node for bus in layout.bus)
     samples_per_s = layout.samples_per_sync * layout.sync.rate_hz
-    return Wiring(float(lengths_m.max()), float(lengths_m.sum()), taxels * samples_per_s)
+    return Wiring(float(lengths_m.max()), float(lengths_m.sum()), _most_converted(layout) * samples_per_s)
+
+
+def _most_converted(layout: Layout) -> int:
+    """Return the taxels or, of an analogue front end, sums of the node with most of them."""
+    of_blocks = np.full(layout.blocks, layout.measurement.block_size)
+    if layout.taxels.is_analogue:
+        of_blocks = np.diff(layout.phi().starts)
+    most = 0
+    for number, bus in enumerate(layout.bus):
+        first = layout.first_block(number)
+        held = of_blocks[first : first + bus.nodes * bus.blocks_per_node].reshape(bus.nodes, bus.blocks_per_node)
+        most = max(most, int(held.sum(axis=1).max()))
+    return most

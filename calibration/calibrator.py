@@ -16,6 +16,7 @@ from calibration.windows import Bools, Floats, Window, WindowMeans
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
+from skin.frontend import sum_step_n
 from skin.layout import Layout
 from skin.taxel import NOISE_N
 
@@ -93,7 +94,9 @@ class Calibrator:
         self._newton_per_count = layout.taxels.newton_per_count
         self._windows = WindowMeans(self._phi, layout.sync.period_s, self._newton_per_count)
         self._finder = TouchFinder(self._phi, layout.taxels.rows, layout.taxels.columns)
-        least_n = QUIET_COUNTS * self._newton_per_count
+        self._reads_sums = layout.taxels.is_analogue
+        self._step_n = sum_step_n(layout)
+        least_n = QUIET_COUNTS * self._step_n
         self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
         self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
         self._waiting: Window | None = None
@@ -187,6 +190,8 @@ class Calibrator:
         if offsets is None:
             return measurement
         usable = self._defects.usable & self._known
+        if measurement.usable:
+            usable &= np.frombuffer(measurement.usable, np.uint8) != 0
         return msgspec.structs.replace(
             measurement,
             offsets=offsets.astype("<i4").tobytes(),
@@ -354,15 +359,15 @@ class Calibrator:
     def _clip_bias_n(self) -> Floats | float:
         """Return what sums of an untouched skin read by clipped noise, as solvers and models expect it.
 
-        Nodes that average undo it themselves.
+        Nodes that average undo it themselves; an analogue front end clips no taxel.
         """
         size = self._phi.block_size
-        if self._averages or self._noise_n < LEAST_NOISE_RATIO * NOISE_N * size**0.5:
+        if self._averages or self._reads_sums or self._noise_n < LEAST_NOISE_RATIO * NOISE_N * size**0.5:
             return 0.0
         return np.where(self._phi.row_of_sum == 0, size * IDLE_MEAN * NOISE_N, 0.0)
 
     def _new_follower(self, level_n: Floats, slope_n: Floats, known: Bools, age: int, noise_n: float) -> DriftFollower:
-        least_n = LEAST_STEP * self._newton_per_count
+        least_n = LEAST_STEP * self._step_n
         phi = self._phi
         return DriftFollower(
             phi.block_of_sum, phi.blocks, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n

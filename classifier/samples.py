@@ -8,6 +8,7 @@ import numpy.typing as npt
 from classifier.features import Float32, widths_for
 from classifier.model import Float64
 from classifier.observer import Observer
+from skin.frontend import converter
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.taxel import sense, to_counts
@@ -41,6 +42,8 @@ def simulate_sums(
 ) -> npt.NDArray[np.int32]:
     """Return simulated sums of true forces: noise, clipping, ADC, then Φ in counts.
 
+    With an analogue front end: Φ, the noise of the taxels without clipping, then the converters of the sums.
+
     Parameters
     ----------
     force_n : array of float32, shape (count, n) or (count, rows, columns)
@@ -58,9 +61,15 @@ def simulate_sums(
     is_adaptive = layout.sending == "adaptive"
     left = ADAPTIVE_NOISE_RATIO if is_adaptive else 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
     sd = np.broadcast_to(np.asarray(noise_n, np.float32) * np.float32(left), (len(flat),))
+    read = converter(layout)
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
     for start in range(0, len(flat), _CHUNK):
         part = slice(start, start + _CHUNK)
+        if read is not None:
+            sums_n = np.asarray(phi.forward(flat[part]), np.float32)
+            sums_n += rng.standard_normal(sums_n.shape, np.float32) * sd[part, None] * np.float32(phi.block_size**0.5)
+            sums[part] = read.counts(sums_n)
+            continue
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
         if is_adaptive:
             least_n = sd[part, None] * np.float32(ADAPTIVE_DEAD_RATIO / ADAPTIVE_NOISE_RATIO)

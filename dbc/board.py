@@ -143,8 +143,10 @@ class Board(_Table, frozen=True, kw_only=True):
     emcy_cob_id, sdo_request_cob_id, sdo_response_cob_id, heartbeat_cob_id, heartbeat_ms : int
     sending : str
         ``synchronous`` or ``adaptive``.
+    frontend : str
+        ``analogue`` where one converter reads each sum; missing where each taxel has a converter.
     adc_bits, count_max : int
-        Resolution of a taxel, and its largest count.
+        Resolution of a converter; largest count of a taxel.
     newton_per_count : float
     samples_per_sync : int
         Samples of each taxel in one cycle; more than one are averaged.
@@ -187,6 +189,7 @@ class Board(_Table, frozen=True, kw_only=True):
     heartbeat_cob_id: int
     heartbeat_ms: int
     sending: str
+    frontend: str | None = None
     adc_bits: int
     count_max: int
     newton_per_count: float
@@ -231,6 +234,7 @@ def board(contract: Contract, node: NodeContract) -> Board:
         heartbeat_cob_id=HEARTBEAT_BASE + node.node_id,
         heartbeat_ms=int(values[OD_HEARTBEAT_MS, 0]),
         sending=layout.sending,
+        frontend="analogue" if layout.taxels.is_analogue else None,
         adc_bits=layout.taxels.adc_bits,
         count_max=layout.taxels.count_max,
         newton_per_count=layout.taxels.newton_per_count,

@@ -62,9 +62,15 @@ def shown_counts(
 
 
 def node_sums(contract: Contract, node: NodeContract, shown: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
-    """Return the sums of a board, shape (node.sums,), of values of shape (blocks, block size)."""
+    """Return the sums of a board, shape (node.sums,), of values of shape (blocks, block size).
+
+    Of an analogue front end: what its converters would read of taxels with these values.
+    """
     kept = contract.phi.kept[node.block : node.block + node.blocks]
     sums = np.asarray(fast_hadamard(shown), np.float32)[kept]
+    read = contract.packing.converter
+    if read is not None:
+        return read.codes(sums) * np.int32(read.step_counts)
     return np.rint(sums).astype(np.int32)
 
 

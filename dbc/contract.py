@@ -37,6 +37,8 @@ PHASES: Final = {"window": 1, "alternating": 2}
 COARSE_STEP_RATIO: Final = 1 / 40
 #: The byte of 2005h that tells offset binary (1) tells companded sums by this.
 _COMPANDED: Final = 2
+#: The same byte with this added: sums of an analogue front end.
+_ANALOGUE: Final = 4
 #: Longest payload of a classic CAN and of a CAN FD frame.
 CLASSIC_BYTES: Final = 8
 FD_BYTES: Final = 64
@@ -109,12 +111,14 @@ class NodeContract:
     def encoding(self) -> int:
         """Encoding of its PDOs as one number (2005h): width, log2 of the scale, offset binary, blocks.
 
-        Companded sums of 8 bits (`dbc.adaptive`) have a 2 where others have 1 for offset binary, and no scale.
+        Companded sums of 8 bits (`dbc.adaptive`) have a 2 where others have 1 for offset binary, and no scale. Sums of
+        an analogue front end (`skin.frontend`) have 4 or 5 there.
         """
         if self.adaptive_tpdos:
             return 8 | _COMPANDED << 16 | self.blocks << 24
         step = self.packing.scale.bit_length() - 1
-        return self.packing.bits | step << 8 | (not self.packing.is_signed) << 16 | self.blocks << 24
+        form = (not self.packing.is_signed) + (0 if self.packing.converter is None else _ANALOGUE)
+        return self.packing.bits | step << 8 | form << 16 | self.blocks << 24
 
 
 @dataclass(frozen=True)

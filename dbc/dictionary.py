@@ -267,7 +267,8 @@ def _mapping(number: int, count: int, mapped: list[int], access: Access = "rw") 
 def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
     """Return the manufacturer objects, by index; objects of each further block are `BLOCK_STRIDE` higher."""
     seed, fingerprint = contract.layout.measurement.seed, contract.phi.fingerprint
-    health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", "Saturated taxels"]
+    saturated = "Saturated sums" if contract.layout.taxels.is_analogue else "Saturated taxels"
+    health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", saturated]
     whole = [
         Object(OD_BLOCK, None, "Block index", UNSIGNED16, "ro", node.block),
         Object(OD_PHI_SEED, None, "Seed of the measurement operator", UNSIGNED32, "ro", seed),
@@ -323,7 +324,10 @@ def _record(index: int, group: str, entries: Sequence[tuple[str, int, Access, Va
 
 
 def _block(contract: Contract, block: int, place: int) -> list[Object]:
-    """Return the objects of one block: taxels in chain order, calibration, test pattern, and what sums it sends."""
+    """Return the objects of one block: taxels in chain order, calibration, test pattern, and what sums it sends.
+
+    A board that makes its sums in hardware has no calibration of taxels.
+    """
     size, rows = contract.phi.block_size, contract.phi.rows_of(block)
     taxels = [int(taxel) for taxel in contract.phi.order[block * size : (block + 1) * size]]
     of = f" of block {place + 1}" if place else ""
@@ -336,11 +340,14 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
         return of_block(index, place)
 
     sum_type = SUM_TYPES[contract.packing.bits, contract.packing.is_signed]
+    calibration = [
+        *_array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
+        *_array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
+    ]
     return [
         *(_array(at(OD_ROWS), f"Hadamard rows{of}", row_names, UNSIGNED8, "ro", value=rows) if rows else []),
         *_array(at(OD_TAXELS), f"Taxels{of}", taxel_names, UNSIGNED16, "ro", value=taxels),
-        *_array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
-        *_array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
+        *([] if contract.layout.taxels.is_analogue else calibration),
         Object(at(OD_TEST_PATTERN), None, f"Test pattern{of}", UNSIGNED8, "rw", 0),
         *(_array(at(OD_SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
     ]

@@ -1,7 +1,8 @@
 """Conversion of a sum of ADC counts to an integer of a few bits: width, scale and offset.
 
 The scale is the smallest power of two with which no sum can saturate, for any Hadamard row: with B taxels of 0 to c
-counts, a balanced row spans -B c / 2 to B c / 2, and the row of all ones 0 to B c.
+counts, a balanced row spans -B c / 2 to B c / 2, and the row of all ones 0 to B c. An analogue sum spans the range of
+its converter, and the scale is the converter's step or a multiple of it.
 """
 
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from skin.frontend import SumConverter, converter
 from skin.layout import Layout
 
 
@@ -25,11 +27,14 @@ class Packing:
     offset : int
         0: raw values are two's complement. Else raw values are unsigned, and a sum of 0 has the raw value `offset`:
         alternating bits, which need no stuff bits. `offset` divides the range 1:2, like 0 the range of the sums.
+    converter : SumConverter, optional
+        Of analogue sums.
     """
 
     bits: int
     scale: int
     offset: int
+    converter: SumConverter | None = None
 
     @property
     def is_signed(self) -> bool:
@@ -57,7 +62,18 @@ class Packing:
         if self.scale > 1:
             step = self.scale.bit_length() - 1
             counts = (counts + self.scale // 2 - (counts > 0)) >> step
-        return counts + np.int32(self.offset)
+        raw = counts + np.int32(self.offset)
+        # The highest codes of a converter may round to more than there is; they are saturated either way.
+        return raw if self.converter is None else np.minimum(raw, np.int32(self.raw_range[1]))
+
+    def usable(self, sums: npt.NDArray[np.int32]) -> bytes:
+        """Return `Measurement.usable` of decoded sums: uint8, shape (m,), 0 if saturated; empty if none is."""
+        if self.converter is None:
+            return b""
+        ends = np.array([self.converter.low, self.converter.high], np.int32) * np.int32(self.converter.step_counts)
+        low, high = self.counts(self.raw(ends))
+        usable = (sums > low) & (sums < high)
+        return b"" if usable.all() else usable.astype(np.uint8).tobytes()
 
     def counts(self, raw: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
         """Return the sums in counts of `raw` values."""
@@ -69,10 +85,13 @@ def packing(layout: Layout) -> Packing:
     bits = layout.encoding.sum_bits
     offset = ((1 << bits) - 1) // 3 if layout.encoding.offset_binary else 0
     size, top = layout.measurement.block_size, (1 << layout.taxels.adc_bits) - 1
-    scale = 1
-    while not _holds(Packing(bits, scale, offset), -(size // 2) * top, size * top):
+    read = converter(layout)
+    scale, low, high = 1, -(size // 2) * top, size * top
+    if read is not None:
+        scale, low, high = read.step_counts, read.low * read.step_counts, read.high * read.step_counts
+    while not _holds(Packing(bits, scale, offset), low, high - (0 if read is None else scale // 2)):
         scale *= 2
-    return Packing(bits, scale, offset)
+    return Packing(bits, scale, offset, read)
 
 
 def rounding_error_n(layout: Layout) -> float:

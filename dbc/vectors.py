@@ -16,6 +16,7 @@ from skin.measurement import fast_hadamard
 _TIE_MARGIN: Final = 0.02
 _FLOAT_MAX: Final = float(np.finfo(np.float32).max)
 
+_PATTERN_NAMES: Final = {"zero": PATTERN_ZERO, "ramp": PATTERN_RAMP, "full scale": PATTERN_FULL}
 _Floats = npt.NDArray[np.float32]
 
 
@@ -31,8 +32,12 @@ class _Case:
 
 
 def vectors_text(contract: Contract, node: NodeContract) -> str:
-    """Return the test vectors of a synchronous board as JSON."""
-    cases = [_solved(contract, node, case) for case in _cases(contract, node)]
+    """Return the test vectors of a synchronous board as JSON.
+
+    A board that makes its sums in hardware has no counts of taxels: its cases are the test patterns.
+    """
+    solve = _pattern if contract.layout.taxels.is_analogue else _solved
+    cases = [solve(contract, node, case) for case in _cases(contract, node)]
     return json_text({"bus": contract.layout.bus[node.bus].name, "node_id": node.node_id, "cases": cases})
 
 
@@ -54,6 +59,12 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
     }
 
 
+def _pattern(contract: Contract, node: NodeContract, case: _Case) -> dict[str, object]:
+    """Return the pattern, the sums and the frames of a case."""
+    solved = _solved(contract, node, case)
+    return {key: solved[key] for key in ("name", "pattern", "sums", "raw", "frames")}
+
+
 def _cases(contract: Contract, node: NodeContract) -> Iterator[_Case]:
     top = contract.layout.taxels.count_max
     shape = (node.blocks, contract.phi.block_size)
@@ -61,6 +72,10 @@ def _cases(contract: Contract, node: NodeContract) -> Iterator[_Case]:
     second = np.zeros(shape, int)
     # Half a step, where sums are rounded: ties of both signs.
     second[:, 1] = max(1, contract.packing.scale // 2)
+    if contract.layout.taxels.is_analogue:
+        for name, pattern in _PATTERN_NAMES.items():
+            yield _Case(f"test pattern: {name}", np.zeros(shape, int), one, none, pattern)
+        return
     yield _Case("all taxels 0", np.zeros(shape, int), one, none)
     yield _Case("all taxels at full scale", np.full(shape, top), one, none)
     yield _Case("one taxel: place 1", second, one, none)
@@ -74,7 +89,7 @@ def _cases(contract: Contract, node: NodeContract) -> Iterator[_Case]:
         yield _Case("ties to even", draw.counts(), np.full(shape, 0.5, np.float32), none)
         if unfused := _unfused(shape, top):
             yield _Case("product rounded before the offset is added", *unfused)
-    for name, pattern in (("zero", PATTERN_ZERO), ("ramp", PATTERN_RAMP), ("full scale", PATTERN_FULL)):
+    for name, pattern in _PATTERN_NAMES.items():
         yield _Case(f"test pattern: {name}", draw.counts(), draw.gain(), draw.offset(top / 40), pattern)
 
 

@@ -53,7 +53,8 @@ def demo(
         Names of the objects, see ``skin objects``; default: a series of five.
     defect
         Defects of the taxels, each KIND or KIND=AMOUNT, see ``skin nodes``: dead, stuck, saturated, noisy, gain-spread,
-        offset, cross-talk, drift, damper. With an offset or drift the touches begin when the zero has been measured.
+        offset, cross-talk, drift, damper; analogue front end: mismatch, sum-offset, sum-noise, skew. With an offset or
+        drift the touches begin when the zero has been measured.
     seed
         Seed of the touches, of the sensor noise, and of the choice of defective taxels.
     view

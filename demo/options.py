@@ -4,6 +4,7 @@ import errno
 import socket
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from canskin.errors import InputError
 from skin.defects import parse_defects
@@ -11,6 +12,9 @@ from skin.layout import Layout
 from skin.output import check_picture_path
 from skin.sources import load_source, step_rate_hz
 from touch.objects import checked_names
+
+#: Defects with which an untouched skin has sums.
+_ZERO_DEFECTS: Final = ("offset", "drift", "sum_offset")
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,8 @@ class DemoOptions:
     @property
     def has_zero_errors(self) -> bool:
         """Whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
-        defects = parse_defects(self.defects, self.seed)
-        return self.recording is not None or "offset" in defects or "drift" in defects
+        defects = parse_defects(self.defects, self.seed, is_analogue=True)
+        return self.recording is not None or not defects.keys().isdisjoint(_ZERO_DEFECTS)
 
     def check(self, layout: Layout) -> None:
         """Check that a run with these options is possible.
@@ -55,7 +59,7 @@ class DemoOptions:
         if self.view and self.port is not None:
             _check_port(self.port)
         check_picture_path(self.picture)
-        parse_defects(self.defects, self.seed)
+        parse_defects(self.defects, self.seed, is_analogue=layout.taxels.is_analogue)
         self._check_touch(layout)
 
     def _check_touch(self, layout: Layout) -> None:

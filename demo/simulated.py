@@ -17,6 +17,7 @@ from canskin.skin import Frames, Health, Skin
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from classifier.service import ClassifierService
+from dbc.packing import packing
 from nodes.sampler import new_sampler
 from reconstructor.command import make_engine
 from reconstructor.contacts import ContactTracker
@@ -74,6 +75,7 @@ class SimulatedSkin(Skin):
         engine.warm_up()
         ContactTracker(taxels.rows, taxels.columns).warm_up()
         self._boards = new_sampler(skin, phi, load_objects(skin, names=objects, seed=seed, rest_s=REST_S), seed=seed)
+        self._packing = packing(skin)
         self._messages = _Messages()
         self._reconstructor = ReconstructorService(skin, engine, self._messages)
         trained = find_or_train(skin, phi, known_objects(objects))
@@ -113,6 +115,7 @@ class SimulatedSkin(Skin):
                 wall_offset_ns=wall_offset().ns,
                 sums=sums.astype("<i4").tobytes(),
                 valid=self._valid,
+                usable=self._packing.usable(sums),
                 fingerprint=self.layout.fingerprint,
             )
             label = self._classifier.label(measurement)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from canskin.errors import InputError
 from dbc.board import Board, board
 from dbc.configuration import configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
@@ -75,7 +76,15 @@ class Build:
 
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
-    """Return what the C sources of `nodes` are made from."""
+    """Return what the C sources of `nodes` are made from.
+
+    Raises
+    ------
+    InputError
+        If the boards make their sums in hardware.
+    """
+    if contract.layout.taxels.is_analogue:
+        raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
     of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
     return [Build(node, board(contract, node), _object_table(contract, node), *of_bus[node.bus]) for node in nodes]
 

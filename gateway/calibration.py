@@ -184,6 +184,8 @@ class GatewayCalibration:
         """
         if self._writing is not None:
             raise InputError("the nodes are being written to: wait for the end of that")
+        if self._contract.layout.taxels.is_analogue:
+            raise InputError("boards that make sums in hardware take off no gains: 'skin reconstruct --gains' does")
         gains, offsets = node_values(stored, self._contract.layout.taxels.newton_per_count)
         if gains is None and offsets is None:
             raise InputError(

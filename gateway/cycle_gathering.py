@@ -129,4 +129,5 @@ class CycleGathering:
             sums=gathered.sums.astype("<i4").tobytes(),
             valid=gathered.valid.astype(np.uint8).tobytes(),
             fingerprint=self._contract.phi.fingerprint,
+            usable=self._contract.packing.usable(gathered.sums),
         )

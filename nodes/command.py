@@ -81,7 +81,9 @@ def nodes(
         Defects of the taxels, each KIND or KIND=AMOUNT (default amount in brackets). Fraction of the taxels: dead,
         stuck, saturated, noisy (0.01). Standard deviation of the gains: gain-spread (0.1). Largest
         offset / range: offset (0.13). Fraction of each neighbour's force: cross-talk (0.1). Drift of zero, N/s: drift
-        (0.0001). Damping, N s/m: damper (0.01).
+        (0.0001). Damping, N s/m: damper (0.01). Of sums that are made in hardware (taxels.frontend = "analogue"):
+        standard deviation of the gains of their two paths: mismatch (0.01); of their offsets, N: sum-offset (0.01); of
+        the noise behind the addition, N: sum-noise (0.001); time between two sums of a block, s: skew (0.0001).
     seed
         Seed of the touches, of the noise, and of the choice of defective taxels.
     store
@@ -102,7 +104,6 @@ def nodes(
         raise InputError("--rate is for a recording: give one with --input")
     if input is not None and rest:
         raise InputError("--rest is for objects: a recording begins as it begins")
-    defects = parse_defects(defect or (), seed)
     if firmware and store is not None:
         raise InputError("--store is for nodes in Python: boards with --firmware keep their parameters until they end")
     if store is not None:
@@ -112,6 +113,7 @@ def nodes(
             raise InputError(f"--store {store}: expected a folder that can be written: {error.strerror}") from error
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
+    defects = parse_defects(defect or (), seed, is_analogue=skin.taxels.is_analogue)
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed, rest)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dbc.board_sums import pattern_counts
 from nodes.averaging import SampleFilter
 from skin.layout import Taxels
-from skin.taxel import NOISE_N, TaxelModel, corrected, to_counts
+from skin.taxel import NOISE_N, TaxelModel, corrected, to_counts, to_newtons
 
 
 class Calibration:
@@ -95,6 +95,11 @@ class Electronics(Calibration):
         self._felt = np.zeros(taxels.count, np.int32)
         self.sampled_ahead = -1
         self.unread: deque[npt.NDArray[np.int32]] = deque(maxlen=2)
+
+    @property
+    def signal_n(self) -> npt.NDArray[np.float32]:
+        """The sensor signal at the newest step, newtons, shape (n,)."""
+        return to_newtons(self.sampled, self.taxels)
 
     @property
     def averages(self) -> bool:

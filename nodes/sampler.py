@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import Truth
+from nodes.analogue import AnalogueElectronics
 from nodes.boards import Boards
 from nodes.electronics import Electronics
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.sources import TaxelSource
 from skin.sync_counter import SYNC_OVERFLOW
-from skin.taxel import to_newtons
 
 #: Longest time between the SYNC frames of one cycle, with the same counter, on different buses. A busy master delays
 #: frames. A counter returns after 240 periods, 120 ms or more.
@@ -114,7 +114,7 @@ class Sampler(Boards):
             sync_counter=counter,
             sampled_mono_ns=time_ns,
             true=frame.force_n.astype("<f4").tobytes(),
-            sensor=to_newtons(self._electronics.sampled, self._electronics.taxels).astype("<f4").tobytes(),
+            sensor=self._electronics.signal_n.astype("<f4").tobytes(),
             label=frame.label,
         )
         return self._sums
@@ -144,6 +144,36 @@ class Sampler(Boards):
         return truth
 
 
+class AnalogueSampler(Sampler):
+    """A sampler for boards whose sums are made before the converters."""
+
+    def __init__(self, phi: Sbhe, source: TaxelSource, electronics: AnalogueElectronics) -> None:
+        super().__init__(phi, source, electronics)
+        self._analogue = electronics
+
+    def saturated(self, block: int) -> int:
+        """Count the sums of `block` at an end of their range."""
+        first, last = self._phi.starts[block : block + 2]
+        return int(self._analogue.converter.is_saturated(self._sums[first:last]).sum())
+
+    def _answer(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
+        later_n = self._source.frame(self._step + 1).force_n if self._analogue.is_skewed else None
+        return self._analogue.read_sums(force_n, later_n, self._step)
+
+
+def new_electronics(layout: Layout, phi: Sbhe, **analogue: Any) -> Electronics:
+    """Return the electronics of a skin whose nodes make the sums; `analogue` as for `new_sampler`."""
+    if layout.taxels.is_analogue:
+        return AnalogueElectronics(layout, phi, **analogue)
+    return Electronics(
+        layout.taxels,
+        **analogue,
+        period_s=layout.sync.period_s,
+        samples=layout.samples_per_sync,
+        blocks=phi.taxels_of_blocks,
+    )
+
+
 def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any) -> Sampler:
     """Return the sampler of a skin whose nodes make the sums, with all code compiled.
 
@@ -158,13 +188,9 @@ def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any)
     """
 
     def new() -> Sampler:
-        electronics = Electronics(
-            layout.taxels,
-            **analogue,
-            period_s=layout.sync.period_s,
-            samples=layout.samples_per_sync,
-            blocks=phi.taxels_of_blocks,
-        )
+        electronics = new_electronics(layout, phi, **analogue)
+        if isinstance(electronics, AnalogueElectronics):
+            return AnalogueSampler(phi, source, electronics)
         return Sampler(phi, source, electronics)
 
     # A first start compiles for a while: before the nodes are there, and not between two SYNCs.

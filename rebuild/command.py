@@ -104,7 +104,7 @@ def rebuild(
         taxels.rows,
         taxels.columns,
         settings,
-        noise_n=options.noise_n,
+        noise_n=options.clipped_noise_n(contract.layout),
         samples=1 if is_recording else contract.layout.samples_per_sync,  # a recording has one frame for each cycle
         library=library,
     )

@@ -4,10 +4,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from dbc.contract import Contract
+from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
 from rebuild.cycles import Cycles
+from skin.layout import Layout
+from skin.measurement import Sbhe
 from touch.sources import recording
 
 
@@ -18,7 +22,7 @@ def measure_recording(
     full_scale: float | None,
     advance: Callable[[int], None],
 ) -> Cycles:
-    """Measure every frame of a recording in one cycle of the skin; every block with sums is valid.
+    """Measure every frame of a recording in one cycle of the skin; every block with sums is valid unless one saturates.
 
     Parameters
     ----------
@@ -42,11 +46,23 @@ def measure_recording(
     source = recording(
         path, taxels.rows, taxels.columns, full_scale=full_scale, force_max_n=taxels.force_max_n, arrays=arrays
     )
-    electronics = Electronics(taxels, noise_n=0.0)
+    read = _reader(layout, phi)
     counts = np.empty((source.frames, phi.shape[0]), np.int32)
+    valid = np.tile(phi.has_sums, (source.frames, 1))
     for step in range(source.frames):
-        sums = phi.forward(electronics.read(source.frame(step).force_n)).astype(np.int32, copy=False)
-        counts[step] = packing.counts(packing.raw(sums))
+        counts[step] = packing.counts(packing.raw(read(source.frame(step).force_n)))
+        usable = packing.usable(counts[step])
+        if usable:
+            valid[step, phi.block_of_sum[np.frombuffer(usable, np.uint8) == 0]] = False
         advance(1)
     time_ns = np.rint(np.arange(source.frames) * (1e9 * layout.sync.period_s)).astype(np.int64)
-    return Cycles(counts, np.tile(phi.has_sums, (source.frames, 1)), time_ns)
+    return Cycles(counts, valid, time_ns)
+
+
+def _reader(layout: Layout, phi: Sbhe) -> Callable[[npt.NDArray[np.float32]], npt.NDArray[np.int32]]:
+    """Return what makes sums, counts of shape (m,), of forces of shape (rows, columns)."""
+    if layout.taxels.is_analogue:
+        boards = AnalogueElectronics(layout, phi, noise_n=0.0)
+        return lambda force_n: boards.read_sums(force_n, None, 0)
+    electronics = Electronics(layout.taxels, noise_n=0.0)
+    return lambda force_n: phi.forward(electronics.read(force_n)).astype(np.int32, copy=False)

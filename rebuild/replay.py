@@ -11,6 +11,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from gateway.playback import play
 from rebuild.cycles import Cycles
+from skin.measured_sums import used_blocks
 
 
 def replay(
@@ -45,5 +46,5 @@ def replay(
             "it cannot be cut into cycles"
         )
     counts = np.stack([np.frombuffer(each.sums, "<i4") for each in made])
-    valid = np.stack([np.frombuffer(each.valid, np.uint8) != 0 for each in made])
+    valid = np.stack([used_blocks(each, contract.phi) for each in made])
     return Cycles(counts, valid, np.array([each.sampled_mono_ns for each in made], np.int64)), part.status.frames

@@ -91,7 +91,7 @@ def make_engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstruc
         skin.taxels.rows,
         skin.taxels.columns,
         settings,
-        noise_n=chosen.noise_n,
+        noise_n=chosen.clipped_noise_n(skin),
         samples=skin.samples_per_sync,
     )
     basis = f", basis {settings.prior}" if chosen.basis else ""

@@ -7,6 +7,7 @@ from cyclopts import Parameter
 from canskin.errors import InputError
 from reconstructor.bases.names import wavelet_basis_name
 from reconstructor.settings import SolverSettings, preset
+from skin.layout import Layout
 
 
 @Parameter(name="*")
@@ -29,7 +30,8 @@ class SolverOptions:
         λ in newtons; default: that of the solver.
     noise_n : float
         Standard deviation of the noise of a sensor that clips at 0, newtons; corrects the bias of clipping.
-        Nodes that average (``sampling.rate_hz``) learn the noise and correct the bias themselves.
+        Nodes that average (``sampling.rate_hz``) learn the noise and correct the bias themselves; an analogue front end
+        (``taxels.frontend``) clips no taxel and has no bias.
     """
 
     solver: str = "live"
@@ -37,6 +39,18 @@ class SolverOptions:
     basis: str | None = None
     penalty_n: float | None = None
     noise_n: float | None = None
+
+    def clipped_noise_n(self, layout: Layout) -> float | None:
+        """Return `noise_n`.
+
+        Raises
+        ------
+        InputError
+            If the taxels of the layout are not clipped.
+        """
+        if self.noise_n and layout.taxels.is_analogue:
+            raise InputError("--noise-n is for taxels that are clipped, not for an analogue front end: leave it out")
+        return self.noise_n
 
     def settings(self) -> SolverSettings:
         """Return the settings of the solver, changed by the given options.

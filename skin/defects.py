@@ -1,11 +1,13 @@
-"""Defects of taxels, each a small value class; `skin.taxel.TaxelModel` applies the defects that it is given.
+"""Defects of taxels and of analogue sums, each a small value class.
+
+`skin.taxel.TaxelModel` applies the defects of taxels, `skin.frontend.SumModel` those of sums.
 
 Each defect has its own seed, which selects its taxels and their amounts: the same seed gives the same defective skin in
 every run. The paper's data have no defects; the paper names a damper, without a value.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -20,7 +22,7 @@ STIFFNESS_N_PER_M: Final = 1.0
 #: Standard deviation of a noisy taxel's noise / range.
 NOISY_RATIO: Final = 0.25
 #: Streams of random numbers: defects of one seed select different taxels.
-_GAIN, _DRIFT, _STUCK, _DEAD, _SATURATED, _NOISY, _OFFSET = range(7)
+_GAIN, _DRIFT, _STUCK, _DEAD, _SATURATED, _NOISY, _OFFSET, _MISMATCH, _SUM_OFFSET = range(9)
 
 Force = npt.NDArray[np.float32]
 
@@ -159,6 +161,73 @@ class Dead(_PartOfTaxels):
         return _chosen(self, _DEAD, taxels)
 
 
+class SumGains(NamedTuple):
+    """Gains of the sums of an analogue front end, as of a differential amplifier: Φ has the rows D_k H_k + C_k H_0.
+
+    H_k are the Hadamard rows of the sums, H_0 adds all taxels of the block.
+
+    Attributes
+    ----------
+    differential : array, shape (m,)
+        D = (g⁺ + g⁻) / 2, g⁺ and g⁻ the gains of the taxels that are added and subtracted.
+    common_mode : array, shape (m,)
+        C = (g⁺ - g⁻) / 2.
+    """
+
+    differential: npt.NDArray[np.float64]
+    common_mode: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """The gains g⁺ and g⁻ of a sum's two paths are normal around 1, and never below 0."""
+
+    deviation: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _need_ratio("deviation", self.deviation, 1.0)
+
+    def gains(self, sums: int) -> SumGains:
+        """Return the gains of so many sums, read-only."""
+        return _sum_gains(self, sums)
+
+
+@dataclass(frozen=True)
+class SumOffset:
+    """Each sum has an offset; the offsets are normal around 0."""
+
+    deviation_n: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _need_ratio("deviation_n", self.deviation_n, math.inf)
+
+    def offsets_n(self, sums: int) -> Force:
+        """Return the offset of each of so many sums, newtons, read-only."""
+        return _sum_offsets(self, sums)
+
+
+@dataclass(frozen=True)
+class SumNoise:
+    """Amplifier and converter of each sum add normal noise to that of the taxels."""
+
+    deviation_n: float
+
+    def __post_init__(self) -> None:
+        _need_ratio("deviation_n", self.deviation_n, math.inf)
+
+
+@dataclass(frozen=True)
+class Skew:
+    """The sums of a block are read one after the other, `row_s` apart, the first at SYNC, while the touch moves."""
+
+    row_s: float
+
+    def __post_init__(self) -> None:
+        _need_ratio("row_s", self.row_s, math.inf)
+
+
 class DefectKind(NamedTuple):
     """A kind of defect.
 
@@ -186,15 +255,23 @@ KINDS: Final = {
     "saturated": DefectKind(Saturated, 0.01),
     "dead": DefectKind(Dead, 0.01),
 }
+#: Kind by attribute name of `skin.frontend.SumModel`: defects of the sums of an analogue front end.
+SUM_KINDS: Final = {
+    "mismatch": DefectKind(Mismatch, 0.01),
+    "sum_offset": DefectKind(SumOffset, 0.01),
+    "sum_noise": DefectKind(lambda amount, _seed: SumNoise(amount), 0.001),
+    "skew": DefectKind(lambda amount, _seed: Skew(amount), 1e-4),
+}
+_ALL_KINDS: Final = KINDS | SUM_KINDS
 
 
 def make_defects(amounts: dict[str, float], seed: int) -> dict[str, Any]:
-    """Return the defects of the named kinds, as keyword arguments of `skin.taxel.TaxelModel`.
+    """Return the defects of the named kinds, as keyword arguments of `skin.taxel.TaxelModel` or `SumModel`.
 
     Parameters
     ----------
     amounts : dict
-        Amount by kind, one of `KINDS`.
+        Amount by kind, one of `KINDS` or `SUM_KINDS`.
     seed : int
         Seed of the choice of taxels.
 
@@ -206,13 +283,13 @@ def make_defects(amounts: dict[str, float], seed: int) -> dict[str, Any]:
     made = {}
     for name, amount in amounts.items():
         try:
-            made[name] = KINDS[name].make(amount, seed)
+            made[name] = _ALL_KINDS[name].make(amount, seed)
         except InputError as error:
             raise InputError(f"{name.replace('_', '-')}: {error}") from error
     return made
 
 
-def parse_defects(texts: Iterable[str], seed: int) -> dict[str, Any]:
+def parse_defects(texts: Iterable[str], seed: int, *, is_analogue: bool = False) -> dict[str, Any]:
     """Return the defects of an option, as keyword arguments of `skin.taxel.TaxelModel`.
 
     Parameters
@@ -221,27 +298,38 @@ def parse_defects(texts: Iterable[str], seed: int) -> dict[str, Any]:
         Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; the last amount of a kind counts.
     seed : int
         Seed of the choice of taxels.
+    is_analogue : bool
+        The front end is analogue: defects of sums may be among them, see `of_sums`.
 
     Raises
     ------
     InputError
         If a kind is unknown or an amount cannot be used.
     """
+    kinds = _ALL_KINDS if is_analogue else KINDS
     amounts = {}
     for text in texts:
         kind, given, amount = text.partition("=")
         name = kind.strip().replace("-", "_")
-        if name not in KINDS:
-            known = ", ".join(each.replace("_", "-") for each in KINDS)
+        if name not in kinds:
+            if name in SUM_KINDS:
+                raise InputError(f'--defect {text}: expected a layout with taxels.frontend = "analogue"')
+            known = ", ".join(each.replace("_", "-") for each in kinds)
             raise InputError(f"--defect {text}: expected KIND or KIND=AMOUNT with KIND of {known}")
         try:
-            amounts[name] = float(amount) if given else KINDS[name].amount
+            amounts[name] = float(amount) if given else kinds[name].amount
         except ValueError:
             raise InputError(f"--defect {text}: expected a number after '=', got '{amount}'") from None
     try:
         return make_defects(amounts, seed)
     except InputError as error:
         raise InputError(f"--defect {error}") from error
+
+
+def of_sums(defects: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Divide defects into those of taxels and those of sums."""
+    sums = {name: each for name, each in defects.items() if name in SUM_KINDS}
+    return {name: each for name, each in defects.items() if name not in sums}, sums
 
 
 def _need_ratio(name: str, value: float, most: float) -> None:
@@ -277,6 +365,17 @@ def _stuck_values(stuck: Stuck, taxels: tuple[int, ...], force_max_n: float) -> 
     rng = _stream(stuck.seed, _STUCK)
     chosen = _draw(stuck.ratio, taxels, rng)
     return _fixed(chosen), _fixed(rng.uniform(0.0, force_max_n, chosen.size).astype(np.float32))
+
+
+@lru_cache(maxsize=8)
+def _sum_gains(mismatch: Mismatch, sums: int) -> SumGains:
+    plus, minus = np.maximum(_stream(mismatch.seed, _MISMATCH).normal(1.0, mismatch.deviation, (2, sums)), 0.0)
+    return SumGains(_fixed((plus + minus) / 2), _fixed((plus - minus) / 2))
+
+
+@lru_cache(maxsize=8)
+def _sum_offsets(offset: SumOffset, sums: int) -> Force:
+    return _fixed(_stream(offset.seed, _SUM_OFFSET).normal(0.0, offset.deviation_n, sums).astype(np.float32))
 
 
 @lru_cache(maxsize=32)

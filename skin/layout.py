@@ -17,7 +17,7 @@ from skin.walsh import Indices, patches
 from skin.wiring import within_patches
 
 #: Names of the layouts that come with the project.
-SHIPPED: Final = ("adaptive", "adaptive-fd", "default", "fd", "one-bus-12bit", "recognition")
+SHIPPED: Final = ("adaptive", "adaptive-fd", "analogue", "default", "fd", "one-bus-12bit", "recognition")
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
@@ -44,13 +44,23 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Taxels(_Table, frozen=True, kw_only=True):
-    """The grid of taxels: `rows` x `columns`, `pitch_m` apart; forces from 0 to `force_max_n` in `adc_bits`."""
+    """The grid of taxels: `rows` x `columns`, `pitch_m` apart; forces from 0 to `force_max_n` in `adc_bits`.
+
+    `frontend` tells where a sum is made: each taxel has a converter and the node adds numbers (``digital``), or
+    currents are added before one converter for each sum (``analogue``, `skin.frontend`).
+    """
 
     rows: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
     columns: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
     pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
     force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
+    frontend: Literal["digital", "analogue"] = "digital"
+
+    @property
+    def is_analogue(self) -> bool:
+        """Whether sums are made before the converters."""
+        return self.frontend == "analogue"
 
     @property
     def count(self) -> int:

@@ -20,6 +20,8 @@ ADAPTIVE_SYNC_HZ: Final = 10.0
 ADAPTIVE_SAMPLING_HZ: Final = 1000.0
 ADAPTIVE_NODES: Final = 32
 ADAPTIVE_FD_NODES: Final = 127
+#: Fewest bits of a converter of sums: its two end codes count as saturated.
+ANALOGUE_BITS: Final = 4
 #: Largest value of an entry of the identity object (1018h).
 IDENTITY_MAX: Final = 2**32 - 1
 
@@ -37,6 +39,7 @@ def check(layout: "Layout") -> None:
     if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
         raise LayoutError(f"{limit}, got {sampled_hz:g} - at `$.sampling.rate_hz`")
+    _check_frontend(layout)
     _check_buses(layout)
     if layout.device.first_serial + layout.blocks - 1 > IDENTITY_MAX:
         highest = IDENTITY_MAX - layout.blocks + 1
@@ -81,6 +84,22 @@ def _check_rows(layout: "Layout", rows: Sequence[tuple[int, int]]) -> None:
         of_rows(np.arange(layout.taxels.count), measurement.block_size, rows)
     except InputError as error:
         raise LayoutError(f"{error} - at `$.measurement.rows`") from error
+
+
+def _check_frontend(layout: "Layout") -> None:
+    """Check what an analogue front end needs: sums in each cycle, no averages of taxels, enough codes."""
+    if not layout.taxels.is_analogue:
+        return
+    if layout.sending == "adaptive":
+        raise LayoutError("adaptive sending expects 'digital', got 'analogue' - at `$.taxels.frontend`")
+    if layout.samples_per_sync > 1:
+        raise LayoutError(
+            "an analogue front end has no taxels to average: leave the key out, or expected"
+            f" {layout.sync.rate_hz:g} (`sync.rate_hz`), got {layout.sampling.rate_hz:g} - at `$.sampling.rate_hz`"
+        )
+    if layout.taxels.adc_bits < ANALOGUE_BITS:
+        limits = f"an analogue front end expects {ANALOGUE_BITS} or more"
+        raise LayoutError(f"{limits}, got {layout.taxels.adc_bits} - at `$.taxels.adc_bits`")
 
 
 def _check_adaptive(layout: "Layout") -> None:

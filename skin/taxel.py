@@ -59,14 +59,23 @@ def sense(
         If the noise is below 0 or the range is empty.
     """
     _check(noise_n, force_max_n)
-    signal: npt.NDArray[Any]
-    if isinstance(noise_n, float) and noise_n == 0.0:
-        signal = np.array(force_n, dtype)
-    else:
-        signal = rng.standard_normal(np.shape(force_n), dtype=dtype)
-        signal *= np.asarray(noise_n, dtype)
-        signal += force_n
+    signal = _with_noise(force_n, rng, noise_n, dtype)
     np.clip(signal, 0.0, dtype(force_max_n), out=signal)
+    return signal
+
+
+def _with_noise(
+    force_n: npt.NDArray[np.floating],
+    rng: np.random.Generator,
+    noise_n: float | Force,
+    dtype: type[np.float32 | np.float64],
+) -> npt.NDArray[Any]:
+    """Return forces with normal noise added, in new memory."""
+    if isinstance(noise_n, float) and noise_n == 0.0:
+        return np.array(force_n, dtype)
+    signal: npt.NDArray[Any] = rng.standard_normal(np.shape(force_n), dtype=dtype)
+    signal *= np.asarray(noise_n, dtype)
+    signal += force_n
     return signal
 
 
@@ -165,7 +174,9 @@ class TaxelModel:
             force_n = self.damper(force_n, period_s)
         return self.signal_of_moments(force_n, rng, start_s + period_s * np.arange(len(force_n), dtype=np.float64))
 
-    def signal_of_moments(self, force_n: Force, rng: np.random.Generator, time_s: npt.NDArray[np.float64]) -> Force:
+    def signal_of_moments(
+        self, force_n: Force, rng: np.random.Generator, time_s: npt.NDArray[np.float64], *, clips: bool = True
+    ) -> Force:
         """Return the sensor signal of single moments, without the damper.
 
         Parameters
@@ -176,6 +187,8 @@ class TaxelModel:
             Source of the noise.
         time_s : numpy.ndarray
             Time of each moment, shape (moments,); drift is 0 at time 0.
+        clips : bool
+            Taxels end at 0 and at the end of the range; false where their currents are added (`skin.frontend`).
 
         Returns
         -------
@@ -183,7 +196,9 @@ class TaxelModel:
             float32, the same shape.
         """
         taxels = force_n.shape[1:]
-        signal: Force = sense(self.felt_n(force_n, time_s), rng, self.noise_of(taxels), self.force_max_n)
+        signal: Force = _with_noise(self.felt_n(force_n, time_s), rng, self.noise_of(taxels), np.float32)
+        if clips:
+            np.clip(signal, 0.0, np.float32(self.force_max_n), out=signal)
         fixed_n = self.fixed_n(taxels)
         if fixed_n is not None:
             np.copyto(signal, fixed_n, where=~np.isnan(fixed_n))

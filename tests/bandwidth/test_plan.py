@@ -9,6 +9,7 @@ import pytest
 from bandwidth.alternatives import alternatives, with_bits, with_buses
 from bandwidth.plan import bus_time, plan, plan_bus
 from bandwidth.traffic import Disturbance, traffic
+from bandwidth.wiring import wiring
 from bus.simulated_bus import SimulatedBus
 from dbc.codec import encode
 from dbc.contract import Contract
@@ -155,3 +156,8 @@ def test_an_impossible_alternative_names_the_key() -> None:
     assert first.load_worst is None
     assert first.problem is not None
     assert "no identifiers left" in first.problem
+
+
+def test_conversions_of_a_node_are_those_of_its_taxels_or_of_its_analogue_sums() -> None:
+    assert wiring(load_layout()).conversions_per_s == 32 * 1000
+    assert wiring(load_layout(Path("analogue"))).conversions_per_s == 8 * 100

@@ -202,3 +202,12 @@ def test_the_mean_of_clipped_noise_is_no_offset_where_nodes_do_not_average() -> 
     totals = layout.phi().row_of_sum == 0
     assert totals.any()
     assert np.abs(offsets_n[totals]).mean() < 0.1 * layout.measurement.block_size * IDLE_MEAN * SENSOR_NOISE_N
+
+
+def test_unclipped_noise_of_an_untouched_skin_has_no_mean() -> None:
+    layout = parse_layout(b'[taxels]\nrows = 32\ncolumns = 32\nfrontend = "analogue"', "test")
+    random = np.random.default_rng(0)
+    skin = Skin(Calibrator(layout), layout=layout)
+    last = skin.run(4.0, lambda _time_s: random.normal(0, SENSOR_NOISE_N, layout.taxels.count))
+    offsets_n = np.frombuffer(last.offsets, "<i4") * layout.taxels.newton_per_count
+    assert np.abs(offsets_n[layout.phi().row_of_sum == 0]).mean() < 0.5 * layout.measurement.block_size**0.5 * 1e-3

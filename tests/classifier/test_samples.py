@@ -1,5 +1,6 @@
 """Simulated sums: noise, clipping, ADC, Φ."""
 
+import msgspec
 import numpy as np
 
 from classifier.features import Float32
@@ -33,3 +34,13 @@ def test_threshold_is_passed_as_often_as_stated(layout: Layout, phi: Sbhe) -> No
     assert FALSE_ALARM_RATIO == 0.002
     np.testing.assert_allclose(one.contact_threshold, other.contact_threshold, atol=1.2)
     np.testing.assert_allclose(one.no_touch, other.no_touch, rtol=0.1)
+
+
+def test_analogue_sums_have_the_noise_of_their_taxels_unclipped(layout: Layout, phi: Sbhe) -> None:
+    replace = msgspec.structs.replace
+    analogue = replace(layout, taxels=replace(layout.taxels, frontend="analogue"))
+    sums = simulate_sums(np.zeros((200, 32, 32), np.float32), analogue, phi, 0.001, np.random.default_rng(1))
+    assert not (sums % phi.block_size).any()
+    found_n = sums * layout.taxels.newton_per_count
+    np.testing.assert_allclose(found_n.std(), 0.001 * phi.block_size**0.5, rtol=0.02)
+    np.testing.assert_allclose(found_n[:, phi.row_of_sum == 0].mean(), 0, atol=3e-4)

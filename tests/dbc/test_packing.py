@@ -19,13 +19,13 @@ TRIPS = 10_000
 ENCODINGS = list(product((16, 12, 8), (False, True)))
 
 
-def layout_with(bits: int, offset_binary: bool, adc_bits: int = 10, block_size: int = 32) -> Layout:
+def layout_with(bits: int, offset_binary: bool, adc_bits: int = 10, block_size: int = 32, **taxels: str) -> Layout:
     layout = load_layout()
     replace = msgspec.structs.replace
     return replace(
         layout,
         encoding=replace(layout.encoding, sum_bits=bits, offset_binary=offset_binary),
-        taxels=replace(layout.taxels, adc_bits=adc_bits),
+        taxels=replace(layout.taxels, adc_bits=adc_bits, **taxels),
         measurement=replace(layout.measurement, block_size=block_size),
     )
 
@@ -50,6 +50,23 @@ def test_scale_is_the_smallest_that_fits(
     bits: int, offset_binary: bool, adc_bits: int, scale: int, offset: int
 ) -> None:
     assert packing(layout_with(bits, offset_binary, adc_bits)) == Packing(bits, scale, offset)
+
+
+@pytest.mark.parametrize(
+    ("bits", "adc_bits", "scale"), [(16, 10, 32), (12, 12, 32), (12, 10, 32), (8, 12, 32 << 4), (16, 16, 32)]
+)
+def test_the_scale_of_analogue_sums_is_the_step_of_their_converter_or_a_multiple(
+    bits: int, adc_bits: int, scale: int
+) -> None:
+    pack = packing(layout_with(bits, False, adc_bits, frontend="analogue"))
+    ends = np.array([-(1 << adc_bits - 1), (1 << adc_bits - 1) - 1]) * 32
+    low, high = pack.raw_range
+    assert pack.scale == scale
+    assert low <= pack.raw(ends)[0]
+    assert pack.raw(ends)[1] <= high
+    inner = pack.counts(pack.raw(np.array([*ends, 0, ends[1] - 2 * scale])))
+    assert np.frombuffer(pack.usable(inner), np.uint8).tolist() == [0, 0, 1, 1]
+    assert pack.usable(inner[2:]) == b""
 
 
 @given(st.sampled_from(ENCODINGS), st.integers(1, 16), st.sampled_from([2, 4, 8, 16, 32, 64, 128]))

@@ -13,6 +13,7 @@ from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.generate import write_files
 from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
+from firmware.export import export_files
 from firmware.library import STANDARD_FLAGS, Firmware, compile_c, constants, shared_folders, sources
 from firmware.tables import builds
 from skin.layout import load_layout
@@ -132,6 +133,12 @@ def test_a_damaged_library_in_the_cache_is_made_anew(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("SKIN_CACHE", str(damaged))
     Firmware(contract, contract.nodes)
     assert damaged.joinpath(kept.name).stat().st_size == kept.stat().st_size
+
+
+def test_boards_that_make_sums_in_hardware_are_refused() -> None:
+    contract = Contract.from_layout(load_layout(Path("analogue")))
+    with pytest.raises(InputError, match="the C firmware adds taxels that are digital"):
+        export_files(contract, contract.nodes[:1])
 
 
 def test_a_machine_without_compiler_is_told() -> None:

@@ -14,7 +14,7 @@ from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
 from tests.calibration.skins import LAYOUT, Skin, offsets_n, pressed
 from tests.gateway.boards import small_adaptive
-from tests.gateway.world import World
+from tests.gateway.world import World, small_contract
 
 
 class Asked:
@@ -144,6 +144,16 @@ def test_what_cannot_be_used_is_refused(
     asked.run(0.1)
     assert not asked.replies[0].is_done
     assert said in asked.replies[0].text
+
+
+def test_nodes_that_make_sums_in_hardware_get_no_gains() -> None:
+    world = World(small_contract(taxels='frontend = "analogue"'))
+    wanted = store(world.contract.layout, gains=np.full(world.contract.layout.taxels.count, 1.1))
+    asked = Asked(world)
+    asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
+    asked.run(1.0)
+    assert not asked.replies[0].is_done
+    assert "take off no gains: 'skin reconstruct --gains' does" in asked.replies[0].text
 
 
 def test_nodes_write_and_store_gains_and_offsets(small: Contract, tmp_path: Path) -> None:

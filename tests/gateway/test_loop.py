@@ -224,3 +224,15 @@ def test_bus_that_refuses_syncs_says_why_once_and_when_it_is_over(world: World) 
     end.takes = True
     world.run(PERIOD_S)
     assert [line for line in world.lines if "SYNC" in line] == ["bus0 takes SYNC again, after 3 that it did not take"]
+
+
+def test_analogue_sums_at_the_end_of_their_converter_are_not_usable() -> None:
+    world = World(small_contract(taxels='frontend = "analogue"'))
+    world.until_whole(2.0)
+    found = set()
+    for each in world.run(1.0):
+        sums = np.frombuffer(each.sums, "<i4")
+        usable = np.frombuffer(each.usable, np.uint8) != 0 if each.usable else np.ones(sums.size, np.bool_)
+        np.testing.assert_array_equal(usable, sums < 511 * 32)
+        found |= set(usable.tolist())
+    assert found == {False, True}

@@ -11,8 +11,7 @@ from dbc.canopen import NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.indices import OD_TEST_PATTERN
 from gateway.node_check import CYCLES, NodeCheck, NodeReport
-from nodes.electronics import Electronics
-from nodes.sampler import Sampler
+from nodes.sampler import new_sampler
 from nodes.synchronous_segment import SynchronousSegment
 from tests.gateway.world import Shaking, Wire, small_contract
 from tests.identity import IDENTITIES, with_identity
@@ -26,7 +25,7 @@ class Bench:
     def __init__(self, contract: Contract, built: Contract | None = None) -> None:
         self.contract, self.now_s = contract, 10.0
         self.wire = Wire()
-        sampler = Sampler(contract.phi, Shaking(), Electronics(contract.layout.taxels, noise_n=0.0))
+        sampler = new_sampler(contract.layout, contract.phi, Shaking(), noise_n=0.0)
         ids = {node.node_id for node in contract.on_bus(0)}
         self.segment = SynchronousSegment(
             built or contract, 0, ids, self.wire.nodes.send, sampler, complain=lambda _text: None
@@ -71,6 +70,11 @@ def test_a_board_that_keeps_the_contract(bus: str, identity: str) -> None:
     commands = [data[0] for can_id, data in bench.wire.log if can_id == 0]
     before_start = [first for first, second in itertools.pairwise(commands) if second == NmtCommand.START]
     assert before_start == [NmtCommand.ENTER_PRE_OPERATIONAL] * 3
+
+
+def test_a_board_that_makes_its_sums_in_hardware() -> None:
+    report = Bench(small_contract(taxels='frontend = "analogue"')).check()
+    assert (report.differences, report.notes) == ([], [])
 
 
 def test_a_test_pattern_that_was_on_is_noted_and_on_again() -> None:

@@ -235,18 +235,15 @@ def test_another_device_is_refused_by_name(small: Contract, index: int, answer: 
     [
         (("[sync]", "[encoding]\noffset_binary = true\n[sync]"), "2005h:0 (Encoding"),
         (("sums = 32", "sums = 32\nseed = 2"), "2002h:0 (Fingerprint"),
+        (("[taxels]", '[taxels]\nfrontend = "analogue"'), "2005h:0 (Encoding"),
     ],
-    ids=["encoding", "seed of Φ"],
+    ids=["encoding", "seed of Φ", "front end"],
 )
 def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
     small: Contract, change: tuple[str, str], words: str
 ) -> None:
-    other = Contract.from_layout(
-        parse_layout(
-            SMALL.format(top="", bus="nodes = 2", identity="window", measurement="sums = 32").replace(*change).encode(),
-            "other",
-        )
-    )
+    text = SMALL.format(top="", bus="nodes = 2", identity="window", measurement="sums = 32", taxels="")
+    other = Contract.from_layout(parse_layout(text.replace(*change).encode(), "other"))
     world = World(small, built=other)
     world.segments[1] = world.new_segment(1, small)
     world.segments[1].boot(world.now_s)

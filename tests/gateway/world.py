@@ -30,6 +30,7 @@ name = "small"
 [taxels]
 rows = 8
 columns = 16
+{taxels}
 [measurement]
 {measurement}
 [sync]
@@ -48,10 +49,10 @@ STEP_S = PERIOD_S / 2
 
 
 def small_contract(
-    top: str = "", bus: str = "nodes = 2", identity: str = "window", measurement: str = "sums = 32"
+    top: str = "", bus: str = "nodes = 2", identity: str = "window", measurement: str = "sums = 32", taxels: str = ""
 ) -> Contract:
-    """Return the contract of the small skin, with more lines at its `top` or other lines in its tables."""
-    text = SMALL.format(top=top, bus=bus, identity=identity, measurement=measurement)
+    """Return the contract of the small skin, with more lines at its `top` or in `taxels`, or others in its tables."""
+    text = SMALL.format(top=top, bus=bus, identity=identity, measurement=measurement, taxels=taxels)
     return Contract.from_layout(parse_layout(text.encode(), "small"))
 
 

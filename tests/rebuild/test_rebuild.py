@@ -88,6 +88,19 @@ def test_sums_of_a_recording_are_rounded_as_on_the_bus(force_n: np.ndarray, tmp_
     np.testing.assert_array_equal(loaded(out)[0], live_images(contract, sums, np.ones((CYCLES, 16), np.bool_)))
 
 
+def test_a_recording_of_a_skin_whose_sums_are_made_in_hardware(force_n: np.ndarray, tmp_path: Path, out: Path) -> None:
+    """The last frame is beyond the converters: blocks with the row of all ones are not valid."""
+    path, file = tmp_path / "mat.npy", tmp_path / "analogue.toml"
+    np.save(path, np.concatenate([force_n, np.full((1, 16, 16), 0.02, np.float32)]))
+    file.write_bytes(LAYOUT.replace(b"[taxels]", b'[taxels]\nfrontend = "analogue"', 1))
+    rebuild(path, out=out, layout=file, full_scale=0.02)
+    images, valid, _, _ = loaded(out)
+    phi = parse_layout(file.read_bytes(), "analogue").phi()
+    assert valid[:-1].all()
+    np.testing.assert_array_equal(valid[-1], ~phi.kept[:, 0])
+    assert np.abs(images[CYCLES - 1] - force_n[-1]).max() < 2e-3
+
+
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
 def test_a_log_gives_the_images_of_the_live_gateway(
     contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path, out: Path, suffix: str

@@ -7,16 +7,20 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from reconstructor import command
 from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.command import make_engine
 from reconstructor.engine import Reconstructor
+from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal
@@ -196,6 +200,11 @@ def test_adaptive_sums_give_an_image_of_what_is_known(hub: Fabric, endpoint: str
         assert service._mailbox.get().cycle == 10
     finally:
         fabric.close()
+
+
+def test_unclipped_noise_has_no_bias_to_correct() -> None:
+    with pytest.raises(InputError, match="--noise-n is for taxels that are clipped"):
+        make_engine(load_layout(Path("analogue")), SolverOptions(noise_n=1e-3))
 
 
 def test_options_of_the_solver_are_refused_for_adaptive_sums() -> None:

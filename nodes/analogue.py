@@ -1,0 +1,113 @@
+"""The electronics of boards that add currents before one converter for each sum."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from canskin.errors import InputError
+from nodes.electronics import Electronics
+from skin.defects import Force, of_sums
+from skin.frontend import SumConverter, SumModel, converter, row_times_s
+from skin.layout import Layout
+from skin.measurement import Sbhe
+from skin.taxel import NOISE_N
+
+
+class AnalogueElectronics(Electronics):
+    """An analogue front end: no taxel is clipped, and the converters read sums.
+
+    A test pattern shows what the converters would read of taxels with its counts. The boards have neither gains nor
+    offsets of taxels.
+
+    Parameters
+    ----------
+    layout : Layout
+        With an analogue front end.
+    phi : Sbhe
+        Of the layout.
+    noise_n : float
+        Standard deviation of the noise of a taxel, newtons.
+    seed : int
+        Same seed, same noise.
+    defects : mapping
+        Defects of taxels and of sums, as `skin.defects.parse_defects` returns them.
+
+    Raises
+    ------
+    InputError
+        If the sums of a block are read for longer than a period.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        phi: Sbhe,
+        *,
+        noise_n: float = NOISE_N,
+        seed: int = 0,
+        defects: Mapping[str, Any] | None = None,
+    ) -> None:
+        of_taxels, made_of_sums = of_sums(defects or {})
+        super().__init__(layout.taxels, noise_n=noise_n, seed=seed, defects=of_taxels, period_s=layout.sync.period_s)
+        self._phi = phi
+        self._sum_model = SumModel(**made_of_sums)
+        self.converter = _converter(layout)
+        skew = self._sum_model.skew
+        if skew is not None and row_times_s(phi, skew).max() > self.period_s:
+            rows = int(np.diff(phi.starts).max())
+            raise InputError(f"skew {skew.row_s:g}: {rows} sums of a block take longer than a period")
+        self._signal_n: Force = np.zeros(layout.taxels.count, np.float32)
+
+    @property
+    def is_skewed(self) -> bool:
+        """Whether the sums of a block are read one after the other."""
+        return self._sum_model.skew is not None
+
+    @property
+    def signal_n(self) -> Force:
+        """The currents of the taxels at the newest step, newtons, shape (n,): not clipped."""
+        return self._signal_n
+
+    def prepare(self, force_n: Force, step: int) -> None:
+        """Draw the noise at `step` before the sums are asked for."""
+        if step != self.sampled_ahead:
+            time_s = np.array([self.period_s * step])
+            signal_n = self._model.signal_of_moments(self._moments_n(force_n, step), self._random, time_s, clips=False)
+            self._signal_n, self.sampled_ahead = signal_n.ravel(), step
+
+    def read_sums(self, force_n: Force, later_n: Force | None, step: int) -> npt.NDArray[np.int32]:
+        """Return what the converters read, in counts of a taxel, shape (m,).
+
+        Parameters
+        ----------
+        force_n : array of float32, shape (rows, columns)
+            True forces at `step`.
+        later_n : array of float32, shape (rows, columns), optional
+            True forces at the next step, where sums are read one after the other.
+        step : int
+        """
+        self.prepare(force_n, step)
+        self.sampled_ahead = -1
+        change_n_per_s = None
+        if later_n is not None:
+            time_s = self.period_s * np.array([step, step + 1])
+            felt_n = self._model.felt_n(np.stack([force_n, later_n]), time_s).reshape(2, -1)
+            change_n_per_s = (felt_n[1] - felt_n[0]) / np.float32(self.period_s)
+        phi = self._phi
+        sums_n = self._sum_model.sums_n(phi, self._signal_n, self._random, change_n_per_s=change_n_per_s)
+        counts = self.converter.counts(sums_n)
+        shown = self.pattern[phi.taxels_of_blocks]
+        if (shown >= 0).any():
+            pattern_n = np.maximum(self.pattern, 0).astype(np.float32) * np.float32(self.taxels.newton_per_count)
+            shown_counts = self.converter.counts(np.asarray(phi.forward(pattern_n), np.float32))
+            counts = np.where((shown[:, 0] >= 0)[phi.block_of_sum], shown_counts, counts)
+        return counts
+
+
+def _converter(layout: Layout) -> SumConverter:
+    found = converter(layout)
+    if found is None:
+        raise InputError(f"taxels.frontend is '{layout.taxels.frontend}', expected 'analogue'")
+    return found

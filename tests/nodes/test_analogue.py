@@ -1,0 +1,88 @@
+"""Boards whose sums are made before the converters."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canskin.errors import InputError
+from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
+from dbc.indices import OD_TEST_PATTERN
+from nodes.sampler import Sampler, new_sampler
+from skin.defects import parse_defects
+from skin.layout import load_layout
+from skin.sources import Frame
+
+LAYOUT = load_layout(Path("analogue"))
+PHI = LAYOUT.phi()
+PERIOD_NS = 10_000_000
+STEP_COUNTS = 32
+STEP_N = STEP_COUNTS * LAYOUT.taxels.newton_per_count
+
+
+class Rising:
+    """A source whose forces rise by a fixed image in each step."""
+
+    has_noise = False
+    slope = np.random.default_rng(2).uniform(0, 0.002, (64, 64)).astype(np.float32)
+
+    def frame(self, step: int) -> Frame:
+        return Frame(step * self.slope, "rising")
+
+
+def boards(*defects: str, noise_n: float = 0.0) -> Sampler:
+    made = parse_defects(defects, 5, is_analogue=True)
+    return new_sampler(LAYOUT, PHI, Rising(), noise_n=noise_n, seed=1, defects=made)
+
+
+def error_n(sums: np.ndarray, step: float) -> np.ndarray:
+    return sums * LAYOUT.taxels.newton_per_count - PHI.forward(step * Rising.slope.ravel())
+
+
+def test_sums_are_those_of_phi_within_a_step_of_the_converter() -> None:
+    sampler = boards()
+    sums = sampler.sample(4, 0)
+    assert not (sums % STEP_COUNTS).any()
+    assert np.abs(error_n(sums, 3)).max() <= 0.51 * STEP_N
+    assert sampler.saturated(0) == 0
+
+
+def test_noise_of_taxels_is_added_and_not_clipped() -> None:
+    sampler = boards(noise_n=1e-3)
+    sums = sampler.sample(1, 0)
+    assert error_n(sums, 0).std() == pytest.approx(32**0.5 * 1e-3, rel=0.1)
+    assert abs(error_n(sums, 0)[PHI.row_of_sum == 0].mean()) < 3 * 32**0.5 * 1e-3 / 5
+    truth = sampler.take_truth()
+    assert truth is not None
+    assert np.frombuffer(truth.sensor, "<f4").min() < -1e-3
+
+
+def test_rows_that_are_read_later_see_the_touch_later() -> None:
+    sums = boards("skew=1e-3").sample(4, 0)
+    place = np.arange(PHI.shape[0]) - PHI.starts[PHI.block_of_sum]
+    for late in (0, 7):
+        found = error_n(sums, 3 + late * 0.1)[place == late]
+        assert np.abs(found).max() <= 0.51 * STEP_N
+
+
+def test_rows_that_are_read_for_longer_than_a_period_are_refused() -> None:
+    with pytest.raises(InputError, match=r"skew 0.005: 8 sums of a block take longer than a period"):
+        boards("skew=0.005")
+
+
+def test_mismatch_and_offsets_reach_the_sums() -> None:
+    assert np.abs(error_n(boards("mismatch=0.05").sample(4, 0), 3)).max() > 5 * STEP_N
+    offsets = error_n(boards("sum-offset").sample(1, 0), 0)
+    assert offsets.std() == pytest.approx(0.01, rel=0.1)
+
+
+def test_test_patterns_show_what_the_converters_would_read() -> None:
+    sampler = boards(noise_n=1e-3)
+    sampler.adjust(5, OD_TEST_PATTERN, 0, PATTERN_RAMP)
+    sampler.adjust(6, OD_TEST_PATTERN, 0, PATTERN_FULL)
+    sums = sampler.sample(1, 0)
+    ramp, full = (sums[PHI.starts[block] : PHI.starts[block + 1]] // STEP_COUNTS for block in (5, 6))
+    exact = np.array([sum((-1) ** (row & place).bit_count() * place for place in range(32)) for row in PHI.rows_of(5)])
+    assert ramp.tolist() == np.rint(exact / STEP_COUNTS).tolist()
+    assert full.tolist() == [2047 if row == 0 else 0 for row in PHI.rows_of(6)]
+    assert sampler.saturated(6) == (0 in PHI.rows_of(6))
