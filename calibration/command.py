@@ -79,7 +79,7 @@ def calibration(
     out: Path | None = None,
     json: Json = False,
 ) -> None:
-    """Show, save or load the calibration of a running gateway; find the gains of taxels.
+    """Show, save or load the calibration of a running gateway; find the gains of taxels and of analogue sums.
 
     Parameters
     ----------
@@ -167,6 +167,7 @@ def _words(stored: StoredCalibration) -> str:
     known = [each for each in stored.offsets_n if each is not None]
     parts = [f"offsets of {len(known)} of {len(stored.offsets_n)} sums"] if known else []
     parts += [f"gains of {len(stored.gains)} taxels"] if stored.gains else []
+    parts += [f"gains of {len(stored.differential_gains)} sums"] if stored.differential_gains else []
     return ", ".join(parts) or "nothing"
 
 
@@ -186,6 +187,10 @@ def _show(skin: Layout, connect: str, path: Path | None, *, as_json: bool) -> No
         ]
     if stored.gains:
         rows.append(("gains of taxels", f"{min(stored.gains):.3f} to {max(stored.gains):.3f}"))
+    if stored.differential_gains:
+        both = (stored.differential_gains, stored.common_mode_gains)
+        ranges = [f"{min(each):.3f} to {max(each):.3f}" for each in both]
+        rows.append(("gains of sums", f"differential {ranges[0]}, common mode {ranges[1]}"))
     if status is not None:
         rows += [
             ("zero", status.state.value),

@@ -53,15 +53,21 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
         raise InputError(f"{path}: expected a recording ({RECORDING_SUFFIX}), or a table of gains (.csv)")
     if force_n is None:
         raise InputError("expected the force of the weight: --force-n NEWTONS")
+    if taxels.is_analogue and before is not None:
+        raise InputError("--before is for nodes that take off gains: boards that make sums in hardware take off none")
     if skin.sending == "adaptive":
         raise InputError("gains are found in the sums of synchronous layouts")
     sums_n, images_n = _rolled(skin, path)
-    found = find_gains(skin.phi(), sums_n, images_n, force_n)
+    found = find_gains(skin.phi(), sums_n, images_n, force_n, is_analogue=taxels.is_analogue)
     known = found.gains[found.known]
     say("calibration", f"{found.cycles} cycles; gains of {known.size} of {taxels.count} taxels, others stay 1")
     # What feels next to nothing is no matter of gain: a node would make its noise a force.
     gains = np.where(found.gains < LEAST_FELT, 1.0, found.gains)
-    return store(skin, gains=gains * _gains_before(skin, path, before), defects=defects_of(found, taxels.columns))
+    words = defects_of(found, taxels.columns)
+    if found.sums is not None:
+        say("calibration", f"gains of {sums_n.shape[1]} sums")
+        return store(skin, gains=gains, sum_gains=found.sums, defects=words)
+    return store(skin, gains=gains * _gains_before(skin, path, before), defects=words)
 
 
 def _gains_before(skin: Layout, path: Path, before: Path | None) -> Floats:

@@ -1,9 +1,13 @@
-"""The gain of every taxel, from a known weight that was rolled over the skin.
+"""The gain of every taxel, and of every analogue sum, from a known weight that was rolled over the skin.
 
 The weight is round where it touches, and its contact does not change while it rolls: so its profile over the distance
 from the centre is the mean over all images, in which gains cancel. With the profile at each centre, scaled to the known
 force, the forces f of a cycle are known, and the sums are y = Φ diag(f) g. Block by block the gains g are the least
 squares solution, pulled towards 1 where a taxel was hardly touched.
+
+The sums of an analogue front end have gains D and C, too (`skin.defects.SumGains`): y = (D H + C H_0) diag(f) g. The
+gains g of the taxels and D and C of the sums of a block are found together, by the method of Gauss and Newton, pulled
+towards 1, 1 and 0.
 """
 
 from typing import Final, NamedTuple
@@ -13,6 +17,8 @@ import numpy.typing as npt
 
 from calibration.windows import Bools, Floats
 from canskin.errors import InputError
+from skin.defects import SumGains
+from skin.frontend import with_gains
 from skin.measurement import Sbhe, fast_hadamard
 
 #: A contact is what is above this part of an image's largest force.
@@ -22,8 +28,13 @@ RING: Final = 0.25
 BEYOND: Final = 2.0
 #: Deviation of gains before they are measured.
 SPREAD: Final = 0.1
+#: The same of gains of sums. A common factor of a block's taxels is one of its sums, too: most of it is given to the
+#: taxels, whose gains deviate more.
+SUM_SPREAD: Final = 0.02
 #: Gains are found and taken off the images, once more: centres and profile are better then.
 PASSES: Final = 2
+#: Steps of Gauss and Newton in a pass.
+STEPS: Final = 3
 #: A gain is known if the weight tells so many times more of it than `SPREAD` does.
 LEAST_RATIO: Final = 25.0
 #: Fewest cycles with the whole weight on the skin.
@@ -47,14 +58,17 @@ class Gains(NamedTuple):
         Taxels that the weight rolled over.
     cycles : int
         Cycles that were used: those with the whole weight on the skin.
+    sums : SumGains, optional
+        Of an analogue front end.
     """
 
     gains: Floats
     known: Bools
     cycles: int
+    sums: SumGains | None = None
 
 
-def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float) -> Gains:
+def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, is_analogue: bool = False) -> Gains:
     """Return the gains of all taxels.
 
     Parameters
@@ -66,6 +80,8 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float) -> G
         The images of these sums.
     force_n : float
         The weight's force.
+    is_analogue : bool
+        Sums have gains, too.
 
     Raises
     ------
@@ -76,6 +92,7 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float) -> G
         raise InputError(f"expected the force of the weight, a number of newtons above 0, got {force_n:g}")
     gains = np.ones(phi.shape[1])
     known = np.zeros(phi.shape[1], np.bool_)
+    of_sums = SumGains(np.ones(phi.shape[0]), np.zeros(phi.shape[0])) if is_analogue else None
     cycles = 0
     for _ in range(PASSES):
         felt_n = images_n / gains.reshape(images_n.shape[1:])
@@ -87,8 +104,11 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float) -> G
                 " else: roll it slowly over all of the skin"
             )
         forces_n = _forces(felt_n[whole], force_n)
-        gains, known = _solved(phi, sums_n[whole], forces_n, gains)
-    return Gains(gains, known, cycles)
+        if of_sums is None:
+            gains, known = _solved(phi, sums_n[whole], forces_n, gains)
+            continue
+        gains, known, of_sums = _solved_with_sums(phi, sums_n[whole], forces_n, gains, of_sums)
+    return Gains(gains, known, cycles, of_sums)
 
 
 def defects_of(found: Gains, columns: int) -> list[str]:
@@ -164,3 +184,64 @@ def _solved(phi: Sbhe, sums_n: Floats, forces_n: npt.NDArray[np.float32], before
         gains[taxels] = np.linalg.solve(normal + pull * np.eye(len(taxels)), right + pull)
     gains[~known] = 1.0
     return gains, known
+
+
+def _solved_with_sums(
+    phi: Sbhe, sums_n: Floats, forces_n: npt.NDArray[np.float32], before: Floats, of_sums: SumGains
+) -> tuple[Floats, Bools, SumGains]:
+    """Return the gains of taxels, which of them are known, and those of sums: Gauss-Newton steps, block by block."""
+    read_n = forces_n * before.astype(np.float32)
+    expected_n = with_gains(phi, read_n, np.asarray(phi.forward(read_n), np.float32), of_sums)
+    pull = float(np.mean(np.square(sums_n - expected_n, dtype=np.float64))) / SPREAD**2
+    gains, known = before.copy(), np.zeros(phi.shape[1], np.bool_)
+    differential, common_mode = of_sums.differential.copy(), of_sums.common_mode.copy()
+    hadamard = np.asarray(fast_hadamard(np.eye(phi.block_size)), np.float64)
+    for block, taxels in enumerate(phi.taxels_of_blocks):
+        mine = slice(phi.starts[block], phi.starts[block + 1])
+        force_n = forces_n[:, taxels].astype(np.float64)
+        model = _BlockGains(gains[taxels], differential[mine], common_mode[mine], hadamard[phi.kept[block]])
+        power, seen = force_n.T @ force_n, force_n.T @ sums_n[:, mine]
+        for _ in range(STEPS):
+            model, certain = model.nearer(power, seen, pull)
+        gains[taxels], differential[mine], common_mode[mine] = model[:3]
+        known[taxels] = certain > LEAST_RATIO * pull
+    gains[~known] = 1.0
+    return gains, known, SumGains(differential, common_mode)
+
+
+class _BlockGains(NamedTuple):
+    """Gains of the taxels (B,) and sums (K,) of a block, and the signs (K, B): y_k = Σ (D_k s_k + C_k) g f."""
+
+    taxels: Floats
+    differential: Floats
+    common_mode: Floats
+    signs: Floats
+
+    def nearer(self, power: Floats, seen: Floats, pull: float) -> tuple["_BlockGains", Floats]:
+        """Return the gains after a Gauss-Newton step, and what is known of each taxel's.
+
+        Parameters
+        ----------
+        power : array, shape (B, B)
+            fᵀf of the forces f, shape (cycles, B).
+        seen : array, shape (B, K)
+            fᵀy of the sums y.
+        pull : float
+            Weight of gains of 1 and 0.
+        """
+        size, sums = self.taxels.size, self.differential.size
+        weights = self.differential[:, None] * self.signs + self.common_mode[:, None]
+        left = seen - power @ (weights * self.taxels).T
+        # (sums, taxels, unknowns): how the weight of each taxel in each sum changes with the unknowns.
+        change = np.zeros((sums, size, size + 2 * sums))
+        of_sum = np.arange(sums)
+        change[:, np.arange(size), np.arange(size)] = weights
+        change[of_sum, :, size + of_sum] = self.signs * self.taxels
+        change[of_sum, :, size + sums + of_sum] = self.taxels
+        normal = np.einsum("kti,tu,kuj->ij", change, power, change, optimize=True)
+        right = np.einsum("kti,tk->i", change, left)
+        unknown = np.concatenate([self.taxels - 1, self.differential - 1, self.common_mode])
+        pulls = pull * np.repeat([1.0, (SPREAD / SUM_SPREAD) ** 2], [size, 2 * sums])
+        step = np.linalg.solve(normal + np.diag(pulls), right - pulls * unknown)
+        taxels, differential, common_mode = np.split(unknown + step, [size, size + sums])
+        return _BlockGains(1 + taxels, 1 + differential, common_mode, self.signs), np.diag(normal)[:size]

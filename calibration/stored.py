@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from calibration.windows import Floats
 from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import MEASUREMENT, Measurement
+from skin.defects import SumGains
 from skin.layout import Layout
 from skin.mcap_file import CALIBRATION_FILE, message_decoder, newest_file, read_entries
 from skin.measured_sums import check_measurement
@@ -18,6 +19,8 @@ from skin.service import say
 
 #: No gain is stored that is not between these.
 LEAST_GAIN, MOST_GAIN = 0.01, 100.0
+#: Of files: 2 can hold gains of sums.
+VERSION: Final = 2
 
 _Gain = Annotated[float, msgspec.Meta(ge=LEAST_GAIN, le=MOST_GAIN)]
 
@@ -39,6 +42,10 @@ class StoredCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         Of each taxel, row-major, newtons: for nodes.
     defects : list of str
         In words.
+    differential_gains, common_mode_gains : list of float
+        Of each analogue sum, see `skin.defects.SumGains`.
+    version : int
+        Of the file; files without it are of version 1.
     """
 
     skin: str
@@ -49,6 +56,15 @@ class StoredCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     gains: list[_Gain] = []
     taxel_offsets_n: list[float] = []
     defects: list[str] = []
+    differential_gains: list[_Gain] = []
+    common_mode_gains: list[float] = []
+    version: int = 1
+
+    def sum_gains(self) -> SumGains | None:
+        """Return the gains of the sums; None without any."""
+        if not self.differential_gains:
+            return None
+        return SumGains(np.array(self.differential_gains), np.array(self.common_mode_gains))
 
     def sum_offsets_n(self) -> Floats | None:
         """Return the offsets of the sums, shape (m,), NaN for unknown ones; None without any."""
@@ -70,11 +86,18 @@ class StoredCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         return offsets_n
 
 
+class _Version(msgspec.Struct, frozen=True):
+    """The version of a file of any version."""
+
+    version: int = 1
+
+
 def store(
     layout: Layout,
     *,
     offsets_n: Floats | None = None,
     gains: Floats | None = None,
+    sum_gains: SumGains | None = None,
     defects: list[str] | None = None,
 ) -> StoredCalibration:
     """Return a calibration of a skin, made now."""
@@ -86,6 +109,9 @@ def store(
         offsets_n=[] if offsets_n is None else _or_none(offsets_n),
         gains=[] if gains is None else np.clip(gains, LEAST_GAIN, MOST_GAIN).tolist(),
         defects=defects or [],
+        differential_gains=[] if sum_gains is None else np.clip(sum_gains.differential, LEAST_GAIN, MOST_GAIN).tolist(),
+        common_mode_gains=[] if sum_gains is None else np.clip(sum_gains.common_mode, -MOST_GAIN, MOST_GAIN).tolist(),
+        version=1 if sum_gains is None else VERSION,
     )
 
 
@@ -163,6 +189,11 @@ def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCali
         If it is no calibration, or belongs to another skin.
     """
     try:
+        version = msgspec.json.decode(content, type=_Version).version
+        if version > VERSION:
+            raise InputError(
+                f"{origin}: a calibration of version {version}, expected {VERSION} at most: update canskin"
+            )
         stored = msgspec.json.decode(content, type=StoredCalibration)
     except UNDECODABLE as error:
         raise InputError(f"{origin}: expected a file of 'skin calibration save': {error}") from error
@@ -178,9 +209,13 @@ def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCali
         ("offsets_n", stored.offsets_n, phi.shape[0], phi.block_size * most_n),
         ("gains", stored.gains, phi.shape[1], MOST_GAIN),
         ("taxel_offsets_n", stored.taxel_offsets_n, phi.shape[1], most_n),
+        ("differential_gains", stored.differential_gains, phi.shape[0], MOST_GAIN),
+        ("common_mode_gains", stored.common_mode_gains, phi.shape[0], MOST_GAIN),
     ):
         if found and len(found) != wanted:
             raise InputError(f"{origin}: expected {wanted} {name}, or none, got {len(found)}")
         if (np.abs(np.array(found, np.float64)) > most).any():  # None becomes NaN, which JSON does not have
             raise InputError(f"{origin}: {name} that this skin cannot have: expected -{most:g} to {most:g}")
+    if len(stored.differential_gains) != len(stored.common_mode_gains):
+        raise InputError(f"{origin}: expected differential_gains and common_mode_gains, or neither")
     return stored

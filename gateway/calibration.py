@@ -228,7 +228,14 @@ class GatewayCalibration:
 
         def tell() -> None:
             present = store(self._contract.layout, offsets_n=offsets_n, defects=status.defects)
-            whole = msgspec.structs.replace(present, gains=known.gains, taxel_offsets_n=known.taxel_offsets_n)
+            whole = msgspec.structs.replace(
+                present,
+                gains=known.gains,
+                taxel_offsets_n=known.taxel_offsets_n,
+                differential_gains=known.differential_gains,
+                common_mode_gains=known.common_mode_gains,
+                version=known.version,
+            )
             text = _ADAPTIVE if self._contract.layout.sending == "adaptive" else "the calibration in use"
             reply(CalibrationReply(is_done=True, text=text, status=status, content=encoded(whole)))
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.stored import load_calibration
 from canskin.errors import InputError
@@ -14,6 +13,7 @@ from canskin.session import DEFAULT_ENDPOINT
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
+from reconstructor.gains import KnownGains
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
 from skin.layout import Layout, load_layout
@@ -41,7 +41,8 @@ def reconstruct(
     solver
         Solver of the images; a layout with adaptive sending has one of its own.
     gains
-        File of ``skin calibration gain``: gains of the taxels that the nodes do not take off (2010h).
+        File of ``skin calibration gain``: gains of the taxels that the nodes do not take off (2010h), and of analogue
+        sums.
 
     Examples
     --------
@@ -98,8 +99,8 @@ def make_engine(skin: Layout, options: SolverOptions | None) -> tuple[Reconstruc
     return engine, f"{settings.iterations} iterations{basis}"
 
 
-def load_gains(path: Path | None, skin: Layout) -> npt.NDArray[np.float64] | None:
-    """Return the gains of taxels in a file, shape (n,); None without a file.
+def load_gains(path: Path | None, skin: Layout) -> KnownGains | None:
+    """Return the gains in a file; None without a file.
 
     Raises
     ------
@@ -110,7 +111,7 @@ def load_gains(path: Path | None, skin: Layout) -> npt.NDArray[np.float64] | Non
         return None
     if skin.sending == "adaptive":
         raise InputError("--gains is for synchronous sending: write gains to adaptive boards (2010h)")
-    gains = load_calibration(path, skin).gains
-    if not gains:
+    stored = load_calibration(path, skin)
+    if not stored.gains:
         raise InputError(f"{path}: has no gains of taxels: expected a file of 'skin calibration gain'")
-    return np.array(gains)
+    return KnownGains(np.array(stored.gains), stored.sum_gains())

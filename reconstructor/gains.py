@@ -1,40 +1,64 @@
-"""Known gains of taxels in the sums: y = Φ diag(g) f, where the solvers know y = Φ f.
+"""Known gains of taxels and of analogue sums, where the solvers know y = Φ f.
 
-The sums less Φ diag(g - 1) f are those of taxels without gains. The image of the cycle before stands for f: so the
-error of the correction is (g - 1) times the change of the force in a cycle. The solver stays as it is, and its sparse
-image is that of the forces.
+Φ with gains has the rows (D_k H_k + C_k H_0) diag(g) (`skin.defects.SumGains`; D = 1 and C = 0 where nodes add numbers).
+Sums are divided by D. Less (H_k diag(g - 1) + C_k / D_k H_0 diag(g)) f they are then those of Φ. The image of the cycle
+before stands for f: so the error of the correction is that of g - 1 and C times the change of the force in a cycle. The
+solver and its fast Φ stay as they are, and the sparse image is that of the forces.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
+from skin.defects import SumGains
 from skin.measurement import Sbhe, fast_hadamard
 
 Floats = npt.NDArray[np.float32]
 
 
+class KnownGains(NamedTuple):
+    """Gains of a skin.
+
+    Attributes
+    ----------
+    taxels : array, shape (n,)
+        Reading / force of each taxel, row-major.
+    sums : SumGains, optional
+        Of an analogue front end.
+    """
+
+    taxels: npt.NDArray[np.floating]
+    sums: SumGains | None = None
+
+
 class GainCorrection:
-    """Takes the known gains of taxels off sums, one cycle after the other.
+    """Takes known gains off sums, one cycle after the other.
 
     Parameters
     ----------
     phi : Sbhe
-    gains : array, shape (n,)
-        Reading / force of each taxel, row-major.
+    gains : KnownGains
     """
 
-    def __init__(self, phi: Sbhe, gains: npt.NDArray[np.floating]) -> None:
+    def __init__(self, phi: Sbhe, gains: KnownGains) -> None:
         taxels = phi.taxels_of_blocks[phi.block_of_sum]
         signs = np.asarray(fast_hadamard(np.eye(phi.block_size)))[phi.row_of_sum]
         sums = np.repeat(np.arange(phi.shape[0]), phi.block_size)
-        excess = ((gains[taxels] - 1) * signs).astype(np.float32)
+        of_taxels = gains.taxels[taxels]
+        excess = (of_taxels - 1) * signs
+        self._differential: np.float32 | Floats = np.float32(1)
+        if gains.sums is not None:
+            self._differential = gains.sums.differential.astype(np.float32)
+            excess += (gains.sums.common_mode / gains.sums.differential)[:, None] * of_taxels
+        excess = excess.astype(np.float32)
         self._excess = csr_array((excess.ravel(), (sums, taxels.ravel())), shape=phi.shape)
         self._before = np.zeros(phi.shape[1], np.float32)
 
     def apply(self, sums_n: Floats) -> Floats:
-        """Return the sums of taxels without gains, newtons, shape (m,)."""
-        corrected: Floats = sums_n - self._excess @ self._before
+        """Return the sums without gains, newtons, shape (m,)."""
+        corrected: Floats = sums_n / self._differential - self._excess @ self._before
         return corrected
 
     def keep(self, image: Floats) -> None:

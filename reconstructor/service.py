@@ -15,7 +15,7 @@ from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Meas
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
-from reconstructor.gains import GainCorrection
+from reconstructor.gains import GainCorrection, KnownGains
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, used_blocks
 from skin.service import StopSignal, request_real_time
@@ -40,8 +40,8 @@ class ReconstructorService:
     solver : Reconstructor or AdaptiveReconstructor
         For the layout's Φ and grid, and its way of sending.
     fabric : Exchange
-    gains : array, shape (n,), optional
-        Reading / force of each taxel; only with synchronous sending.
+    gains : KnownGains, optional
+        Of taxels and sums; only with synchronous sending.
     clock_ns : callable, optional
         Monotonic time: when an image is published.
 
@@ -57,7 +57,7 @@ class ReconstructorService:
         solver: Reconstructor | AdaptiveReconstructor,
         fabric: Exchange,
         *,
-        gains: npt.NDArray[np.floating] | None = None,
+        gains: KnownGains | None = None,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.images = 0
@@ -134,7 +134,7 @@ class ReconstructorService:
 class _Cycles:
     """Images of cycles."""
 
-    def __init__(self, layout: Layout, solver: Reconstructor, gains: npt.NDArray[np.floating] | None) -> None:
+    def __init__(self, layout: Layout, solver: Reconstructor, gains: KnownGains | None) -> None:
         self._newton_per_count = np.float32(layout.taxels.newton_per_count)
         self._gains = None if gains is None else GainCorrection(layout.phi(), gains)
         self._solver = solver

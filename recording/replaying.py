@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
 
 from canskin.fabric import Exchange, Fabric, Mailbox
 from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.engine import Reconstructor
+from reconstructor.gains import KnownGains
 from reconstructor.service import ReconstructorService
 from recording.sinks import Sink
 from recording.steps import Step
@@ -121,7 +120,7 @@ class Replay:
     outputs : iterable of Output
     sink : Sink, optional
         Receives the frames, whose clock is `offset_ns` behind the wall clock.
-    gains : array, shape (n,), optional
+    gains : KnownGains, optional
         See `reconstructor.service.ReconstructorService`.
     """
 
@@ -134,7 +133,7 @@ class Replay:
         *,
         sink: Sink | None = None,
         offset_ns: int = 0,
-        gains: npt.NDArray[np.floating] | None = None,
+        gains: KnownGains | None = None,
     ) -> None:
         self.report = Report()
         self._outputs = list(outputs)

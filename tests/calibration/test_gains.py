@@ -11,8 +11,11 @@ from calibration.gains import defects_of, find_gains
 from calibration.stored import StoredCalibration, encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from skin.defects import Mismatch, SumGains
+from skin.frontend import with_gains
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
+from skin.measurement import fast_hadamard
 
 LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32", "test")
 PHI = LAYOUT.phi()
@@ -54,6 +57,29 @@ def test_gains_are_found_within_a_few_percent(gains: np.ndarray) -> None:
     assert abs(error[found.known].mean()) < 0.03
     assert (found.gains[~found.known] == 1).all()
     assert defects_of(found, SIDE) == []
+
+
+def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarray) -> None:
+    """Gains of 5 % of the paths and of 10 % of the taxels: what is left is a small part of both."""
+    made = Mismatch(0.05, seed=3).gains(PHI.shape[0])
+    readings = (FORCES.reshape(len(FORCES), -1) * gains).astype(np.float32)
+    noise = np.random.default_rng(2).normal(0, 2e-4, (len(readings), PHI.shape[0]))
+    sums = with_gains(PHI, readings, PHI.forward(readings), made) + noise
+    found = find_gains(PHI, sums, felt(gains)[1], WHOLE_N, is_analogue=True)
+    assert found.sums is not None
+    assert (found.gains / gains - 1)[found.known].std() < 0.04
+    chains = PHI.taxels_of_blocks[PHI.block_of_sum]
+    signs = np.asarray(fast_hadamard(np.eye(PHI.block_size)))[PHI.row_of_sum]
+
+    def weights(taxels: np.ndarray, of_sums: SumGains) -> np.ndarray:
+        return taxels[chains] * (of_sums.differential[:, None] * signs + of_sums.common_mode[:, None])
+
+    assert (weights(gains, made) / signs).std() > 0.08
+    error = (weights(found.gains, found.sums) / weights(gains, made) - 1)[found.known[chains]]
+    assert error.std() < 0.02
+    assert abs(error.mean()) < 0.03
+    rows = PHI.row_of_sum > 0  # of the row of all ones D + C alone can be found
+    assert (found.sums.common_mode - made.common_mode)[rows].std() < 0.1 * made.common_mode.std()
 
 
 def test_a_dead_taxel_is_named(gains: np.ndarray) -> None:
@@ -140,6 +166,22 @@ def test_cycles_of_a_gateway_that_started_again_are_other_cycles(gains: np.ndarr
     whole = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains), WHOLE_N)
     twice = stored_gains(LAYOUT, recording(tmp_path / "twice.mcap", gains, restart=len(FORCES) // 2), WHOLE_N)
     assert twice.gains == pytest.approx(whole.gains)
+
+
+def test_a_roll_over_an_analogue_skin_stores_the_gains_of_its_sums(gains: np.ndarray, tmp_path: Path) -> None:
+    replace = msgspec.structs.replace
+    analogue = replace(LAYOUT, taxels=replace(LAYOUT.taxels, frontend="analogue"))
+    path = recording(tmp_path / "run.mcap", gains)
+    stored = stored_gains(analogue, path, WHOLE_N)
+    assert len(stored.differential_gains) == len(stored.common_mode_gains) == PHI.shape[0]
+    save_calibration(tmp_path / "gains.json", stored)
+    loaded = load_calibration(tmp_path / "gains.json", analogue)
+    assert loaded == stored
+    of_sums = loaded.sum_gains()
+    assert of_sums is not None
+    np.testing.assert_array_equal(of_sums.common_mode, stored.common_mode_gains)
+    with pytest.raises(InputError, match="--before is for nodes that take off gains"):
+        stored_gains(analogue, path, WHOLE_N, tmp_path / "gains.json")
 
 
 def test_a_dead_taxel_gets_no_gain(gains: np.ndarray, tmp_path: Path) -> None:

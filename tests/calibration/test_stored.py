@@ -29,6 +29,8 @@ BAD = (
     ({"offsets_n": [1.0] * PHI.shape[0]}, "offsets_n that this skin cannot have: expected -0.64 to 0.64"),
     ({"taxel_offsets_n": [0.03] * PHI.shape[1]}, "taxel_offsets_n that this skin cannot have: expected -0.02 to 0.02"),
     ({"gains": [0.0] * PHI.shape[1]}, "expected a file of 'skin calibration save'"),
+    ({"differential_gains": [1.0] * PHI.shape[0]}, "expected differential_gains and common_mode_gains, or neither"),
+    ({"version": 3, "news": 1}, "a calibration of version 3, expected 2 at most: update canskin"),
     ({"more": 1}, "expected a file of 'skin calibration save'"),
 )
 

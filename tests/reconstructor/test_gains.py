@@ -12,7 +12,10 @@ from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, Topic
 from reconstructor.command import load_gains
 from reconstructor.engine import Reconstructor
+from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.service import ReconstructorService
+from skin.defects import Mismatch
+from skin.frontend import with_gains
 from skin.layout import load_layout
 from skin.psnr import psnr_db
 from tests.reconstructor.test_service import LAYOUT, measurement
@@ -37,7 +40,8 @@ class Images:
 
 def psnr_of_a_slide(gains: np.ndarray, known: np.ndarray | None) -> float:
     images = Images()
-    service = ReconstructorService(LAYOUT, Reconstructor(LAYOUT.phi(), *SHAPE), images, gains=known)
+    taken_off = None if known is None else KnownGains(known)
+    service = ReconstructorService(LAYOUT, Reconstructor(LAYOUT.phi(), *SHAPE), images, gains=taken_off)
     i, j = np.indices(SHAPE)
     for cycle in range(20):
         true_n = (0.012 * np.exp(-((i - 30) ** 2 + (j - 20 - cycle / 2) ** 2) / 30)).astype(np.float32)
@@ -55,10 +59,27 @@ def test_gains_cost_little_when_they_are_known() -> None:
 def test_gains_come_from_a_calibration(tmp_path: Path) -> None:
     path = tmp_path / "gains.json"
     save_calibration(path, store(LAYOUT, gains=GAINS.ravel()))
-    np.testing.assert_array_equal(load_gains(path, LAYOUT), GAINS.ravel())
+    loaded = load_gains(path, LAYOUT)
+    assert loaded is not None
+    np.testing.assert_array_equal(loaded.taxels, GAINS.ravel())
+    assert loaded.sums is None
     assert load_gains(None, LAYOUT) is None
     save_calibration(path, store(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums)))
     with pytest.raises(InputError, match="has no gains of taxels"):
         load_gains(path, LAYOUT)
     with pytest.raises(InputError, match="synchronous"):
         load_gains(path, load_layout(Path("adaptive"), adaptive=True))
+
+
+def test_known_gains_of_analogue_sums_are_taken_off() -> None:
+    """At rest what is left is the sums of Φ, as soon as the image is that of the forces."""
+    phi, random = LAYOUT.phi(), np.random.default_rng(5)
+    force_n = random.uniform(0, 0.02, phi.shape[1]).astype(np.float32)
+    of_sums = Mismatch(0.05, seed=2).gains(phi.shape[0])
+    read_n = (GAINS.ravel() * force_n).astype(np.float32)
+    exact_n = np.asarray(phi.forward(force_n), np.float32)
+    sums_n = with_gains(phi, read_n, np.asarray(phi.forward(read_n), np.float32), of_sums)
+    correction = GainCorrection(phi, KnownGains(GAINS.ravel(), of_sums))
+    correction.keep(force_n.reshape(SHAPE))
+    np.testing.assert_allclose(correction.apply(sums_n), exact_n, atol=2e-6)
+    assert np.abs(sums_n - exact_n).max() > 5e-3
