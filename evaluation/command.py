@@ -29,6 +29,7 @@ Subject = Literal[
     "contacts",
     "calibration",
     "wiring",
+    "frontend",
     "classification",
     "recognition",
     "postures",
@@ -47,6 +48,7 @@ SUBJECTS: Final[dict[str, str]] = {
     "contacts": "evaluation.schemes.contacts:evaluate",
     "calibration": "evaluation.schemes.calibration:evaluate",
     "wiring": "evaluation.schemes.wiring:evaluate",
+    "frontend": "evaluation.schemes.frontend:evaluate",
     "classification": "evaluation.recognition.classification:evaluate",
     "recognition": "evaluation.recognition.beyond:evaluate",
     "postures": "evaluation.recognition.postures:evaluate",
@@ -63,6 +65,7 @@ _WITHOUT_DRAWS: Final = (
     "contacts",
     "calibration",
     "wiring",
+    "frontend",
 )
 
 
@@ -100,8 +103,8 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``noiselets``,
-        ``rivals``, ``rates``, ``contacts``, ``calibration`` and ``wiring`` average over none; ``all`` hands them to the
-        others.
+        ``rivals``, ``rates``, ``contacts``, ``calibration``, ``wiring`` and ``frontend`` average over none; ``all``
+        hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes

@@ -1,6 +1,6 @@
 """Known gains of taxels and of analogue sums, where the solvers know y = Φ f.
 
-Φ with gains has the rows (D_k H_k + C_k H_0) diag(g) (`skin.defects.SumGains`; D = 1 and C = 0 where nodes add numbers).
+Φ with gains has the rows (D_k H_k + C_k H_0) diag(g) (`skin.defects.SumGains`; 1 and 0 where nodes add numbers).
 Sums are divided by D. Less (H_k diag(g - 1) + C_k / D_k H_0 diag(g)) f they are then those of Φ. The image of the cycle
 before stands for f: so the error of the correction is that of g - 1 and C times the change of the force in a cycle. The
 solver and its fast Φ stay as they are, and the sparse image is that of the forces.

@@ -101,6 +101,7 @@ def test_all_hands_draws_only_to_those_that_average(
         "calibration",
         "wiring",
         "noiselets",
+        "frontend",
     }
 
 
