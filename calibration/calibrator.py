@@ -12,7 +12,7 @@ import numpy.typing as npt
 from calibration.defects import DefectFinder, Defects
 from calibration.drift import LONGEST_HELD, DriftFollower, line_through
 from calibration.touched import Touch, TouchFinder
-from calibration.windows import Bools, Floats, Window, WindowMeans
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, tare_s
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
@@ -22,8 +22,6 @@ from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
 Tare = Literal["at-start", "never"]
-#: The zero is measured over so many windows.
-TARE_WINDOWS: Final = 8
 #: Sums with a zero, part of all, with which the skin counts as tared; the others follow when their blocks are valid.
 LEAST_KNOWN: Final = 0.5
 #: Forces below zero for so many windows: the zero was measured under a touch. Twice as many after every attempt that
@@ -92,7 +90,8 @@ class Calibrator:
         self._tares = tares and self._is_on
         self._say = say
         self._newton_per_count = layout.taxels.newton_per_count
-        self._windows = WindowMeans(self._phi, layout.sync.period_s, self._newton_per_count)
+        self._period_s = layout.sync.period_s
+        self._windows = WindowMeans(self._phi, self._period_s, self._newton_per_count)
         self._finder = TouchFinder(self._phi, layout.taxels.rows, layout.taxels.columns)
         self._reads_sums = layout.taxels.is_analogue
         self._step_n = sum_step_n(layout)
@@ -134,7 +133,7 @@ class Calibrator:
     @property
     def tare_s(self) -> float:
         """Time for which the skin must be untouched, seconds."""
-        return TARE_WINDOWS * self._windows.length_ns * 1e-9
+        return tare_s(self._period_s)
 
     @property
     def has_few_sums(self) -> bool:

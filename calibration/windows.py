@@ -11,6 +11,8 @@ from skin.measurement import Sbhe
 #: Length of a window, and the fewest cycles in it.
 WINDOW_S: Final = 0.25
 LEAST_CYCLES: Final = 8
+#: The zero is measured over so many windows.
+TARE_WINDOWS: Final = 8
 #: A block counts after it has been valid for so long: nodes that average learn their noise first.
 SETTLE_S: Final = 0.5
 #: A block counts in a window if so many of the window's cycles were valid.
@@ -20,6 +22,16 @@ _SIZE_OF_DIFFERENCE: Final = 2 / math.sqrt(math.pi)
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+
+
+def window_s(period_s: float) -> float:
+    """Return the length of a window, seconds, of cycles `period_s` apart."""
+    return max(WINDOW_S, LEAST_CYCLES * period_s)
+
+
+def tare_s(period_s: float) -> float:
+    """Return for how long a skin must be untouched for its zero, seconds."""
+    return TARE_WINDOWS * window_s(period_s)
 
 
 class Window(NamedTuple):
@@ -58,7 +70,7 @@ class WindowMeans:
     """
 
     def __init__(self, phi: Sbhe, period_s: float, newton_per_count: float) -> None:
-        self.length_ns = round(1e9 * max(WINDOW_S, LEAST_CYCLES * period_s))
+        self.length_ns = round(1e9 * window_s(period_s))
         self._cycles = self.length_ns * 1e-9 / period_s
         self._newton_per_count = newton_per_count
         self._block_of_sum = phi.block_of_sum

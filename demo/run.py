@@ -12,6 +12,7 @@ from typing import Final
 import msgspec
 from rich.console import Console
 
+from calibration.windows import tare_s
 from canskin.errors import RunError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
@@ -28,8 +29,8 @@ from skin.sources import DEFAULT_OBJECTS, known_objects
 from skin.terminal import print_table, progress
 
 DEFAULT_PORT: Final = 8765
-#: Time without touch where taxels have offsets: the zero is measured then.
-REST_S: Final = 3.5
+#: Time without touch where there are offsets, beside that in which the zero is measured.
+REST_S: Final = 1.5
 #: A first run compiles the solver and trains the classifier.
 READY_PATIENCE_S: Final = 180.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
@@ -127,7 +128,7 @@ class Run:
             touch += [part for name in options.arrays for part in ("--array", name)]
             touch += ["--rate", str(options.rate_hz)] if options.rate_hz is not None else []
         elif options.has_zero_errors:
-            touch += ["--rest", str(REST_S)]
+            touch += ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
         touch += [part for defect in options.defects for part in ("--defect", defect)]
         touch += ["--firmware"] * options.firmware
         start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)

@@ -100,8 +100,8 @@ class AnalogueElectronics(Electronics):
         counts = self.converter.counts(sums_n)
         shown = self.pattern[phi.taxels_of_blocks]
         if (shown >= 0).any():
-            pattern_n = np.maximum(self.pattern, 0).astype(np.float32) * np.float32(self.taxels.newton_per_count)
-            shown_counts = self.converter.counts(np.asarray(phi.forward(pattern_n), np.float32))
+            pattern = np.asarray(phi.forward(np.maximum(self.pattern, 0)), np.float64)
+            shown_counts = self.converter.codes(pattern) * np.int32(self.converter.step_counts)
             counts = np.where((shown[:, 0] >= 0)[phi.block_of_sum], shown_counts, counts)
         return counts
 

@@ -34,8 +34,8 @@ TARE_CYCLES: Final = 200
 #: Lanes and steps of the rolled weight, taxels, and its force, newtons.
 LANE: Final = 3.0
 STEP: Final = 0.7
-#: Cycles in which the weight rolls on by a step; the temporal filter averages them: 28 mm/s at 100 Hz.
-ROLLED_CYCLES: Final = 10
+#: Cycles in which the weight rolls on by a step; the temporal filter averages them: 7 mm/s at 100 Hz.
+ROLLED_CYCLES: Final = 40
 _ROLLED: Final = "golf-ball"
 
 

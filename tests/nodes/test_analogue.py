@@ -78,11 +78,15 @@ def test_mismatch_and_offsets_reach_the_sums() -> None:
 
 def test_test_patterns_show_what_the_converters_would_read() -> None:
     sampler = boards(noise_n=1e-3)
-    sampler.adjust(5, OD_TEST_PATTERN, 0, PATTERN_RAMP)
+    ramps = (1, 2, 3, 4, 5)
+    for block in ramps:
+        sampler.adjust(block, OD_TEST_PATTERN, 0, PATTERN_RAMP)
     sampler.adjust(6, OD_TEST_PATTERN, 0, PATTERN_FULL)
-    sums = sampler.sample(1, 0)
-    ramp, full = (sums[PHI.starts[block] : PHI.starts[block + 1]] // STEP_COUNTS for block in (5, 6))
-    exact = np.array([sum((-1) ** (row & place).bit_count() * place for place in range(32)) for row in PHI.rows_of(5)])
-    assert ramp.tolist() == np.rint(exact / STEP_COUNTS).tolist()
+    codes = np.split(sampler.sample(1, 0) // STEP_COUNTS, PHI.starts[1:-1])
+    for block in ramps:
+        rows = PHI.rows_of(block)
+        exact = np.array([sum((-1) ** (row & place).bit_count() * place for place in range(32)) for row in rows])
+        assert codes[block].tolist() == np.rint(exact / STEP_COUNTS).tolist()
+    full = codes[6]
     assert full.tolist() == [2047 if row == 0 else 0 for row in PHI.rows_of(6)]
     assert sampler.saturated(6) == (0 in PHI.rows_of(6))
