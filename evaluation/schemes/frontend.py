@@ -1,6 +1,6 @@
 """What an analogue front end costs and gains: PSNR of each effect against nodes that add numbers."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -14,7 +14,8 @@ from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
-from reconstructor.settings import VARIATION
+from reconstructor.settings import LIVE, VARIATION
+from skin.clipping import IDLE_DEVIATION
 from skin.defects import Mismatch, Skew, SumNoise, SumOffset
 from skin.frontend import SumConverter, SumModel, converter
 from skin.layout import Layout, parse_layout
@@ -31,8 +32,10 @@ QUICK_SPEED: Final = 300
 OBJECTS: Final = tuple(ACQUISITION_OBJECTS)
 #: Cycles whose mean is the offset after a tare: 2 s of 100 Hz.
 TARE_CYCLES: Final = 200
+#: Cycles without touch before the others, for the solver of the service.
+IDLE_CYCLES: Final = 150
 #: Lanes and steps of the rolled weight, taxels, and its force, newtons.
-LANE: Final = 3.0
+LANE: Final = 4.0
 STEP: Final = 0.7
 #: Cycles in which the weight rolls on by a step; the temporal filter averages them: 7 mm/s at 100 Hz.
 ROLLED_CYCLES: Final = 40
@@ -58,6 +61,10 @@ class Effect:
         The offsets were measured.
     slide : float
         Speed of the touch after SYNC / the paper's 45 mm/s.
+    keeps_penalty : bool
+        λ is that of clipped noise; else that of a digital front end is scaled with the noise of untouched sums.
+    is_live : bool
+        The solver of the service, which averages over cycles and scales λ by itself, in place of single cycles.
     """
 
     words: str
@@ -70,17 +77,31 @@ class Effect:
     is_calibrated: bool = False
     is_tared: bool = False
     slide: float = 1.0
+    keeps_penalty: bool = False
+    is_live: bool = False
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the front end is analogue and not perfect."""
+        return any((self.bits, self.mismatch, self.offset_n, self.noise_n, self.row_s))
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether others are compared with this front end."""
+        return not (self.is_wrong or self.is_digital or self.keeps_penalty or self.is_live)
 
 
 EFFECTS: Final = (
     Effect("digital: a converter of 10 bits for each taxel", is_digital=True),
-    Effect("analogue: no clipping, exact converters"),
+    Effect("analogue: no clipping, exact converters, same λ", keeps_penalty=True),
+    Effect("analogue, λ x 1.7"),
+    Effect("digital, `live`", is_digital=True, is_live=True),
+    Effect("analogue, `live`", is_live=True),
     Effect("converters of 12 bits", bits=12),
     Effect("converters of 10 bits", bits=10),
     Effect("converters of 8 bits", bits=8),
     Effect("mismatch 0.1 %", mismatch=1e-3),
     Effect("mismatch 1 %", mismatch=1e-2),
-    Effect("mismatch 1 %, calibrated", mismatch=1e-2, is_calibrated=True),
     Effect("mismatch 5 %", mismatch=5e-2),
     Effect("mismatch 5 %, calibrated", mismatch=5e-2, is_calibrated=True),
     Effect("offsets of sums, 10 mN", offset_n=1e-2),
@@ -103,15 +124,15 @@ def evaluate(options: Options) -> Result:
     ]
     found = measure_cells(measure, cells, options, "front ends")
     psnr_db = np.array([each["psnr_db"] for each in found]).reshape(len(EFFECTS), -1)
+    perfect_db = psnr_db[[effect.is_perfect for effect in EFFECTS].index(True)]
     rows: list[Row] = []
     for effect, its_db in zip(EFFECTS, psnr_db, strict=True):
-        is_first = effect in EFFECTS[:2]
-        shown = its_db if is_first else its_db - psnr_db[1]
+        shown = its_db - perfect_db if effect.is_wrong else its_db
         columns = {f"B = {size}": round(float(each), 2) + 0.0 for size, each in zip(BLOCK_SIZES, shown, strict=True)}
-        rows.append({"front end": effect.words, "shown": "PSNR, dB" if is_first else "change, dB", **columns})
+        rows.append({"front end": effect.words, "shown": "change, dB" if effect.is_wrong else "PSNR, dB", **columns})
     note = (
-        f"{found[0]['frames']} images in each cell. Rows from the third on: PSNR - PSNR of the second row. Total"
-        " variation on sums of one cycle; a sum that saturates is left out."
+        f"{found[0]['frames']} images in each cell. Change: PSNR - PSNR of an analogue front end with λ x 1.7. Total"
+        " variation on sums of one cycle, but for `live`; a sum that saturates is left out."
     )
     return Result("Front ends, 64 x 64 taxels, 1024 sums", rows, note=note)
 
@@ -142,7 +163,10 @@ class _Board:
             sum_noise=SumNoise(effect.noise_n) if effect.noise_n else None,
             skew=Skew(effect.row_s) if effect.row_s else None,
         )
-        self._engine = Reconstructor(self._phi, taxels.rows, taxels.columns, VARIATION)
+        settings = LIVE if effect.is_live else VARIATION
+        if not (effect.is_digital or effect.keeps_penalty or effect.is_live):
+            settings = replace(settings, penalty_n=settings.penalty_n / IDLE_DEVIATION)
+        self._engine = Reconstructor(self._phi, taxels.rows, taxels.columns, settings)
         self._zero_n: Force | float = 0.0
         if effect.is_tared:
             still = np.zeros((TARE_CYCLES, taxels.count), np.float32)
@@ -156,6 +180,12 @@ class _Board:
         true = _touch(name, meshes, speed)
         flat = true.reshape(len(true), -1)
         change = np.diff(flat, axis=0, append=flat[-1:]) * np.float32(self._effect.slide / (speed * PAPER_STEP_S))
+        idle = 0
+        if self._effect.is_live:  # the filter learns the noise of the sums
+            idle = IDLE_CYCLES
+            flat, change = (
+                np.concatenate([np.zeros((idle, flat.shape[1]), np.float32), each]) for each in (flat, change)
+            )
         random = np.random.default_rng([self._seed, OBJECTS.index(name)])
         if self._effect.is_digital:
             taxels = self._layout.taxels
@@ -163,7 +193,7 @@ class _Board:
             sums_n = np.asarray(self._phi.forward(counts), np.float32) * np.float32(taxels.newton_per_count)
         else:
             sums_n = self._sums_n(flat, change, random)
-        return psnr_series_db(true, self._images(sums_n))
+        return psnr_series_db(true, self._images(sums_n)[idle:])
 
     def _sums_n(
         self, force_n: Force, change_n_per_s: Force | None, random: np.random.Generator, *, averaged: int = 1

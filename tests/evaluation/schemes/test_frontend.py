@@ -9,14 +9,14 @@ from evaluation.schemes import frontend
 def test_what_is_wrong_with_a_front_end_costs_quality(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frontend, "OBJECTS", ("golf-ball",))
     monkeypatch.setattr(frontend, "BLOCK_SIZES", (32,))
-    shown = ("digital", "analogue", "converters of 10", "converters of 8", "mismatch 5 %", "offsets of sums, 10 mN")
+    shown = ("digital:", "analogue, λ", "converters of 10", "converters of 8", "mismatch 5 %", "offsets of sums, 10 mN")
     kept = [each for each in frontend.EFFECTS if each.words.startswith(shown)]
     monkeypatch.setattr(frontend, "EFFECTS", kept)
     found = frontend.evaluate(Options(quick=True))
     change = {row["front end"]: row["B = 32"] for row in found.rows}
     assert list(change) == [each.words for each in kept]
     assert change["digital: a converter of 10 bits for each taxel"] > 20
-    assert change["analogue: no clipping, exact converters"] > 20
+    assert change["analogue, λ x 1.7"] > change["digital: a converter of 10 bits for each taxel"] + 1
     assert -1 < change["converters of 8 bits"] < change["converters of 10 bits"] + 0.02
     assert change["mismatch 5 %"] < -0.5
     assert change["mismatch 5 %, calibrated"] > 0.3 * change["mismatch 5 %"]
