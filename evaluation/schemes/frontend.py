@@ -61,8 +61,10 @@ class Effect:
         The offsets were measured.
     slide : float
         Speed of the touch after SYNC / the paper's 45 mm/s.
+    knows_gains : bool
+        The gains of the sums are known exactly.
     keeps_penalty : bool
-        λ is that of clipped noise; else that of a digital front end is scaled with the noise of untouched sums.
+        λ is that of sums of 32 taxels with clipped noise; else λ is scaled with the noise of untouched sums.
     is_live : bool
         The solver of the service, which averages over cycles and scales λ by itself, in place of single cycles.
     """
@@ -77,6 +79,7 @@ class Effect:
     is_calibrated: bool = False
     is_tared: bool = False
     slide: float = 1.0
+    knows_gains: bool = False
     keeps_penalty: bool = False
     is_live: bool = False
 
@@ -94,7 +97,7 @@ class Effect:
 EFFECTS: Final = (
     Effect("digital: a converter of 10 bits for each taxel", is_digital=True),
     Effect("analogue: no clipping, exact converters, same λ", keeps_penalty=True),
-    Effect("analogue, λ x 1.7"),
+    Effect("analogue, λ that fits its noise"),
     Effect("digital, `live`", is_digital=True, is_live=True),
     Effect("analogue, `live`", is_live=True),
     Effect("converters of 12 bits", bits=12),
@@ -103,7 +106,8 @@ EFFECTS: Final = (
     Effect("mismatch 0.1 %", mismatch=1e-3),
     Effect("mismatch 1 %", mismatch=1e-2),
     Effect("mismatch 5 %", mismatch=5e-2),
-    Effect("mismatch 5 %, calibrated", mismatch=5e-2, is_calibrated=True),
+    Effect("mismatch 5 %, gains from a roll", mismatch=5e-2, is_calibrated=True),
+    Effect("mismatch 5 %, gains of sums known", mismatch=5e-2, knows_gains=True),
     Effect("offsets of sums, 10 mN", offset_n=1e-2),
     Effect("offsets of sums, 10 mN, tared", offset_n=1e-2, is_tared=True),
     Effect("noise of a sum, 1 mN", noise_n=1e-3),
@@ -131,8 +135,8 @@ def evaluate(options: Options) -> Result:
         columns = {f"B = {size}": round(float(each), 2) + 0.0 for size, each in zip(BLOCK_SIZES, shown, strict=True)}
         rows.append({"front end": effect.words, "shown": "change, dB" if effect.is_wrong else "PSNR, dB", **columns})
     note = (
-        f"{found[0]['frames']} images in each cell. Change: PSNR - PSNR of an analogue front end with λ x 1.7. Total"
-        " variation on sums of one cycle, but for `live`; a sum that saturates is left out."
+        f"{found[0]['frames']} images in each cell. Change: PSNR - PSNR of an analogue front end with λ that fits its"
+        " noise. Total variation on sums of one cycle, but for `live`; a sum that saturates is left out."
     )
     return Result("Front ends, 64 x 64 taxels, 1024 sums", rows, note=note)
 
@@ -165,14 +169,16 @@ class _Board:
         )
         settings = LIVE if effect.is_live else VARIATION
         if not (effect.is_digital or effect.keeps_penalty or effect.is_live):
-            settings = replace(settings, penalty_n=settings.penalty_n / IDLE_DEVIATION)
+            settings = replace(settings, penalty_n=settings.penalty_n * (size / 32) ** 0.5 / IDLE_DEVIATION)
         self._engine = Reconstructor(self._phi, taxels.rows, taxels.columns, settings)
         self._zero_n: Force | float = 0.0
         if effect.is_tared:
             still = np.zeros((TARE_CYCLES, taxels.count), np.float32)
             self._zero_n = self._sums_n(still, None, np.random.default_rng([seed, 1])).mean(axis=0)
         self._gains: KnownGains | None = None
-        if effect.is_calibrated:
+        if effect.knows_gains and self._model.mismatch is not None:
+            self._gains = KnownGains(np.ones(taxels.count), self._model.mismatch.gains(self._phi.shape[0]))
+        elif effect.is_calibrated:
             self._gains = self._rolled()
 
     def psnr_db(self, name: str, meshes: str | None, speed: int) -> npt.NDArray[np.float64]:
