@@ -8,21 +8,27 @@ from typing import Final
 import msgspec
 
 from canskin.errors import ModelError
-from classifier.model import SIMULATED, VERSION, Model
+from classifier.model import SIMULATED, VERSION, Features, Model
 from classifier.modelfile import load_model, save_model
 from skin.cache import cache_folder
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.service import say
-from skin.sources import DEFAULT_OBJECTS, load_touches
+from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches
 
 TOUCHES_PER_OBJECT: Final = 600
+#: The features for each kind of stroke: objects at any place, or near one place as in the paper.
+FEATURES: Final[dict[StrokeKind, Features]] = {"slide": "energies", "press": "sums"}
 
 
-def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str]) -> Path:
-    """Return the path of the model of this skin and these objects."""
-    about = msgspec.json.encode([layout.taxels, layout.samples_per_sync > 1, sorted(objects)])
+def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
+    """Return the path of the model of this skin, these objects and this kind of touch."""
+    about = msgspec.json.encode([layout.taxels, layout.samples_per_sync > 1, sorted(objects), *_unusual(stroke)])
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
+
+
+def _unusual(stroke: StrokeKind) -> list[str]:
+    return [] if stroke == "slide" else [stroke]
 
 
 def keep_model(model: Model, path: Path) -> None:
@@ -40,25 +46,32 @@ def keep_model(model: Model, path: Path) -> None:
     save_model(model, path)
 
 
-def find_or_train(layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OBJECTS) -> Model:
+def find_or_train(
+    layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OBJECTS, stroke: StrokeKind = "slide"
+) -> Model:
     """Return the cached model of this skin; without a usable model, train one and keep it first.
+
+    A model of strokes "press" takes the sums as features, as the paper's classifier.
 
     Raises
     ------
     InputError
         If a model must be trained, but no touches for training are installed.
     """
-    path = cached_path(layout, phi, objects)
+    path = cached_path(layout, phi, objects, stroke)
     if path.exists():
         try:
             return load_model(path, layout, phi)
         except ModelError as error:
             say("classifier", f"{error}; training another")
-    say("classifier", f"training a model of this skin for {', '.join(objects)}: some seconds, this once")
+    say(
+        "classifier",
+        f"training a model of this skin for {', '.join(objects)}: some seconds, sixteen objects a minute, this once",
+    )
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
-    force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0)
-    model = train(force_n, labels, layout, options=TrainingOptions(data=SIMULATED))
+    force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0, stroke=stroke)
+    model = train(force_n, labels, layout, options=TrainingOptions(features=FEATURES[stroke], data=SIMULATED))
     try:
         keep_model(model, path)
     except ModelError as error:

@@ -7,14 +7,14 @@ import msgspec
 from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
-from classifier.cache import TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
+from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.coarse_sums import classified_phi
 from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
 from skin.layout import Layout, layout_text, load_layout
 from skin.output import check_output_path, write_file
 from skin.service import StopSignal, say
-from skin.sources import DEFAULT_OBJECTS, load_touches
+from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
 from skin.terminal import Json, print_json, print_table, progress
 
@@ -25,6 +25,7 @@ def classify(
     connect: str = DEFAULT_ENDPOINT,
     model: Path | None = None,
     objects: str = "",
+    stroke: StrokeKind = "slide",
 ) -> None:
     """Name the object that touches the skin, once per measurement; of adaptive sums, a hundred times a second.
 
@@ -40,11 +41,15 @@ def classify(
     model
         Model file from ``skin train`` for this skin.
     objects
-        Comma-separated names of the objects to train on without ``--model``; default: a series of five.
+        Comma-separated names of the objects to train on without ``--model``, ``paper`` for the paper's sixteen;
+        default: a series of five.
+    stroke
+        Touches to train on without ``--model``, see ``skin nodes``.
 
     Examples
     --------
     skin classify
+    skin classify --objects paper
     skin classify --layout palm.toml --model palm.npz
     """
     from classifier.decide import Classifier  # compiled parts take a moment to load
@@ -55,7 +60,10 @@ def classify(
     phi, classified = skin.phi(), classified_phi(skin)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
-    trained = load_model(model, skin, classified) if model else find_or_train(skin, classified, _named(objects))
+    if model is not None:
+        trained = load_model(model, skin, classified)
+    else:
+        trained = find_or_train(skin, classified, _named(objects), stroke)
     fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=phi.fingerprint)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     try:
@@ -74,7 +82,8 @@ def train(
     objects: str = "",
     touches: int = 0,
     noise_n: float = NOISE_N,
-    features: Features = "energies",
+    stroke: StrokeKind = "slide",
+    features: Features | None = None,
     seed: int = 0,
     out: Path | None = None,
     choose: int = 0,
@@ -88,13 +97,17 @@ def train(
     layout
         TOML of the skin; without it the default skin.
     objects
-        Comma-separated names of the objects, see ``skin objects``; default: a series of five.
+        Comma-separated names of the objects, see ``skin objects``; ``paper`` for the paper's sixteen; default: a series
+        of five.
     touches
         Total number of touches; default: 600 per object.
     noise_n
         Standard deviation of the taxel noise in newtons.
+    stroke
+        Touches to train on, see ``skin nodes``.
     features
-        ``energies`` of the smoothed adjoint image, or ``sums`` as in the paper.
+        ``energies`` of the smoothed adjoint image, or ``sums`` as in the paper; default: energies for ``--stroke
+        slide``, sums for ``--stroke press``.
     seed
         Seed of touches, noise and validation set.
     out
@@ -109,6 +122,7 @@ def train(
     Examples
     --------
     skin train --objects golf-ball,ring,tuna-can
+    skin train --objects paper --stroke press
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     skin train --choose 16 --layout-out palm-16.toml --features sums
     """
@@ -122,10 +136,10 @@ def train(
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
         check_output_path(layout_out, "layout")
-    skin, model = _train(
-        skin, names, touches or TOUCHES_PER_OBJECT * len(names), noise_n, features, seed=seed, choose=choose
-    )
-    path = out or cached_path(skin, classified_phi(skin), names)
+    count = touches or TOUCHES_PER_OBJECT * len(names)
+    kind = features or FEATURES[stroke]
+    skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)
+    path = out or cached_path(skin, classified_phi(skin), names, stroke)
     (save_model if out else keep_model)(model, path)
     if layout_out is not None:
         write_file(layout_out, layout_text(skin))
@@ -134,18 +148,26 @@ def train(
 
 
 def _named(objects: str) -> list[str]:
-    """Split a comma-separated list; each name once."""
-    return list(dict.fromkeys(name.strip() for name in objects.split(",") if name.strip())) or list(DEFAULT_OBJECTS)
+    """Return the objects of a comma-separated list, else the default objects."""
+    return list(object_names([objects]) or DEFAULT_OBJECTS)
 
 
 def _train(
-    skin: Layout, names: list[str], count: int, noise_n: float, features: Features, *, seed: int, choose: int
+    skin: Layout,
+    names: list[str],
+    count: int,
+    stroke: StrokeKind,
+    features: Features,
+    *,
+    noise_n: float,
+    seed: int,
+    choose: int,
 ) -> tuple[Layout, Model]:
     """Train with a progress bar on a terminal's stderr; return layout and model, the layout with the chosen rows."""
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     with progress("drawing touches", 1.2) as bar:
-        force_n, labels = load_touches(names, count, skin, seed=seed)
+        force_n, labels = load_touches(names, count, skin, seed=seed, stroke=stroke)
         if choose:
             from classifier.rows import with_chosen_rows
 

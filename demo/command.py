@@ -7,8 +7,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from canskin.errors import RunError
-from skin.names import split_names
 from skin.service import StopSignal, say
+from skin.sources import StrokeKind, object_names
 from skin.terminal import Json, print_json
 
 
@@ -21,6 +21,7 @@ def demo(
     array: list[str] | None = None,
     rate: float | None = None,
     objects: list[str] | None = None,
+    stroke: StrokeKind = "slide",
     defect: list[str] | None = None,
     seed: int = 0,
     view: bool = True,
@@ -50,7 +51,9 @@ def demo(
     rate
         Frames per second of the recording; without this option each cycle plays the next frame.
     objects
-        Names of the objects, see ``skin objects``; default: a series of five.
+        Names of the objects, see ``skin objects``; ``paper`` for the paper's sixteen; default: a series of five.
+    stroke
+        ``slide`` or ``press``, see ``skin nodes``; the classifier is trained on the same touches.
     defect
         Defects of the taxels, each KIND or KIND=AMOUNT, see ``skin nodes``: dead, stuck, saturated, noisy, gain-spread,
         offset, cross-talk, drift, damper; analogue front end: mismatch, sum-offset, sum-noise, skew. With an offset or
@@ -73,6 +76,7 @@ def demo(
     Examples
     --------
     skin demo --seconds 10 --objects golf-ball
+    skin demo --seconds 60 --objects paper
     skin demo --defect dead=0.05 stuck=0.02
     skin demo --input S1.npz --array posture_01 posture_02 --full-scale 4095 --json
     """
@@ -90,7 +94,8 @@ def demo(
         full_scale=full_scale,
         arrays=tuple(array or ()),
         rate_hz=rate,
-        objects=split_names(objects or ()),
+        objects=object_names(objects or ()),
+        stroke=stroke,
         defects=tuple(defect or ()),
         seed=seed,
         view=view,

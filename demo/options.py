@@ -10,7 +10,7 @@ from canskin.errors import InputError
 from skin.defects import parse_defects
 from skin.layout import Layout
 from skin.output import check_picture_path
-from skin.sources import load_source, step_rate_hz
+from skin.sources import StrokeKind, load_source, step_rate_hz
 from touch.objects import checked_names
 
 #: Defects with which an untouched skin has sums.
@@ -35,6 +35,7 @@ class DemoOptions:
     listen: str | None
     picture: Path
     firmware: bool = False
+    stroke: StrokeKind = "slide"
 
     @property
     def has_zero_errors(self) -> bool:
@@ -75,6 +76,8 @@ class DemoOptions:
             if self.objects:
                 checked_names(",".join(self.objects))
             return
+        if self.stroke != "slide":
+            raise InputError("--stroke is for objects: a recording shows its own touches")
         taxels = layout.taxels
         load_source(
             "recording",

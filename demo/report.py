@@ -57,7 +57,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     sensor_adds_noise : bool or None
         False when the sensor only rounds to ADC counts, as with a recording.
     label_accuracy : float or None
-        Cycles with the right label / cycles with contact and a named object.
+        Cycles with the right label / cycles with contact and a named object; None without any label.
+    labelled_ratio : float or None
+        Cycles with a label, right or wrong / cycles with contact and a named object.
     contact_cycles : int
         Cycles with contact; adaptive: true forces with contact, 100 a second.
     latency_ms : Percentiles
@@ -95,6 +97,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     sensor_adds_noise: bool | None
     contact_cycles: int
     label_accuracy: float | None
+    labelled_ratio: float | None = None
     latency_ms: Percentiles
     sample_age_ms: float | None = None
     bus_sampling_error_us: Percentiles = Percentiles(p50=None, p99=None)
@@ -156,7 +159,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             rows.append(("image", f"{self.psnr_image_db:.1f} dB, against {against}, {over}"))
         if self.label_accuracy is not None:
             counted = "moments of contact" if is_adaptive else "contact cycles"
-            rows.append(("label", f"right on {self.label_accuracy:.1%} of the {counted}"))
+            came = f"; {self.labelled_ratio:.1%} got a label" if self.labelled_ratio is not None else ""
+            rows.append(("label", f"right on {self.label_accuracy:.1%} of the {counted}{came}"))
         if self.cpu_ratio:
             each = ", ".join(f"{name} {ratio:.0%}" for name, ratio in self.cpu_ratio.items())
             rows.append(("processors", f"{each}; all {sum(self.cpu_ratio.values()):.0%} of one"))

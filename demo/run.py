@@ -121,7 +121,8 @@ class Run:
         bitrate, data_bitrate = bitrates.pop()
         names = [bus.name for bus in self._layout.bus]
         start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
-        touch = ["--objects", ",".join(options.objects)] if options.objects else []
+        stroke = ["--stroke", options.stroke] if options.stroke != "slide" else []
+        touch = [*stroke, "--objects", ",".join(options.objects)] if options.objects else stroke
         if options.recording is not None:
             touch = ["--input", str(options.recording)]
             touch += ["--full-scale", str(options.full_scale)] if options.full_scale is not None else []
@@ -133,7 +134,7 @@ class Run:
         touch += ["--firmware"] * options.firmware
         start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)
         start("reconstructor", "reconstruct", *common, restart=True)
-        start("classifier", "classify", *common, *_known_objects(options.objects), restart=True)
+        start("classifier", "classify", *common, *_known_objects(options.objects), *stroke, restart=True)
         if self._port is not None:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)
 

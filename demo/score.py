@@ -58,6 +58,10 @@ class Score:
         virtual nodes of all buses sample at the SYNC that they receive first; of `Measurement.sampled_mono_ns`, the
         mean over the buses; of `Measurement.sent_mono_ns`. One entry per measurement, of the last `HISTORY`; none with
         adaptive sending.
+    named_contacts : int
+        Truths with contact and a named object.
+    labelled, labelled_right : int
+        Labels at such truths, and right labels.
     cpu_ratio : dict of str to float
         Processor time / wall time of each process; set by the run.
     """
@@ -72,6 +76,7 @@ class Score:
     sampling_error_us: deque[float] = field(default_factory=_newest)
     sent_error_us: deque[float] = field(default_factory=_newest)
     contact_cycles: int = 0
+    named_contacts: int = 0
     labelled: int = 0
     labelled_right: int = 0
     snapshot: Snapshot | None = None
@@ -101,6 +106,7 @@ class Score:
         if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
             return
         with self._lock:
+            self.named_contacts += self._is_named_contact(truth)
             for image, true in self._images.take_truth(truth):
                 self._compare(image, true)
             for label, true in self._labels.take_truth(truth):
@@ -154,9 +160,12 @@ class Score:
         return sorted(rows, key=lambda row: -row.missing)[:NODES_NAMED]
 
     def _count_label(self, label: Label, truth: Truth) -> None:
-        if truth.label and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n):
+        if self._is_named_contact(truth):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
+
+    def _is_named_contact(self, truth: Truth) -> bool:
+        return bool(truth.label) and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n)
 
     def _compare_times(self, measurement: Measurement, truth: Truth) -> None:
         bus_ns = np.frombuffer(measurement.bus_sampled_ns, "<i8")
@@ -203,6 +212,8 @@ class Score:
         received = gateway.frames.received if gateway else 0
         sensor_db = _mean(self.psnr_sensor_db)
         sent = sum(status.frames_sent for status in self.nodes.values())
+        # With adaptive sending, labels and truths have clocks of their own.
+        contacts = max(self.named_contacts, self.labelled)
         loads = [bus.mean_load_ratio for bus in gateway.buses] if gateway else []
         return Report(
             sending=self.layout.sending,
@@ -219,7 +230,8 @@ class Score:
             psnr_image_db=_mean(self.psnr_image_db),
             sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self.layout.taxels.adc_bits),
             contact_cycles=self.contact_cycles,
-            label_accuracy=self.labelled_right / self.labelled if self.labelled else None,
+            label_accuracy=self.labelled_right / contacts if self.labelled else None,
+            labelled_ratio=self.labelled / contacts if contacts else None,
             latency_ms=_percentiles(self.latency_ms),
             sample_age_ms=self._sample_age_ms(),
             bus_sampling_error_us=_percentiles(self.bus_sampling_error_us),

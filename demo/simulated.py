@@ -25,7 +25,7 @@ from reconstructor.service import ReconstructorService
 from skin.clock import wall_offset
 from skin.description import describe
 from skin.layout import Layout, load_layout
-from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, step_rate_hz
+from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_names, step_rate_hz
 from skin.sync_counter import next_counter
 
 #: The boards sample the untouched skin for so long before the first cycle.
@@ -47,7 +47,7 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
         raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
     if objects is not None and not objects:
         raise InputError("objects: expected a list of names, got an empty list")
-    return SimulatedSkin(skin, list(objects or DEFAULT_OBJECTS), seed)
+    return SimulatedSkin(skin, list(object_names(objects or DEFAULT_OBJECTS)), seed)
 
 
 class _Messages:

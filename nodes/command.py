@@ -22,7 +22,7 @@ from nodes.service import NodesService
 from skin.defects import parse_defects
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
-from skin.sources import TaxelSource, load_objects, load_source, step_rate_hz
+from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, object_names, step_rate_hz
 from skin.taxel import NOISE_N
 
 
@@ -35,6 +35,7 @@ def nodes(
     only: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     without: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     objects: str = "",
+    stroke: StrokeKind = "slide",
     input: Path | None = None,  # noqa: A002 - the flag's name
     full_scale: float | None = None,
     array: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
@@ -63,7 +64,11 @@ def nodes(
     without
         Run all nodes except these.
     objects
-        Comma-separated names of the objects that touch the skin; default: a series of five.
+        Comma-separated names of the objects that touch the skin, ``paper`` for the paper's sixteen; default: a series
+        of five.
+    stroke
+        ``slide``: objects press at any place and angle, and slide. ``press``: as in the paper's classification, within
+        10 mm and 45 degrees of the middle, 9.99 mm deep, without a slide.
     input
         A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns).
     full_scale
@@ -104,6 +109,8 @@ def nodes(
         raise InputError("--rate is for a recording: give one with --input")
     if input is not None and rest:
         raise InputError("--rest is for objects: a recording begins as it begins")
+    if input is not None and stroke != "slide":
+        raise InputError("--stroke is for objects: a recording shows its own touches")
     if firmware and store is not None:
         raise InputError("--store is for nodes in Python: boards with --firmware keep their parameters until they end")
     if store is not None:
@@ -116,7 +123,11 @@ def nodes(
     defects = parse_defects(defect or (), seed, is_analogue=skin.taxels.is_analogue)
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
-    source = _recording(skin, input, full_scale, array, rate) if input else _objects(skin, objects, seed, rest)
+    source = (
+        _recording(skin, input, full_scale, array, rate)
+        if input
+        else _objects(skin, objects, stroke, seed=seed, rest_s=rest)
+    )
     compiled = _firmware(contract, chosen) if firmware else None
     boards = _boards(contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects}, compiled)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
@@ -179,6 +190,5 @@ def _recording(
     )
 
 
-def _objects(skin: Layout, names: str, seed: int, rest_s: float) -> TaxelSource:
-    listed = [name.strip() for name in names.split(",") if name.strip()]
-    return load_objects(skin, names=listed or None, seed=seed, rest_s=rest_s)
+def _objects(skin: Layout, names: str, stroke: StrokeKind, **options: Any) -> TaxelSource:
+    return load_objects(skin, names=object_names([names]) or None, stroke=stroke, **options)

@@ -14,13 +14,14 @@ rules do not see this use. So a skin with its own source runs without ``touch``.
 
 from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import entry_points
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.layout import Layout
+from skin.names import split_names
 
 #: Groups of entry points.
 SOURCES: Final = "canskin.sources"
@@ -32,6 +33,30 @@ RANDOM: Final = "random"
 ADAPTIVE_STEP_HZ: Final = 100.0
 #: Default objects of the simulated skin and of the classifier.
 DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
+#: Objects that one name stands for, wherever names of objects are taken: those of the paper's classification.
+OBJECT_GROUPS: Final = {
+    "paper": (
+        "racquetball",
+        "volleyball",
+        "basketball",
+        "cracker-box",
+        "cereal-box",
+        "jello-box",
+        "granola-box",
+        "gravy-can",
+        "tuna-can",
+        "salmon-can",
+        "banana",
+        "cup",
+        "drill",
+        "clamp",
+        "mustard-lying",
+        "mustard-upright",
+    )
+}
+#: How simulated objects touch: ``slide`` presses at any place and angle and slides; ``press`` presses as the paper's
+#: classification data, within 10 mm and 45 degrees of the middle and 9.99 mm deep, without a slide.
+StrokeKind = Literal["slide", "press"]
 
 
 class Frame(NamedTuple):
@@ -88,9 +113,24 @@ def load_objects(layout: Layout, **options: Any) -> TaxelSource:
     )
 
 
+def object_names(given: Iterable[str]) -> tuple[str, ...]:
+    """Return names of objects, each once, with the objects of `OBJECT_GROUPS` in place of the name of a group.
+
+    Examples
+    --------
+    >>> object_names(["ring,cup", "ring"])
+    ('ring', 'cup')
+    """
+    return tuple(dict.fromkeys(name for each in split_names(given) for name in OBJECT_GROUPS.get(each, (each,))))
+
+
 def known_objects(touching: Iterable[str]) -> tuple[str, ...]:
-    """Return the objects of a classifier: the default objects, for a realistic choice, and those that touch."""
-    return tuple(dict.fromkeys((*DEFAULT_OBJECTS, *touching)))
+    """Return the objects of a classifier: those that touch and, for a realistic choice, the default objects.
+
+    A whole group of `OBJECT_GROUPS` is a choice by itself.
+    """
+    names = tuple(touching)
+    return names if names in OBJECT_GROUPS.values() else tuple(dict.fromkeys((*DEFAULT_OBJECTS, *names)))
 
 
 def load_sender(name: str) -> Callable[..., Any]:
@@ -113,11 +153,13 @@ class LabelledTouches(NamedTuple):
     labels: npt.NDArray[np.str_]
 
 
-def load_touches(names: Sequence[str], count: int, layout: Layout, *, seed: int) -> LabelledTouches:
+def load_touches(
+    names: Sequence[str], count: int, layout: Layout, *, seed: int, stroke: StrokeKind = "slide"
+) -> LabelledTouches:
     """Return labelled touches of the named objects, true forces without noise, drawn by the entry point `RANDOM`.
 
-    The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)`` and returns images
-    and labels. Default objects that are too large for the skin are left out.
+    The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)``, with
+    ``stroke="press"`` where this kind is wanted, and returns images and labels. Default objects that are too large for the skin are left out.
 
     Raises
     ------
@@ -133,6 +175,7 @@ def load_touches(names: Sequence[str], count: int, layout: Layout, *, seed: int)
         pitch_m=taxels.pitch_m,
         seed=seed,
         skip_unfelt=tuple(names) == DEFAULT_OBJECTS,
+        **({} if stroke == "slide" else {"stroke": stroke}),
     )
     return LabelledTouches(np.asarray(force_n, np.float32), np.asarray(labels, np.str_))
 

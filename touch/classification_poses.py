@@ -9,13 +9,14 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
+from skin.sources import OBJECT_GROUPS
 from touch.coarse_arrays import Kind, averaged, grid_of
 from touch.contact import Force, Pose, Spheres, press_along
-from touch.objects import PAPER_OBJECTS, checked_names, spheres_of
+from touch.objects import checked_names, spheres_of
 from touch.trajectory import PAPER_DEPTH_M
 
 #: The paper's 16 objects; the golf ball is not among them.
-CLASSIFICATION_OBJECTS: Final = tuple(name for name in PAPER_OBJECTS if name != "golf-ball")
+CLASSIFICATION_OBJECTS: Final = OBJECT_GROUPS["paper"]
 #: Offsets of the array along its rows and along its columns.
 OFFSETS_M: Final = (0.0, 0.002, 0.004, 0.006, 0.008, 0.010)
 #: Rotations of the array about its normal.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from canskin.errors import InputError
+from skin.sources import OBJECT_GROUPS
 from touch import primitives, shapes
 from touch.contact import Spheres
 from touch.meshes import MeshPose, find_mesh, load_mesh
@@ -96,15 +97,18 @@ CATALOGUE: Final = {item.name: item for item in (*_PAPER, _ring("ring", 0.1004, 
 
 
 def checked_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Return `names` as a tuple; a string may hold several, separated by commas.
+    """Return `names` as a tuple, with the objects of a group in place of its name.
+
+    A string may hold several names, separated by commas.
 
     Raises
     ------
     InputError
         If there is no name, or a name that the catalogue does not have.
     """
-    listed = tuple(part.strip() for part in names.split(",")) if isinstance(names, str) else tuple(names)
-    known = ", ".join(CATALOGUE)
+    given = tuple(part.strip() for part in names.split(",")) if isinstance(names, str) else tuple(names)
+    listed = tuple(name for each in given for name in OBJECT_GROUPS.get(each, (each,)))
+    known = ", ".join((*OBJECT_GROUPS, *CATALOGUE))
     if not listed:
         raise InputError(f"no object named: expected one or more of {known}")
     for name in listed:

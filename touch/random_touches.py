@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from canskin.errors import InputError
-from skin.sources import LabelledTouches
+from skin.sources import LabelledTouches, StrokeKind
 from touch.contact import PITCH_M, Force, Grid
 from touch.objects import checked_names
 from touch.strokes import LABEL_FORCE_N, TRAINING, draw_touch, random_stream
@@ -26,6 +26,7 @@ def random_touches(
     pitch_m: float = PITCH_M,
     seed: int = 0,
     skip_unfelt: bool = False,
+    stroke: StrokeKind = "slide",
 ) -> LabelledTouches:
     """Return `count` single moments of random touches, true forces without noise.
 
@@ -46,7 +47,7 @@ def random_touches(
     listed = felt_objects(names, grid) if skip_unfelt else checked_names(names)
     force_n = np.empty((count, rows, columns), np.float32)
     for index in range(count):
-        _observe(listed[index % len(listed)], grid, random_stream(seed, TRAINING, index), force_n[index])
+        _observe(listed[index % len(listed)], grid, random_stream(seed, TRAINING, index), force_n[index], stroke)
     labels = np.array([listed[index % len(listed)] for index in range(count)], np.str_)
     return LabelledTouches(force_n, labels)
 
@@ -71,8 +72,8 @@ def felt_objects(names: Sequence[str], grid: Grid) -> tuple[str, ...]:
     return tuple(felt)
 
 
-def _observe(name: str, grid: Grid, rng: np.random.Generator, out: Force) -> None:
-    touch = draw_touch(name, grid, rng)
+def _observe(name: str, grid: Grid, rng: np.random.Generator, out: Force, kind: StrokeKind = "slide") -> None:
+    touch = draw_touch(name, grid, rng, kind)
     for _ in range(_MOST_DRAWS):
         pose = touch.stroke.pose(float(rng.uniform(0.0, touch.stroke.duration_s)))
         if pose.depth_m >= LABEL_FORCE_N:

@@ -9,7 +9,7 @@ import numpy as np
 from canskin.errors import InputError
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
-from skin.sources import DEFAULT_OBJECTS, Frame
+from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
 from skin.taxel import FORCE_MAX_N
 from touch.contact import PITCH_M, Force, Grid, Pose
 from touch.objects import checked_names
@@ -25,18 +25,29 @@ NAMED: Final = 8
 class ObjectSource:
     """An endless random series of touches, object after object; a `skin.sources.TaxelSource`.
 
-    The first touch begins after `rest_s`. Each takes `touch.strokes.SLOT_S`: pause, press, hold, slide, lift. A frame
-    has the object's name as label while its largest true force is at least `touch.strokes.LABEL_FORCE_N`.
+    The first touch begins after `rest_s`. Each takes `touch.strokes.SLOT_S`: pause, press, hold, slide (if `stroke` is
+    that), lift. A frame has the object's name as label while its largest true force is at least
+    `touch.strokes.LABEL_FORCE_N`.
     """
 
     has_noise = False
 
-    def __init__(self, grid: Grid, rate_hz: float, names: Sequence[str], seed: int, rest_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        grid: Grid,
+        rate_hz: float,
+        names: Sequence[str],
+        seed: int,
+        *,
+        rest_s: float = 0.0,
+        stroke: StrokeKind = "slide",
+    ) -> None:
         self._rest_steps = round(rest_s * rate_hz)
         self.grid = grid
         self.rate_hz = rate_hz
         self.names = tuple(names)
         self._seed = seed
+        self._stroke = stroke
         self._index = -1
         self._touch: Touch | None = None
         self._pressed: tuple[int, Pose] | None = None
@@ -46,7 +57,7 @@ class ObjectSource:
         """Return touch number `index`, from 0."""
         if self._touch is None or index != self._index:
             name = self.names[index % len(self.names)]
-            self._touch = draw_touch(name, self.grid, random_stream(self._seed, LIVE, index))
+            self._touch = draw_touch(name, self.grid, random_stream(self._seed, LIVE, index), self._stroke)
             self._index = index
         return self._touch
 
@@ -80,6 +91,7 @@ def objects(
     names: Sequence[str] | None = None,
     seed: int = 0,
     rest_s: float = 0.0,
+    stroke: StrokeKind = "slide",
 ) -> ObjectSource:
     """Return an endless series of touches by simulated objects.
 
@@ -98,6 +110,8 @@ def objects(
         The same seed gives the same touches.
     rest_s : float
         Time without touch at the beginning.
+    stroke : {"slide", "press"}
+        See `skin.sources.StrokeKind`.
 
     Raises
     ------
@@ -112,7 +126,7 @@ def objects(
         raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
     grid = Grid(rows, columns, pitch_m)
     listed = felt_objects(DEFAULT_OBJECTS, grid) if names is None else checked_names(names)
-    source = ObjectSource(grid, rate_hz, listed, seed, rest_s)
+    source = ObjectSource(grid, rate_hz, listed, seed, rest_s=rest_s, stroke=stroke)
     # Compile the contact kernel now, not inside a cycle.
     source.frame(int(np.ceil((rest_s + (PAUSE_S + SLOT_S) / 2) * rate_hz)))
     return source

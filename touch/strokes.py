@@ -6,13 +6,16 @@ depend on other touches.
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, assert_never
 
 import numpy as np
 
+from skin.sources import StrokeKind
 from skin.taxel import NOISE_N
+from touch.classification_poses import OFFSETS_M, ROTATIONS_RAD
 from touch.contact import FloatArray, Force, Grid, Pose, Spheres, press
 from touch.objects import spheres_of
+from touch.trajectory import PAPER_DEPTH_M
 
 #: An object is the label while the largest true force is at least this, twice the standard deviation of the noise.
 LABEL_FORCE_N: Final = 2 * NOISE_N
@@ -95,8 +98,8 @@ def random_stream(seed: int, stream: int, index: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream, index)))
 
 
-def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
-    """Return a random touch of the object `name` that stays on the array if the object fits.
+def draw_touch(name: str, grid: Grid, rng: np.random.Generator, kind: StrokeKind = "slide") -> Touch:
+    """Return a random touch of the object `name`, of a kind of `skin.sources.StrokeKind`.
 
     Raises
     ------
@@ -104,6 +107,17 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
         If the catalogue has no such object.
     """
     spheres = spheres_of(name)
+    match kind:
+        case "slide":
+            return Touch(name, spheres, _draw_slide(spheres, grid, rng))
+        case "press":
+            return Touch(name, spheres, _draw_press(rng))
+        case _:
+            assert_never(kind)
+
+
+def _draw_slide(spheres: Spheres, grid: Grid, rng: np.random.Generator) -> Stroke:
+    """Return a stroke at any place and angle; the contact stays on the array if the object fits."""
     rotation = float(rng.uniform(0.0, 2.0 * math.pi))
     depth = float(rng.uniform(*DEPTH_M))
     reach_m = _reach_m(spheres, grid, rotation, depth)
@@ -111,7 +125,7 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
     start, path = ends[0], ends[1] - ends[0]
     longest = SLIDE_SPEED_M_PER_S * SLIDE_S
     end = start + path / max(1.0, float(np.hypot(path[0], path[1])) / longest)
-    stroke = Stroke(
+    return Stroke(
         start_m=(float(start[0]), float(start[1])),
         end_m=(float(end[0]), float(end[1])),
         rotation_rad=rotation,
@@ -121,7 +135,21 @@ def draw_touch(name: str, grid: Grid, rng: np.random.Generator) -> Touch:
         slide_s=SLIDE_S,
         lift_s=LIFT_S,
     )
-    return Touch(name, spheres, stroke)
+
+
+def _draw_press(rng: np.random.Generator) -> Stroke:
+    """Return a press within the offsets and rotations of the paper's classification data, at its depth."""
+    x, y = -rng.uniform(OFFSETS_M[0], OFFSETS_M[-1], 2)
+    return Stroke(
+        start_m=(float(x), float(y)),
+        end_m=(float(x), float(y)),
+        rotation_rad=-float(rng.uniform(ROTATIONS_RAD[0], ROTATIONS_RAD[-1])),
+        depth_m=PAPER_DEPTH_M,
+        press_s=PRESS_S,
+        hold_s=HOLD_S + SLIDE_S,
+        slide_s=0.0,
+        lift_s=LIFT_S,
+    )
 
 
 def _reach_m(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:

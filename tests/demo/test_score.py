@@ -88,7 +88,18 @@ def test_labels_count_while_an_object_touches(score: Score) -> None:
         score.take_truth(truth(cycle))
     score.take_truth(truth(5, label=""))
     score.take_label(label(5, "cup"))
-    assert score.report().label_accuracy == 0.5
+    assert (score.report().label_accuracy, score.report().labelled_ratio) == (0.5, 1.0)
+
+
+def test_contact_cycles_without_a_label_count_as_not_right(score: Score) -> None:
+    score.take_truth(truth(1))
+    assert (score.report().label_accuracy, score.report().labelled_ratio) == (None, 0.0)
+    for cycle in (2, 3, 4):
+        score.take_truth(truth(cycle))
+    score.take_label(label(2, "cup"))
+    score.take_label(label(3, "ring"))
+    assert (score.report().label_accuracy, score.report().labelled_ratio) == (0.25, 0.5)
+    assert ("label", "right on 25.0% of the contact cycles; 50.0% got a label") in score.report().rows()
 
 
 def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:

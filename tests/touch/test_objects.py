@@ -5,7 +5,8 @@ import pytest
 
 from canskin.errors import InputError
 from touch.contact import Grid, Pose, Spheres, press
-from touch.objects import CATALOGUE, FACING_M, checked_names, spheres_of
+from touch.classification_poses import CLASSIFICATION_OBJECTS
+from touch.objects import CATALOGUE, FACING_M, PAPER_OBJECTS, checked_names, spheres_of
 from touch.primitives import ball, box, can, ring
 from touch.trajectory import PAPER_DEPTH_M
 
@@ -88,3 +89,12 @@ def test_impossible_sizes_are_refused(size: float) -> None:
         ring(size, 0.004)
     with refused:
         ring(0.1, size)
+
+
+def test_a_group_stands_for_its_objects() -> None:
+    assert checked_names("paper") == CLASSIFICATION_OBJECTS
+    assert len(set(CLASSIFICATION_OBJECTS)) == 16
+    assert set(CLASSIFICATION_OBJECTS) == set(PAPER_OBJECTS) - {"golf-ball"}
+    assert checked_names(["ring", "paper"])[:2] == ("ring", "racquetball")
+    with pytest.raises(InputError, match="expected one of paper, golf-ball"):
+        checked_names("papers")

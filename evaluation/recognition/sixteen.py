@@ -1,0 +1,91 @@
+"""The paper's sixteen objects live: what the service says of sums that the nodes' electronics made."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from canskin.messages import UNKNOWN_OBJECT
+from classifier.cache import FEATURES, TOUCHES_PER_OBJECT
+from classifier.decide import Classifier
+from classifier.training import TrainingOptions, train
+from evaluation.result import Row
+from nodes.sampler import new_sampler
+from skin.layout import Layout, load_layout
+from skin.sources import OBJECT_GROUPS, StrokeKind, load_touches, step_rate_hz
+from skin.sync_counter import next_counter
+from touch.sources import objects
+from touch.strokes import LIFT_S, PAUSE_S, PRESS_S, SLOT_S
+
+NAMES: Final = OBJECT_GROUPS["paper"]
+#: The boards sample the untouched skin for so long before the first cycle.
+REST_S: Final = 0.6
+
+
+class Live(NamedTuple):
+    """A skin whose service is asked: kind of touch, number of sums, samples from SYNC to SYNC, draw of Φ."""
+
+    stroke: StrokeKind
+    sums: int
+    samples: int
+    draw: int
+
+
+def skin_of(live: Live) -> Layout:
+    """Return the default skin with that number of sums and samples; fewer sums than blocks are drawn as in the paper."""
+    layout = load_layout()
+    few = live.sums < layout.blocks
+    measurement = msgspec.structs.replace(
+        layout.measurement, sums=live.sums, selection="uniform" if few else "balanced", seed=1 + live.draw
+    )
+    rate_hz = layout.sync.rate_hz * live.samples if live.samples > 1 else None
+    sampling = msgspec.structs.replace(layout.sampling, rate_hz=rate_hz)
+    return msgspec.structs.replace(layout, measurement=measurement, sampling=sampling)
+
+
+def measure_sixteen(
+    *, stroke: StrokeKind, sums: int, samples: int, draw: int, touches: int, per_object: int, seed: int
+) -> Row:
+    """Return what is said in the cycles in which one of the sixteen touches with 2 mN or more; they touch in turn.
+
+    Returns
+    -------
+    dict
+        Parts of these cycles: ``right``, ``unknown``, ``empty``; ``held``, the right part of those in which the object is
+        pressed in fully, the only ones that the paper classifies.
+    """
+    layout = skin_of(Live(stroke, sums, samples, draw))
+    phi, rate_hz = layout.phi(), step_rate_hz(layout)
+    options = TrainingOptions(features=FEATURES[stroke], seed=seed)
+    model = train(
+        *load_touches(NAMES, per_object * len(NAMES), layout, seed=seed, stroke=stroke), layout, options=options
+    )
+    source = objects(rate_hz=rate_hz, names=NAMES, seed=seed + 1000, rest_s=REST_S, stroke=stroke)
+    boards = new_sampler(layout, phi, source, seed=seed)
+    classifier, valid = Classifier(model, phi), np.ones(phi.blocks, np.bool_)
+    said: list[str] = []
+    true: list[str] = []
+    is_held: list[bool] = []
+    counter = 0
+    for step in range(round((REST_S + touches * SLOT_S) * rate_hz)):
+        counter = next_counter(counter)
+        measured = boards.sample(counter, round(step / rate_hz * 1e9))
+        label = classifier.decide(measured, valid, step + 1).label
+        truth = boards.take_truth()
+        if truth is not None and truth.label:
+            said.append(label)
+            true.append(truth.label)
+            is_held.append(PAUSE_S + PRESS_S <= (step / rate_hz - REST_S) % SLOT_S <= SLOT_S - LIFT_S)
+    return _shares(said, true, is_held)
+
+
+def _shares(said: Sequence[str], true: Sequence[str], is_held: Sequence[bool]) -> Row:
+    labels = np.array(said)
+    right, held = labels == np.array(true), np.array(is_held)
+    return {
+        "right": float(right.mean()),
+        "held": float(right[held].mean()),
+        "unknown": float((labels == UNKNOWN_OBJECT).mean()),
+        "empty": float((labels == "").mean()),
+    }
