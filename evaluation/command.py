@@ -30,6 +30,7 @@ Subject = Literal[
     "calibration",
     "wiring",
     "frontend",
+    "scaling",
     "classification",
     "recognition",
     "postures",
@@ -49,6 +50,7 @@ SUBJECTS: Final[dict[str, str]] = {
     "calibration": "evaluation.schemes.calibration:evaluate",
     "wiring": "evaluation.schemes.wiring:evaluate",
     "frontend": "evaluation.schemes.frontend:evaluate",
+    "scaling": "evaluation.schemes.scaling:evaluate",
     "classification": "evaluation.recognition.classification:evaluate",
     "recognition": "evaluation.recognition.beyond:evaluate",
     "postures": "evaluation.recognition.postures:evaluate",
@@ -66,6 +68,7 @@ _WITHOUT_DRAWS: Final = (
     "calibration",
     "wiring",
     "frontend",
+    "scaling",
 )
 
 
@@ -103,8 +106,8 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``noiselets``,
-        ``rivals``, ``rates``, ``contacts``, ``calibration``, ``wiring`` and ``frontend`` average over none; ``all``
-        hands them to the others.
+        ``rivals``, ``rates``, ``contacts``, ``calibration``, ``wiring``, ``frontend`` and ``scaling`` average over
+        none; ``all`` hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes

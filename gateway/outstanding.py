@@ -45,7 +45,7 @@ class Outstanding:
         """Take note of frames."""
         self._silent[self._node[row]] = False
         np.subtract.at(self._count, row, 1)
-        np.maximum(self._count, 0, out=self._count)
+        self._count[row] = np.maximum(self._count[row], 0)
 
     def doubt(self, node: npt.NDArray[np.intp]) -> None:
         """Take note that nodes are not proven now."""

@@ -159,7 +159,8 @@ def load_touches(
     """Return labelled touches of the named objects, true forces without noise, drawn by the entry point `RANDOM`.
 
     The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)``, with
-    ``stroke="press"`` where this kind is wanted, and returns images and labels. Default objects that are too large for the skin are left out.
+    ``stroke="press"`` where this kind is wanted, and returns images and labels. Default objects that are too large for
+    the skin are left out.
 
     Raises
     ------

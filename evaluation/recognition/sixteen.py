@@ -1,7 +1,7 @@
 """The paper's sixteen objects live: what the service says of sums that the nodes' electronics made."""
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -23,44 +23,38 @@ NAMES: Final = OBJECT_GROUPS["paper"]
 REST_S: Final = 0.6
 
 
-class Live(NamedTuple):
-    """A skin whose service is asked: kind of touch, number of sums, samples from SYNC to SYNC, draw of Φ."""
+def skin_of(sums: int, samples: int, draw: int) -> Layout:
+    """Return the default skin with other sums and samples from SYNC to SYNC, and another draw of Φ.
 
-    stroke: StrokeKind
-    sums: int
-    samples: int
-    draw: int
-
-
-def skin_of(live: Live) -> Layout:
-    """Return the default skin with that number of sums and samples; fewer sums than blocks are drawn as in the paper."""
+    Fewer sums than blocks are drawn as in the paper: some blocks then send nothing.
+    """
     layout = load_layout()
-    few = live.sums < layout.blocks
     measurement = msgspec.structs.replace(
-        layout.measurement, sums=live.sums, selection="uniform" if few else "balanced", seed=1 + live.draw
+        layout.measurement,
+        sums=sums,
+        selection="uniform" if sums < layout.blocks else "balanced",
+        seed=layout.measurement.seed + draw,
     )
-    rate_hz = layout.sync.rate_hz * live.samples if live.samples > 1 else None
-    sampling = msgspec.structs.replace(layout.sampling, rate_hz=rate_hz)
-    return msgspec.structs.replace(layout, measurement=measurement, sampling=sampling)
+    rate_hz = layout.sync.rate_hz * samples if samples > 1 else None
+    return msgspec.structs.replace(
+        layout, measurement=measurement, sampling=msgspec.structs.replace(layout.sampling, rate_hz=rate_hz)
+    )
 
 
-def measure_sixteen(
-    *, stroke: StrokeKind, sums: int, samples: int, draw: int, touches: int, per_object: int, seed: int
-) -> Row:
+def measure_sixteen(*, stroke: StrokeKind, sums: int, samples: int, draw: int, touches: int, seed: int) -> Row:
     """Return what is said in the cycles in which one of the sixteen touches with 2 mN or more; they touch in turn.
 
     Returns
     -------
     dict
-        Parts of these cycles: ``right``, ``unknown``, ``empty``; ``held``, the right part of those in which the object is
-        pressed in fully, the only ones that the paper classifies.
+        Parts of these cycles: ``right``, ``unknown``, ``empty``; ``held``: the right part of the cycles in which the
+        object is pressed in fully, the only ones that the paper classifies.
     """
-    layout = skin_of(Live(stroke, sums, samples, draw))
+    layout = skin_of(sums, samples, draw)
     phi, rate_hz = layout.phi(), step_rate_hz(layout)
     options = TrainingOptions(features=FEATURES[stroke], seed=seed)
-    model = train(
-        *load_touches(NAMES, per_object * len(NAMES), layout, seed=seed, stroke=stroke), layout, options=options
-    )
+    trained_on = load_touches(NAMES, TOUCHES_PER_OBJECT * len(NAMES), layout, seed=seed, stroke=stroke)
+    model = train(*trained_on, layout, options=options)
     source = objects(rate_hz=rate_hz, names=NAMES, seed=seed + 1000, rest_s=REST_S, stroke=stroke)
     boards = new_sampler(layout, phi, source, seed=seed)
     classifier, valid = Classifier(model, phi), np.ones(phi.blocks, np.bool_)

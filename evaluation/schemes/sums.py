@@ -82,7 +82,7 @@ def run_sums(
     sums = _sums(contract, counts, sampled, idle_counts)
     table = contract.table
     rows = [np.flatnonzero(table.phase == phase) for phase in range(contract.phases)]
-    bursts = [_burst(contract, each, rows[cycle % contract.phases]) for cycle, each in enumerate(sums)]
+    bursts = [burst(contract, each, rows[cycle % contract.phases]) for cycle, each in enumerate(sums)]
     due = np.stack([rows[cycle % contract.phases] for cycle in range(cycles)])
     times = np.repeat(sync_ns, due.shape[1])
     asked = Asked(np.concatenate(bursts), table.bus[due].ravel(), times)
@@ -117,13 +117,14 @@ def _sums(
     return sums
 
 
-def _burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp]) -> Frames:
+def burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp]) -> Frames:
+    """Return the TPDOs of the rows of the contract's table, with `sums`, shape (m,)."""
     table = contract.table
-    burst = frames(len(rows))
-    burst["can_id"], burst["length"], burst["flags"] = table.cob_id[rows], table.length[rows], table.flags[rows]
+    made = frames(len(rows))
+    made["can_id"], made["length"], made["flags"] = table.cob_id[rows], table.length[rows], table.flags[rows]
     payloads = encode(sums, table.gather[rows], contract.packing)
-    burst["data"][:, : payloads.shape[1]] = payloads
-    return burst
+    made["data"][:, : payloads.shape[1]] = payloads
+    return made
 
 
 def _decoded(contract: Contract, sent: Frames, due: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:

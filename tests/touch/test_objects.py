@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from touch.contact import Grid, Pose, Spheres, press
 from touch.classification_poses import CLASSIFICATION_OBJECTS
+from touch.contact import Grid, Pose, Spheres, press
 from touch.objects import CATALOGUE, FACING_M, PAPER_OBJECTS, checked_names, spheres_of
 from touch.primitives import ball, box, can, ring
 from touch.trajectory import PAPER_DEPTH_M
