@@ -4,19 +4,31 @@ from typing import Final
 
 import numpy as np
 
+from classifier.cache import TOUCHES_PER_OBJECT
 from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
 from evaluation.recognition.pictures import draw_gains, gain_row
+from evaluation.recognition.sixteen import measure_sixteen
 from evaluation.result import Options, Picture, Result, Row, grouped
 from evaluation.result_cache import measure_cells
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import DEFAULT_OBJECTS, OBJECT_GROUPS, StrokeKind
 from touch.objects import CATALOGUE
 
 SIZES: Final = (64, 16, 4)
 #: Objects of the catalogue the live model never met.
 UNMET: Final = tuple(name for name in CATALOGUE if name not in DEFAULT_OBJECTS)
 DRAWS: Final = 10
+#: The sixteen live: kind of touch, sums, samples of a taxel in a cycle (the paper has one), draws of Φ.
+SIXTEEN: Final[tuple[tuple[StrokeKind, int, int, int], ...]] = (
+    ("slide", 1024, 10, 1),
+    ("press", 64, 10, 3),
+    ("press", 16, 10, 3),
+    ("press", 64, 1, 3),
+    ("press", 16, 1, 3),
+)
+#: Touches of each of the sixteen.
+SIXTEEN_TOUCHES: Final = 3
 #: Methods measured with 4 sums as well: where few sums are the point.
 _FOR_FEW: Final = (PLAIN, "rows chosen", f"rows chosen, mean of {CYCLES} cycles")
 #: Methods not measured with 64 sums, where they take long and there is little to gain.
@@ -30,7 +42,7 @@ def evaluate(options: Options) -> Result:
     pictures = [Picture(_CAPTION, lambda: draw_gains(methods))]
     return Result(
         "Recognition beyond the paper, and as a service",
-        [*methods, *_adaptive_rows(options), *_live_rows(options)],
+        [*methods, *_adaptive_rows(options), *_live_rows(options), *_sixteen_rows(options)],
         pictures,
     )
 
@@ -102,6 +114,41 @@ def _live_rows(options: Options) -> list[Row]:
         _live_row(f"live, {cell['names'][0]}, never met: called unknown", cell, result, "unknown")
         for cell, result in zip(unmet, results[len(known) :], strict=True)
     ]
+
+
+def _sixteen_rows(options: Options) -> list[Row]:
+    """Return the rows of the paper's sixteen objects live, means over draws of Φ."""
+    cells: list[Row] = [
+        {"stroke": stroke, "sums": sums, "samples": samples, "draw": draw, "seed": options.seed}
+        for stroke, sums, samples, draws in (SIXTEEN[-2:-1] if options.quick else SIXTEEN)
+        for draw in range(1 if options.quick else draws)
+    ]
+    extent: Row = {
+        "touches": len(OBJECT_GROUPS["paper"]) * (1 if options.quick else SIXTEEN_TOUCHES),
+        "per_object": TOUCHES_PER_OBJECT // (6 if options.quick else 1),
+    }
+    results = measure_cells(measure_sixteen, [cell | extent for cell in cells], options, "sixteen live")
+    measured = [cell | result for cell, result in zip(cells, results, strict=True)]
+    rows = []
+    for (stroke, sums, samples), group in grouped(measured, "stroke", "sums", "samples").items():
+        named = f"live, the paper's 16, {stroke}, samples a cycle {samples}"
+        for share, what in _SHARES.items():
+            percent = [100 * each[share] for each in group]
+            rows.append(
+                {
+                    "what": f"{named}: {what}",
+                    "sums": sums,
+                    "runs": extent["touches"] * len(group),
+                    "ours": round(float(np.mean(percent)), 2),
+                    **dict.fromkeys(("plain", "gain")),
+                    "least": round(min(percent), 2),
+                    "most": round(max(percent), 2),
+                }
+            )
+    return rows
+
+
+_SHARES: Final = {"held": "right, pressed in fully", "right": "right, all cycles", "unknown": "called unknown"}
 
 
 def _live_row(what: str, cell: Row, result: Row, share: str) -> Row:

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from canskin.messages import UNKNOWN_OBJECT
-from classifier.cache import FEATURES, TOUCHES_PER_OBJECT
+from classifier.cache import FEATURES
 from classifier.decide import Classifier
 from classifier.training import TrainingOptions, train
 from evaluation.result import Row
@@ -41,7 +41,9 @@ def skin_of(sums: int, samples: int, draw: int) -> Layout:
     )
 
 
-def measure_sixteen(*, stroke: StrokeKind, sums: int, samples: int, draw: int, touches: int, seed: int) -> Row:
+def measure_sixteen(
+    *, stroke: StrokeKind, sums: int, samples: int, draw: int, touches: int, per_object: int, seed: int
+) -> Row:
     """Return what is said in the cycles in which one of the sixteen touches with 2 mN or more; they touch in turn.
 
     Returns
@@ -53,7 +55,7 @@ def measure_sixteen(*, stroke: StrokeKind, sums: int, samples: int, draw: int, t
     layout = skin_of(sums, samples, draw)
     phi, rate_hz = layout.phi(), step_rate_hz(layout)
     options = TrainingOptions(features=FEATURES[stroke], seed=seed)
-    trained_on = load_touches(NAMES, TOUCHES_PER_OBJECT * len(NAMES), layout, seed=seed, stroke=stroke)
+    trained_on = load_touches(NAMES, per_object * len(NAMES), layout, seed=seed, stroke=stroke)
     model = train(*trained_on, layout, options=options)
     source = objects(rate_hz=rate_hz, names=NAMES, seed=seed + 1000, rest_s=REST_S, stroke=stroke)
     boards = new_sampler(layout, phi, source, seed=seed)

@@ -12,6 +12,7 @@ from evaluation.recognition.accuracy import measure_accuracy
 from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import measure_live
 from evaluation.recognition.methods import METHODS, measure_method
+from evaluation.recognition.sixteen import measure_sixteen
 from evaluation.result import Options
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 
@@ -61,6 +62,7 @@ def test_adaptive_sums_are_no_worse_than_16_chosen_sums() -> None:
 def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     # What cells measure is tested above, and the live service with the classifier: here, one stands in for all of them.
     monkeypatch.setattr(beyond, "measure_live", _live)
+    monkeypatch.setattr(beyond, "measure_sixteen", _sixteen)
     monkeypatch.setattr(beyond, "measure_method", _method)
     monkeypatch.setattr(beyond, "measure_adaptive", _adaptive)
     monkeypatch.setattr(classification, "measure_accuracy", _accuracy)
@@ -72,6 +74,17 @@ def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pyt
     named = {row["figure"]: row for row in both[0].rows}
     assert named["volleyball called basketball"]["paper"] == 25
     assert named["volleyball called basketball"]["ours"] == pytest.approx(100 / 16)
+
+
+def _sixteen(**cell: object) -> dict[str, Any]:
+    signature(measure_sixteen).bind(**cell)
+    return {"right": 0.9, "held": 0.95, "unknown": 0.01, "empty": 0.01}
+
+
+@pytest.mark.slow
+def test_the_sixteen_pressed_as_in_the_paper_are_recognised_live() -> None:
+    found = measure_sixteen(stroke="press", sums=64, samples=1, draw=0, touches=16, per_object=100, seed=0)
+    assert 0.8 < found["right"] < found["held"]
 
 
 def _accuracy(**cell: object) -> dict[str, Any]:
