@@ -32,7 +32,7 @@ DEFAULT_PORT: Final = 8765
 #: Time without touch where there are offsets, beside that in which the zero is measured.
 REST_S: Final = 1.5
 #: A first run compiles the solver and trains the classifier.
-READY_PATIENCE_S: Final = 180.0
+READY_PATIENCE_S: Final = 600.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
 TURN_S: Final = 0.1
 #: A start that takes longer is explained.
