@@ -81,6 +81,13 @@ def paper_psnr(path: Path) -> None:
     write_file(path, _from_report("PSNR of the clamp's images over time"))
 
 
+def scaling(path: Path) -> None:
+    """Take times and memory over the number of taxels from a report of their own."""
+    folder = DOCS.parent / "build/figures/scaling"
+    _run("evaluate", "scaling", "--out", str(folder))
+    write_file(path, _picture(folder / "report.html", "Time of each step"))
+
+
 #: File in docs/, and the function that makes it.
 FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "demo.png": demo,
@@ -89,6 +96,7 @@ FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "missing-data.svg": missing_data,
     "paper-images.png": paper_images,
     "paper-psnr.png": paper_psnr,
+    "scaling.png": scaling,
 }
 
 
@@ -101,6 +109,11 @@ def _from_report(caption: str) -> bytes:
     report = folder / "report.html"
     if not report.exists():
         _run("evaluate", "figures", "--meshes", meshes, "--out", str(folder))
+    return _picture(report, caption)
+
+
+def _picture(report: Path, caption: str) -> bytes:
+    """Return the picture of a report whose caption begins with `caption`."""
     found = re.findall(r'<img alt="([^"]*)" src="data:image/png;base64,([^"]*)"', report.read_text(encoding="utf-8"))
     return next(base64.b64decode(data) for alt, data in found if alt.replace("&#x27;", "'").startswith(caption))
 

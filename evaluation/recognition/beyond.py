@@ -22,10 +22,10 @@ DRAWS: Final = 10
 #: The sixteen live: kind of touch, sums, samples of a taxel in a cycle (the paper has one), draws of Φ.
 SIXTEEN: Final[tuple[tuple[StrokeKind, int, int, int], ...]] = (
     ("slide", 1024, 10, 1),
-    ("press", 64, 10, 3),
-    ("press", 16, 10, 3),
-    ("press", 64, 1, 3),
-    ("press", 16, 1, 3),
+    ("press", 64, 10, 2),
+    ("press", 16, 10, 2),
+    ("press", 64, 1, 2),
+    ("press", 16, 1, 2),
 )
 #: Touches of each of the sixteen.
 SIXTEEN_TOUCHES: Final = 3

@@ -74,34 +74,35 @@ def _cells(options: Options) -> list[Row]:
         wanted = [one for one in wanted if one[1] in _COMPARED_SIZES and one[2] in {FULL, THREE_PERCENT}]
     draws = options.draws_or(DRAWS)
     return [
-        {"kind": kind, "size": size, "draw": draw, "splits": _splits(size, draw, development, options)}
+        {"kind": kind, "size": size, "draw": draw, "splits": _splits(kind, size, draw, development, options)}
         | {"development": development, "validation": validation, **options.shared}
         for kind, size, (development, validation) in wanted
-        for draw in range(_draws(kind, size, draws, _is_many(size, development, options)))
+        for draw in range(_draws(kind, size, draws, is_few=_is_few(kind, size, development, options)))
     ]
 
 
-def _is_many(size: int, development: float, options: Options) -> bool:
-    """Tell whether `DRAWS_OF_FEW` draws of a signal are measured, of the full training set."""
-    return size == _FEW and development == FULL[0] and options.draws is None and not options.quick
+def _is_few(kind: str, size: int, development: float, options: Options) -> bool:
+    """Tell whether `DRAWS_OF_FEW` draws of a signal are measured: of 16 sums, with the full training set."""
+    is_drawn = kind in {"sbhe", "noiselet"}
+    return is_drawn and size == _FEW and development == FULL[0] and options.draws is None and not options.quick
 
 
-def _draws(kind: str, size: int, draws: int, is_many: bool) -> int:
+def _draws(kind: str, size: int, draws: int, *, is_few: bool) -> int:
     """Return the draws of a signal: one where nothing is drawn, or every draw is the same signal turned."""
     if kind not in {"sbhe", "noiselet"} or size == 4096:
         return 1
-    if is_many:
+    if is_few:
         return DRAWS_OF_FEW
     return min(draws, 3) if size == 1024 else draws
 
 
-def _splits(size: int, draw: int, development: float, options: Options) -> list[int]:
+def _splits(kind: str, size: int, draw: int, development: float, options: Options) -> list[int]:
     """Return the splits for one draw: all of them where the figures are compared, else some that differ by draw."""
     if options.quick:
         return [0]
     if size == 4096:
         return list(range(3 if development >= TRAINING[1][0] else SPLITS))
-    if _is_many(size, development, options):
+    if _is_few(kind, size, development, options):
         return [draw % SPLITS, (draw + 1) % SPLITS]
     if size in _COMPARED_SIZES and development in {FULL[0], THREE_PERCENT[0]}:
         return list(range(SPLITS))
