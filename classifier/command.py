@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
@@ -64,6 +65,9 @@ def classify(
         trained = load_model(model, skin, classified)
     else:
         trained = find_or_train(skin, classified, _named(objects), stroke)
+    # A first decision compiles for a while: before the service is there, and not between two measurements.
+    still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
+    Classifier(trained, classified).decide(*still)
     fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=phi.fingerprint)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     try:

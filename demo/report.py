@@ -59,7 +59,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     label_accuracy : float or None
         Cycles with the right label / cycles with contact and a named object; None without any label.
     labelled_ratio : float or None
-        Cycles with a label, right or wrong / cycles with contact and a named object.
+        Cycles with a label, right or wrong / cycles with contact and a named object. "No contact" is a label.
     contact_cycles : int
         Cycles with contact; adaptive: true forces with contact, 100 a second.
     latency_ms : Percentiles
