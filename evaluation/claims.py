@@ -1,5 +1,6 @@
 """``skin evaluate claims``: every claim of the paper's abstract and conclusion, and what is measured here."""
 
+from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from statistics import mean
@@ -29,22 +30,24 @@ from evaluation.paper.tables import (
     measure_times,
 )
 from evaluation.recognition.accuracy import measure_accuracy
-from evaluation.recognition.live import measure_live
 from evaluation.recognition.printed import ACCURACIES, FULL, ONE_PERCENT, THREE_PERCENT
+from evaluation.recognition.sixteen import measure_sixteen
 from evaluation.result import Options, Result, Row, beside, grouped
 from evaluation.result_cache import measure_cells
+from evaluation.schemes import frontend
 from evaluation.schemes.judge import quality
 from evaluation.schemes.scan import run_scan
 from evaluation.schemes.scenes import SLIDE_TICKS, TAXELS, Touch
 from evaluation.schemes.sums import run_sums
 from skin.layout import Layout, Taxels, load_layout
 from skin.psnr import decibels
-from skin.sources import DEFAULT_OBJECTS
+from skin.sources import OBJECT_GROUPS
 from skin.taxel import FORCE_MAX_N
 
 #: Draws of Φ and of the noise, and splits of the observations, one for each draw, without --draws.
 IMAGE_DRAWS: Final = 2
 RECOGNITION_DRAWS: Final = 5
+LIVE_DRAWS: Final = 2
 #: Milliseconds of a slide on simulated buses, for a quick look.
 QUICK_TICKS: Final = 1200
 #: Bits of a value of a scan: the converter's.
@@ -66,8 +69,12 @@ SIGNALS: Final = (
     COARSE_64,
     COARSE_16,
 )
+#: Front ends that are compared: a converter for each taxel, and one of as many bits for each sum.
+DIGITAL, ANALOGUE = frontend.Effect("digital", is_digital=True), frontend.Effect("analogue", bits=SCAN_BITS)
 #: Iterations of an image from zero: the paper's images have then converged.
 FROM_ZERO: Final = 100
+BEST: Final = "up to 98 % accuracy at 64:1"
+LITTLE: Final = "high accuracy with much compression and little training"
 Mode = Literal["offline", "live"]
 
 
@@ -92,6 +99,7 @@ def evaluate(options: Options) -> Result:
         *_skin_rows(options),
         *_accuracy_rows(options),
         *_label_rows(options),
+        *_converter_rows(options),
         *_wire_rows(),
         _decision_row(options),
     ]
@@ -177,8 +185,8 @@ def _accuracy_rows(options: Options) -> list[Row]:
     found = iter(measure_cells(measure_accuracy, calls, options, "classification"))
     ours = {signal: mean(100 * next(found)["accuracy"][0] for _ in range(count)) for signal, count in runs.items()}
     command = "skin evaluate classification"
-    best = Claim("up to 98 % accuracy at 64:1", command)
-    little = Claim("high accuracy with much compression and little training", command)
+    best = Claim(BEST, command)
+    little = Claim(LITTLE, command)
     full = Claim("accuracy as on the original signal", command)
     same = Claim("better than sensor signals of the same size", command)
     rows = [
@@ -236,12 +244,48 @@ def highest_rate_hz(layout: Layout) -> float:
 
 def _label_rows(options: Options) -> list[Row]:
     """Return the rows of the running classifier."""
-    touches = len(DEFAULT_OBJECTS) * (1 if options.quick else 3)
-    asked = {"names": list(DEFAULT_OBJECTS), "touches": touches, "lost_ratio": 0.0, "noise_ratio": 1.0}
-    (found,) = measure_cells(measure_live, [asked | {"seed": options.seed}], options, "live", jobs=1)
-    claim = Claim("objects are named from the compressed signal", "skin evaluate recognition")
-    quantity = f"cycles with the right label, our {len(DEFAULT_OBJECTS)} objects, {found['sums']} sums, %"
-    return [claim.row(quantity, 100 * found["right"], runs=touches, mode="live")]
+    objects = len(OBJECT_GROUPS["paper"])
+    extent = {"touches": objects, "per_object": 100} if options.quick else {"touches": 3 * objects, "per_object": 600}
+    cells: list[Row] = [
+        {"stroke": "press", "sums": sums, "samples": 1, "draw": draw, "seed": options.seed, **extent}
+        for sums in (64, 16)
+        for draw in range(options.draws_or(LIVE_DRAWS))
+    ]
+    found = [
+        cell | each for cell, each in zip(cells, measure_cells(measure_sixteen, cells, options, "live"), strict=True)
+    ]
+    command = "skin evaluate recognition"
+    best, little = Claim(BEST, command), Claim(LITTLE, command)
+    rows = []
+    for (sums,), group in grouped(found, "sums").items():
+        claim = best if sums == SUMS_64[1] else little
+        share = 100 * mean(each["held"] for each in group)
+        quantity = f"cycles of a full press with the right label, {objects} objects, {sums} sums, %"
+        runs = extent["touches"] * len(group)
+        rows.append(claim.row(quantity, share, paper=ACCURACIES["sbhe", sums, FULL], runs=runs, mode="live"))
+    return rows
+
+
+def _converter_rows(options: Options) -> list[Row]:
+    """Return the rows on sums that are made before the converters."""
+    asked = {
+        "speed": frontend.QUICK_SPEED if options.quick else frontend.SPEED,
+        "size": load_layout().measurement.block_size,
+    }
+    cells = [{**options.shared, **asked, "effect": asdict(each)} for each in (DIGITAL, ANALOGUE)]
+    digital, analogue = measure_cells(frontend.measure, cells, options, "front ends")
+    claim = Claim("compressed in hardware before transmission", "skin evaluate frontend")
+    gain_db = analogue["psnr_db"] - digital["psnr_db"]
+    quantity = f"PSNR with a {ANALOGUE.bits}-bit converter for each sum - for each taxel, 5 objects, dB"
+    return [
+        claim.row(quantity, gain_db, runs=analogue["frames"]),
+        claim.row(
+            "conversions in a cycle, for each taxel / for each sum",
+            TAXELS / TABLE_SUMS,
+            paper=TAXELS / TABLE_SUMS,
+            runs=1,
+        ),
+    ]
 
 
 def _wire_rows() -> list[Row]:
