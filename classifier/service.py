@@ -7,10 +7,9 @@ import numpy as np
 
 from canskin.fabric import Exchange
 from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
-from classifier.coarse_sums import places
 from classifier.decide import FORGET_CYCLES, Classifier, Decision
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
-from skin.measurement import Sbhe
+from skin.measurement import Sbhe, places
 from skin.service import StopSignal
 
 #: Period of the check of the stop signal.

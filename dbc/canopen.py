@@ -19,6 +19,9 @@ HEARTBEAT_BASE: Final = 0x700
 #: TPDO 1 to 4, then the identifiers of RPDO 1 to 4.
 TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
 HIGHEST_NODE_ID: Final = 127
+#: Of the RPDO that switches all nodes between recognition and images: the EMCY of a node that no bus has then. It comes
+#: before all TPDOs, so that nodes that missed it cannot hold it up.
+STATE_COB_ID: Final = EMCY_BASE + HIGHEST_NODE_ID
 
 
 def is_of_node(can_id: npt.NDArray[np.uint32], base: int) -> npt.NDArray[np.bool_]:

@@ -24,6 +24,9 @@ from dbc.indices import (
     OD_IDENTITY,
     OD_MANUFACTURER,
     OD_PHI_FINGERPRINT,
+    OD_RPDO_COMMUNICATION,
+    OD_RPDO_MAPPING,
+    OD_STATE,
     OD_SYNC_COB_ID,
     OD_SYNC_OVERFLOW,
     OD_TEST_PATTERN,
@@ -37,7 +40,7 @@ from dbc.indices import (
 )
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
-_COMPARED: Final = {OD_IDENTITY: (1, 2)}
+_COMPARED: Final = {OD_IDENTITY: (1, 2), OD_STATE: (2,)}
 #: COB-ID, transmission type, and the SYNC start value where SYNC has a counter; the other sub-indices concern
 #: event-driven PDOs only.
 _COMPARED_OF_TPDO: Final = (1, 2)
@@ -126,13 +129,15 @@ def proof_period_s(contract: Contract, bus: int) -> float:
 
 
 def _is_mapping(index: int) -> bool:
-    return OD_TPDO_MAPPING <= index < OD_MANUFACTURER
+    return OD_TPDO_MAPPING <= index < OD_MANUFACTURER or index == OD_RPDO_MAPPING
 
 
 def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ...]) -> bool:
     subindex = each.subindex or 0
     if OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING:
         return subindex in of_tpdo
+    if each.index == OD_RPDO_COMMUNICATION:
+        return subindex in _COMPARED_OF_TPDO
     if _is_mapping(each.index):
         return subindex <= mapped[each.index]
     if each.index in _COMPARED:

@@ -10,6 +10,7 @@ A TPDO contains no cycle number. The layout's `sync.identity` tells how the gate
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Self
@@ -25,7 +26,7 @@ from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
 from skin.layout import Bus, Layout
-from skin.measurement import Sbhe
+from skin.measurement import Sbhe, places
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import GROUPS
 
@@ -139,25 +140,28 @@ class Contract:
         LayoutError
             If a node has more sums than its bus has identifiers for.
         """
-        phi, pack = layout.phi(), packing(layout)
-        nodes: list[NodeContract] = []
-        for number, bus in enumerate(layout.bus):
-            flags = frame_flags(bus)
-            for node_id in range(1, bus.nodes + 1):
-                block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
-                first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
-                is_adaptive = layout.sending == "adaptive"
-                adaptive = _adaptive_tpdos(node_id, is_fd=bus.fd) if is_adaptive else ()
-                phases = PHASES[layout.sync.identity]
-                tpdos = (
-                    () if is_adaptive else _tpdos(bus, number, node_id, range(first, last), pack.bits, phases=phases)
-                )
-                nodes.append(
-                    NodeContract(
-                        number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive
-                    )
-                )
-        return cls(layout, phi, pack, tuple(nodes))
+        return cls(layout, *_phi_and_nodes(layout, {}))
+
+    @cached_property
+    def recognition(self) -> "Contract | None":
+        """The contract of the state of recognition: fewer sums of the same nodes, in TPDOs of their own; None without."""
+        if self.layout.recognition is None:
+            return None
+        taken = {(node.bus, node.node_id): len(node.tpdos) for node in self.nodes}
+        layout = self.layout.recognising()
+        return Contract(layout, *_phi_and_nodes(layout, taken))
+
+    @cached_property
+    def recognised(self) -> npt.NDArray[np.intp]:
+        """Where the sums of recognition are among all sums; empty without that state."""
+        if self.recognition is None:
+            return np.zeros(0, np.intp)
+        return places(self.phi, self.recognition.phi)
+
+    @property
+    def states(self) -> "tuple[Contract, ...]":
+        """The contract of images, and that of recognition if there is one."""
+        return (self,) if self.recognition is None else (self, self.recognition)
 
     @cached_property
     def law(self) -> Companding:
@@ -257,6 +261,30 @@ def sample_age_ns(line: Bus) -> int:
     return SAMPLE_NS + int(frame_time_ns(longest, line.bitrate, line.data_bitrate, "worst")[0])
 
 
+def _phi_and_nodes(
+    layout: Layout, taken: Mapping[tuple[int, int], int]
+) -> tuple[Sbhe, Packing, tuple[NodeContract, ...]]:
+    """Return Φ, packing and nodes; `taken` has the number of TPDOs that a node has besides, by bus and node-ID."""
+    phi, pack = layout.phi(), packing(layout)
+    is_adaptive, phases = layout.sending == "adaptive", PHASES[layout.sync.identity]
+    nodes: list[NodeContract] = []
+    for number, bus in enumerate(layout.bus):
+        flags = frame_flags(bus)
+        for node_id in range(1, bus.nodes + 1):
+            block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
+            first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
+            adaptive = _adaptive_tpdos(node_id, is_fd=bus.fd) if is_adaptive else ()
+            others = taken.get((number, node_id), 0)
+            sums = range(first, last)
+            tpdos: tuple[Tpdo, ...] = ()
+            if not is_adaptive:
+                tpdos = _tpdos(bus, number, node_id, sums, pack.bits, phases=phases, others=others)
+            nodes.append(
+                NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive)
+            )
+    return phi, pack, tuple(nodes)
+
+
 def _adaptive_tpdos(node_id: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
     """Return the TPDOs of an adaptive node, the most urgent first."""
     count, step = (KINDS, IDENTIFIERS) if is_fd else (TPDOS, NODES)
@@ -267,8 +295,10 @@ def _adaptive_tpdos(node_id: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
     )
 
 
-def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int, *, phases: int) -> tuple[Tpdo, ...]:
-    """Divide a node's sums into frames, once per phase."""
+def _tpdos(
+    bus: Bus, number: int, node_id: int, sums: range, bits: int, *, phases: int, others: int
+) -> tuple[Tpdo, ...]:
+    """Divide a node's sums into frames, once per phase; `others` TPDOs of the node come before."""
     parts = _spread(sums, bits, fd=bus.fd)
     tpdos = []
     for index in range(phases * len(parts)):
@@ -276,8 +306,8 @@ def _tpdos(bus: Bus, number: int, node_id: int, sums: range, bits: int, *, phase
         part = parts[frame]
         tpdos.append(
             Tpdo(
-                number=index + 1,
-                cob_id=_cob_id(bus, number, node_id, index),
+                number=others + index + 1,
+                cob_id=_cob_id(bus, number, node_id, others + index),
                 phase=phase,
                 first_sum=part.start,
                 sums=len(part),

@@ -18,13 +18,14 @@ from dbc.canopen import (
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    STATE_COB_ID,
     SYNC_COB_ID,
     TIME_COB_ID,
     NmtCommand,
     NmtState,
 )
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
-from dbc.dictionary import HEARTBEAT_MS
+from dbc.dictionary import HEARTBEAT_MS, IMAGES, RECOGNITION
 from dbc.frame import FD
 from dbc.packing import rounding_error_n
 from skin.sync_counter import SYNC_OVERFLOW
@@ -52,6 +53,9 @@ def database(contract: Contract, bus: int) -> str:
     layout, line = contract.layout, contract.layout.bus[bus]
     nodes = contract.on_bus(bus)
     messages = _network(contract) + [message for node in nodes for message in _node(contract, node)]
+    if contract.recognition is not None:
+        few = contract.recognition
+        messages += [_sums(few, node, tpdo, "_Recognition") for node in few.on_bus(bus) for tpdo in node.tpdos]
     comment = (
         f"Bus {line.name} of skin {layout.name}: blocks {nodes[0].block} to {nodes[-1].block + nodes[-1].blocks - 1}"
         f" of Phi {contract.phi.fingerprint}. {_unit_text(contract)}"
@@ -187,7 +191,11 @@ def _network(contract: Contract) -> list["Message"]:
         _signal("Days", 32, 16, receiver=None, unit="d"),
     ]
     about = "TIME_OF_DAY in UTC; days since 1984-01-01"
+    states = {RECOGNITION: "Recognition", IMAGES: "Images"}
+    state = [_signal("State", 0, 8, receiver=None, meanings=states)]
+    switch = _message("State", STATE_COB_ID, 1, GATEWAY, state, comment="State of all nodes from the next SYNC on")
     return [
+        *([] if contract.recognition is None else [switch]),
         _message("NMT", NMT_COB_ID, 2, GATEWAY, [command, node_id], comment="NMT command; node-ID 0 is all nodes"),
         _message(
             "SYNC",
@@ -235,15 +243,15 @@ def _transfer(receiver: str) -> list["Signal"]:
     return [_signal(name, start, bits, receiver=receiver) for name, start, bits in parts]
 
 
-def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
-    """Return a TPDO with its sums."""
+def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") -> "Message":
+    """Return a TPDO with its sums; `suffix` ends its name."""
     pack, name, sums = contract.packing, _name(node), range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
     if contract.phases > 1:
         counters = ", ".join(str(tpdo.phase + 1 + turn * contract.phases) for turn in range(3))
         when = f" in phase {tpdo.phase + 1} of {contract.phases}: after SYNC counters {counters}, ..."
         suffix = f"_Phase{tpdo.phase + 1}"
     else:
-        when, suffix = ", after every SYNC", ""
+        when = " of recognition, after every SYNC" if suffix else ", after every SYNC"
     signals = [
         _signal(
             signal_name(contract, number),

@@ -15,6 +15,7 @@ from dbc.canopen import (
     EVENT_MANUFACTURER,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    STATE_COB_ID,
     SYNC_COB_ID,
 )
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
@@ -49,10 +50,13 @@ from dbc.indices import (
     OD_REFRESH,
     OD_RESTORE,
     OD_ROWS,
+    OD_RPDO_COMMUNICATION,
+    OD_RPDO_MAPPING,
     OD_SDO_SERVER,
     OD_SENDING,
     OD_SIGNATURE,
     OD_SOFTWARE_VERSION,
+    OD_STATE,
     OD_STORE,
     OD_SUMS,
     OD_SYNC_COB_ID,
@@ -76,6 +80,13 @@ from skin.walsh import GROUPS
 
 Access = Literal["ro", "rw", "const"]
 Value = int | float | str
+
+#: Values of 2008h:1, the state of a node after a reset and that in which it sends all sums.
+RECOGNITION: Final = 0
+IMAGES: Final = 1
+#: Lowest cyclic synchronous transmission type; an RPDO of it acts at the next SYNC (CiA 301, 7.5.2.35).
+EVERY_SYNC: Final = 1
+_RPDO_MAPPING: Final = "RPDO 1 mapping parameter"
 
 REVISION: Final = 0x0001_0002
 HEARTBEAT_MS: Final = 1000
@@ -125,13 +136,55 @@ def window_s(layout: Layout) -> float:
 
 def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
     """Return all objects of `node` with their initial values, by index and sub-index."""
+    tpdos = _tpdos(contract, node)
     return [
         *_communication(contract, node),
-        *(entry for tpdo in node.tpdos for entry in _tpdo_communication(tpdo.number, _synchronous(contract, tpdo))),
+        *_state_rpdo(contract),
+        *(entry for _, tpdo in tpdos for entry in _tpdo_communication(tpdo.number, _synchronous(contract, tpdo))),
         *(entry for tpdo in node.adaptive_tpdos for entry in _tpdo_communication(tpdo.number, _adaptive(tpdo))),
-        *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(contract, node, tpdo)),
+        *(entry for first, tpdo in tpdos for entry in _tpdo_mapping(contract, node, tpdo, first)),
         *(entry for tpdo in node.adaptive_tpdos for entry in _adaptive_mapping(tpdo)),
         *_manufacturer(contract, node),
+    ]
+
+
+def _tpdos(contract: Contract, node: NodeContract) -> list[tuple[Sequence[int], Tpdo]]:
+    """Return the TPDOs of a node, those of recognition last, each with the places of its sums among all sums."""
+    found: list[tuple[Sequence[int], Tpdo]] = [
+        (range(tpdo.first_sum, tpdo.first_sum + tpdo.sums), tpdo) for tpdo in node.tpdos
+    ]
+    if contract.recognition is not None:
+        few = contract.recognition.nodes[contract.nodes.index(node)].tpdos
+        found += [(contract.recognised[each.first_sum : each.first_sum + each.sums].tolist(), each) for each in few]
+    return found
+
+
+def _state_rpdo(contract: Contract) -> list[Object]:
+    """Return the RPDO that switches between recognition and images at the next SYNC; the same for all nodes."""
+    if contract.recognition is None:
+        return []
+    communication = [
+        ("COB-ID used by RPDO", UNSIGNED32, "const", STATE_COB_ID),
+        ("Transmission type", UNSIGNED8, "const", EVERY_SYNC),
+    ]
+    return [
+        *_record(OD_RPDO_COMMUNICATION, "RPDO 1 communication parameter", communication),
+        Object(OD_RPDO_MAPPING, 0, "Number of mapped objects", UNSIGNED8, "const", 1, group=_RPDO_MAPPING),
+        Object(
+            OD_RPDO_MAPPING, 1, "Mapped object 1", UNSIGNED32, "const", OD_STATE << 16 | 1 << 8 | 8, group=_RPDO_MAPPING
+        ),
+    ]
+
+
+def _state(contract: Contract) -> list[Object]:
+    """Return the state of a node, and its window (1007h) in recognition."""
+    if contract.recognition is None:
+        return []
+    window_us = round(window_s(contract.recognition.layout) * 1e6)
+    return [
+        Object(OD_STATE, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 2, group="State"),
+        Object(OD_STATE, 1, "State, 0 recognition, 1 images", UNSIGNED8, "rw", RECOGNITION, pdo=True, group="State"),
+        Object(OD_STATE, 2, "Synchronous window length in recognition", UNSIGNED32, "const", window_us, group="State"),
     ]
 
 
@@ -242,10 +295,10 @@ def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
     return _mapping(tpdo.number, len(mapped), mapped, "const")
 
 
-def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
-    """Return the mapping record (from 1A00h): index, sub-index and length in bits of each mapped object."""
+def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequence[int]) -> list[Object]:
+    """Return the mapping record (from 1A00h): index, sub-index and length in bits of each of `sums`."""
     mapped = []
-    for each in range(tpdo.first_sum, tpdo.first_sum + tpdo.sums):
+    for each in sums:
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
         mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
@@ -278,6 +331,7 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_SIGNATURE, None, "Configuration signature", UNSIGNED32, "ro", 0),
         *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
     ]
+    whole += _state(contract)
     if node.adaptive_tpdos:
         whole += _adaptive_objects(contract)
     blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]

@@ -38,6 +38,7 @@ from dbc.indices import (
     OD_REFRESH,
     OD_RESTORE,
     OD_ROWS,
+    OD_RPDO_COMMUNICATION,
     OD_SDO_SERVER,
     OD_SIGNATURE,
     OD_STORE,
@@ -316,7 +317,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
         "Granularity": "4" if contract.packing.bits % 8 else "8",
         "DynamicChannelsSupported": "0",
         "GroupMessaging": "0",
-        "NrOfRXPDO": "0",
+        "NrOfRXPDO": str(indices.count(OD_RPDO_COMMUNICATION)),
         "NrOfTXPDO": str(sum(OD_TPDO_COMMUNICATION <= index < OD_TPDO_MAPPING for index in indices)),
         "LSS_Supported": "0",
     }
@@ -325,7 +326,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
 def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
     lines = [
         f"Phi {contract.phi.fingerprint}, values that differ between nodes are in their .dcf files",
-        f"CANopenNode: {_count_flags(len(kind.nodes[0].tpdos) or len(kind.nodes[0].adaptive_tpdos))}",
+        f"CANopenNode: {_count_flags(_tpdos(contract, kind.nodes[0]), int(contract.recognition is not None))}",
     ]
     for bus, nodes in groupby(kind.nodes, key=lambda node: node.bus):
         ids = ranges_text(node.node_id for node in nodes)
@@ -333,10 +334,16 @@ def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
     return {"Lines": str(len(lines)), **{f"Line{number}": line for number, line in enumerate(lines, 1)}}
 
 
-def _count_flags(tpdos: int) -> str:
+def _tpdos(contract: Contract, node: NodeContract) -> int:
+    """Return the number of TPDOs of a node, in all its states."""
+    states = [state.nodes[contract.nodes.index(node)] for state in contract.states]
+    return sum(len(each.tpdos) + len(each.adaptive_tpdos) for each in states)
+
+
+def _count_flags(tpdos: int, rpdos: int) -> str:
     """Return CANopenNode's numbers of objects as flags of the C compiler.
 
     CANopenEditor reads its count labels, from which it writes these numbers, from XDD files only.
     """
-    counts = dict.fromkeys(_COUNT_LABELS, 1) | {"TPDO": tpdos}
+    counts = dict.fromkeys(_COUNT_LABELS, 1) | ({"RPDO": rpdos} if rpdos else {}) | {"TPDO": tpdos}
     return " ".join(f"-DOD_CNT_{label}={count}" for label, count in counts.items())

@@ -91,7 +91,7 @@ class Score:
 
     def __post_init__(self) -> None:
         self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
-        self._measurements = Pairing(self.layout.sync.period_s)
+        self._measurements = Pairing(self.layout.shortest_period_s)
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""

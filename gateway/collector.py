@@ -15,6 +15,7 @@ from canskin.messages import FrameCounts
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.codec import decode
 from dbc.contract import Contract
+from dbc.dictionary import STOCK_WINDOW_RATIO
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from gateway.outstanding import Outstanding
 from gateway.sync_times import SampledTimes, SyncTimes
@@ -96,7 +97,9 @@ class Collector:
         self._due: deque[tuple[int, int]] = deque(maxlen=SLOTS)
         #: When the newest SYNC ended on each bus, 0 if unknown, and the shortest time allowed to the next.
         self._sync_ns = [0] * len(contract.layout.bus)
-        self._too_close_ns = round(CLOSE * contract.layout.sync.period_s * 1e9)
+        #: By slot: time to the next SYNC, and whether the SYNC asks for the frames of this contract.
+        self._period_ns = [round(contract.layout.sync.period_s * 1e9)] * SLOTS
+        self._rests = [False] * SLOTS
         self._times = SyncTimes(contract)
         #: Of each bus: bound of the error of the clock of the newest time stamps, None without.
         self._stamp_error_ns: list[int | None] = [None] * len(contract.layout.bus)
@@ -128,16 +131,15 @@ class Collector:
         count, self._foreign_syncs[bus] = self._foreign_syncs[bus], 0
         return count
 
-    def open(self, counter: int, due_ns: int = 0, sent_ns: int | None = None) -> None:
+    def open(self, counter: int, due_ns: int = 0, sent_ns: int | None = None, period_s: float | None = None) -> None:
         """Begin the cycle of SYNC `counter`, due at `due_ns`; call it at `sent_ns`, before this SYNC is sent.
 
-        No cycle of the same slot (`slot_of`) may be open.
+        No cycle of the same slot (`slot_of`) may be open. The next SYNC is due after `period_s`, by default the
+        layout's.
         """
         self._times.open(counter, due_ns, sent_ns)
         slot, rows = slot_of(counter), self._rows_of(counter)
-        # A bus without SYNC since this counter was last used is not in this cycle.
-        self._on_wire = [0 if now == counter else now for now in self._on_wire]
-        self._due.append((counter, due_ns))
+        self._note(counter, due_ns, period_s, rests=False)
         self._seen[slot] = False
         self._spoilt[slot] = self._disturbed[self._table.bus]
         self._disturbed[:] = False
@@ -146,6 +148,20 @@ class Collector:
         self._awaited[slot] = False
         self._awaited[slot, rows] = self.expected[self._table.node[rows]]
         self._waiting[slot] = np.bincount(self._table.bus[self._awaited[slot]], minlength=self._waiting.shape[1])
+
+    def rest(self, counter: int, due_ns: int, period_s: float | None) -> None:
+        """Take note of a SYNC that asks for no frame of this contract; arguments as for `open`."""
+        self._note(counter, due_ns, period_s, rests=True)
+        self._gathering[slot_of(counter)] = 0
+
+    def _note(self, counter: int, due_ns: int, period_s: float | None, *, rests: bool) -> None:
+        # A bus without SYNC since this counter was last used is not in this cycle.
+        self._on_wire = [0 if now == counter else now for now in self._on_wire]
+        self._due.append((counter, due_ns))
+        slot = slot_of(counter)
+        self._rests[slot] = rests
+        if period_s is not None:
+            self._period_ns[slot] = round(period_s * 1e9)
 
     def is_settled(self, counter: int) -> bool:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or the next SYNC."""
@@ -214,7 +230,7 @@ class Collector:
             self._spoil(bus)  # its SYNC was on the bus already
         self._on_wire[bus] = counter
         self._times.echo(counter, bus, time_ns, self._stamp_error_ns[bus])
-        self._check_spacing(bus, time_ns)
+        self._check_spacing(bus, time_ns, self._period_ns[slot_of(before or counter)])
         self._ask(bus, time_ns)
 
     def _counter_at(self, time_ns: int) -> int:
@@ -228,15 +244,19 @@ class Collector:
     def _ask(self, bus: int, time_ns: int) -> None:
         """With one phase: use no frame in the new cycle that may be of an earlier one."""
         if self._outstanding is not None:
-            doubtful = self._outstanding.ask(bus, time_ns)
             slot = slot_of(self._on_wire[bus])
+            window_ns = round(STOCK_WINDOW_RATIO * self._period_ns[slot])
+            if self._rests[slot]:
+                self._outstanding.rest(bus, time_ns, window_ns)
+                return
+            doubtful = self._outstanding.ask(bus, time_ns, window_ns)
             if self._on_wire[bus] and self._gathering[slot] == self._on_wire[bus]:
                 self._spoilt[slot, doubtful] = True
 
-    def _check_spacing(self, bus: int, time_ns: int) -> None:
+    def _check_spacing(self, bus: int, time_ns: int, period_ns: int) -> None:
         """Spoil a bus whose SYNCs waited in the controller and end too close: sums may answer either SYNC."""
         last_ns, self._sync_ns[bus] = self._sync_ns[bus], time_ns
-        if time_ns and last_ns and time_ns - last_ns < self._too_close_ns:
+        if time_ns and last_ns and time_ns - last_ns < CLOSE * period_ns:
             self._spoil(bus)
 
     def _judge_phases(self, came: npt.NDArray[np.intp]) -> None:

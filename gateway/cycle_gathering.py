@@ -66,14 +66,17 @@ class CycleGathering:
             self.collector.lost(bus)
         self.collector.take(bus, arrived, health.stamp_error_ns)
 
-    def begin(self, sync: Sync) -> list[Measurement]:
-        """Open the cycle of a SYNC; return the measurements of cycles that were closed for it."""
+    def begin(self, sync: Sync, *, is_asked: bool = True) -> list[Measurement]:
+        """Open the cycle of a SYNC, if it asks for these sums; return the measurements of cycles closed for it."""
         closed = []
         slot = slot_of(sync.counter)
         while any(slot_of(each.counter) == slot for each in self._open_cycles):
             closed.append(self._close(self._open_cycles.popleft()))
-        self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
-        self._open_cycles.append(sync)
+        if is_asked:
+            self.collector.open(sync.counter, sync.due_ns, sync.sent_ns, sync.period_s)
+            self._open_cycles.append(sync)
+        else:
+            self.collector.rest(sync.counter, sync.due_ns, sync.period_s)
         return closed
 
     def tick(self, now_s: float) -> None:

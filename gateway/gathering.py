@@ -11,6 +11,7 @@ from bus.error_frames import ErrorClass
 from bus.link import State
 from canskin.messages import FrameCounts, Measurement
 from dbc.contract import NodeContract
+from dbc.dictionary import IMAGES
 from dbc.frame import ECHO, ERROR, Frames
 from gateway.nmt_master import NmtMaster
 
@@ -33,6 +34,10 @@ class Sync:
         A time just before it is sent; None in a replay.
     wall_offset_ns : int
         Wall clock minus monotonic clock.
+    state : int
+        2008h:1 of the nodes from this SYNC on, where they have it.
+    period_s : float or None
+        Time to the next SYNC; None: that of the layout.
     """
 
     number: int
@@ -40,6 +45,8 @@ class Sync:
     due_ns: int
     sent_ns: int | None
     wall_offset_ns: int
+    state: int = IMAGES
+    period_s: float | None = None
 
     @property
     def due_s(self) -> float:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from bus.link import Send, State
@@ -16,6 +16,8 @@ from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Gathering, Health, Sync
 from gateway.load import BusLoad
 from gateway.nmt_master import NmtMaster
+from gateway.state_gathering import StateGathering
+from gateway.state_switch import StateSwitch
 from skin.ranges import ranges_text
 
 #: Period of `_look_after_nodes`.
@@ -66,6 +68,8 @@ class GatewayLoop:
     sync : SyncClock
     masters : dict of int to NmtMaster
         By number of the bus.
+    states : StateSwitch or None
+        Where the nodes have two states.
     """
 
     def __init__(
@@ -80,16 +84,16 @@ class GatewayLoop:
     ) -> None:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
-        self._period_s = contract.layout.sync.period_s
         self._say, self._complain = say, complain
         self._buses = {number: self._bus(number, send, now_s) for number, send in sends.items()}
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
-        self.gathering: Gathering = (
-            AdaptiveGathering(contract, self.masters, now_s, rates_hz)
-            if contract.layout.sending == "adaptive"
-            else CycleGathering(contract)
-        )
+        self.gathering: Gathering
+        if contract.layout.sending == "adaptive":
+            self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz)
+        else:
+            self.gathering = CycleGathering(contract) if contract.recognition is None else StateGathering(contract)
+        self.states = None if contract.recognition is None else StateSwitch(contract, sends)
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
         self._look_s = self._account_s = self._time_due_s = now_s
@@ -138,6 +142,8 @@ class GatewayLoop:
             return
         # The master first: a frame may make it doubt the node whose sums come next.
         bus.master.take(arrived, now_s)
+        if self.states is not None:
+            self.states.take(number, arrived)
         self.gathering.take(number, arrived, bus.health, now_s)
         bus.load.take(arrived)
 
@@ -146,6 +152,8 @@ class GatewayLoop:
         for bus in self._buses.values():
             bus.master.tick(now_s)
         self.gathering.tick(now_s)
+        if self.states is not None:
+            self.states.tick(now_s, self.sync.due_s)
         if self._patience_s is None:
             self._patience_s = now_s + BOOT_PATIENCE_S
         if not self.sync.runs and self.sync.counter == 0:
@@ -166,17 +174,20 @@ class GatewayLoop:
         wall_offset_ns : int
             Wall clock minus monotonic clock.
         """
+        if self.states is not None and now_s >= self.sync.due_s:
+            self.sync.period_s = self.states.take_sync(now_s)
         due_s = self.sync.take(now_s)
         if due_s is None:
             return []
-        sync_ns = round(due_s * 1e9)
-        closed = self.gathering.begin(
-            Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns)
-        )
+        sync_ns, period_s = round(due_s * 1e9), self.sync.period_s
+        begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns, period_s=period_s)
+        if self.states is not None:
+            begun = replace(begun, state=self.states.state)
+        closed = self._noted(self.gathering.begin(begun), now_s)
         sync = self._contract.sync(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
-        sync["expires_ns"] = sync_ns + round(LATEST * self._period_s * 1e9)
+        sync["expires_ns"] = sync_ns + round(LATEST * period_s * 1e9)
         for bus in self._buses.values():
             if bus.send(sync):
                 if bus.refused_syncs:
@@ -189,7 +200,7 @@ class GatewayLoop:
 
     def measurements(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
         """Return the measurements that are due."""
-        made = self.gathering.measurements(now_s, wall_offset_ns)
+        made = self._noted(self.gathering.measurements(now_s, wall_offset_ns), now_s)
         if made and now_s >= self._account_s:
             # One bus at a time, after a measurement: the loop has time then.
             self._account_s = now_s + ACCOUNT_PERIOD_S
@@ -197,11 +208,17 @@ class GatewayLoop:
             self._buses[self._numbers[self._accounted % len(self._numbers)]].load.account()
         return made
 
+    def _noted(self, made: list[Measurement], now_s: float) -> list[Measurement]:
+        if self.states is not None:
+            for each in made:
+                self.states.take_measurement(each, now_s)
+        return made
+
     def _send_time(self, now_s: float, wall_offset_ns: int) -> None:
         """Send TIME if it is due. After SYNC: SYNC never waits for it, and with adaptive sending the bus is free."""
         if self._time_period_s is None or now_s < self._time_due_s:
             return
-        self._time_due_s = now_s + self._time_period_s - self._period_s / 2
+        self._time_due_s = now_s + self._time_period_s - self.sync.period_s / 2
         for bus in self._buses.values():
             bus.send(time_frame(round(now_s * 1e9) + wall_offset_ns))
 

@@ -22,7 +22,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import Setting, signature
 from dbc.contract import NodeContract
-from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, Object
+from dbc.dictionary import HEARTBEATS_WATCHED, IMAGES, ON_COMMAND, RECOGNITION, Object
 from dbc.indices import (
     BITS,
     OD_CONSUMER_HEARTBEAT,
@@ -38,9 +38,12 @@ from dbc.indices import (
     OD_REFRESH,
     OD_RESTORE,
     OD_SIGNATURE,
+    OD_STATE,
     OD_STORE,
     OD_SUMS,
     OD_TEST_PATTERN,
+    OD_TPDO_COMMUNICATION,
+    OD_TPDO_MAPPING,
     REAL32,
     of_block,
     split_block,
@@ -58,7 +61,7 @@ from nodes.tpdo import Tpdo, read_tpdos
 _COMMANDS: Final = (OD_STORE, OD_RESTORE)
 
 #: Objects of the manufacturer whose value is an order to the running node: they are not restored.
-_ORDERS: Final = (OD_TEST_PATTERN, OD_REFRESH)
+_ORDERS: Final = (OD_TEST_PATTERN, OD_REFRESH, OD_STATE)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -86,6 +89,8 @@ class SkinNode:
         SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
     tpdos : list of Tpdo
         The PDOs that exist now; `refresh` reads them again after a write.
+    sends : int
+        The state whose TPDOs are sent: 2008h:1 as of the newest SYNC.
     """
 
     def __init__(
@@ -102,6 +107,8 @@ class SkinNode:
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[Tpdo] = []
+        self.sends = self._wanted = RECOGNITION
+        self._states = _states_of_tpdos(contract, objects)
         self._settings = settings
         self._signature: int | None = None
         self._storage = storage
@@ -116,6 +123,7 @@ class SkinNode:
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,
             OD_SIGNATURE: lambda _: self._read_signature(),
+            OD_STATE: lambda subindex: self._wanted if subindex == 1 else None,
             **{
                 of_block(OD_SUMS, place): partial(self._read_sum, contract.block + place)
                 for place in range(contract.blocks)
@@ -147,6 +155,7 @@ class SkinNode:
                     store.setdefault(index, {})[subindex] = data
         if not communication_only:
             self._reset_electronics()
+        self.sends = self._wanted = RECOGNITION
         self._signature = None
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
@@ -195,6 +204,14 @@ class SkinNode:
         elif command in COMMANDED:
             self.state = COMMANDED[NmtCommand(command)]
 
+    def switch(self, state: int) -> None:
+        """Send the TPDOs of a state from the next SYNC on: write 2008h:1."""
+        self._wanted = state
+
+    def take_sync(self) -> None:
+        """Take over the state that was wanted before this SYNC."""
+        self.sends = self._wanted
+
     @property
     def due_s(self) -> float:
         """When `tick` has work to do next, as things stand."""
@@ -208,7 +225,7 @@ class SkinNode:
             return False
         self._changed = False
         local = self.local
-        self.tpdos = read_tpdos(local, [tpdo.number for tpdo in self.contract.tpdos])
+        self.tpdos = read_tpdos(local, self._states)
         self._has_events = any(tpdo.every >= EVENT_MANUFACTURER for tpdo in self.tpdos)
         self._emcy_cob_id = local.unsigned(OD_EMCY_COB_ID)
         self._emcy_inhibit_s = local.unsigned(OD_EMCY_INHIBIT_100US) * 1e-4
@@ -224,10 +241,15 @@ class SkinNode:
             return
         self.emcy.flush(now_s, self._emcy_inhibit_s)
         if self.state is NmtState.OPERATIONAL:
-            for tpdo in self.tpdos:
+            for tpdo in self.tpdos_of_state:
                 payload = tpdo.at_event(now_s, self.local)
                 if payload is not None:
                     self.send(tpdo, payload)
+
+    @property
+    def tpdos_of_state(self) -> list[Tpdo]:
+        """The PDOs that exist and are sent in the present state."""
+        return [tpdo for tpdo in self.tpdos if tpdo.state in (None, self.sends)]
 
     def send(self, tpdo: Tpdo, payload: bytes) -> None:
         """Send one TPDO outside a burst."""
@@ -303,7 +325,9 @@ class SkinNode:
         elif index == OD_RESTORE:
             self._store({})
         self._signature = None
-        if index >= OD_MANUFACTURER:
+        if index == OD_STATE:
+            self._wanted = data[0]
+        elif index >= OD_MANUFACTURER:
             self._adjust(index, subindex, data)
         else:
             self._changed = True
@@ -316,6 +340,19 @@ class SkinNode:
                 self._storage.clear()
         except OSError as error:
             raise canopen.SdoAbortedError(Abort.HARDWARE) from error
+
+
+def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int, int | None]:
+    """Return the state in which each synchronous TPDO is sent, by its number; None without states."""
+    own = [tpdo.number for tpdo in contract.tpdos]
+    if all(each.index != OD_STATE for each in objects):
+        return dict.fromkeys(own)
+    numbers = {each.index - OD_TPDO_COMMUNICATION + 1 for each in objects if _is_tpdo(each)}
+    return {number: IMAGES if number in own else RECOGNITION for number in sorted(numbers)}
+
+
+def _is_tpdo(each: Object) -> bool:
+    return OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING
 
 
 def _number(data_type: int | None, data: bytes) -> float:

@@ -46,9 +46,12 @@ class Sampler(Boards):
 
     The step of the taxel source follows the SYNC counter or, without counter, the time of SYNC in periods. So all
     processes of nodes that were started before the first SYNC measure the same touch, even if one misses a SYNC.
+    Between SYNCs without counter there may be several periods, up to `longest_period_s`.
     """
 
-    def __init__(self, phi: Sbhe, source: TaxelSource, electronics: Electronics) -> None:
+    def __init__(
+        self, phi: Sbhe, source: TaxelSource, electronics: Electronics, longest_period_s: float | None = None
+    ) -> None:
         super().__init__(phi, electronics)
         self._sums = np.zeros(phi.shape[0], np.int32)
         self._source = source
@@ -56,6 +59,7 @@ class Sampler(Boards):
         self._step = -1
         self._counter = 0
         self._period_ns = electronics.period_s * 1e9
+        self._anew_ns = ANEW_AFTER * (longest_period_s or electronics.period_s) * 1e9
         #: Time of step 0, by the SYNCs without counter since the master began.
         self._zero_ns = 0.0
         self._sync_ns = 0
@@ -121,7 +125,7 @@ class Sampler(Boards):
 
     def _step_at(self, time_ns: int) -> int:
         """Return the step of the taxel source at a SYNC without counter."""
-        if self._step < 0 or time_ns - self._sync_ns > ANEW_AFTER * self._period_ns:
+        if self._step < 0 or time_ns - self._sync_ns > self._anew_ns:
             self._zero_ns = time_ns - (self._step + 1) * self._period_ns
         self._sync_ns = max(self._sync_ns, time_ns)
         return max(0, int((time_ns - self._zero_ns) / self._period_ns + EARLY))
@@ -168,7 +172,7 @@ def new_electronics(layout: Layout, phi: Sbhe, **analogue: Any) -> Electronics:
     return Electronics(
         layout.taxels,
         **analogue,
-        period_s=layout.sync.period_s,
+        period_s=layout.shortest_period_s,
         samples=layout.samples_per_sync,
         blocks=phi.taxels_of_blocks,
     )
@@ -191,7 +195,7 @@ def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any)
         electronics = new_electronics(layout, phi, **analogue)
         if isinstance(electronics, AnalogueElectronics):
             return AnalogueSampler(phi, source, electronics)
-        return Sampler(phi, source, electronics)
+        return Sampler(phi, source, electronics, layout.sync.period_s)
 
     # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
     new().sample(1, 0)

@@ -15,6 +15,7 @@ from dbc.canopen import (
     NMT_COB_ID,
     SDO_BYTES,
     SDO_REQUEST_BASE,
+    STATE_COB_ID,
     SYNC_COB_ID,
     Emergency,
     NmtCommand,
@@ -23,7 +24,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import configuration
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import dictionary
+from dbc.dictionary import IMAGES, RECOGNITION, dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from dbc.indices import OD_SYNC_OVERFLOW
 from nodes.boards import Boards
@@ -84,6 +85,8 @@ class Segment(ABC):
         self.sync_at_s = self._tick_at_s = float("-inf")
         #: When a node has something to do; a received frame may change that.
         self._due_s = float("-inf")
+        #: Identifier of the RPDO with the state of the nodes; without states none has it.
+        self._state_cob_id = -1 if contract.recognition is None else STATE_COB_ID
         self._send = send
         self._network = SegmentNetwork(send)
         self.nodes = [
@@ -154,7 +157,8 @@ class Segment(ABC):
         heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
         request = is_of_node(can_id, SDO_REQUEST_BASE)
         # The nodes of this segment receive each other's heartbeats as echoes.
-        for frame in arrived[there & heartbeat | plain & (request | (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID))]:
+        others = (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID) | (can_id == self._state_cob_id)
+        for frame in arrived[there & heartbeat | plain & (request | others)]:
             self._handle(frame, now_s)
 
     def _handle(self, frame: np.void, now_s: float) -> None:
@@ -168,6 +172,8 @@ class Segment(ABC):
             self._sync(data, int(frame["time_ns"]), now_s)
         elif can_id == NMT_COB_ID:
             self._nmt(data, now_s)
+        elif can_id == self._state_cob_id:
+            self._switch(data)
         elif len(data) == SDO_BYTES:
             self._sdo(can_id, data, now_s)
 
@@ -186,6 +192,8 @@ class Segment(ABC):
         listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
         self._judge_sync(listening, len(data))
         counter = data[0] if len(data) == 1 else 0
+        for node in listening:
+            node.take_sync()
         self._answer(counter, time_ns)
 
     def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
@@ -196,6 +204,13 @@ class Segment(ABC):
                 node.emcy.gone(Emergency.SYNC_LENGTH)
             else:
                 node.emcy.raised(Emergency.SYNC_LENGTH, length)
+
+    def _switch(self, data: bytes) -> None:
+        """Take the RPDO with the state of all nodes; nodes that are not operational take no PDO."""
+        if len(data) == 1 and data[0] in (RECOGNITION, IMAGES):
+            for node in self.nodes:
+                if node.state is NmtState.OPERATIONAL:
+                    node.switch(data[0])
 
     def _nmt(self, data: bytes, now_s: float) -> None:
         if len(data) != NMT_BYTES:

@@ -9,9 +9,10 @@ import numpy as np
 from bus.link import DISCARDED, Send
 from dbc.canopen import HIGHEST_NODE_ID, Emergency, NmtState
 from dbc.contract import Contract, NodeContract
+from dbc.dictionary import IMAGES, RECOGNITION
 from dbc.frame import Frames
 from dbc.frame_bits import frame_time_ns
-from dbc.indices import OD_WINDOW_US
+from dbc.indices import OD_STATE, OD_WINDOW_US
 from nodes.burst import Burst
 from nodes.node import SkinNode
 from nodes.sampler import Sampler
@@ -49,9 +50,12 @@ class SynchronousSegment(Segment):
         self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
         self._bus, self._sampler = bus, sampler
         self._sent = self._dropped = 0
-        # Latest start of a frame after the SYNC, so that the frame ends inside the window.
-        self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
+        # Latest start of a frame after the SYNC, so that the frame ends inside the window: by node-ID and state, and in
+        # the states of the newest SYNC.
+        self._window_ns = np.zeros((HIGHEST_NODE_ID + 1, 2), np.int64)
+        self._newest_window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
         super().__init__(contract, bus, node_ids, send, sampler, complain=complain, store=store)
+        self._node_ids = [node.contract.node_id for node in self.nodes]
 
     @property
     def frames_sent(self) -> int:
@@ -79,16 +83,18 @@ class SynchronousSegment(Segment):
     def _answer(self, counter: int, time_ns: int) -> None:
         sums = self._sampler.sample(counter, time_ns, self._bus)
         operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
-        burst = self._burst.frames(counter, sums, operational)
+        states = np.array([node.sends for node in self.nodes], np.intp)
+        burst = self._burst.frames(counter, sums, operational, states)
         burst["time_ns"] = time_ns + REACTION_NS
-        burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
+        self._newest_window_ns[self._node_ids] = self._window_ns[self._node_ids, states]
+        burst["expires_ns"] = time_ns + self._newest_window_ns[burst["port"]]
         accepted = self._send(burst)
         self._sent += accepted
         self._dropped += len(burst) - accepted
         for node_id, sent in zip(*np.unique(burst["port"][:accepted], return_counts=True), strict=True):
             self._by_id[int(node_id)].health[1] += sent
         for node, tpdo in self._mixed:
-            if node.state is NmtState.OPERATIONAL:
+            if node.state is NmtState.OPERATIONAL and tpdo.state in (None, node.sends):
                 payload = tpdo.at_sync(counter, node.local)
                 if payload is not None:
                     node.send(tpdo, payload)
@@ -114,8 +120,10 @@ class SynchronousSegment(Segment):
         self._pdo_ids = [tpdo.cob_id for node in self.nodes for tpdo in node.tpdos]
         for place, node in enumerate(self.nodes):
             window_us = node.local.unsigned(OD_WINDOW_US)
-            latest_ns = max(1, window_us * 1000 - self._frame_ns) if window_us else NO_WINDOW_NS
-            self._window_ns[node.contract.node_id] = latest_ns
+            few_us = window_us if self._contract.recognition is None else node.local.unsigned(OD_STATE, 2)
+            self._window_ns[node.contract.node_id, [RECOGNITION, IMAGES]] = [
+                max(1, each_us * 1000 - self._frame_ns) if each_us else NO_WINDOW_NS for each_us in (few_us, window_us)
+            ]
             plain += [(place, node.contract, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
             self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
         self._burst = Burst(self._contract, plain)

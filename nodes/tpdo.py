@@ -1,5 +1,6 @@
 """A transmit PDO as its records describe it now (CiA 301, 7.2.2), and when the PDO is due."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from canopen import SdoAbortedError
@@ -36,6 +37,8 @@ class Tpdo:
     event_s: float
     mapped: list[tuple[int, int, int]]
     length: int
+    #: State of the node (2008h:1) in which the PDO is sent; None for every state.
+    state: int | None = None
     _syncs: int = 0
     _last: bytes | None = None
     _sent_at_s: float = field(default=float("-inf"))
@@ -90,15 +93,22 @@ def is_turn(every: int, start: int, counter: int, syncs: int) -> bool:
     return syncs % every == 0
 
 
-def read_tpdos(node: LocalNode, numbers: list[int]) -> list[Tpdo]:
-    """Read the existing TPDOs from a node's dictionary; a TPDO with an unreadable mapping does not exist."""
+def read_tpdos(node: LocalNode, states: Mapping[int, int | None]) -> list[Tpdo]:
+    """Read the existing TPDOs from a node's dictionary; a TPDO with an unreadable mapping does not exist.
+
+    Parameters
+    ----------
+    states : mapping of int to int or None
+        `Tpdo.state` of each TPDO, by its number.
+    """
     found = []
-    for number in numbers:
+    for number, state in states.items():
         try:
             tpdo = _read(node, OD_TPDO_COMMUNICATION + number - 1, OD_TPDO_MAPPING + number - 1)
         except SdoAbortedError:
             continue
         if tpdo is not None:
+            tpdo.state = state
             found.append(tpdo)
     return found
 

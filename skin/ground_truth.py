@@ -166,12 +166,12 @@ def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: f
 
 def image_pairs(layout: Layout) -> Pairs[Image]:
     """Return what finds the pairs of images and truths of a skin."""
-    return ShownImages() if layout.sending == "adaptive" else Pairing(layout.sync.period_s)
+    return ShownImages() if layout.sending == "adaptive" else Pairing(layout.shortest_period_s)
 
 
 def label_pairs(layout: Layout) -> Pairs[Label]:
     """Return what finds the pairs of labels and truths of a skin."""
-    return NearestTruths() if layout.sending == "adaptive" else Pairing(layout.sync.period_s)
+    return NearestTruths() if layout.sending == "adaptive" else Pairing(layout.shortest_period_s)
 
 
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:

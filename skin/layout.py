@@ -10,7 +10,7 @@ import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.layout_checks import ADAPTIVE_SAMPLING_HZ, ADAPTIVE_SYNC_HZ, IDENTITY_MAX, check
-from skin.measurement import Sbhe, of_rows, sbhe
+from skin.measurement import Sbhe, of_rows, part_of, sbhe
 from skin.output import RECORDING_SUFFIX
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
@@ -114,6 +114,28 @@ class Sync(_Table, frozen=True, kw_only=True):
         return 1 / self.rate_hz
 
 
+class Recognition(_Table, frozen=True, kw_only=True):
+    """A state in which the nodes send a few of their sums at a higher rate; all sums, for images, come when asked for.
+
+    Attributes
+    ----------
+    sums, rows
+        Number of sums, or block and Hadamard row of each: some of those of ``measurement``.
+    rate_hz : float
+        SYNCs in a second in this state, a multiple of ``sync.rate_hz``.
+    wake : {"contact", "label", "request"}
+        What asks for images: a contact, a contact with a known object, or programs alone.
+    hold_s : float
+        How long images come after they were last asked for by ``wake``.
+    """
+
+    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=RATE_MAX_HZ)]
+    sums: Positive | None = None
+    rows: Annotated[tuple[tuple[int, int], ...], msgspec.Meta(min_length=1)] | None = None
+    wake: Literal["contact", "label", "request"] = "contact"
+    hold_s: Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)] = 1.0
+
+
 class Sampling(_Table, frozen=True, kw_only=True):
     """How often a node samples its taxels: `rate_hz` times a second, or, without it, once per SYNC."""
 
@@ -171,6 +193,8 @@ class Layout(_Table, frozen=True, kw_only=True):
     sync: Sync = msgspec.field(default_factory=Sync)
     sampling: Sampling = msgspec.field(default_factory=Sampling)
     encoding: Encoding = msgspec.field(default_factory=Encoding)
+    # Without it the nodes send all sums in every cycle.
+    recognition: Recognition | None = None
     device: Device = msgspec.field(default_factory=Device)
     bus: Annotated[list[Bus], msgspec.Meta(min_length=1)]
 
@@ -183,6 +207,27 @@ class Layout(_Table, frozen=True, kw_only=True):
     def samples_per_sync(self) -> int:
         """Samples of each taxel in one cycle, the last one at the SYNC; more than one are averaged."""
         return round((self.sampling.rate_hz or self.sync.rate_hz) / self.sync.rate_hz)
+
+    @property
+    def shortest_period_s(self) -> float:
+        """Shortest time from SYNC to SYNC: that of recognition if the layout has it."""
+        return 1 / self.recognition.rate_hz if self.recognition else self.sync.period_s
+
+    def recognising(self) -> "Layout":
+        """Return the layout of recognition: its sums and its rate; without this state, the layout itself."""
+        state, measurement = self.recognition, self.measurement
+        if state is None:
+            return self
+        rows = state.rows
+        if rows is None:
+            part = part_of(self.phi(), state.sums or 0, measurement.seed)
+            rows = tuple(zip(part.block_of_sum.tolist(), part.row_of_sum.tolist(), strict=True))
+        return msgspec.structs.replace(
+            self,
+            measurement=msgspec.structs.replace(measurement, sums=len(rows), rows=rows, selection="balanced"),
+            sync=msgspec.structs.replace(self.sync, rate_hz=state.rate_hz),
+            recognition=None,
+        )
 
     @property
     def is_stock(self) -> bool:
@@ -322,7 +367,7 @@ def layout_text(layout: Layout) -> str:
     tables = msgspec.to_builtins(layout)
     # TOML has no null, so such keys are left out. tomli-w would write short tables of buses inline.
     buses = [_given(bus) for bus in tables.pop("bus")]
-    tables = {key: _given(value) if isinstance(value, dict) else value for key, value in tables.items()}
+    tables = {key: _given(value) if isinstance(value, dict) else value for key, value in _given(tables).items()}
     return "\n[[bus]]\n".join(map(tomli_w.dumps, [{key: each for key, each in tables.items() if each != {}}, *buses]))
 
 

@@ -10,7 +10,7 @@ from skin.measurement import of_rows
 from skin.wiring import check_patch
 
 if TYPE_CHECKING:
-    from skin.layout import Layout
+    from skin.layout import Layout, Recognition
 
 #: Adaptive sending: taxels of a block, SYNC and sampling rate, and nodes of a bus: each has 32 identifiers of its own,
 #: and on CAN FD 8.
@@ -22,6 +22,8 @@ ADAPTIVE_NODES: Final = 32
 ADAPTIVE_FD_NODES: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
 ANALOGUE_BITS: Final = 4
+#: Most nodes of a bus with recognition: an identifier of one more switches the state of all.
+RECOGNITION_NODES: Final = 126
 #: Largest value of an entry of the identity object (1018h).
 IDENTITY_MAX: Final = 2**32 - 1
 
@@ -47,6 +49,8 @@ def check(layout: "Layout") -> None:
             f"expected {highest} or less, for serial numbers of 32 bits, got {layout.device.first_serial}"
             " - at `$.device.first_serial`"
         )
+    if layout.recognition is not None:
+        _check_recognition(layout, layout.recognition)
     if layout.sending == "adaptive":
         _check_adaptive(layout)
 
@@ -100,6 +104,31 @@ def _check_frontend(layout: "Layout") -> None:
     if layout.taxels.adc_bits < ANALOGUE_BITS:
         limits = f"an analogue front end expects {ANALOGUE_BITS} or more"
         raise LayoutError(f"{limits}, got {layout.taxels.adc_bits} - at `$.taxels.adc_bits`")
+
+
+def _check_recognition(layout: "Layout", state: "Recognition") -> None:
+    if layout.sending != "synchronous" or layout.sync.identity != "window":
+        raise LayoutError('recognition needs `sending = "synchronous"` and `identity = "window"` - at `$.recognition`')
+    if layout.sampling.rate_hz is not None:
+        raise LayoutError("recognition and averages of samples exclude each other - at `$.sampling.rate_hz`")
+    if layout.taxels.is_analogue:
+        raise LayoutError("recognition expects 'digital', got 'analogue' - at `$.taxels.frontend`")
+    for index, bus in enumerate(layout.bus):
+        if bus.nodes > RECOGNITION_NODES:
+            limit = f"recognition expects at most {RECOGNITION_NODES} nodes"
+            raise LayoutError(f"{limit}, got {bus.nodes} - at `$.bus[{index}].nodes`")
+    ratio = state.rate_hz / layout.sync.rate_hz
+    if ratio < 2 or abs(ratio - round(ratio)) > 1e-9:
+        limit = f"expected a multiple of {layout.sync.rate_hz:g} (`sync.rate_hz`), twice that or more"
+        raise LayoutError(f"{limit}, got {state.rate_hz:g} - at `$.recognition.rate_hz`")
+    if (state.sums is None) == (state.rows is None):
+        raise LayoutError("expected `sums` or `rows`, one of the two - at `$.recognition`")
+    try:
+        part = layout.recognising().phi()
+    except InputError as error:
+        raise LayoutError(f"{error} - at `$.recognition.{'sums' if state.rows is None else 'rows'}`") from error
+    if (part.kept & ~layout.phi().kept).any():
+        raise LayoutError("expected rows that the nodes send for images - at `$.recognition.rows`")
 
 
 def _check_adaptive(layout: "Layout") -> None:

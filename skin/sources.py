@@ -78,8 +78,8 @@ class TaxelSource(Protocol):
 
 
 def step_rate_hz(layout: Layout) -> float:
-    """Return how many steps of a touch there are in a second: one each SYNC, or `ADAPTIVE_STEP_HZ`."""
-    return ADAPTIVE_STEP_HZ if layout.sending == "adaptive" else layout.sync.rate_hz
+    """Return the steps of a touch in a second: one each SYNC at its highest rate, or `ADAPTIVE_STEP_HZ`."""
+    return ADAPTIVE_STEP_HZ if layout.sending == "adaptive" else 1 / layout.shortest_period_s
 
 
 def load_source(name: str, **options: Any) -> TaxelSource:

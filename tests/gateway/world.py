@@ -82,8 +82,8 @@ class Witness(Electronics):
 class WitnessSampler(Sampler):
     """A sampler that remembers the sums of these counts by SYNC counter and by the time of SYNC; newest wins."""
 
-    def __init__(self, phi: Sbhe, electronics: Witness) -> None:
-        super().__init__(phi, Shaking(), electronics)
+    def __init__(self, phi: Sbhe, electronics: Witness, longest_period_s: float | None = None) -> None:
+        super().__init__(phi, Shaking(), electronics, longest_period_s)
         self.truths: dict[int, npt.NDArray[np.int32]] = {}
         self.truths_by_ns: dict[int, npt.NDArray[np.int32]] = {}
         self._witness = electronics
@@ -102,7 +102,7 @@ class WitnessSampler(Sampler):
         if 0 not in self.truths:
             return self.truths.get(measurement.sync_counter)
         later = {time_ns - measurement.sampled_mono_ns: sums for time_ns, sums in self.truths_by_ns.items()}
-        found = [each for each in later if -0.25 < each * 1e-9 / PERIOD_S < 0.75]
+        found = [each for each in later if -0.25 < each / self._period_ns < 0.75]
         return later[max(found)] if found else None
 
 
@@ -151,22 +151,41 @@ class Wire:
         self.log: list[tuple[int, bytes]] = []
         #: Tells which frames an end loses: called with the end and a frame.
         self.loses: Callable[[EndOfWire, np.void], bool] | None = None
+        #: Tells which frames of nodes have to wait: they go when `release` is called.
+        self.holds: Callable[[np.void], bool] | None = None
+        self._held: list[tuple[EndOfWire | None, Frames]] = []
 
     def deliver(self) -> bool:
         """Carry what was sent; tell whether there was anything."""
         sent, self.queue = self.queue, []
-        for sender, burst in sent:
-            for each in burst:
-                self.log.append((int(each["can_id"]), each["data"][: each["length"]].tobytes()))
-            for end in (self.gateway, self.nodes):
-                copy = burst.copy()
-                copy["time_ns"][copy["time_ns"] == 0] = self.now_ns
-                if end is sender:
-                    copy["flags"] |= ECHO
-                if self.loses is not None:
-                    copy = copy[[not self.loses(end, each) for each in copy]]
-                end.waiting.append(copy)
+        for sender, given in sent:
+            burst = given
+            if self.holds is not None and sender is self.nodes:
+                waits = np.array([self.holds(each) for each in given], np.bool_)
+                self._held.append((sender, given[waits]))
+                burst = given[~waits]
+            self._carry(sender, burst)
         return bool(sent)
+
+    def _carry(self, sender: EndOfWire | None, burst: Frames) -> None:
+        for each in burst:
+            self.log.append((int(each["can_id"]), each["data"][: each["length"]].tobytes()))
+        for end in (self.gateway, self.nodes):
+            copy = burst.copy()
+            copy["time_ns"][copy["time_ns"] == 0] = self.now_ns
+            if end is sender:
+                copy["flags"] |= ECHO
+            if self.loses is not None:
+                copy = copy[[not self.loses(end, each) for each in copy]]
+            end.waiting.append(copy)
+
+    def release(self) -> None:
+        """Let the frames go that had to wait."""
+        held, self._held = self._held, []
+        for sender, burst in held:
+            late = burst.copy()
+            late["time_ns"] = self.now_ns
+            self._carry(sender, late)
 
     def put(self, can_id: int, data: bytes) -> None:
         """Send a frame of somebody else."""
@@ -193,8 +212,9 @@ class World:
     step_s: ClassVar[float] = STEP_S
 
     def __post_init__(self) -> None:
-        self.electronics = Witness(self.contract.layout.taxels, noise_n=0.0, period_s=PERIOD_S)
-        self.sampler = WitnessSampler(self.contract.phi, self.electronics)
+        layout = self.contract.layout
+        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s)
+        self.sampler = WitnessSampler(self.contract.phi, self.electronics, layout.sync.period_s)
         self.wires = [Wire() for _ in self.contract.layout.bus]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
@@ -280,11 +300,13 @@ class World:
     def wrong_blocks(self, measurement: Measurement) -> list[int]:
         """Return the blocks that are called valid and are not Φ of that cycle's counts."""
         sums = np.frombuffer(measurement.sums, "<i4")
-        phi = self.contract.phi
+        phi = next(each.phi for each in self.contract.states if each.phi.fingerprint == measurement.fingerprint)
         differs = np.zeros(phi.blocks, np.bool_)
         truth = self.sampler.truth_of(measurement)
         if truth is None:  # no node has sampled in this cycle
             return np.flatnonzero(valid(measurement)).tolist()
+        if phi is not self.contract.phi:
+            truth = truth[self.contract.recognised]
         differs[phi.block_of_sum[sums != truth]] = True
         return np.flatnonzero(differs & valid(measurement)).tolist()
 

@@ -1,0 +1,106 @@
+"""Switches all nodes between recognition and images, by one RPDO that acts at the next SYNC (CiA 301, 7.2.2.3).
+
+The gateway asks for the other state with the first SYNC after the RPDO has been on every bus. A node that missed it, or
+was reset, follows when the RPDO is sent again.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from bus.link import Send
+from canskin.messages import Measurement
+from dbc.canopen import STATE_COB_ID
+from dbc.contract import Contract
+from dbc.dictionary import IMAGES, RECOGNITION
+from dbc.frame import ECHO, ERROR, Frames, one_frame
+
+#: After a switch the RPDO is sent again at so many SYNCs, then once in `REPEAT_S`.
+REPEATS: Final = 3
+REPEAT_S: Final = 0.25
+#: The gateway waits for the RPDO on every bus for at most so many SYNCs: a bus may be dead.
+PATIENCE_SYNCS: Final = 3
+#: A switch begins so many periods of recognition before a SYNC, or after it: nodes and gateway are to change at one SYNC.
+MARGIN: Final = 0.25
+
+
+class StateSwitch:
+    """The state of all nodes. Images come while they were asked for; otherwise the nodes recognise.
+
+    Parameters
+    ----------
+    contract : Contract
+        With recognition.
+    sends : mapping of int to callable
+        Sends frames, by number of the bus.
+
+    Attributes
+    ----------
+    state : int
+        `dbc.dictionary.RECOGNITION` or `IMAGES`: that of the newest SYNC.
+    switches : int
+        Number of times images were asked for in recognition, and came.
+    switch_s : float
+        The newest time from the request to the first complete image cycle, 0 before.
+    """
+
+    def __init__(self, contract: Contract, sends: Mapping[int, Send]) -> None:
+        images, few = contract.states
+        self.state = self._commanded = RECOGNITION
+        self.switches, self.switch_s = 0, 0.0
+        self._periods_s = {IMAGES: images.layout.sync.period_s, RECOGNITION: few.layout.sync.period_s}
+        self._phi = contract.phi
+        self._sends = dict(sends)
+        self._requests: deque[float] = deque()
+        self._until_s = self._send_s = float("-inf")
+        self._asked_s: float | None = None
+        #: Buses that have had the RPDO; SYNCs for which it was waited; SYNCs at which it is sent again.
+        self._echoed: set[int] = set()
+        self._waited = self._again = 0
+
+    def ask_images(self, hold_s: float) -> None:
+        """Ask for images from now on, for `hold_s` seconds; from any thread."""
+        self._requests.append(hold_s)
+
+    def tick(self, now_s: float, sync_due_s: float) -> None:
+        """Send the RPDO if the state is to change, or if its time has come; not just before a SYNC, due at `sync_due_s`."""
+        while self._requests:
+            self._until_s = max(self._until_s, now_s + self._requests.popleft())
+            if self._commanded == RECOGNITION and self._asked_s is None:
+                self._asked_s = now_s
+        wanted = IMAGES if now_s < self._until_s else RECOGNITION
+        if wanted != self._commanded and sync_due_s - now_s >= MARGIN * self._periods_s[RECOGNITION]:
+            self._commanded, self._again, self._waited = wanted, REPEATS, 0
+            self._echoed.clear()
+            self._send_s = now_s
+        if now_s >= self._send_s:
+            self._send_s = now_s + REPEAT_S
+            for send in self._sends.values():
+                send(one_frame(STATE_COB_ID, bytes((self._commanded,))))
+
+    def take(self, bus: int, arrived: Frames) -> None:
+        """Look for the gateway's own RPDO among the frames of a bus."""
+        own = (arrived["can_id"] == STATE_COB_ID) & (arrived["flags"] & (ECHO | ERROR) == ECHO)
+        if own.any() and np.any(arrived["data"][own, 0] == self._commanded):
+            self._echoed.add(bus)
+
+    def take_sync(self, now_s: float) -> float:
+        """Take note of a SYNC that is about to be sent, which sets `state`; return the time to the SYNC after it."""
+        if self._commanded != self.state:
+            self._waited += 1
+            if self._waited > PATIENCE_SYNCS or self._echoed >= self._sends.keys():
+                self.state = self._commanded
+        if self._again:
+            self._again -= 1
+            self._send_s = now_s
+        return self._periods_s[self.state]
+
+    def take_measurement(self, measurement: Measurement, now_s: float) -> None:
+        """Note how long a switch to images took."""
+        if self._asked_s is None or measurement.fingerprint != self._phi.fingerprint:
+            return
+        if np.frombuffer(measurement.valid, np.bool_)[self._phi.has_sums].all():
+            self.switches, self.switch_s = self.switches + 1, now_s - self._asked_s
+            self._asked_s = None

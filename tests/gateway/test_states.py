@@ -1,0 +1,168 @@
+"""Recognition and images: all nodes switch together, and no cycle is misread, whatever node missed the switch."""
+
+import numpy as np
+import pytest
+
+from canskin.messages import Measurement
+from dbc.canopen import STATE_COB_ID, SYNC_COB_ID, NmtCommand
+from dbc.contract import Contract
+from dbc.dictionary import IMAGES, RECOGNITION
+from gateway.state_switch import REPEAT_S
+from tests.gateway.world import EndOfWire, World, small_contract, valid
+
+#: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.
+RECOGNISES = "sums = 32\n[recognition]\nrows = [[0, {0}], [1, {1}], [2, {2}]]\nrate_hz = 100.0"
+FAST_S = 0.01
+
+
+def two_states() -> Contract:
+    rows = [small_contract().phi.rows_of(block)[block] for block in range(3)]
+    return small_contract(measurement=RECOGNISES.format(*rows))
+
+
+CONTRACT = two_states()
+
+
+class Skin(World):
+    """A skin with two states; time goes on by a quarter of a period of recognition."""
+
+    step_s = FAST_S / 4
+
+    @property
+    def states(self) -> list[int]:
+        return [node.sends for segment in self.segments for node in segment.nodes]
+
+    def is_image(self, measurement: Measurement) -> bool:
+        return measurement.fingerprint == self.contract.phi.fingerprint
+
+    def is_whole(self, measurement: Measurement) -> bool:
+        phi = next(each.phi for each in self.contract.states if each.phi.fingerprint == measurement.fingerprint)
+        return bool(valid(measurement)[phi.has_sums].all())
+
+    def ask(self, hold_s: float) -> None:
+        assert self.gateway.states is not None
+        self.gateway.states.ask_images(hold_s)
+
+
+@pytest.fixture
+def skin() -> Skin:
+    built = Skin(CONTRACT)
+    while not any(built.is_whole(each) for each in built.step()):
+        assert built.now_s < 103, built.lines
+    return built
+
+
+def test_recognition_sends_its_sums_at_its_rate(skin: Skin) -> None:
+    skin.wires[0].log.clear()
+    came = skin.run(1.0)
+    assert 99 <= len(came) <= 101
+    assert all(skin.is_whole(each) and not skin.is_image(each) and not skin.wrong_blocks(each) for each in came)
+    sums = {can_id for can_id, _ in skin.wires[0].log if 0x180 < can_id < 0x580}
+    assert sums == {tpdo.cob_id for node in CONTRACT.recognition.on_bus(0) for tpdo in node.tpdos}
+
+
+def test_images_come_whole_in_the_second_cycle_after_the_request_and_end(skin: Skin) -> None:
+    skin.ask(0.4)
+    came = skin.run(1.0)
+    images = [each for each in came if skin.is_image(each)]
+    assert [skin.is_whole(each) for each in images] == [False] + [True] * (len(images) - 1)
+    assert 7 <= len(images) <= 9
+    assert not any(skin.wrong_blocks(each) for each in came)
+    after = [skin.is_whole(each) for each in came if each.cycle > images[-1].cycle]
+    assert after == [False] + [True] * (len(after) - 1)
+    assert skin.gateway.states is not None
+    assert skin.gateway.states.switches == 1
+    assert 0.05 < skin.gateway.states.switch_s < 0.12
+    status = skin.status()
+    assert status.frames.missing == status.frames.late == 0
+    assert status.frames.accepted > 0
+
+
+def test_request_that_is_renewed_goes_on(skin: Skin) -> None:
+    skin.ask(0.3)
+    skin.run(0.25)
+    skin.ask(0.3)
+    assert all(skin.is_image(each) for each in skin.run(0.25))
+    assert not any(skin.is_image(each) for each in skin.run(0.6)[-20:])
+
+
+@pytest.mark.parametrize("lost", [STATE_COB_ID, SYNC_COB_ID])
+def test_nodes_that_miss_the_switch_are_not_valid_and_follow(skin: Skin, lost: int) -> None:
+    wire = skin.wires[1]
+    left = [4]
+
+    def loses(end: EndOfWire, each: np.void) -> bool:
+        is_lost = end is wire.nodes and each["can_id"] == lost and left[0] > 0
+        left[0] -= is_lost
+        return bool(is_lost)
+
+    wire.loses = loses
+    skin.ask(2.0)
+    came = skin.run(2.0)
+    assert left[0] == 0
+    assert not any(skin.wrong_blocks(each) for each in came)
+    assert skin.is_whole(came[-1])
+    assert skin.states == [IMAGES] * 4
+
+
+def test_node_that_is_reset_while_images_come_follows(skin: Skin) -> None:
+    skin.ask(10.0)
+    skin.run(0.5)
+    skin.nmt(0, NmtCommand.RESET_NODE, 1)
+    skin.step()
+    assert skin.states[0] == RECOGNITION
+    came = skin.run(2.0)
+    assert not any(skin.wrong_blocks(each) for each in came)
+    assert skin.is_whole(came[-1])
+
+
+def test_switch_of_another_master_is_undone(skin: Skin) -> None:
+    for wire in skin.wires:
+        wire.put(STATE_COB_ID, bytes((IMAGES,)))
+    came = skin.run(REPEAT_S / 2) + skin.run(REPEAT_S)
+    assert not any(skin.wrong_blocks(each) for each in came)
+    assert not all(skin.is_whole(each) for each in came)
+    assert all(skin.is_whole(each) for each in skin.run(0.2))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_thousand_switches_at_random_moments_with_losses_late_frames_and_resets(seed: int, turns: int = 250) -> None:
+    """In all four seeds together: 1000 requests. What is valid is of its cycle and its state."""
+    skin = Skin(CONTRACT)
+    skin.run(1.0)
+    draw = np.random.default_rng(seed)
+    lossy = False
+
+    def loses(_end: EndOfWire, each: np.void) -> bool:
+        return lossy and each["can_id"] in (STATE_COB_ID, SYNC_COB_ID) and draw.random() < 0.2
+
+    def holds(each: np.void) -> bool:
+        return lossy and 0x180 < each["can_id"] < 0x580 and draw.random() < 0.05
+
+    def lost_at_nodes(wire: int) -> None:
+        own = skin.wires[wire]
+        own.loses = lambda end, each: end is own.nodes and loses(end, each)
+        own.holds = holds
+
+    for number in range(len(skin.wires)):
+        lost_at_nodes(number)
+    whole = images = count = wrong = 0
+    for turn in range(turns):
+        lossy = bool(turn % 2)
+        skin.ask(float(draw.uniform(0.01, 0.15)))
+        if lossy and draw.random() < 0.1:
+            skin.nmt(int(draw.integers(2)), NmtCommand.RESET_COMMUNICATION, int(draw.integers(1, 3)))
+        for _ in range(int(draw.integers(20, 70))):
+            came = skin.step()
+            wrong += sum(len(skin.wrong_blocks(each)) for each in came)
+            whole += sum(skin.is_whole(each) for each in came)
+            images += sum(skin.is_whole(each) and skin.is_image(each) for each in came)
+            count += len(came)
+            for wire in skin.wires:
+                if draw.random() < 0.7:
+                    wire.release()
+            skin.carry()
+    assert skin.gateway.states is not None
+    assert wrong == 0
+    assert whole > count / 3
+    assert images > turns / 4
