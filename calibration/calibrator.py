@@ -183,12 +183,17 @@ class Calibrator:
         self._windows.restart()
         self.state = CalibrationState.MEASURING
 
-    def apply(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with the offsets of its instant, and without sums that are defective or have none."""
+    def apply(self, measurement: Measurement, sums: npt.NDArray[np.intp] | None = None) -> Measurement:
+        """Return a measurement with the offsets of its instant, and without sums that are defective or have none.
+
+        `sums` are the places of its sums among those of Φ, if it has only some of them.
+        """
         offsets = self._offsets_at(measurement.sampled_mono_ns)
         if offsets is None:
             return measurement
         usable = self._defects.usable & self._known
+        if sums is not None:
+            offsets, usable = offsets[sums], usable[sums]
         if measurement.usable:
             usable &= np.frombuffer(measurement.usable, np.uint8) != 0
         return msgspec.structs.replace(

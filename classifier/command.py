@@ -1,23 +1,33 @@
 """The verbs ``skin classify`` and ``skin train``."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
+from canskin.messages import RECOGNITION
 from canskin.session import DEFAULT_ENDPOINT
+from canskin.state_messages import IMAGES, ImagesRequest
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.coarse_sums import classified_phi
 from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
-from skin.layout import Layout, layout_text, load_layout
+from skin.layout import Layout, Recognition, layout_text, load_layout
+from skin.measurement import Sbhe
 from skin.output import check_output_path, write_file
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
 from skin.terminal import Json, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from classifier.decide import Classifier
+
+#: Longest wait for the gateway's answer to a request for images.
+ASK_S: Final = 1.0
 
 
 def classify(
@@ -74,10 +84,27 @@ def classify(
         decides = Classifier(trained, classified)
         if skin.sending == "adaptive":
             AdaptiveClassifierService(decides, phi, classified, fabric).run(stop)
+        elif skin.recognition is not None:
+            _recognise(skin.recognition, decides, classified, fabric, stop)
         else:
             ClassifierService(decides, phi, fabric).run(stop)
     finally:
         fabric.close()
+
+
+def _recognise(state: Recognition, decides: "Classifier", classified: Sbhe, fabric: Fabric, stop: StopSignal) -> None:
+    """Label the sums of recognition, and ask for images as the layout says."""
+    from classifier.service import ClassifierService
+    from classifier.wake import Wake
+
+    def ask(hold_s: float) -> None:
+        fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ASK_S)
+
+    wake = Wake(state, ask)
+    try:
+        ClassifierService(decides, classified, fabric, topic=RECOGNITION, wake=wake.take).run(stop)
+    finally:
+        wake.close()
 
 
 def train(

@@ -1,12 +1,14 @@
 """The classifier's loop: measurements in, labels out."""
 
 import time
+from collections.abc import Callable
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from canskin.fabric import Exchange
-from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
+from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement, Topic
 from classifier.decide import FORGET_CYCLES, Classifier, Decision
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Sbhe, places
@@ -27,6 +29,10 @@ class ClassifierService:
     phi : Sbhe
         The Φ of the model.
     fabric : Exchange
+    topic : Topic
+        Of the measurements.
+    wake : callable
+        Called with each label.
 
     Attributes
     ----------
@@ -34,13 +40,23 @@ class ClassifierService:
         Number of labelled measurements.
     """
 
-    def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Exchange) -> None:
+    def __init__(
+        self,
+        classifier: Classifier,
+        phi: Sbhe,
+        fabric: Exchange,
+        *,
+        topic: Topic = MEASUREMENT,
+        wake: Callable[[str], None] = lambda _label: None,
+    ) -> None:
         self.labelled = 0
+        self._wake = wake
         self._classifier = classifier
         self._reader = MeasurementReader(phi, "classifier", decode_measurement)
         self._sums_of_block = np.diff(phi.starts)
+        self._named_sums = phi.shape[0] if topic is RECOGNITION else 0
         self._fabric = fabric
-        self._measurements = fabric.mailbox(MEASUREMENT)
+        self._measurements = fabric.mailbox(topic)
 
     @property
     def refused(self) -> int:
@@ -56,6 +72,7 @@ class ClassifierService:
             label = self.label(measurement)
             if label is not None:
                 self._fabric.publish(LABEL, label)
+                self._wake(label.label)
 
     def label(self, measurement: Measurement) -> Label | None:
         """Return the label of one measurement, or None when it is refused."""
@@ -64,7 +81,8 @@ class ClassifierService:
             return None
         decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle)
         self.labelled += 1
-        return _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
+        label = _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
+        return msgspec.structs.replace(label, sums=self._named_sums) if self._named_sums else label
 
 
 class AdaptiveClassifierService:

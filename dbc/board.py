@@ -13,7 +13,7 @@ from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import CLASSIC_BYTES, Contract, NodeContract
-from dbc.dictionary import Value, dictionary
+from dbc.dictionary import dictionary
 from dbc.frame import FD
 from dbc.indices import (
     OD_CYCLE_PERIOD_US,
@@ -33,6 +33,7 @@ from dbc.indices import (
     OD_WINDOW_US,
     of_block,
 )
+from dbc.objects import Value
 from dbc.packing import Packing
 from skin.walsh import grouped_rows
 

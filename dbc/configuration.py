@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import Object, dictionary
+from dbc.dictionary import dictionary
 from dbc.indices import (
     BITS,
     OD_BLOCK,
@@ -38,6 +38,7 @@ from dbc.indices import (
     VISIBLE_STRING,
     split_block,
 )
+from dbc.objects import Object
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
 _COMPARED: Final = {OD_IDENTITY: (1, 2), OD_STATE: (2,)}

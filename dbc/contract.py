@@ -144,7 +144,7 @@ class Contract:
 
     @cached_property
     def recognition(self) -> "Contract | None":
-        """The contract of the state of recognition: fewer sums of the same nodes, in TPDOs of their own; None without."""
+        """The contract of recognition: fewer sums of the same nodes, in TPDOs of their own; None without this state."""
         if self.layout.recognition is None:
             return None
         taken = {(node.bus, node.node_id): len(node.tpdos) for node in self.nodes}

@@ -6,7 +6,7 @@ that it needs to refuse a node programmed for another Φ.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
 from dbc.canopen import (
@@ -65,7 +65,6 @@ from dbc.indices import (
     OD_TAXELS,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
     OD_WINDOW_US,
     REAL32,
     UNSIGNED8,
@@ -75,11 +74,9 @@ from dbc.indices import (
     VISIBLE_STRING,
     of_block,
 )
+from dbc.objects import HIGHEST_SUBINDEX, Access, Object, array, mapping, places, record
 from skin.layout import Layout
 from skin.walsh import GROUPS
-
-Access = Literal["ro", "rw", "const"]
-Value = int | float | str
 
 #: Values of 2008h:1, the state of a node after a reset and that in which it sends all sums.
 RECOGNITION: Final = 0
@@ -111,22 +108,6 @@ ERRORS_KEPT: Final = 8
 HEARTBEATS_WATCHED: Final = 4
 #: Bit 0 of 1010h and 1011h: the device stores or restores on command (CiA 301, 7.5.2.13).
 ON_COMMAND: Final = 1
-HIGHEST_SUBINDEX: Final = "Highest sub-index supported"
-
-
-@dataclass(frozen=True)
-class Object:
-    """One object: a variable, or with `subindex` one entry of the record or array called `group`."""
-
-    index: int
-    subindex: int | None
-    name: str
-    data_type: int
-    access: Access
-    value: Value
-    pdo: bool = False
-    group: str = ""
-    array: bool = False
 
 
 def window_s(layout: Layout) -> float:
@@ -168,7 +149,7 @@ def _state_rpdo(contract: Contract) -> list[Object]:
         ("Transmission type", UNSIGNED8, "const", EVERY_SYNC),
     ]
     return [
-        *_record(OD_RPDO_COMMUNICATION, "RPDO 1 communication parameter", communication),
+        *record(OD_RPDO_COMMUNICATION, "RPDO 1 communication parameter", communication),
         Object(OD_RPDO_MAPPING, 0, "Number of mapped objects", UNSIGNED8, "const", 1, group=_RPDO_MAPPING),
         Object(
             OD_RPDO_MAPPING, 1, "Mapped object 1", UNSIGNED32, "const", OD_STATE << 16 | 1 << 8 | 8, group=_RPDO_MAPPING
@@ -190,13 +171,13 @@ def _state(contract: Contract) -> list[Object]:
 
 def _communication(contract: Contract, node: NodeContract) -> list[Object]:
     period_us = round(contract.layout.sync.period_s * 1e6)
-    errors = [f"Standard error field {place}" for place in _places(ERRORS_KEPT)]
-    watched = [f"Consumer heartbeat time {place}" for place in _places(HEARTBEATS_WATCHED)]
+    errors = [f"Standard error field {place}" for place in places(ERRORS_KEPT)]
+    watched = [f"Consumer heartbeat time {place}" for place in places(HEARTBEATS_WATCHED)]
     return [
         Object(OD_DEVICE_TYPE, None, "Device type", UNSIGNED32, "ro", 0),
         Object(OD_ERROR_REGISTER, None, "Error register", UNSIGNED8, "ro", 0, pdo=True),
         Object(OD_ERROR_FIELD, 0, "Number of errors", UNSIGNED8, "rw", 0, group="Pre-defined error field", array=True),
-        *_array(OD_ERROR_FIELD, "Pre-defined error field", errors, UNSIGNED32, "ro")[1:],
+        *array(OD_ERROR_FIELD, "Pre-defined error field", errors, UNSIGNED32, "ro")[1:],
         Object(OD_SYNC_COB_ID, None, "COB-ID SYNC message", UNSIGNED32, "rw", SYNC_COB_ID),
         Object(OD_CYCLE_PERIOD_US, None, "Communication cycle period", UNSIGNED32, "rw", period_us),
         Object(
@@ -205,16 +186,16 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_DEVICE_NAME, None, "Manufacturer device name", VISIBLE_STRING, "const", "canskin SBHE block"),
         Object(OD_HARDWARE_VERSION, None, "Manufacturer hardware version", VISIBLE_STRING, "const", "virtual"),
         Object(OD_SOFTWARE_VERSION, None, "Manufacturer software version", VISIBLE_STRING, "const", "1.0"),
-        *_array(OD_STORE, "Store parameters", ["Save all parameters"], UNSIGNED32, "rw", value=ON_COMMAND),
-        *_array(OD_RESTORE, "Restore default parameters", ["Restore all defaults"], UNSIGNED32, "rw", value=ON_COMMAND),
+        *array(OD_STORE, "Store parameters", ["Save all parameters"], UNSIGNED32, "rw", value=ON_COMMAND),
+        *array(OD_RESTORE, "Restore default parameters", ["Restore all defaults"], UNSIGNED32, "rw", value=ON_COMMAND),
         Object(OD_EMCY_COB_ID, None, "COB-ID EMCY", UNSIGNED32, "rw", EMCY_BASE + node.node_id),
         Object(OD_EMCY_INHIBIT_100US, None, "Inhibit time EMCY", UNSIGNED16, "rw", 0),
-        *_array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw"),
+        *array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw"),
         Object(OD_HEARTBEAT_MS, None, "Producer heartbeat time", UNSIGNED16, "rw", HEARTBEAT_MS),
         *_identity(contract, node),
         Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", contract.sync_overflow),
-        *_array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw"),
-        *_record(
+        *array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw"),
+        *record(
             OD_SDO_SERVER,
             "SDO server parameter",
             [
@@ -285,14 +266,14 @@ def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
 
     On CAN FD those of all groups, fine bits behind all coarse bytes.
     """
-    groups, places = tpdo.groups, _places(BLOCK_SUMS)
+    groups = tpdo.groups
     mapped = []
     if tpdo.is_fd or not tpdo.is_fine:
-        coarse = places[GROUP_SUMS * groups.start : GROUP_SUMS * groups.stop]
+        coarse = places(BLOCK_SUMS)[GROUP_SUMS * groups.start : GROUP_SUMS * groups.stop]
         mapped += [OD_COARSE << 16 | place << 8 | 8 for place in coarse]
     if tpdo.is_fine:
         mapped += [OD_FINE << 16 | (group + 1) << 8 | 64 for group in groups]
-    return _mapping(tpdo.number, len(mapped), mapped, "const")
+    return mapping(tpdo.number, len(mapped), mapped, "const")
 
 
 def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequence[int]) -> list[Object]:
@@ -302,19 +283,7 @@ def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequ
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
         mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
-    return _mapping(tpdo.number, tpdo.sums, mapped + [0] * (node.pdo_bytes - tpdo.sums))
-
-
-def _mapping(number: int, count: int, mapped: list[int], access: Access = "rw") -> list[Object]:
-    """Return the mapping record of TPDO `number`: `count` objects, and room for as many as `mapped` has."""
-    index, group = OD_TPDO_MAPPING + number - 1, f"TPDO {number} mapping parameter"
-    return [
-        Object(index, 0, "Number of mapped objects", UNSIGNED8, access, count, group=group),
-        *(
-            Object(index, place, f"Mapped object {place}", UNSIGNED32, access, entry, group=group)
-            for place, entry in enumerate(mapped, 1)
-        ),
-    ]
+    return mapping(tpdo.number, tpdo.sums, mapped + [0] * (node.pdo_bytes - tpdo.sums))
 
 
 def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
@@ -329,7 +298,7 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         Object(OD_ENCODING, None, "Encoding of the sums", UNSIGNED32, "ro", node.encoding),
         # The node computes the signature, see `dbc.configuration`.
         Object(OD_SIGNATURE, None, "Configuration signature", UNSIGNED32, "ro", 0),
-        *_array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
+        *array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
     ]
     whole += _state(contract)
     if node.adaptive_tpdos:
@@ -343,37 +312,26 @@ def _adaptive_objects(contract: Contract) -> list[Object]:
     law, rule = contract.law, SendingRule()
     code = zip(("Slope of the mean row", "Knee of the mean row", "Slope", "Knee", "Fine step"), law, strict=True)
     settings = zip((f"{name} of sending" for name in SendingRule._fields), rule, strict=True)
-    coefficients = [f"Noise of Haar coefficient {place}" for place in _places(BLOCK_SUMS)]
+    coefficients = [f"Noise of Haar coefficient {place}" for place in places(BLOCK_SUMS)]
     taxels = [f"Noise of the taxel at place {place}" for place in range(BLOCK_SUMS)]
-    coarse = [f"Coarse code of sum {place}" for place in _places(BLOCK_SUMS)]
-    fine = [f"Fine code of group {place}" for place in _places(GROUPS)]
+    coarse = [f"Coarse code of sum {place}" for place in places(BLOCK_SUMS)]
+    fine = [f"Fine code of group {place}" for place in places(GROUPS)]
     return [
-        *_record(OD_COMPANDING, "Companding", [(name, REAL32, "const", value) for name, value in code]),
+        *record(OD_COMPANDING, "Companding", [(name, REAL32, "const", value) for name, value in code]),
         Object(OD_REFRESH, None, "Groups to send again, a bit each", UNSIGNED8, "rw", 0),
-        *_record(
+        *record(
             OD_SENDING,
             "Sending",
             [(name, UNSIGNED32 if isinstance(value, int) else REAL32, "rw", value) for name, value in settings],
         ),
         # 0: learned by the node.
-        *_array(OD_COEFFICIENT_NOISE, "Noise of coefficients in newtons", coefficients, REAL32, "rw", value=0.0),
-        *_array(OD_TAXEL_NOISE, "Noise of taxels in newtons", taxels, REAL32, "rw", value=0.0),
+        *array(OD_COEFFICIENT_NOISE, "Noise of coefficients in newtons", coefficients, REAL32, "rw", value=0.0),
+        *array(OD_TAXEL_NOISE, "Noise of taxels in newtons", taxels, REAL32, "rw", value=0.0),
         # 0: none.
         Object(OD_BUDGET, None, "Budget in bits per second", UNSIGNED32, "rw", 0),
         Object(OD_NODE_NOISE, None, "Noise of the node in newtons", REAL32, "ro", 0.0),
-        *_array(OD_COARSE, "Coarse codes", coarse, UNSIGNED8, "ro", pdo=True),
-        *_array(OD_FINE, "Fine codes", fine, UNSIGNED64, "ro", pdo=True),
-    ]
-
-
-def _record(index: int, group: str, entries: Sequence[tuple[str, int, Access, Value]]) -> list[Object]:
-    """Return sub-index 0 and the entries of a record: name, type, access, value."""
-    return [
-        Object(index, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", len(entries), group=group),
-        *(
-            Object(index, sub, name, kind, access, value, group=group)
-            for sub, (name, kind, access, value) in enumerate(entries, 1)
-        ),
+        *array(OD_COARSE, "Coarse codes", coarse, UNSIGNED8, "ro", pdo=True),
+        *array(OD_FINE, "Fine codes", fine, UNSIGNED64, "ro", pdo=True),
     ]
 
 
@@ -385,8 +343,8 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
     size, rows = contract.phi.block_size, contract.phi.rows_of(block)
     taxels = [int(taxel) for taxel in contract.phi.order[block * size : (block + 1) * size]]
     of = f" of block {place + 1}" if place else ""
-    row_names = [f"Row of sum {sum_}" for sum_ in _places(len(rows))]
-    sums = [f"Sum {sum_}" for sum_ in _places(len(rows))]
+    row_names = [f"Row of sum {sum_}" for sum_ in places(len(rows))]
+    sums = [f"Sum {sum_}" for sum_ in places(len(rows))]
     taxel_names = [f"Taxel at place {each}" for each in range(size)]
     chain = [f"Place {each}" for each in range(size)]
 
@@ -395,36 +353,13 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
 
     sum_type = SUM_TYPES[contract.packing.bits, contract.packing.is_signed]
     calibration = [
-        *_array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
-        *_array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
+        *array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
+        *array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
     ]
     return [
-        *(_array(at(OD_ROWS), f"Hadamard rows{of}", row_names, UNSIGNED8, "ro", value=rows) if rows else []),
-        *_array(at(OD_TAXELS), f"Taxels{of}", taxel_names, UNSIGNED16, "ro", value=taxels),
+        *(array(at(OD_ROWS), f"Hadamard rows{of}", row_names, UNSIGNED8, "ro", value=rows) if rows else []),
+        *array(at(OD_TAXELS), f"Taxels{of}", taxel_names, UNSIGNED16, "ro", value=taxels),
         *([] if contract.layout.taxels.is_analogue else calibration),
         Object(at(OD_TEST_PATTERN), None, f"Test pattern{of}", UNSIGNED8, "rw", 0),
-        *(_array(at(OD_SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
+        *(array(at(OD_SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
     ]
-
-
-def _places(count: int) -> range:
-    return range(1, count + 1)
-
-
-def _array(
-    index: int,
-    group: str,
-    names: list[str],
-    data_type: int,
-    access: Access,
-    *,
-    value: Value | list[int] = 0,
-    pdo: bool = False,
-) -> list[Object]:
-    """Return sub-index 0 and one entry per name; `value` is one value for all entries, or one per entry."""
-    values = value if isinstance(value, list) else [value] * len(names)
-    entries = [
-        Object(index, place, name, data_type, access, each, pdo, group, array=True)
-        for place, (name, each) in enumerate(zip(names, values, strict=True), 1)
-    ]
-    return [Object(index, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", len(names), group=group, array=True), *entries]

@@ -20,7 +20,7 @@ from itertools import groupby, repeat
 from typing import Final
 
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import REVISION, Object, Value, dictionary, serial_number
+from dbc.dictionary import REVISION, dictionary, serial_number
 from dbc.indices import (
     OD_BLOCK,
     OD_DEVICE_TYPE,
@@ -51,6 +51,7 @@ from dbc.indices import (
     VISIBLE_STRING,
     split_block,
 )
+from dbc.objects import Object, Value
 from skin.ranges import ranges_text
 
 #: Change it by hand, with `dbc.dictionary.REVISION`, when the dictionary changes.

@@ -34,6 +34,21 @@ class Percentiles(msgspec.Struct, frozen=True, kw_only=True):
     p99: float | None
 
 
+class StateFigures(msgspec.Struct, frozen=True, kw_only=True):
+    """One state of the nodes, recognition or images; None without measurement.
+
+    Attributes
+    ----------
+    bus_load : list of float or None
+        Mean load of each bus in this state.
+    label_accuracy : float or None
+        Cycles with the right label / cycles with contact and a named object.
+    """
+
+    bus_load: list[float] | None
+    label_accuracy: float | None
+
+
 class Report(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of a run; None without measurement.
 
@@ -78,6 +93,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     cpu_ratio : dict of str to float
         Processor time, user and system, of each process / wall time; one processor is 1. Empty where the system does
         not tell.
+    states : dict of str to StateFigures
+        Of the states ``recognition`` and ``images``, where the nodes have them.
+    switches : int
+        Number of switches to images.
+    switch_ms : Percentiles
+        Time from the request for images to their first complete cycle.
     picture : str
         Path of the picture; absent without contact, or if the file could not be written.
     """
@@ -107,6 +128,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     bus_load: list[float]
     kbit_per_s: float | None = None
     cpu_ratio: dict[str, float] = {}
+    states: dict[str, StateFigures] = {}
+    switches: int = 0
+    switch_ms: Percentiles = Percentiles(p50=None, p99=None)
     picture: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
@@ -161,9 +185,22 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             counted = "moments of contact" if is_adaptive else "contact cycles"
             came = f"; {self.labelled_ratio:.1%} got a label" if self.labelled_ratio is not None else ""
             rows.append(("label", f"right on {self.label_accuracy:.1%} of the {counted}{came}"))
+        rows += self._rows_of_states()
         if self.cpu_ratio:
             each = ", ".join(f"{name} {ratio:.0%}" for name, ratio in self.cpu_ratio.items())
             rows.append(("processors", f"{each}; all {sum(self.cpu_ratio.values()):.0%} of one"))
         if self.picture:
             rows.append(("picture", self.picture))
+        return rows
+
+    def _rows_of_states(self) -> list[tuple[str, str]]:
+        rows = []
+        for name, state in self.states.items():
+            loads = ", ".join(f"{load:.1%}" for load in state.bus_load or ())
+            label = "" if state.label_accuracy is None else f"; label right on {state.label_accuracy:.1%} of the cycles"
+            rows.append((f"in {name}", f"load {loads or 'not measured'}{label}"))
+        if self.switch_ms.p50 is not None:
+            rows.append(
+                ("switch", f"{self.switches} to images, {self.switch_ms.p50:.0f} ms from request to whole cycle")
+            )
         return rows

@@ -17,6 +17,7 @@ from canskin.labels import is_measured
 from canskin.messages import GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 from dbc.contract import sample_age_ns
 from demo.report import NodeMissing, Percentiles, Report
+from demo.state_score import StateScore
 from skin.ground_truth import Pairing, Pairs, image_pairs, in_contact, label_pairs
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
@@ -85,6 +86,7 @@ class Score:
     _images: Pairs[Image] = field(init=False)
     _labels: Pairs[Label] = field(init=False)
     _measurements: Pairing[Measurement] = field(init=False)
+    _states: StateScore = field(default_factory=StateScore)
     _peak_n: float = 0.0
     _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -96,6 +98,7 @@ class Score:
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
         self.gateway = status
+        self._states.take_gateway(status)
 
     def take_nodes(self, status: NodesStatus) -> None:
         """Keep the newest counters of each process of nodes."""
@@ -116,6 +119,7 @@ class Score:
 
     def take_measurement(self, measurement: Measurement) -> None:
         """Compare the sampling instant of a cycle with that of the nodes."""
+        self._states.take_measurement(measurement)
         with self._lock:
             for mine, truth in self._measurements.take(measurement) if self._is_cyclic else ():
                 self._compare_times(mine, truth)
@@ -163,6 +167,7 @@ class Score:
         if self._is_named_contact(truth):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
+            self._states.count_label(label, is_right=label.label == truth.label)
 
     def _is_named_contact(self, truth: Truth) -> bool:
         return bool(truth.label) and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n)
@@ -241,6 +246,9 @@ class Score:
             bus_load=[round(load, 4) for load in loads],
             kbit_per_s=self._kbit_per_s(loads),
             cpu_ratio=self.cpu_ratio,
+            states=self._states.figures(),
+            switches=self._states.switches,
+            switch_ms=_percentiles(self._states.switch_ms),
         )
 
 

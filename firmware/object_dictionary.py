@@ -13,7 +13,7 @@ from itertools import groupby
 from typing import Final
 
 from dbc.contract import Contract
-from dbc.dictionary import Object, dictionary
+from dbc.dictionary import dictionary
 from dbc.eds import storage_group
 from dbc.indices import (
     BITS,
@@ -30,6 +30,7 @@ from dbc.indices import (
     UNSIGNED64,
     VISIBLE_STRING,
 )
+from dbc.objects import Object
 from firmware.c_text import WRITTEN
 from firmware.tables import Build
 

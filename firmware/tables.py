@@ -11,7 +11,7 @@ from canskin.errors import InputError
 from dbc.board import Board, board
 from dbc.configuration import configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
-from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, Object, dictionary
+from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
 from dbc.frame_bits import frame_time_ns
 from dbc.indices import (
     OD_COARSE,
@@ -28,6 +28,7 @@ from dbc.indices import (
     VISIBLE_STRING,
     split_block,
 )
+from dbc.objects import Object
 from firmware.c_text import WRITTEN, array, defined, header
 
 #: Flags of `skin_object` (skin_board.h).

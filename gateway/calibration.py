@@ -10,7 +10,7 @@ import numpy as np
 from calibration.calibrator import Calibrator
 from calibration.stored import StoredCalibration, encoded, parse_calibration, store
 from calibration.windows import Floats
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
 from canskin.errors import InputError
 from canskin.fabric import Reply
 from canskin.messages import Measurement
@@ -100,13 +100,20 @@ class GatewayCalibration:
             raise InputError(f"a calibration of {len(request.content)} bytes: expected {most} at most for this skin")
         return parse_calibration(request.content, layout, "calibration")
 
+    @property
+    def is_measuring(self) -> bool:
+        """Whether the zero is being measured, which takes all sums."""
+        return self._calibrator.state is CalibrationState.MEASURING
+
     def apply(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with the offsets of its instant."""
-        return self._calibrator.apply(measurement)
+        """Return a measurement, of all sums or of those of recognition, with the offsets of its instant."""
+        is_part = measurement.fingerprint != self._contract.phi.fingerprint
+        return self._calibrator.apply(measurement, self._contract.recognised if is_part else None)
 
     def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement; most of it is left to `work`."""
-        self._calibrator.take(measurement)
+        """Learn from a measurement of all sums; most of it is left to `work`."""
+        if measurement.fingerprint == self._contract.phi.fingerprint:
+            self._calibrator.take(measurement)
 
     def work(self) -> None:
         """Learn from what was taken; takes about a millisecond."""

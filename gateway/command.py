@@ -13,6 +13,7 @@ from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
+from canskin.state_messages import IMAGES
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration
@@ -84,9 +85,12 @@ def gateway(
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     fabric.answer(CALIBRATION, calibrates.ask)
     fabric.answer(DESCRIPTION, Describing(skin))
-    say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
+    few = "" if contract.recognition is None else f", {contract.recognition.layout.sync.rate_hz:g} Hz in recognition"
+    say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz{few}")
     try:
-        GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz).run(stop)
+        service = GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz)
+        fabric.answer(IMAGES, service.ask_images)
+        service.run(stop)
     finally:
         for link in links.values():
             link.close()

@@ -243,6 +243,7 @@ class GatewayLoop:
             sync_rate_hz=self.sync.rate_hz(now_s),
             buses=[self._bus_state(number, *links[number], now_s) for number in self._numbers],
             syncs_skipped=self.sync.skipped,
+            **({} if self.states is None else self.states.status()),
         )
 
     def explain_refused_syncs(self, states: Mapping[int, State]) -> None:

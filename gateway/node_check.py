@@ -17,7 +17,7 @@ from dbc.board_sums import PATTERNS, node_payloads, node_sums, pattern_counts
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand
 from dbc.configuration import configuration, setting_of, signature
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import Object, dictionary
+from dbc.dictionary import dictionary
 from dbc.frame import ECHO, ERROR, REMOTE, Frames, frames, one_frame
 from dbc.indices import (
     OD_IDENTITY,
@@ -29,6 +29,7 @@ from dbc.indices import (
     of_block,
     split_block,
 )
+from dbc.objects import Object
 from gateway.proof import NO_SIGNATURE
 from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write
 

@@ -4,7 +4,7 @@ A frame belongs to the SYNC before it on the bus, because a node gives up what h
 runs in a timer of 1 ms gives up late: after the next SYNC, if the window ends less than the timer's period before. So a
 frame that did not come in a cycle may come in the next. There it would pass for the answer to the new SYNC.
 
-Where nodes have two states, a SYNC asks for the frames of one. A node that missed the switch sends the others meanwhile.
+Where nodes have two states, a SYNC asks for the frames of one. A node that missed the switch sends the others.
 So after SYNCs that asked for other frames, the first answers are doubtful, whatever came, and those of a node that sent
 meanwhile the second answers, too.
 """

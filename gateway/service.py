@@ -8,13 +8,16 @@ from typing import Final, Protocol
 import msgspec
 
 from bus.link import Link
-from canskin.messages import GATEWAY, MEASUREMENT, Measurement, Topic
+from canskin.fabric import Reply
+from canskin.messages import GATEWAY, MEASUREMENT, RECOGNITION, Measurement, Topic
+from canskin.state_messages import MOST_HOLD_S, ImagesReply, ImagesRequest
 from dbc.contract import Contract
 from dbc.frame import frames
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
 from skin.clock import wall_offset
+from skin.measured_sums import part_of_measurement
 from skin.service import RateLimitedLog, StopSignal, request_real_time, say
 
 STATUS_PERIOD_S: Final = 0.2
@@ -22,6 +25,8 @@ STATUS_PERIOD_S: Final = 0.2
 TURN_S: Final = 0.01
 #: Calibration works when nothing is due for so long: it takes a millisecond, on a slow machine two.
 SPARE_S: Final = 0.004
+#: Images come for so long after the zero has been measured.
+ZERO_S: Final = 0.1
 _NOTHING: Final = frames(0)
 
 
@@ -69,6 +74,7 @@ class GatewayService:
             complain=RateLimitedLog("gateway").say,
             rates_hz=rates_hz,
         )
+        self._contract = contract
         self._links = dict(links)
         self._fabric = fabric
         self._clock = clock
@@ -121,16 +127,33 @@ class GatewayService:
         self._publish(self.loop.measurements(self._clock(), wall_offset_ns))
         if self._calibration is not None:
             self._calibration.tick(self.loop.masters, self._clock())
+            if self.loop.states is not None and self._calibration.is_measuring:
+                self.loop.states.ask_images(ZERO_S)
             if self.loop.due_s - self._clock() >= SPARE_S:
                 self._calibration.work()
         if self._clock() >= self._status_at_s:
             self._status_at_s = self._clock() + STATUS_PERIOD_S
             self.publish_status()
 
+    def ask_images(self, request: ImagesRequest, reply: Reply) -> None:
+        """Answer a request for images; from any thread."""
+        states = self.loop.states
+        if states is None:
+            reply(ImagesReply(is_done=True, text="images come all the time"))
+        elif not 0 < request.hold_s <= MOST_HOLD_S:
+            limit = f"expected images for more than 0 and up to {MOST_HOLD_S:g} s"
+            reply(ImagesReply(is_done=False, text=f"{limit}, got {request.hold_s:g} s"))
+        else:
+            states.ask_images(request.hold_s)
+            reply(ImagesReply(is_done=True))
+
     def _publish(self, measurements: list[Measurement]) -> None:
+        few = self._contract.recognition
         for each in measurements:
-            if self._calibration is None:
-                self._fabric.publish(MEASUREMENT, each)
-                continue
-            self._fabric.publish(MEASUREMENT, self._calibration.apply(each))
-            self._calibration.take(each)
+            told = each if self._calibration is None else self._calibration.apply(each)
+            if few is None or each.fingerprint != few.phi.fingerprint:
+                self._fabric.publish(MEASUREMENT, told)
+            if few is not None:
+                self._fabric.publish(RECOGNITION, part_of_measurement(told, few.phi, self._contract.recognised))
+            if self._calibration is not None:
+                self._calibration.take(each)

@@ -6,7 +6,7 @@ was reset, follows when the RPDO is sent again.
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,7 +22,7 @@ REPEATS: Final = 3
 REPEAT_S: Final = 0.25
 #: The gateway waits for the RPDO on every bus for at most so many SYNCs: a bus may be dead.
 PATIENCE_SYNCS: Final = 3
-#: A switch begins so many periods of recognition before a SYNC, or after it: nodes and gateway are to change at one SYNC.
+#: A switch begins so many periods of recognition before a SYNC, or after it: nodes and gateway change at one SYNC.
 MARGIN: Final = 0.25
 
 
@@ -65,7 +65,10 @@ class StateSwitch:
         self._requests.append(hold_s)
 
     def tick(self, now_s: float, sync_due_s: float) -> None:
-        """Send the RPDO if the state is to change, or if its time has come; not just before a SYNC, due at `sync_due_s`."""
+        """Send the RPDO if the state is to change, or if its time has come.
+
+        A change does not begin just before the SYNC that is due at `sync_due_s`.
+        """
         while self._requests:
             self._until_s = max(self._until_s, now_s + self._requests.popleft())
             if self._commanded == RECOGNITION and self._asked_s is None:
@@ -96,6 +99,11 @@ class StateSwitch:
             self._again -= 1
             self._send_s = now_s
         return self._periods_s[self.state]
+
+    def status(self) -> dict[str, Any]:
+        """Return the fields of `canskin.messages.GatewayStatus` that tell of the states."""
+        state = "images" if self.state == IMAGES else "recognition"
+        return {"state": state, "switches": self.switches, "switch_s": self.switch_s}
 
     def take_measurement(self, measurement: Measurement, now_s: float) -> None:
         """Note how long a switch to images took."""

@@ -22,7 +22,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import Setting, signature
 from dbc.contract import NodeContract
-from dbc.dictionary import HEARTBEATS_WATCHED, IMAGES, ON_COMMAND, RECOGNITION, Object
+from dbc.dictionary import HEARTBEATS_WATCHED, IMAGES, ON_COMMAND, RECOGNITION
 from dbc.indices import (
     BITS,
     OD_CONSUMER_HEARTBEAT,
@@ -48,6 +48,7 @@ from dbc.indices import (
     of_block,
     split_block,
 )
+from dbc.objects import Object
 from nodes.access import check_write, is_allowed
 from nodes.boards import Boards
 from nodes.emcy import EmcyProducer

@@ -12,8 +12,8 @@ from canopen.sdo.server import SdoServer
 
 from dbc.canopen import Abort
 from dbc.contract import LONGEST_VALUE
-from dbc.dictionary import Object
 from dbc.indices import BITS, OD_SUMS, split_block
+from dbc.objects import Object
 
 #: Bits of a command that tell how many of the four bytes of an expedited transfer are not used.
 UNUSED_BYTES: Final = 0x0C

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Final, Generic, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -90,6 +91,30 @@ def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
     if measurement.usable:
         valid &= phi.all_of_blocks(np.frombuffer(measurement.usable, np.uint8) != 0)
     return valid
+
+
+def part_of_measurement(measurement: Measurement, part: Sbhe, places: npt.NDArray[np.intp]) -> Measurement:
+    """Return a synchronous measurement with some of its sums alone.
+
+    Parameters
+    ----------
+    part : Sbhe
+        Φ of these sums; a measurement of it is returned as it is.
+    places : array of int
+        Where they are among the sums of the measurement (`skin.measurement.places`).
+    """
+    if measurement.fingerprint == part.fingerprint:
+        return measurement
+    sums, offsets = (np.frombuffer(each, "<i4") for each in (measurement.sums, measurement.offsets))
+    usable, valid = (np.frombuffer(each, np.bool_) for each in (measurement.usable, measurement.valid))
+    return msgspec.structs.replace(
+        measurement,
+        sums=sums[places].tobytes(),
+        valid=(valid & part.has_sums).tobytes(),
+        offsets=offsets[places].tobytes() if offsets.size else b"",
+        usable=usable[places].tobytes() if usable.size else b"",
+        fingerprint=part.fingerprint,
+    )
 
 
 def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:

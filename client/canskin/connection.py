@@ -16,6 +16,7 @@ from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Gatew
 from canskin.peers import Peer, client_version
 from canskin.session import DEFAULT_ENDPOINT, close_with_program, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
+from canskin.state_messages import IMAGES, ImagesReply, ImagesRequest
 
 #: Name of this service on the fabric.
 NAME: Final = "client"
@@ -131,6 +132,14 @@ class ConnectedSkin(Skin):
             raise RunError(reply.text)
         return reply.text
 
+    def ask_images(self, hold_s: float = 1.0) -> None:
+        """See `Skin.ask_images`."""
+        if self._hub.is_closed:
+            raise BusError(CLOSED)
+        reply: ImagesReply = self._fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ANSWER_S)
+        if not reply.is_done:
+            raise RunError(reply.text)
+
     @property
     def health(self) -> Health:
         """See `Skin.health`."""
@@ -192,6 +201,8 @@ class ConnectedSkin(Skin):
         if "skin gateway" in missing and "replay" in alive:
             missing.clear()
         advice = "is its bus silent? See skin.health"
+        if self._status is not None and self._status.state == "recognition":
+            advice = "it recognises, and images come when asked for: see ask_images"
         if missing:
             advice = f"start '{missing[0]}'"
         elif others:

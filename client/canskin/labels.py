@@ -13,4 +13,4 @@ def is_measured(label: Label, sums: int) -> bool:
 
     The empty label of a dead skin does not mean "no contact".
     """
-    return not label.blind and label.valid_sums >= MIN_VALID_RATIO * sums
+    return not label.blind and label.valid_sums >= MIN_VALID_RATIO * (label.sums or sums)

@@ -12,6 +12,10 @@ from typing import Final
 
 import msgspec
 
+from canskin.bus_messages import SILENT as SILENT  # noqa: PLC0414 - re-exported, as the next three
+from canskin.bus_messages import BusState as BusState  # noqa: PLC0414
+from canskin.bus_messages import FrameCounts as FrameCounts  # noqa: PLC0414
+from canskin.bus_messages import NmtState as NmtState  # noqa: PLC0414
 from canskin.calibration_messages import CalibrationStatus
 
 #: `sampled_error_ns` of a sampling instant whose error has no proven bound.
@@ -233,6 +237,8 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
         Too few blocks came in the last cycles: the label is empty, but does not mean "no contact".
     number : int
         Number of the label since the classifier's start, from 1: labels depend on those before. 0 if unknown.
+    sums : int
+        Number of sums from which it is made, where these are not all of the skin; else 0.
     """
 
     cycle: int
@@ -244,6 +250,7 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
     blind: bool = False
     number: int = 0
     sampled_error_ns: int = UNKNOWN_ERROR_NS
+    sums: int = 0
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
@@ -270,87 +277,6 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     label: str
 
 
-class FrameCounts(msgspec.Struct, kw_only=True):
-    """Numbers of frames since the gateway's start, by what the collector did with them.
-
-    Attributes
-    ----------
-    accepted : int
-        Frames with sums that were used.
-    late, duplicate, malformed : int
-        Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used.
-    unrefined, unproven : int
-        Adaptive: fine frames whose coarse frame is not held, and frames of nodes that are not proven; not used.
-    missing : int
-        Frames with sums that did not come in their cycle.
-    foreign : int
-        All other frames on the buses.
-    """
-
-    accepted: int = 0
-    late: int = 0
-    duplicate: int = 0
-    malformed: int = 0
-    missing: int = 0
-    foreign: int = 0
-    unrefined: int = 0
-    unproven: int = 0
-
-    @property
-    def received(self) -> int:
-        """Number of frames with the identifier of a TPDO with sums."""
-        return self.accepted + self.late + self.duplicate + self.malformed + self.unrefined + self.unproven
-
-
-class NmtState(IntEnum):
-    """NMT states in the heartbeat (CiA 301, 7.2.8.3.2)."""
-
-    INITIALISING = 0
-    STOPPED = 4
-    OPERATIONAL = 5
-    PRE_OPERATIONAL = 127
-
-
-#: Value in `BusState.nmt` of a node whose heartbeat is overdue.
-SILENT: Final = 255
-
-
-class BusState(msgspec.Struct, frozen=True, kw_only=True):
-    """State of one bus, from the gateway.
-
-    Attributes
-    ----------
-    load_ratio : float
-        Bus load since the last status: time of all frames (exact stuffing) / time that passed.
-    mean_load_ratio : float
-        Bus load since SYNC started.
-    nmt : bytes
-        uint8 per node of the bus: NMT state in the last heartbeat (CiA 301, 7.2.8.3.2), `SILENT` when it is overdue.
-    missing, late : list of int
-        Number of frames per node since the start that did not come in their cycle, and that came too late.
-    emcy : list of int
-        Error code of each node's newest emergency, 0 for none (CiA 301, 7.2.7.1).
-    link : str
-        State of the gateway's controller: active, warning, passive, bus_off, or lost.
-    refused : list of int
-        Node-IDs that answer but are not used: their configuration differs from the contract.
-    overrun : int
-        Number of frames that the gateway's receive buffer lost since the start.
-    """
-
-    name: str
-    load_ratio: float
-    mean_load_ratio: float = 0.0
-    nodes: list[int]
-    nmt: bytes
-    missing: list[int] = []
-    late: list[int] = []
-    emcy: list[int] = []
-    refused: list[int] = []
-    link: str = "active"
-    overrun: int = 0
-
-
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     """The gateway's counters since its start, published five times a second.
 
@@ -362,6 +288,12 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
         Number of SYNCs that were not sent because they were too late.
     calibration : CalibrationStatus or None
         None from a gateway without calibration, as in a replay.
+    state : str
+        Where the nodes have two states: ``recognition`` or ``images``; else empty.
+    switches : int
+        Number of times that images were asked for in recognition, and came.
+    switch_s : float
+        The newest time from such a request to the first complete cycle of images.
     """
 
     time_ns: int
@@ -372,6 +304,9 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     buses: list[BusState]
     syncs_skipped: int = 0
     calibration: CalibrationStatus | None = None
+    state: str = ""
+    switches: int = 0
+    switch_s: float = 0.0
 
 
 class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -392,6 +327,8 @@ class Topic(msgspec.Struct, frozen=True):
 
 
 MEASUREMENT: Final = Topic("measurement", Measurement)
+#: Where the nodes have two states: the sums of recognition, in cycles of images, too.
+RECOGNITION: Final = Topic("recognition", Measurement)
 IMAGE: Final = Topic("image", Image)
 CONTACTS: Final = Topic("contacts", Contacts)
 LABEL: Final = Topic("label", Label)

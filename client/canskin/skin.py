@@ -187,6 +187,19 @@ class Skin(ABC):
             If no gateway answers.
         """
 
+    def ask_images(self, hold_s: float = 1.0) -> None:  # noqa: B027 - nothing to do is right for most skins
+        """Ask a skin that recognises first for images, from now on for `hold_s` seconds; ask again for longer.
+
+        Other skins give images all the time.
+
+        Raises
+        ------
+        RunError
+            If the gateway refuses the request.
+        BusError
+            If no gateway answers.
+        """
+
     @property
     @abstractmethod
     def health(self) -> Health:

@@ -7,7 +7,6 @@ from dbc.adaptive import TPDOS, tpdo_index
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
-from dbc.dictionary import Object
 from dbc.indices import (
     OD_COARSE,
     OD_COEFFICIENT_NOISE,
@@ -17,6 +16,7 @@ from dbc.indices import (
     OD_TAXEL_NOISE,
     OD_TPDO_COMMUNICATION,
 )
+from dbc.objects import Object
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.mailboxes import NO_COB_ID
 from nodes.network import SegmentNetwork

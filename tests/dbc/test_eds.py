@@ -11,7 +11,7 @@ from canopen.objectdictionary import ODVariable
 from dcf.device import Device
 
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import Object, dictionary
+from dbc.dictionary import dictionary
 from dbc.eds import NO_BLOCK, NodeType, dcfs, eds, node_name, node_types
 from dbc.indices import (
     OD_BLOCK,
@@ -25,6 +25,7 @@ from dbc.indices import (
     VISIBLE_STRING,
     split_block,
 )
+from dbc.objects import Object
 from skin.layout import Layout, load_layout, parse_layout
 from tests.identity import alternating
 

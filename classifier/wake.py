@@ -1,0 +1,58 @@
+"""Asks for images when something touches a skin that recognises first."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from canskin.errors import SkinError
+from canskin.messages import UNKNOWN_OBJECT
+from skin.layout import Recognition
+
+#: A request is renewed after this part of its time.
+RENEW: Final = 0.5
+
+
+class Wake:
+    """Asks for images as ``recognition.wake`` of the layout says, from a thread of its own.
+
+    Parameters
+    ----------
+    state : Recognition
+    ask : callable
+        Asks the gateway for images for so many seconds; may block, and may raise `SkinError`.
+    clock : callable, optional
+        Monotonic time in seconds.
+    """
+
+    def __init__(
+        self, state: Recognition, ask: Callable[[float], object], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._state, self._ask, self._clock = state, ask, clock
+        self._due_s = float("-inf")
+        self._wanted = threading.Event()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._serve, name="wake", daemon=True)
+        self._thread.start()
+
+    def take(self, label: str) -> None:
+        """Take a label, empty without contact; ask for images if it is time to."""
+        wakes = {"contact": bool(label), "label": label not in ("", UNKNOWN_OBJECT), "request": False}
+        now_s = self._clock()
+        if wakes[self._state.wake] and now_s >= self._due_s:
+            self._due_s = now_s + RENEW * self._state.hold_s
+            self._wanted.set()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._is_closed = True
+        self._wanted.set()
+        self._thread.join()
+
+    def _serve(self) -> None:
+        while self._wanted.wait() and not self._is_closed:
+            self._wanted.clear()
+            try:
+                self._ask(self._state.hold_s)
+            except SkinError:  # no gateway: the next label asks again
+                self._due_s = float("-inf")
