@@ -12,7 +12,7 @@ from bus.options import BusOptions, channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_one_state
 from skin.service import StopSignal, say
 from skin.terminal import Json, print_json
 
@@ -52,6 +52,7 @@ def load(
     if not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
     skin = load_layout(layout, adaptive=True)
+    require_one_state(skin, "'skin load'")
     options = can or BusOptions()
     if log is None:
         seen = _listen(skin, options, seconds)

@@ -13,7 +13,7 @@ from bus.options import BusOptions, Channels, channels
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
-from skin.layout import load_layout
+from skin.layout import load_layout, require_one_state
 from skin.service import say
 from skin.terminal import Json, print_json
 
@@ -64,7 +64,9 @@ def plan(
     if node_budget:
         raise InputError("--node-budget is for adaptive sending: the nodes of this layout send in every cycle")
     plans = plan_buses(contract, allowed=allowed)
+    few = [] if contract.recognition is None else plan_buses(contract.recognition, allowed=allowed)
     if check is not None:
+        require_one_state(contract.layout, "--check")
         return _check(contract, plans, check, channel or [], as_json=json_)
     if plot is not None:
         from bandwidth.plots import write_plots
@@ -72,13 +74,18 @@ def plan(
         for path in write_plots(contract, plot):
             say("plan", f"wrote {path}")
     if json_:
-        print_json(_document(contract, plans, allowed))
+        print_json(_document(contract, plans, allowed) | ({"recognition": few} if few else {}))
     else:
-        from bandwidth.tables import print_plan
+        from bandwidth.tables import print_buses, print_plan, print_problems
 
+        if few:
+            print("recognition")
+            print_buses(few)
+            print_problems(few)
+            print("\nimages")
         print_plan(plans, alternatives(contract.layout, allowed))
         print(f"\n{wiring(contract.layout)}")
-    return int(any(each.problems for each in plans))
+    return int(any(each.problems for each in [*plans, *few]))
 
 
 def _plan_adaptive(

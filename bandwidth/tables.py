@@ -18,15 +18,13 @@ _NO_BREAK: Final = "\N{NO-BREAK SPACE}"
 def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
     """Print a plan: a column per bus, the nodes' response times, the alternatives, the problems."""
     tried = list(others)
-    _print_buses(plans)
+    print_buses(plans)
     print("\nworst response of each node's last TPDO, ms:")
     times = {each.name: [(node.node_id, node.response_ms) for node in each.node_plans] for each in plans}
     print_wrapped(node_lines(times))
     print()
     _print_alternatives(tried)
-    for plan in plans:
-        for problem in plan.problems:
-            print(f"does not fit: {problem}")
+    print_problems(plans)
     for each in tried:
         if each.load_worst is None:
             print(f"{each.change} cannot be: {each.problem}")
@@ -67,7 +65,15 @@ def _print_identifiers(load: BusLoad) -> None:
     print_table(headings, rows, title=load.name)
 
 
-def _print_buses(plans: Sequence[BusPlan]) -> None:
+def print_problems(plans: Sequence[BusPlan]) -> None:
+    """Print why buses do not fit."""
+    for plan in plans:
+        for problem in plan.problems:
+            print(f"does not fit: {problem}")
+
+
+def print_buses(plans: Sequence[BusPlan]) -> None:
+    """Print the figures of the buses, a column each."""
     rows = {
         "nodes": [str(each.nodes) for each in plans],
         "frames a cycle": [str(each.frames_per_cycle) for each in plans],

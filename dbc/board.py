@@ -13,7 +13,7 @@ from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import CLASSIC_BYTES, Contract, NodeContract
-from dbc.dictionary import dictionary
+from dbc.dictionary import IMAGES, RECOGNITION, dictionary
 from dbc.frame import FD
 from dbc.indices import (
     OD_CYCLE_PERIOD_US,
@@ -86,7 +86,8 @@ class MappedObject(_Table, frozen=True, kw_only=True):
 class BoardTpdo(_Table, frozen=True, kw_only=True):
     """One transmit PDO (18xxh, 1Axxh); `length` is its payload in bytes, padding included.
 
-    Adaptive boards have `level`, `group` and `is_fine` besides, see `dbc.contract.AdaptiveTpdo`.
+    Boards with two states have `state`, the value of 2008h:1 with which it is sent. Adaptive boards have `level`,
+    `group` and `is_fine` besides, see `dbc.contract.AdaptiveTpdo`.
     """
 
     number: int
@@ -100,6 +101,7 @@ class BoardTpdo(_Table, frozen=True, kw_only=True):
     level: int | None = None
     group: int | None = None
     is_fine: bool | None = None
+    state: int | None = None
 
 
 class BoardPacking(_Table, frozen=True, kw_only=True):
@@ -245,7 +247,7 @@ def board(contract: Contract, node: NodeContract) -> Board:
         phi_seed=int(values[OD_PHI_SEED, 0]),
         phi_fingerprint=contract.phi.fingerprint,
         signature=expected_signature(configuration(contract, node)),
-        tpdos=_tpdos(node, values),
+        tpdos=_tpdos(contract, node, values),
         blocks=_blocks(contract, node, values),
         companding=contract.law if is_adaptive else None,
         sending_rule=SendingRule() if is_adaptive else None,
@@ -258,9 +260,14 @@ def _packing(packing: Packing) -> BoardPacking:
     return BoardPacking(bits=packing.bits, step_counts=packing.scale, zero=packing.offset, raw_min=low, raw_max=high)
 
 
-def _tpdos(node: NodeContract, values: _Values) -> list[BoardTpdo]:
+def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[BoardTpdo]:
     urgencies = {each.number: (each.level, each.group, each.is_fine) for each in node.adaptive_tpdos}
     lengths = {each.number: each.length for each in node.tpdos} | dict.fromkeys(urgencies, CLASSIC_BYTES)
+    states: dict[int, int] = {}
+    if contract.recognition is not None:
+        few = contract.recognition.nodes[contract.nodes.index(node)].tpdos
+        states = dict.fromkeys(lengths, IMAGES) | {each.number: RECOGNITION for each in few}
+        lengths |= {each.number: each.length for each in few}
     tpdos = []
     for number, length in lengths.items():
         level, group, is_fine = urgencies.get(number, (None, None, None))
@@ -281,6 +288,7 @@ def _tpdos(node: NodeContract, values: _Values) -> list[BoardTpdo]:
                 level=level,
                 group=group,
                 is_fine=is_fine,
+                state=states.get(number),
             )
         )
     return tpdos

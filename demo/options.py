@@ -8,7 +8,7 @@ from typing import Final
 
 from canskin.errors import InputError
 from skin.defects import parse_defects
-from skin.layout import Layout
+from skin.layout import Layout, require_one_state
 from skin.output import check_picture_path
 from skin.sources import StrokeKind, load_source, step_rate_hz
 from touch.objects import checked_names
@@ -55,6 +55,8 @@ class DemoOptions:
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
         if self.seed < 0:
             raise InputError(f"--seed: expected 0 or more, got {self.seed}")
+        if self.firmware:
+            require_one_state(layout, "the firmware in C")
         if len({(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in layout.bus}) > 1:
             raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
         if self.view and self.port is not None:

@@ -200,7 +200,5 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             label = "" if state.label_accuracy is None else f"; label right on {state.label_accuracy:.1%} of the cycles"
             rows.append((f"in {name}", f"load {loads or 'not measured'}{label}"))
         if self.switch_ms.p50 is not None:
-            rows.append(
-                ("switch", f"{self.switches} to images, {self.switch_ms.p50:.0f} ms from request to whole cycle")
-            )
+            rows.append(("switch", f"{self.switches} to images, {self.switch_ms.p50:.0f} ms to the first whole cycle"))
         return rows

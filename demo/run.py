@@ -1,5 +1,6 @@
 """One run of the whole chain."""
 
+import contextlib
 import shlex
 import socket
 import time
@@ -13,9 +14,10 @@ import msgspec
 from rich.console import Console
 
 from calibration.windows import tare_s
-from canskin.errors import RunError
+from canskin.errors import RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
+from canskin.state_messages import IMAGES, ImagesRequest
 from demo.options import DemoOptions
 from demo.picture import save_picture
 from demo.processor_time import ratios
@@ -35,6 +37,8 @@ REST_S: Final = 1.5
 READY_PATIENCE_S: Final = 600.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
 TURN_S: Final = 0.1
+#: Where programs alone ask for images, the demo does, once in so many times that they come for.
+ASK_EVERY: Final = 2.0
 #: A start that takes longer is explained.
 SLOW_START_S: Final = 8.0
 
@@ -49,6 +53,9 @@ class Run:
         self._folder = folder
         self._supervisor = Supervisor(folder)
         self._alive: set[str] = set()
+        self._fabric: Fabric | None = None
+        #: When images are asked for next, seconds since the first cycle.
+        self._ask_at_s = 0.0
         self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
 
@@ -66,6 +73,7 @@ class Run:
             endpoint, fabric = open_hub(self._layout.name, self._options.listen)
             last.callback(fabric.close)
             last.callback(self._supervisor.stop)
+            self._fabric = fabric
             self._listen(fabric)
             self._start_services(endpoint)
             self._await_services(stop)
@@ -172,7 +180,17 @@ class Run:
                     if talks(Talk.NORMAL):
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
+                self._ask_images(elapsed_s)
             self._score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
+
+    def _ask_images(self, elapsed_s: float) -> None:
+        """Ask for images now and then, where a skin that recognises first leaves that to programs."""
+        state = self._layout.recognition
+        if state is None or state.wake != "request" or elapsed_s < self._ask_at_s or self._fabric is None:
+            return
+        self._ask_at_s = elapsed_s + ASK_EVERY * state.hold_s
+        with contextlib.suppress(SkinError):  # a gateway that is not there is reported elsewhere
+            self._fabric.ask(IMAGES, ImagesRequest(hold_s=state.hold_s), TURN_S)
 
     def _await_first_cycle(self, stop: StopSignal) -> None:
         """Wait until SYNC has started; a gateway that compiles, as on a first start, has more time."""

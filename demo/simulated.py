@@ -43,6 +43,7 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
     if isinstance(objects, str):
         raise InputError(f"objects: expected a list of names, such as ['{objects}'], got '{objects}'")
     skin = load_layout(None if layout is None else Path(layout), adaptive=True)
+    skin = msgspec.structs.replace(skin, recognition=None)  # every cycle is one of images
     if skin.sending == "adaptive":
         raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
     if objects is not None and not objects:

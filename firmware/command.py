@@ -9,7 +9,7 @@ from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from dbc.generate import write_files
 from firmware.export import export_files
-from skin.layout import load_layout
+from skin.layout import load_layout, require_one_state
 from skin.terminal import Json, print_json
 
 
@@ -43,7 +43,9 @@ def export(
     skin export firmware --out firmware
     skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
     """
-    contract = Contract.from_layout(load_layout(layout, adaptive=True))
+    skin = load_layout(layout, adaptive=True)
+    require_one_state(skin, "the firmware in C")
+    contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, node or [], [])
     nodes = [each for each in contract.nodes if each.node_id in chosen.get(each.bus, ())]
     paths = [str(path) for path in write_files(export_files(contract, nodes), out)]

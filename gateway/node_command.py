@@ -13,7 +13,7 @@ from bus.options import BusOptions, open_links
 from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from gateway.node_check import NodeCheck, NodeReport
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_one_state
 from skin.service import StopSignal
 from skin.terminal import Json, print_json
 
@@ -59,6 +59,7 @@ def node(
         raise InputError(f"expected 'skin node check', got '{action}'")
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
+    require_one_state(skin, "'skin node check'")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
     wanted = [each for each in contract.on_bus(number) if each.node_id == node_id]

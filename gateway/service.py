@@ -123,8 +123,8 @@ class GatewayService:
             )
         self.loop.tick(self._clock())
         wall_offset_ns = wall_offset().ns
-        self._publish(self.loop.send_sync(self._clock(), wall_offset_ns))
-        self._publish(self.loop.measurements(self._clock(), wall_offset_ns))
+        self.publish(self.loop.send_sync(self._clock(), wall_offset_ns))
+        self.publish(self.loop.measurements(self._clock(), wall_offset_ns))
         if self._calibration is not None:
             self._calibration.tick(self.loop.masters, self._clock())
             if self.loop.states is not None and self._calibration.is_measuring:
@@ -147,7 +147,8 @@ class GatewayService:
             states.ask_images(request.hold_s)
             reply(ImagesReply(is_done=True))
 
-    def _publish(self, measurements: list[Measurement]) -> None:
+    def publish(self, measurements: list[Measurement]) -> None:
+        """Publish measurements with their offsets; where the nodes have two states, those of each on its topic."""
         few = self._contract.recognition
         for each in measurements:
             told = each if self._calibration is None else self._calibration.apply(each)

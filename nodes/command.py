@@ -20,7 +20,7 @@ from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler, new_sampler
 from nodes.service import NodesService
 from skin.defects import parse_defects
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_one_state
 from skin.service import StopSignal, say
 from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, object_names, step_rate_hz
 from skin.taxel import NOISE_N
@@ -121,6 +121,8 @@ def nodes(
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
     defects = parse_defects(defect or (), seed, is_analogue=skin.taxels.is_analogue)
+    if firmware:
+        require_one_state(skin, "the firmware in C")
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = (

@@ -24,7 +24,7 @@ from rebuild.replay import replay
 from reconstructor.array_api import gpu_library
 from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
-from skin.layout import load_layout
+from skin.layout import load_layout, require_one_state
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.terminal import progress
@@ -92,7 +92,9 @@ def rebuild(
     check_out(out)
     if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
         layout = source
-    contract = Contract.from_layout(load_layout(layout))
+    skin = load_layout(layout)
+    require_one_state(skin, "'skin rebuild'")
+    contract = Contract.from_layout(skin)
     stored = None if calibration == NO_CALIBRATION else calibration
     calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")
     taxels = contract.layout.taxels

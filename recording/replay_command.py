@@ -26,7 +26,7 @@ from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
 from recording.steps import Step, steps_of
 from skin.description import Describing
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
 from skin.output import RECORDING_SUFFIX, check_new_path
 from skin.service import StopSignal, say
@@ -88,6 +88,7 @@ def replay(
     stop = StopSignal().install()
     is_recording = source.suffix.lower() == RECORDING_SUFFIX
     skin = load_layout(source if is_recording and layout is None else layout, adaptive=True)
+    require_one_state(skin, "'skin replay'")
     if channel and (is_recording or len(channel) > len(skin.bus)):
         raise InputError(f"--channel: expected up to {len(skin.bus)} channels of a log; a recording names its buses")
     contract = Contract.from_layout(skin)

@@ -17,7 +17,16 @@ from skin.walsh import Indices, patches
 from skin.wiring import within_patches
 
 #: Names of the layouts that come with the project.
-SHIPPED: Final = ("adaptive", "adaptive-fd", "analogue", "default", "fd", "one-bus-12bit", "recognition")
+SHIPPED: Final = (
+    "adaptive",
+    "adaptive-fd",
+    "analogue",
+    "default",
+    "fd",
+    "one-bus-12bit",
+    "recognise-first",
+    "recognition",
+)
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
@@ -279,6 +288,18 @@ def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
             f'{name}: this verb does not know adaptive sending: expected sending = "synchronous" - at `$.sending`'
         )
     return layout
+
+
+def require_one_state(layout: Layout, what: str) -> None:
+    """Check that a layout has no state of recognition.
+
+    Raises
+    ------
+    LayoutError
+        If it has; `what` names what does not know it.
+    """
+    if layout.recognition is not None:
+        raise LayoutError(f"{what} does not know recognition: expected a layout without it - at `$.recognition`")
 
 
 def _read(path: Path | None, name: str) -> tuple[bytes, str]:

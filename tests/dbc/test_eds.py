@@ -50,7 +50,7 @@ fd = true
 """
 #: Serial number, and what a node measures: the values in which nodes of a type differ.
 DIFFERING = {OD_IDENTITY, OD_BLOCK, OD_ROWS, OD_TAXELS}
-SHIPPED = "default", "fd", "one-bus-12bit", "recognition"
+SHIPPED = "default", "fd", "one-bus-12bit", "recognition", "recognise-first"
 LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in SHIPPED}
 LAYOUTS["alternating"] = alternating(load_layout())
 LAYOUTS["mixed"] = parse_layout(SMALL.encode(), "mixed.toml")

@@ -1,12 +1,21 @@
 """Recognition and images: all nodes switch together, and no cycle is misread, whatever node missed the switch."""
 
+from typing import Any
+
+import msgspec
 import numpy as np
 import pytest
 
-from canskin.messages import Measurement
+from canskin.messages import MEASUREMENT, Measurement, Topic
+from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
+from canskin.state_messages import ImagesReply, ImagesRequest
+from dbc.board import board
 from dbc.canopen import STATE_COB_ID, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
+from dbc.database import database
 from dbc.dictionary import IMAGES, RECOGNITION
+from dbc.indices import OD_STATE
+from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
 from tests.gateway.world import EndOfWire, World, small_contract, valid
 
@@ -170,3 +179,58 @@ def test_a_thousand_switches_at_random_moments_with_losses_late_frames_and_reset
     assert wrong == 0
     assert whole > count / 3
     assert images > TURNS / 4
+
+
+class Told:
+    """A fabric that keeps what is published, by topic."""
+
+    def __init__(self) -> None:
+        self.by_topic: dict[str, list[Any]] = {}
+
+    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
+        self.by_topic.setdefault(topic.name, []).append(message)
+
+
+def test_service_publishes_the_sums_of_recognition_in_every_cycle_and_answers_requests(skin: Skin) -> None:
+    told, answers = Told(), list[ImagesReply]()
+    service = GatewayService(CONTRACT, {}, told)
+    service.loop = skin.gateway
+    service.ask_images(ImagesRequest(hold_s=0.3), answers.append)
+    service.ask_images(ImagesRequest(hold_s=0.0), answers.append)
+    assert [each.is_done for each in answers] == [True, False]
+    came = skin.run(1.0)
+    service.publish(came)
+    images = [each for each in came if skin.is_image(each)]
+    assert told.by_topic[MEASUREMENT.name] == images
+    few = told.by_topic[RECOGNITION_TOPIC.name]
+    assert [each.cycle for each in few] == [each.cycle for each in came]
+    assert {each.fingerprint for each in few} == {CONTRACT.recognition.phi.fingerprint}
+    assert not any(skin.wrong_blocks(each) for each in few)
+    assert sum(skin.is_whole(each) for each in few) == sum(skin.is_whole(each) for each in came)
+    assert skin.status().state == "recognition"
+
+
+def test_state_is_an_object_of_the_node(skin: Skin) -> None:
+    """SDO writes what the RPDO writes; other values do not exist, and a node that is not operational takes no PDO."""
+    node = skin.segments[0].nodes[0]
+    skin.write(0, 1, OD_STATE, 1, bytes((IMAGES + 1,)))
+    skin.carry()
+    assert node.local.unsigned(OD_STATE, 1) == RECOGNITION
+    skin.write(0, 1, OD_STATE, 1, bytes((IMAGES,)))
+    skin.carry()
+    assert node.local.unsigned(OD_STATE, 1) == IMAGES
+    node.boot(skin.now_s)
+    skin.wires[0].put(STATE_COB_ID, bytes((IMAGES,)))
+    skin.carry()
+    assert node.local.unsigned(OD_STATE, 1) == RECOGNITION
+    assert skin.segments[0].nodes[1].local.unsigned(OD_STATE, 1) == IMAGES
+
+
+def test_database_and_contract_name_the_frames_of_both_states() -> None:
+    text = database(CONTRACT, 0)
+    assert f"BO_ {STATE_COB_ID} State: 1 Gateway" in text
+    few = CONTRACT.recognition.nodes[1].tpdos[0]
+    assert f"BO_ {few.cob_id} Node2_TPDO{few.number}_Recognition" in text
+    assert few.cob_id not in {tpdo.cob_id for node in CONTRACT.on_bus(0) for tpdo in node.tpdos}
+    table = board(CONTRACT, CONTRACT.nodes[1])
+    assert [tpdo.state for tpdo in table.tpdos] == [IMAGES, IMAGES, RECOGNITION]
