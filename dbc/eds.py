@@ -123,7 +123,7 @@ def dcfs(contract: Contract, kind: NodeType) -> Iterator[tuple[NodeContract, str
     defaults = _defaults(dictionaries, kind)
     for node, objects in zip(kind.nodes, dictionaries, strict=True):
         info = _file_info(f"{node_name(contract, node)}.dcf") | {"LastEDS": kind.file}
-        described = list(zip(objects, defaults, map(_own_value, objects), strict=True))
+        described = list(zip(objects, defaults, map(_own_value, objects, defaults), strict=True))
         yield node, _text(contract, kind, described, info, _commissioning(contract, node))
 
 
@@ -203,13 +203,15 @@ def _default(each: Object, values: list[Value], nodes: tuple[NodeContract, ...])
     return _number(each, value)
 
 
-def _own_value(each: Object) -> str | None:
+def _own_value(each: Object, default: str | None) -> str | None:
     """Return the value of one node for its DCF, None where the default of the EDS holds."""
     if each.data_type == REAL32:
         return f"0x{int.from_bytes(struct.pack('<f', each.value), 'little'):08X}"
     if _first_block(each.index) in _OF_NODE and each.subindex != 0:
         return _number(each, each.value)
-    return None
+    # The rows of recognition differ between nodes of a type, and so do the sums that its TPDOs carry.
+    is_mapped = OD_TPDO_MAPPING <= each.index < OD_MANUFACTURER
+    return _number(each, each.value) if is_mapped and default != _number(each, each.value) else None
 
 
 def _number(each: Object, value: Value) -> str:

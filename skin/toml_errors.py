@@ -92,7 +92,7 @@ def _table(root: type, keys: list[str]) -> type:
     table = root
     for key in keys:
         hint = get_type_hints(table).get(key)
-        if get_origin(hint) is list:
+        if get_origin(hint) is list or NoneType in get_args(hint):  # a list of tables, or a table that may be missing
             hint = get_args(hint)[0]
         if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
             table = hint

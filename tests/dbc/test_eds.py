@@ -21,6 +21,7 @@ from dbc.indices import (
     OD_ROWS,
     OD_SENDING,
     OD_TAXELS,
+    OD_TPDO_MAPPING,
     REAL32,
     VISIBLE_STRING,
     split_block,
@@ -95,7 +96,8 @@ def same_object(wanted: Object, got: ODVariable, *, alone: bool) -> None:
         wanted.access,
         wanted.pdo,
     )
-    is_own = first_block(wanted.index) in DIFFERING and wanted.subindex != 0
+    is_mapped = OD_TPDO_MAPPING <= wanted.index < OD_MANUFACTURER
+    is_own = (first_block(wanted.index) in DIFFERING or is_mapped) and wanted.subindex != 0
     unset = NO_BLOCK if wanted.index == OD_BLOCK else 0
     assert got.default == wanted.value or (is_own and not alone and got.default == unset)
 
@@ -104,7 +106,7 @@ def first_block(index: int) -> int:
     return split_block(index)[1] if index >= OD_MANUFACTURER else index
 
 
-@pytest.mark.parametrize("name", ["fd", "mixed"])
+@pytest.mark.parametrize("name", ["fd", "mixed", "recognise-first"])
 def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None:
     contract = Contract.from_layout(LAYOUTS[name])
     for kind in node_types(contract):
@@ -164,7 +166,7 @@ def test_lely_reads_the_dictionary_and_has_no_complaint(name: str, tmp_path: Pat
                 assert got.pdo_mapping == each.pdo
             for tpdo in node.tpdos:
                 same_pdo(contract, node, tpdo, device.tpdo[tpdo.number])
-            assert not device.rpdo
+            assert len(device.rpdo) == (contract.recognition is not None)
 
 
 def same_pdo(contract: Contract, node: NodeContract, tpdo: Any, got: Any) -> None:
