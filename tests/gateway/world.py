@@ -179,9 +179,14 @@ class Wire:
                 copy = copy[[not self.loses(end, each) for each in copy]]
             end.waiting.append(copy)
 
-    def release(self) -> None:
-        """Let the frames go that had to wait."""
-        held, self._held = self._held, []
+    @property
+    def waiting(self) -> int:
+        """Number of bursts that have to wait."""
+        return len(self._held)
+
+    def release(self, count: int) -> None:
+        """Let the oldest bursts go that had to wait."""
+        held, self._held = self._held[:count], self._held[count:]
         for sender, burst in held:
             late = burst.copy()
             late["time_ns"] = self.now_ns
