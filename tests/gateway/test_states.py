@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from calibration.stored import store
 from canskin.messages import MEASUREMENT, Measurement, Topic
 from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
 from canskin.state_messages import ImagesReply, ImagesRequest
@@ -16,6 +17,7 @@ from dbc.contract import Contract
 from dbc.database import database
 from dbc.dictionary import IMAGES, RECOGNITION
 from dbc.indices import OD_STATE
+from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
 from tests.gateway.world import EndOfWire, World, small_contract, valid
@@ -258,3 +260,17 @@ def test_database_and_contract_name_the_frames_of_both_states() -> None:
     assert few.cob_id not in {tpdo.cob_id for node in CONTRACT.on_bus(0) for tpdo in node.tpdos}
     table = board(CONTRACT, CONTRACT.nodes[1])
     assert [tpdo.state for tpdo in table.tpdos] == [IMAGES, IMAGES, RECOGNITION]
+
+
+def test_sums_of_recognition_have_the_offsets_of_theirs(skin: Skin) -> None:
+    """The zero is that of all sums; a measurement of recognition teaches nothing about them."""
+    offsets_n = np.linspace(-0.01, 0.01, CONTRACT.phi.shape[0])
+    stored = store(CONTRACT.layout, offsets_n=offsets_n)
+    calibration = GatewayCalibration(CONTRACT, stored, tares=False)
+    few = skin.run(0.1)[-1]
+    told = calibration.apply(few)
+    counts = np.rint(offsets_n / CONTRACT.layout.taxels.newton_per_count)
+    assert np.frombuffer(told.offsets, "<i4").tolist() == counts[CONTRACT.recognised].tolist()
+    calibration.take(few)
+    assert not calibration.is_measuring
+    assert GatewayCalibration(CONTRACT).is_measuring
