@@ -183,7 +183,7 @@ class Calibrator:
         self._windows.restart()
         self.state = CalibrationState.MEASURING
 
-    def apply(self, measurement: Measurement, sums: npt.NDArray[np.intp] | None = None) -> Measurement:
+    def apply(self, measurement: Measurement, sums: npt.NDArray[np.intp] | slice = slice(None)) -> Measurement:
         """Return a measurement with the offsets of its instant, and without sums that are defective or have none.
 
         `sums` are the places of its sums among those of Φ, if it has only some of them.
@@ -191,9 +191,7 @@ class Calibrator:
         offsets = self._offsets_at(measurement.sampled_mono_ns)
         if offsets is None:
             return measurement
-        usable = self._defects.usable & self._known
-        if sums is not None:
-            offsets, usable = offsets[sums], usable[sums]
+        offsets, usable = offsets[sums], (self._defects.usable & self._known)[sums]
         if measurement.usable:
             usable &= np.frombuffer(measurement.usable, np.uint8) != 0
         return msgspec.structs.replace(

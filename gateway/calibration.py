@@ -108,7 +108,7 @@ class GatewayCalibration:
     def apply(self, measurement: Measurement) -> Measurement:
         """Return a measurement, of all sums or of those of recognition, with the offsets of its instant."""
         is_part = measurement.fingerprint != self._contract.phi.fingerprint
-        return self._calibrator.apply(measurement, self._contract.recognised if is_part else None)
+        return self._calibrator.apply(measurement, self._contract.recognised if is_part else slice(None))
 
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement of all sums; most of it is left to `work`."""
