@@ -121,8 +121,6 @@ def nodes(
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
     defects = parse_defects(defect or (), seed, is_analogue=skin.taxels.is_analogue)
-    if firmware:
-        require_one_state(skin, "the firmware in C")
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = (
@@ -149,6 +147,7 @@ def nodes(
 
 def _firmware(contract: Contract, chosen: dict[int, Collection[int]]) -> Firmware:
     """Compile the firmware of the chosen nodes."""
+    require_one_state(contract.layout, "the firmware in C")
     return Firmware(contract, [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())])
 
 
