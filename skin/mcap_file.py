@@ -252,24 +252,27 @@ def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
         If the file is no recording of a skin, or cannot be read.
     """
     channels: Mapping[int, Channel] = {}
-    first_ns = last_ns = 0
+    first_ns = last_ns = unknown = 0
     for record in _records(path):
         if isinstance(record, Channel):
             channels = {**channels, record.id: record}
         elif isinstance(record, Message):
-            channel = channels.get(record.channel_id)
-            if channel is None:  # described in a part that is damaged, and nowhere else
-                continue
             first_ns, last_ns = first_ns or record.log_time, record.log_time
-            yield Entry(channel.topic, record.log_time, record.data, channel.metadata)
+            channel = channels.get(record.channel_id)
+            if channel is None:
+                unknown += 1
+            else:
+                yield Entry(channel.topic, record.log_time, record.data, channel.metadata)
         elif isinstance(record, Gap) and record.is_rest:
             what = "is damaged" if record.has_end else "has no end, as after a crash or on a full disk"
             warn(f"{path}: {what}: read up to its cut, {(last_ns - first_ns) * 1e-9:.1f} s")
         elif isinstance(record, Gap):
-            first_ns = first_ns or record.first_ns
+            first_ns, last_ns = first_ns or record.first_ns, max(last_ns, record.last_ns)
             begin_s, length_s = (record.first_ns - first_ns) * 1e-9, (record.last_ns - record.first_ns) * 1e-9
             warn(f"{path}: is damaged: the {length_s:.1f} s from {begin_s:.1f} s on are missing")
             channels = {**_indexed_channels(path), **channels}
+    if unknown:
+        warn(f"{path}: is damaged: {unknown} messages are missing whose topics were named in the damaged part")
 
 
 def _indexed_channels(path: Path) -> Mapping[int, Channel]:
@@ -310,11 +313,13 @@ def _records(path: Path) -> Iterator[Any]:
                 raise InputError(f"{path}: is no MCAP file: expected a recording of 'skin record'") from error
             if not isinstance(header, Header) or header.profile != PROFILE:
                 raise InputError(f"{path}: is no recording of a skin: expected a file of 'skin record'")
+            chunks = 0
             try:
                 for record in records:
+                    chunks += isinstance(record, Chunk)
                     yield from _records_of(record) if isinstance(record, Chunk) else (record,)
             except _DAMAGE:
-                yield Gap(0, 0, is_rest=True, has_end=_has_end(file))
+                yield from _indexed_records(file, chunks)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
@@ -325,6 +330,24 @@ def _records_of(chunk: Chunk) -> list[Any]:
         return [*breakup_chunk(chunk, validate_crc=True)]
     except _DAMAGE:
         return [Gap(chunk.message_start_time, chunk.message_end_time, is_rest=False, has_end=True)]
+
+
+def _indexed_records(file: BinaryIO, chunks: int) -> Iterator[Any]:
+    """Yield the records of all chunks but the first so many, by the index of a closed file."""
+    indexes = []
+    file.seek(0)
+    with contextlib.suppress(*_DAMAGE):
+        summary = make_reader(file).get_summary()
+        indexes = sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset) if summary is not None else []
+    if len(indexes) <= chunks:
+        yield Gap(0, 0, is_rest=True, has_end=_has_end(file))
+    for index in indexes[chunks:]:
+        file.seek(index.chunk_start_offset)
+        found: list[Any] = [Gap(index.message_start_time, index.message_end_time, is_rest=False, has_end=True)]
+        with contextlib.suppress(*_DAMAGE, StopIteration):
+            record = next(StreamReader(file, True, True, record_size_limit=_LONGEST_RECORD).records)
+            found = _records_of(record) if isinstance(record, Chunk) else found
+        yield from found
 
 
 def _has_end(file: BinaryIO) -> bool:

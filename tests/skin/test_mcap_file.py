@@ -1,6 +1,7 @@
 """Recordings as files: what was flushed can be read, whatever became of the rest."""
 
 import io
+import re
 from pathlib import Path
 
 import msgspec
@@ -81,34 +82,56 @@ def test_a_file_cut_anywhere_is_readable_up_to_the_cut(tmp_path: Path) -> None:
     assert found[-1] == COUNT
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_damaged_chunk_is_left_out_and_named(tmp_path: Path, number: int) -> None:
-    path = tmp_path / "run.mcap"
+def of_chunks(path: Path, *, closes: bool = True) -> list[int]:
+    """Write four messages in a chunk each; return where the compressed data of each chunk begin."""
     writer = RecordingWriter(path, {}, [], 0)
     for place in range(4):
         writer.add_message(LABEL, 1_000_000_000 * (place + 1), bytes([place]) * 1000)
-        writer.flush()  # a chunk
-    writer.close()
-    content, begin = bytearray(path.read_bytes()), 0
-    for _ in range(number + 1):
-        begin = content.index(b"\x28\xb5\x2f\xfd", begin + 1)  # the beginning of compressed data
-    content[begin + 12] ^= 0x55
+        writer.flush()
+    writer.close() if closes else writer.abandon()
+    return [found.start() for found in re.finditer(re.escape(b"\x28\xb5\x2f\xfd"), path.read_bytes())]
+
+
+def damage(path: Path, begin: int, end: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[begin:end] = bytes(each ^ 0x55 for each in content[begin:end])
     path.write_bytes(content)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("part", [(12, 13), (-60, -20)], ids=["data", "times, sizes and length"])
+def test_a_damaged_chunk_of_a_closed_file_is_left_out_and_named(
+    tmp_path: Path, number: int, part: tuple[int, int]
+) -> None:
+    path = tmp_path / "run.mcap"
+    begin = of_chunks(path)[number]
+    damage(path, begin + part[0], begin + part[1])
     data, said = read(path)
     assert [each[0] for each in data] == [place for place in range(4) if place != number]
     assert said == [f"{path}: is damaged: the 0.0 s from {number:.1f} s on are missing"]
 
 
-def test_a_damaged_frame_of_a_closed_file_ends_the_reading_and_is_no_crash(tmp_path: Path) -> None:
-    path = written(tmp_path / "run.mcap")
-    content = bytearray(path.read_bytes())
-    begin = content.index(b"\x28\xb5\x2f\xfd", len(content) // 3)
-    content[begin - 60 : begin - 20] = b"\xff" * 40  # times, sizes and the length of the chunk
-    path.write_bytes(content)
+def test_a_file_without_end_whose_topics_are_damaged_says_how_much_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    begin = of_chunks(path, closes=False)[0]
+    damage(path, begin + 12, begin + 13)
     data, said = read(path)
-    assert len(data) < COUNT
-    assert len(said) == 1
-    assert "is damaged: read up to its cut" in said[0]
+    assert data == []
+    assert said == [
+        f"{path}: is damaged: the 0.0 s from 0.0 s on are missing",
+        f"{path}: has no end, as after a crash or on a full disk: read up to its cut, 3.0 s",
+        f"{path}: is damaged: 3 messages are missing whose topics were named in the damaged part",
+    ]
+
+
+def test_a_file_whose_chunk_and_index_are_damaged_is_read_up_to_there(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    begin = of_chunks(path)[1]
+    damage(path, begin - 60, begin - 20)
+    damage(path, path.stat().st_size - 30, path.stat().st_size - 10)
+    data, said = read(path)
+    assert [each[0] for each in data] == [0]
+    assert said == [f"{path}: is damaged: read up to its cut, 0.0 s"]
 
 
 @pytest.mark.parametrize("content", [b"\xc1", b"\x81\xa5label\xa1\xff", b"\x81\xa5other" + 100_000 * b"\x91" + b"\0"])
