@@ -42,7 +42,7 @@ FRAME_BYTES: Final = 8
 
 
 class Stage(NamedTuple):
-    """Nodes that send values of so many bits, and the taxels in each value."""
+    """Nodes, the values that each node sends in a cycle, and the bits of a value."""
 
     nodes: int
     values: int
