@@ -59,7 +59,7 @@ def measure_sixteen(
     model = train(*trained_on, layout, options=options)
     source = objects(rate_hz=rate_hz, names=NAMES, seed=seed + 1000, rest_s=REST_S, stroke=stroke)
     boards = new_sampler(layout, phi, source, seed=seed)
-    classifier, valid = Classifier(model, phi), np.ones(phi.blocks, np.bool_)
+    classifier, valid = Classifier(model, phi), phi.has_sums
     said: list[str] = []
     true: list[str] = []
     is_held: list[bool] = []

@@ -4,16 +4,19 @@ from inspect import signature
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from canskin.errors import InputError
-from evaluation.recognition import beyond, classification
+from classifier.decide import Decision
+from evaluation.recognition import beyond, classification, sixteen
 from evaluation.recognition.accuracy import measure_accuracy
 from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import measure_live
 from evaluation.recognition.methods import METHODS, measure_method
-from evaluation.recognition.sixteen import measure_sixteen
+from evaluation.recognition.sixteen import measure_sixteen, skin_of
 from evaluation.result import Options
+from skin.measurement import Sbhe
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 
 SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}
@@ -85,6 +88,24 @@ def _sixteen(**cell: object) -> dict[str, Any]:
 def test_the_sixteen_pressed_as_in_the_paper_are_recognised_live() -> None:
     found = measure_sixteen(stroke="press", sums=64, samples=1, draw=0, touches=16, per_object=100, seed=0)
     assert 0.8 < found["right"] < found["held"]
+
+
+def test_blocks_without_sums_are_never_valid_live(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Watching:
+        def __init__(self, _model: None, phi: Sbhe) -> None:
+            self._phi = phi
+
+        def decide(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], _cycle: int) -> Decision:
+            assert sums.shape == (16,)
+            assert valid.tolist() == self._phi.has_sums.tolist()
+            return Decision("cup", 1.0)
+
+    monkeypatch.setattr(sixteen, "Classifier", Watching)
+    monkeypatch.setattr(sixteen, "train", lambda *_, **__: None)
+    monkeypatch.setattr(sixteen, "load_touches", lambda *_, **__: (None, None))
+    assert not skin_of(16, 1, 0).phi().has_sums.all()
+    found = measure_sixteen(stroke="press", sums=16, samples=1, draw=0, touches=1, per_object=1, seed=0)
+    assert found == {"right": 0.0, "held": 0.0, "unknown": 0.0, "empty": 0.0}  # a racquetball touches first
 
 
 def _accuracy(**cell: object) -> dict[str, Any]:
