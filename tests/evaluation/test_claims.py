@@ -1,6 +1,6 @@
 """Every claim of the paper in a row: the paper's numbers, and what is measured beside them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from inspect import signature
 from typing import Any
 
@@ -101,9 +101,26 @@ def test_a_star_has_a_wire_to_every_taxel() -> None:
     assert star_length_m(blocks, 10, 0.004) == pytest.approx(0.004 * (4 * 2**0.5 + 1.5 + 0.5 + 0.5 + 1.5))
 
 
-def test_a_decision_from_more_values_takes_longer() -> None:
-    found = measure_decisions(rounds=3, seed=0)
-    assert found["taxels_us"] > found["sums_us"] > 0
+def test_a_decision_is_made_between_all_pairs_of_objects_from_sums_and_from_taxels(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Times are medians of the turns, 3 and 20 µs."""
+    called: list[list[tuple[int, ...]]] = []
+
+    def race(calls: Sequence[Callable[[], Any]], rounds: int) -> list[list[float]]:
+        assert rounds == 3
+        for call in calls:
+            call()
+        return [[2e-6, 3e-6, 9e-6], [20e-6, 10e-6, 70e-6]]
+
+    def descend(values: Any, weights: Any, biases: Any, classes: int) -> None:
+        assert classes == 16
+        called.append([values.shape, weights.shape, biases.shape])
+
+    monkeypatch.setattr(claims, "race", race)
+    monkeypatch.setattr(claims, "descend", descend)
+    assert measure_decisions(rounds=3, seed=0) == pytest.approx({"sums_us": 3.0, "taxels_us": 20.0})
+    assert called == [[(size,), (120, size), (120,)] for size in (64, 4096)]
 
 
 @pytest.mark.slow
