@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from canskin.errors import InputError
-from skin.sources import OBJECT_GROUPS
+from skin.sources import OBJECT_GROUPS, object_names
 from touch import primitives, shapes
 from touch.contact import Spheres
 from touch.meshes import MeshPose, find_mesh, load_mesh
@@ -94,10 +94,11 @@ PAPER_OBJECTS: Final = tuple(item.name for item in _PAPER)
 
 #: The paper's objects and a ring with the diameter and the wall of the paper's cup.
 CATALOGUE: Final = {item.name: item for item in (*_PAPER, _ring("ring", 0.1004, 0.0043))}
+_KNOWN: Final = ", ".join((*OBJECT_GROUPS, *CATALOGUE))
 
 
 def checked_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Return `names` as a tuple, with the objects of a group in place of its name.
+    """Return `names` as `skin.sources.object_names` does, and refuse names that the catalogue does not have.
 
     A string may hold several names, separated by commas.
 
@@ -106,15 +107,19 @@ def checked_names(names: Iterable[str]) -> tuple[str, ...]:
     InputError
         If there is no name, or a name that the catalogue does not have.
     """
-    given = tuple(part.strip() for part in names.split(",")) if isinstance(names, str) else tuple(names)
-    listed = tuple(name for each in given for name in OBJECT_GROUPS.get(each, (each,)))
-    known = ", ".join((*OBJECT_GROUPS, *CATALOGUE))
+    listed = object_names([names] if isinstance(names, str) else names)
     if not listed:
-        raise InputError(f"no object named: expected one or more of {known}")
+        raise InputError(f"no object named: expected one or more of {_KNOWN}")
     for name in listed:
-        if name not in CATALOGUE:
-            raise InputError(f"unknown object '{name}': expected one of {known}")
+        _item(name)
     return listed
+
+
+def _item(name: str) -> TouchObject:
+    """Return the object of this one name."""
+    if name not in CATALOGUE:
+        raise InputError(f"unknown object '{name}': expected one of {_KNOWN}")
+    return CATALOGUE[name]
 
 
 @cache
@@ -134,8 +139,7 @@ def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
     InputError
         If the catalogue has no such object, or the folder has no usable mesh of the object.
     """
-    (checked,) = checked_names([name])
-    item = CATALOGUE[checked]
+    item = _item(name)
     if meshes is None or item.mesh is None:
         return item.build()
     return load_mesh(find_mesh(meshes, item.mesh), item.mesh)
@@ -149,8 +153,7 @@ def made_of(name: str, meshes: Path | None = None) -> str:
     InputError
         As `spheres_of`.
     """
-    (checked,) = checked_names([name])
-    item = CATALOGUE[checked]
+    item = _item(name)
     if meshes is None or item.mesh is None:
         return item.shape
     return find_mesh(meshes, item.mesh).name
@@ -164,7 +167,7 @@ def size_m(name: str, meshes: Path | None = None) -> tuple[float, float]:
     InputError
         As `spheres_of`.
     """
-    item = CATALOGUE[checked_names([name])[0]]
+    item = _item(name)
     if meshes is None or item.mesh is None:
         return item.size_m
     return spheres_of(name, meshes).footprint_m(FACING_M)

@@ -6,7 +6,7 @@ import pytest
 from canskin.errors import InputError
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 from touch.contact import Grid, Pose, Spheres, press
-from touch.objects import CATALOGUE, FACING_M, PAPER_OBJECTS, checked_names, spheres_of
+from touch.objects import CATALOGUE, FACING_M, PAPER_OBJECTS, checked_names, size_m, spheres_of
 from touch.primitives import ball, box, can, ring
 from touch.trajectory import PAPER_DEPTH_M
 
@@ -69,8 +69,13 @@ def test_contact_counts_at_full_depth() -> None:
 def test_unknown_names_list_the_known_ones() -> None:
     with pytest.raises(InputError, match=r"'spoon'.*golf-ball.*ring"):
         spheres_of("spoon")
+    for several in ("ring,cup", "paper"):
+        with pytest.raises(InputError, match=f"unknown object '{several}'"):
+            size_m(several)
     with pytest.raises(InputError, match="no object named"):
         checked_names([])
+    with pytest.raises(InputError, match="no object named"):
+        checked_names("")
     assert checked_names("ring, golf-ball") == ("ring", "golf-ball")
 
 
@@ -96,5 +101,9 @@ def test_a_group_stands_for_its_objects() -> None:
     assert len(set(CLASSIFICATION_OBJECTS)) == 16
     assert set(CLASSIFICATION_OBJECTS) == set(PAPER_OBJECTS) - {"golf-ball"}
     assert checked_names(["ring", "paper"])[:2] == ("ring", "racquetball")
+    assert checked_names(["cup", "paper", "cup"]) == (
+        "cup",
+        *(each for each in CLASSIFICATION_OBJECTS if each != "cup"),
+    )
     with pytest.raises(InputError, match="expected one of paper, golf-ball"):
         checked_names("papers")

@@ -82,7 +82,7 @@ def plan_acquisition(
         If a name or a number cannot be used.
     """
     _check_seed(seed)
-    listed = tuple(ACQUISITION_OBJECTS) if names is None else _once(checked_names(names))
+    listed = tuple(ACQUISITION_OBJECTS) if names is None else checked_names(names)
     taken = range(*trajectory_range(speed, steps))
     tasks = []
     for name in listed:
@@ -133,7 +133,7 @@ def plan_classification(
     _check_seed(seed)
     if model.damper is not None or model.drift is not None:
         raise InputError("observations are single moments: damper and drift need a trajectory, leave them out")
-    listed = CLASSIFICATION_OBJECTS if names is None else _once(checked_names(names))
+    listed = CLASSIFICATION_OBJECTS if names is None else checked_names(names)
     drawn = poses(perturbations, seed)
     if not sides:
         raise InputError(f"no array named: expected one or more of {', '.join(map(str, ARRAYS))}")
@@ -216,10 +216,6 @@ def _about(
 
 def _settings(seed: int, model: TaxelModel) -> dict[str, Any]:
     return {"seed": seed, **asdict(model)}
-
-
-def _once(names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(names))
 
 
 def _check_seed(seed: int) -> None:
