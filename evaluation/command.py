@@ -96,7 +96,8 @@ def evaluate(
     quick
         A look at everything in a small fraction of the time, with fewer steps and draws.
     meshes
-        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
+        ``claims`` and ``recognition`` that name objects keep these shapes.
     recordings
         Folder of real pressure recordings (S1.npz and so on), for the parts that use them.
     out
