@@ -18,6 +18,7 @@ from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
 from skin.frontend import sum_step_n
 from skin.layout import Layout
+from skin.measured_sums import used_sums
 from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
@@ -54,7 +55,7 @@ class TareResult:
 class Calibrator:
     """Learns the offsets of the sums of a skin with synchronous sending, and writes them into measurements.
 
-    `apply` to every measurement, then `take` it; `work` whenever there is a millisecond to spare.
+    `apply` to every measurement, then `take` the one that came; `work` whenever there is a millisecond to spare.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class Calibrator:
         self._say = say
         self._newton_per_count = layout.taxels.newton_per_count
         self._period_s = layout.sync.period_s
-        self._windows = WindowMeans(self._phi, self._period_s, self._newton_per_count)
+        self._windows = WindowMeans(self._phi.shape[0], self._period_s, self._newton_per_count)
         self._finder = TouchFinder(self._phi, layout.taxels.rows, layout.taxels.columns)
         self._reads_sums = layout.taxels.is_analogue
         self._step_n = sum_step_n(layout)
@@ -201,12 +202,11 @@ class Calibrator:
         )
 
     def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement; most of it is left to `work`."""
+        """Learn from a measurement as it came, without saturated sums; most of it is left to `work`."""
         if not self._is_on or (self.state in {CalibrationState.OFF, CalibrationState.LOADED}):
             return
         counts = np.frombuffer(measurement.sums, "<i4")
-        valid = np.frombuffer(measurement.valid, np.uint8) != 0
-        window = self._windows.take(measurement.sampled_mono_ns, counts, valid)
+        window = self._windows.take(measurement.sampled_mono_ns, counts, used_sums(measurement, self._phi))
         if window is not None:
             self.work()  # what has not been done by now
             self._waiting = window

@@ -1,4 +1,4 @@
-"""Defects of a skin: sums that are stuck or noisy, blocks and taxels whose noise differs from that of the others.
+"""Defects of a skin: sums that are stuck, saturated or noisy, blocks and taxels with another noise than the others.
 
 Only sums come. A sum is stuck if it stays as it is while the others of its block change: every taxel is in all of them.
 A noisy taxel shows in the differences d of consecutive cycles of its block: the mean of (w·d)², w the signs of the
@@ -17,6 +17,7 @@ from skin.measurement import Sbhe
 #: A sum is stuck when it has not changed for so many windows in which so many of the others of its block have.
 STUCK_WINDOWS: Final = 12
 STUCK_PART: Final = 0.75
+#: A sum is saturated when it was so in that many windows in which that part of the others was not.
 #: Noise is that of so many windows, each of less weight than the next; nothing is said before so many have come.
 MEMORY: Final = 40
 #: A sum is noisy above so many times the median noise of all sums. Such sums are left out.
@@ -58,7 +59,7 @@ class DefectFinder:
 
     def __init__(self, phi: Sbhe, columns: int, least_n: float) -> None:
         self._phi, self._columns, self._least_n = phi, columns, least_n
-        self._unchanged = np.zeros(phi.shape[0], np.intp)
+        self._unchanged, self._saturated = np.zeros((2, phi.shape[0]), np.intp)
         self._windows = np.zeros(phi.blocks, np.intp)
         self._square, self._power = np.zeros(phi.shape[0]), np.zeros(phi.shape[1])
 
@@ -76,9 +77,11 @@ class DefectFinder:
         moving = phi.total_of_blocks(moves)[phi.block_of_sum] - moves
         tells = window.known & (others[phi.block_of_sum] > 0) & (moving >= STUCK_PART * others[phi.block_of_sum])
         self._unchanged = np.where(moves, 0, self._unchanged + tells)
-        free = phi.all_of_blocks(window.known) & phi.has_sums & ~held
+        most_known = phi.total_of_blocks(window.known) >= STUCK_PART * np.diff(phi.starts)
+        free = most_known & phi.has_sums & ~held
+        self._saturated = np.where(free[phi.block_of_sum] & ~window.known, self._saturated + 1, 0)
         self._windows += free
-        gain = (free / np.clip(self._windows, 1, MEMORY))[phi.block_of_sum]
+        gain = (free / np.clip(self._windows, 1, MEMORY))[phi.block_of_sum] * window.known
         self._square += gain * (window.noise_n**2 - self._square)
         part = np.asarray(phi.adjoint(np.where(window.known, window.difference_n, 0.0)), np.float64) ** 2
         gains = np.empty(phi.shape[1])
@@ -90,8 +93,10 @@ class DefectFinder:
         phi = self._phi
         judged = self._windows >= MEMORY
         stuck = self._unchanged >= STUCK_WINDOWS
+        saturated = self._saturated >= STUCK_WINDOWS
         noisy = np.zeros_like(stuck)
         words = [f"sum {self._name(each)} is stuck and left out" for each in np.flatnonzero(stuck).tolist()]
+        words += [f"sum {self._name(each)} is saturated and left out" for each in np.flatnonzero(saturated).tolist()]
         of_block = np.sqrt(phi.total_of_blocks(self._square) / np.maximum(np.diff(phi.starts), 1))
         if judged.any():
             typical_n = float(np.median(of_block[judged]))
@@ -105,7 +110,7 @@ class DefectFinder:
                 f"block {block} has less than 1/{QUIET_RATIO:g} of the noise: do its taxels measure?"
                 for block in np.flatnonzero(is_quiet).tolist()
             ]
-        return Defects(~(stuck | noisy), words)
+        return Defects(~(stuck | saturated | noisy), words)
 
     def _name(self, each: int) -> str:
         return f"{each} (block {self._phi.block_of_sum[each]}, row {self._phi.row_of_sum[each]})"

@@ -6,16 +6,14 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from skin.measurement import Sbhe
-
 #: Length of a window, and the fewest cycles in it.
 WINDOW_S: Final = 0.25
 LEAST_CYCLES: Final = 8
 #: The zero is measured over so many windows.
 TARE_WINDOWS: Final = 8
-#: A block counts after it has been valid for so long: nodes that average learn their noise first.
+#: A sum counts after it has been valid for so long: nodes that average learn their noise first.
 SETTLE_S: Final = 0.5
-#: A block counts in a window if so many of the window's cycles were valid.
+#: A sum counts in a window if so many of the window's cycles were valid.
 LEAST_PART: Final = 0.5
 #: Mean of |a - b| over the standard deviation of normal a and b.
 _SIZE_OF_DIFFERENCE: Final = 2 / math.sqrt(math.pi)
@@ -48,7 +46,7 @@ class Window(NamedTuple):
     difference_n : array, shape (m,)
         Change of each sum in the last cycle, newtons.
     known : array of bool, shape (m,)
-        False for sums of blocks that were not valid, or not for long enough.
+        False for sums that were not valid, or not for long enough.
     """
 
     centre_ns: int
@@ -63,23 +61,23 @@ class WindowMeans:
 
     Parameters
     ----------
-    phi : Sbhe
+    sums : int
+        m.
     period_s : float
         From cycle to cycle.
     newton_per_count : float
     """
 
-    def __init__(self, phi: Sbhe, period_s: float, newton_per_count: float) -> None:
+    def __init__(self, sums: int, period_s: float, newton_per_count: float) -> None:
         self.length_ns = round(1e9 * window_s(period_s))
         self._cycles = self.length_ns * 1e-9 / period_s
         self._newton_per_count = newton_per_count
-        self._block_of_sum = phi.block_of_sum
         self._begin_ns = self._end_ns = 0
-        self._total, self._difference = np.zeros((2, phi.shape[0]))
-        self._last, self._newest = np.zeros((2, phi.shape[0]))
-        self._count, self._differences = np.zeros((2, phi.blocks), np.int64)
-        self._was_valid = np.zeros(phi.blocks, np.bool_)
-        self._valid_since_ns = np.zeros(phi.blocks, np.int64)
+        self._total, self._difference = np.zeros((2, sums))
+        self._last, self._newest = np.zeros((2, sums))
+        self._count, self._differences = np.zeros((2, sums), np.int64)
+        self._was_valid = np.zeros(sums, np.bool_)
+        self._valid_since_ns = np.zeros(sums, np.int64)
 
     def take(self, time_ns: int, counts: npt.NDArray[np.int32], valid: Bools) -> Window | None:
         """Take a cycle; return the window that ended before, if one did.
@@ -89,7 +87,8 @@ class WindowMeans:
         time_ns : int
             Never less than in the call before; a gap begins a new window.
         counts : array of int32, shape (m,)
-        valid : array of bool, shape (blocks,)
+        valid : array of bool, shape (m,)
+            False for sums that did not come, or are saturated.
         """
         ended = None
         if time_ns >= self._end_ns:
@@ -99,11 +98,10 @@ class WindowMeans:
         newly = valid & ~self._was_valid
         self._valid_since_ns[newly] = time_ns
         settled = valid & (time_ns - self._valid_since_ns >= SETTLE_S * 1e9)
-        of_sums = settled[self._block_of_sum]
-        self._total += np.where(of_sums, counts, 0)
+        self._total += np.where(settled, counts, 0)
         both = settled & self._was_valid
         np.subtract(counts, self._last, out=self._newest)
-        self._newest[~both[self._block_of_sum]] = 0
+        self._newest[~both] = 0
         self._difference += np.abs(self._newest)
         self._count += settled
         self._differences += both
@@ -121,9 +119,8 @@ class WindowMeans:
             each[...] = 0
 
     def _close(self) -> Window:
-        enough = (self._count >= LEAST_PART * self._cycles) & (self._differences > 0)
-        known = enough[self._block_of_sum]
-        count, differences = (np.maximum(each, 1)[self._block_of_sum] for each in (self._count, self._differences))
+        known = (self._count >= LEAST_PART * self._cycles) & (self._differences > 0)
+        count, differences = (np.maximum(each, 1) for each in (self._count, self._differences))
         mean_n = np.where(known, self._total / count, 0) * self._newton_per_count
         noise_n = np.where(known, self._difference / differences, 0) * self._newton_per_count / _SIZE_OF_DIFFERENCE
         newest_n = self._newest * self._newton_per_count

@@ -79,10 +79,16 @@ def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
     check_measurement(measurement, phi)
     if measurement.known or measurement.states or measurement.since_ns:
         raise InputError("a measurement of adaptive sending, expected synchronous: give both ends the same --layout")
+    valid_sums = used_sums(measurement, phi)
+    return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
+
+
+def used_sums(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
+    """Return which sums came and are usable, shape (m,)."""
     valid_sums = phi.sums_of_blocks(np.frombuffer(measurement.valid, np.uint8) != 0)
     if measurement.usable:
         valid_sums &= np.frombuffer(measurement.usable, np.uint8) != 0
-    return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
+    return valid_sums
 
 
 def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:

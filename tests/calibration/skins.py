@@ -1,6 +1,6 @@
 """Cycles of the default skin, fewer in a second, whose taxels have offsets, for the tests of this folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
 import msgspec
@@ -17,6 +17,7 @@ ROWS, COLUMNS = LAYOUT.taxels.rows, LAYOUT.taxels.columns
 NEWTON_PER_COUNT = LAYOUT.taxels.newton_per_count
 #: Noise of one averaged taxel, newtons.
 NOISE_N = 0.05e-3
+END_CODE = 16000
 Force = Callable[[float], npt.NDArray[np.floating]]
 
 
@@ -56,8 +57,20 @@ class Skin(Generic[Calibrating]):
         self._phi = layout.phi()
         self._random = np.random.default_rng(seed)
 
-    def run(self, seconds: float, force: Force, *, valid: npt.NDArray[np.bool_] | None = None) -> Measurement:
-        """Let the skin feel ``force(time_s)``, newtons, offsets included; return the last measurement."""
+    def run(
+        self,
+        seconds: float,
+        force: Force,
+        *,
+        valid: npt.NDArray[np.bool_] | None = None,
+        saturated: Sequence[int] = (),
+    ) -> Measurement:
+        """Let the skin feel ``force(time_s)``, newtons, offsets included; return the last measurement.
+
+        The sums `saturated` have an end code.
+        """
+        usable = np.ones(self._phi.shape[0], np.uint8)
+        usable[list(saturated)] = 0
         valid = np.ones(self.layout.blocks, np.bool_) if valid is None else valid
         for _ in range(round(seconds / self.layout.sync.period_s)):
             self.time_s += self.layout.sync.period_s
@@ -65,10 +78,14 @@ class Skin(Generic[Calibrating]):
             counts = np.rint(self._phi.forward(felt_n) / NEWTON_PER_COUNT).astype("<i4")
             if self._stuck is not None:
                 counts[self._stuck] = 1234
+            counts[list(saturated)] = END_CODE
             counts[~self._phi.sums_of_blocks(valid)] = 0
-            made = self.calibrator.apply(measurement_of(self.layout, self._phi, self._cycle, counts, valid))
+            came = measurement_of(self.layout, self._phi, self._cycle, counts, valid)
+            if saturated:
+                came = msgspec.structs.replace(came, usable=usable.tobytes())
+            made = self.calibrator.apply(came)
             self._cycle += 1
-            self.calibrator.take(made)
+            self.calibrator.take(came)
             self.calibrator.work()
         return made
 

@@ -34,6 +34,34 @@ def test_an_untouched_skin_reads_nothing_after_its_start() -> None:
     assert skin.calibrator.noise_n == pytest.approx(SUM_NOISE_N, rel=0.1)
 
 
+def test_saturated_sums_have_no_part_in_the_zero() -> None:
+    skin, ended = Skin(Calibrator(LAYOUT)), [100, 500]
+    skin.run(4.0, still(OFFSETS), saturated=ended)
+    offsets_n = skin.calibrator.offsets_n
+    assert offsets_n is not None
+    assert np.flatnonzero(~np.isfinite(offsets_n)).tolist() == ended
+    last = skin.run(5.0, still(OFFSETS))
+    assert not last.usable
+    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
+
+
+def test_saturated_sums_do_not_move_the_zero() -> None:
+    skin, ended = Skin(Calibrator(LAYOUT)), [100, 500]
+    skin.run(4.0, still(OFFSETS))
+    skin.run(2.0, still(OFFSETS), saturated=ended)
+    last = skin.run(0.1, still(OFFSETS))
+    assert not last.usable
+    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
+
+
+def test_a_sum_that_stays_saturated_is_named() -> None:
+    skin = Skin(Calibrator(LAYOUT))
+    skin.run(4.0, still(OFFSETS))
+    skin.run(5.0, still(OFFSETS), saturated=[500])
+    (text,) = skin.calibrator.status().defects
+    assert text == f"sum 500 (block 62, row {PHI.row_of_sum[500]}) is saturated and left out"
+
+
 def test_before_its_zero_is_measured_a_skin_has_no_offsets() -> None:
     assert Skin(Calibrator(LAYOUT)).run(1.0, still(OFFSETS)).offsets == b""
 

@@ -11,8 +11,8 @@ PERIOD_NS = 10_000_000
 
 
 def windows_of(counts: np.ndarray, valid: np.ndarray) -> list[Window]:
-    means = WindowMeans(PHI, PERIOD_NS * 1e-9, 2.0)
-    found = (means.take((k + 1) * PERIOD_NS, counts[k], valid[k]) for k in range(len(counts)))
+    means = WindowMeans(16, PERIOD_NS * 1e-9, 2.0)
+    found = (means.take((k + 1) * PERIOD_NS, counts[k], PHI.sums_of_blocks(valid[k])) for k in range(len(counts)))
     return [window for window in found if window is not None]
 
 
@@ -40,8 +40,8 @@ def test_a_block_counts_after_it_has_been_valid_for_a_while() -> None:
 
 
 def test_a_gap_begins_a_new_window() -> None:
-    means = WindowMeans(PHI, PERIOD_NS * 1e-9, 1.0)
-    ones, valid = np.ones(16, np.int32), np.ones(4, np.bool_)
+    means = WindowMeans(16, PERIOD_NS * 1e-9, 1.0)
+    ones, valid = np.ones(16, np.int32), np.ones(16, np.bool_)
     for k in range(120):
         means.take((k + 1) * PERIOD_NS, ones, valid)
     assert means.take(10**12, 5 * ones, valid) is None
