@@ -63,7 +63,7 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
     say("calibration", f"{found.cycles} cycles; gains of {known.size} of {taxels.count} taxels, others stay 1")
     # What feels next to nothing is no matter of gain: a node would make its noise a force.
     gains = np.where(found.gains < LEAST_FELT, 1.0, found.gains)
-    words = defects_of(found, taxels.columns)
+    words = defects_of(found, skin.phi(), taxels.columns)
     if found.sums is not None:
         say("calibration", f"gains of {sums_n.shape[1]} sums")
         return store(skin, gains=gains, sum_gains=found.sums, defects=words)

@@ -39,7 +39,7 @@ STEPS: Final = 3
 LEAST_RATIO: Final = 25.0
 #: Fewest cycles with the whole weight on the skin.
 LEAST_CYCLES: Final = 100
-#: A taxel that feels less than this is defective: no gain is stored for it.
+#: A taxel or sum that feels less than this part is defective: no gain of the taxel is stored, and the sum is not used.
 LEAST_FELT: Final = 0.3
 #: Cycles that are worked on at the same time.
 _PART: Final = 128
@@ -111,13 +111,34 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, i
     return Gains(gains, known, cycles, of_sums)
 
 
-def defects_of(found: Gains, columns: int) -> list[str]:
-    """Return the taxels that feel little or nothing, in words."""
+def felt_by_sums(phi: Sbhe, gains: SumGains) -> Floats:
+    """Return which part of its signal each sum feels, shape (m,).
+
+    This is D, or D + C in the row of all ones, which has one path.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    gains : SumGains
+    """
+    return gains.differential + np.where(phi.row_of_sum == 0, gains.common_mode, 0.0)
+
+
+def defects_of(found: Gains, phi: Sbhe, columns: int) -> list[str]:
+    """Return the taxels and sums that feel little or nothing, in words."""
     weak = np.flatnonzero(found.known & (found.gains < LEAST_FELT))
-    return [
+    words = [
         f"taxel {taxel} (row {taxel // columns}, column {taxel % columns}) feels {max(0.0, found.gains[taxel]):.0%}"
         for taxel in weak.tolist()
     ]
+    if found.sums is not None:
+        felt = felt_by_sums(phi, found.sums)
+        words += [
+            f"sum {each} (block {phi.block_of_sum[each]}, row {phi.row_of_sum[each]}) feels {max(0.0, felt[each]):.0%}"
+            " and is not used"
+            for each in np.flatnonzero(felt < LEAST_FELT).tolist()
+        ]
+    return words
 
 
 def _contact(images_n: Images) -> Bools:

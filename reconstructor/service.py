@@ -147,12 +147,14 @@ class _Cycles:
             return None
         started_s = time.perf_counter()
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
+        valid_sums = sums.valid_sums
         if self._gains is None:
-            image = self._solver.solve(sums_n, sums.valid_sums)
+            image = self._solver.solve(sums_n, valid_sums)
         else:
-            image = self._solver.solve(self._gains.apply(sums_n), sums.valid_sums)
+            sums_n, valid_sums = self._gains.apply(sums_n, valid_sums)
+            image = self._solver.solve(sums_n, valid_sums)
             self._gains.keep(image)
-        return image, int(np.count_nonzero(sums.valid_sums)), time.perf_counter() - started_s
+        return image, int(np.count_nonzero(valid_sums)), time.perf_counter() - started_s
 
 
 class _Adaptive:

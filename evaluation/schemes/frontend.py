@@ -226,7 +226,7 @@ class _Board:
             if correction is None:
                 images.append(self._engine.solve(each, valid))
                 continue
-            images.append(self._engine.solve(correction.apply(each), valid))
+            images.append(self._engine.solve(*correction.apply(each, valid)))
             correction.keep(images[-1])
         return images
 

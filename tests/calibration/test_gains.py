@@ -56,7 +56,7 @@ def test_gains_are_found_within_a_few_percent(gains: np.ndarray) -> None:
     assert error[found.known].std() < 0.03
     assert abs(error[found.known].mean()) < 0.03
     assert (found.gains[~found.known] == 1).all()
-    assert defects_of(found, SIDE) == []
+    assert defects_of(found, PHI, SIDE) == []
 
 
 def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarray) -> None:
@@ -85,8 +85,19 @@ def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarr
 def test_a_dead_taxel_is_named(gains: np.ndarray) -> None:
     broken = gains.copy()
     broken[16 * SIDE + 12] = 0
-    (text,) = defects_of(find_gains(PHI, *felt(broken), WHOLE_N), SIDE)
+    (text,) = defects_of(find_gains(PHI, *felt(broken), WHOLE_N), PHI, SIDE)
     assert text.startswith(f"taxel {16 * SIDE + 12} (row 16, column 12) feels ")
+
+
+def test_dead_sums_are_named(gains: np.ndarray) -> None:
+    middle = np.bincount(PHI.block_of_taxel.reshape(SIDE, SIDE)[12:20, 12:20].ravel()).argmax()
+    dead = [int(PHI.starts[middle]) + 1, int(np.flatnonzero(PHI.row_of_sum == 0)[0])]
+    sums, images = felt(gains)
+    sums[:, dead] = np.random.default_rng(3).normal(0, 2e-4, (len(sums), 2))
+    words = defects_of(find_gains(PHI, sums, images, WHOLE_N, is_analogue=True), PHI, SIDE)
+    named = {f"sum {each} (block {PHI.block_of_sum[each]}, row {PHI.row_of_sum[each]}) feels " for each in dead}
+    assert {text[: text.index("feels ") + 6] for text in words} == named
+    assert all(text.endswith("% and is not used") for text in words)
 
 
 def test_too_few_cycles_or_no_force_are_refused(gains: np.ndarray) -> None:

@@ -3,18 +3,19 @@
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from calibration.stored import save_calibration, store
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
-from canskin.messages import IMAGE, Topic
+from canskin.messages import IMAGE, Image, Topic
 from reconstructor.command import load_gains
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.service import ReconstructorService
-from skin.defects import Mismatch
+from skin.defects import Mismatch, SumGains
 from skin.frontend import with_gains
 from skin.layout import load_layout
 from skin.psnr import psnr_db
@@ -29,9 +30,11 @@ class Images:
 
     def __init__(self) -> None:
         self.made: list[np.ndarray] = []
+        self.messages: list[Image] = []
 
     def publish(self, topic: Topic, message: Any) -> None:
         if topic is IMAGE:
+            self.messages.append(message)
             self.made.append(np.frombuffer(message.pixels, "<f4").reshape(SHAPE))
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox:
@@ -81,5 +84,23 @@ def test_known_gains_of_analogue_sums_are_taken_off() -> None:
     sums_n = with_gains(phi, read_n, np.asarray(phi.forward(read_n), np.float32), of_sums)
     correction = GainCorrection(phi, KnownGains(GAINS.ravel(), of_sums))
     correction.keep(force_n.reshape(SHAPE))
-    np.testing.assert_allclose(correction.apply(sums_n), exact_n, atol=2e-6)
+    np.testing.assert_allclose(correction.apply(sums_n, np.ones(phi.shape[0], np.bool_))[0], exact_n, atol=2e-6)
     assert np.abs(sums_n - exact_n).max() > 5e-3
+
+
+def test_dead_analogue_sums_have_no_part_in_the_image() -> None:
+    phi, random = LAYOUT.phi(), np.random.default_rng(7)
+    other, total = 5, int(np.flatnonzero(phi.row_of_sum == 0)[0])
+    of_sums = SumGains(np.ones(phi.shape[0]), np.zeros(phi.shape[0]))
+    of_sums.differential[[other, total]] = 0.01, 0.5  # as a roll finds them: of the row of all ones D + C alone
+    of_sums.common_mode[total] = -0.5
+    images = Images()
+    engine = Reconstructor(phi, *SHAPE)
+    service = ReconstructorService(LAYOUT, engine, images, gains=KnownGains(np.ones(phi.shape[1]), of_sums))
+    for cycle in range(20):
+        counts = np.rint(random.normal(0, 1, phi.shape[0])).astype("<i4")
+        made = measurement(cycle, np.zeros(SHAPE, np.float32))
+        service.take(msgspec.structs.replace(made, sums=counts.tobytes()))
+    (message,) = images.messages[-1:]
+    assert message.valid_sums == phi.shape[0] - 2
+    assert images.made[-1].max() < 1e-3
