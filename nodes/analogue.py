@@ -59,6 +59,7 @@ class AnalogueElectronics(Electronics):
             rows = int(np.diff(phi.starts).max())
             raise InputError(f"skew {skew.row_s:g}: {rows} sums of a block take longer than a period")
         self._signal_n: Force = np.zeros(layout.taxels.count, np.float32)
+        self._moment_n: Force = np.zeros((layout.taxels.rows, layout.taxels.columns), np.float32)
 
     @property
     def is_skewed(self) -> bool:
@@ -74,8 +75,9 @@ class AnalogueElectronics(Electronics):
         """Draw the noise at `step` before the sums are asked for."""
         if step != self.sampled_ahead:
             time_s = np.array([self.period_s * step])
-            signal_n = self._model.signal_of_moments(self._moments_n(force_n, step), self._random, time_s, clips=False)
-            self._signal_n, self.sampled_ahead = signal_n.ravel(), step
+            moments_n = self._moments_n(force_n, step)
+            signal_n = self._model.signal_of_moments(moments_n, self._random, time_s, clips=False)
+            self._signal_n, self._moment_n, self.sampled_ahead = signal_n.ravel(), moments_n[0], step
 
     def read_sums(self, force_n: Force, later_n: Force | None, step: int) -> npt.NDArray[np.int32]:
         """Return what the converters read, in counts of a taxel, shape (m,).
@@ -90,11 +92,7 @@ class AnalogueElectronics(Electronics):
         """
         self.prepare(force_n, step)
         self.sampled_ahead = -1
-        change_n_per_s = None
-        if later_n is not None:
-            time_s = self.period_s * np.array([step, step + 1])
-            felt_n = self._model.felt_n(np.stack([force_n, later_n]), time_s).reshape(2, -1)
-            change_n_per_s = (felt_n[1] - felt_n[0]) / np.float32(self.period_s)
+        change_n_per_s = None if later_n is None else self._change_n_per_s(force_n, later_n, step)
         phi = self._phi
         sums_n = self._sum_model.sums_n(phi, self._signal_n, self._random, change_n_per_s=change_n_per_s)
         counts = self.converter.counts(sums_n)
@@ -104,6 +102,18 @@ class AnalogueElectronics(Electronics):
             shown_counts = self.converter.codes(pattern) * np.int32(self.converter.step_counts)
             counts = np.where((shown[:, 0] >= 0)[phi.block_of_sum], shown_counts, counts)
         return counts
+
+    def _change_n_per_s(self, force_n: Force, later_n: Force, step: int) -> Force:
+        """Return how fast the currents of the taxels change after `step`, shape (n,): all defects, no noise."""
+        model = self._model
+        if model.damper is not None:
+            later_n = model.damper(np.stack([force_n, later_n]), self.period_s)[1]
+        felt_n = model.felt_n(np.stack([self._moment_n, later_n]), self.period_s * np.array([step, step + 1]))
+        change_n_per_s: Force = (felt_n[1] - felt_n[0]).ravel() / np.float32(self.period_s)
+        fixed_n = model.fixed_n(force_n.shape)
+        if fixed_n is not None:
+            change_n_per_s[~np.isnan(fixed_n.ravel())] = 0
+        return change_n_per_s
 
 
 def _converter(layout: Layout) -> SumConverter:

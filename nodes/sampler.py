@@ -155,6 +155,16 @@ class AnalogueSampler(Sampler):
         super().__init__(phi, source, electronics)
         self._analogue = electronics
 
+    def counts(self, block: int) -> npt.NDArray[np.int32]:
+        """Refuse: no converter reads a taxel.
+
+        Raises
+        ------
+        TypeError
+            Always.
+        """
+        raise TypeError(f"block {block}: boards that make sums in hardware do not read single taxels")
+
     def saturated(self, block: int) -> int:
         """Count the sums of `block` at an end of their range."""
         first, last = self._phi.starts[block : block + 2]

@@ -65,6 +65,25 @@ def test_rows_that_are_read_later_see_the_touch_later() -> None:
         assert np.abs(found).max() <= 0.51 * STEP_N
 
 
+@pytest.mark.parametrize("defect", ["damper=0.02", "gain-spread=0.2", "dead=0.05", "stuck=0.05"])
+def test_rows_that_are_read_later_see_the_defects_of_their_taxels(defect: str) -> None:
+    """Of forces that rise steadily, what is read a tenth of a period later is a tenth of the way to the next step."""
+    plain, skewed = boards(defect), boards(defect, "skew=1e-3")
+    for counter in (2, 3):
+        exact = plain.sample(counter, counter * PERIOD_NS).astype(np.float64)
+        late = skewed.sample(counter, counter * PERIOD_NS)
+        if counter == 2:
+            now, read = exact, late
+    place = np.arange(PHI.shape[0]) - PHI.starts[PHI.block_of_sum]
+    expected = now + place * 0.1 * (exact - now)
+    assert np.abs(read - expected).max() <= 1.5 * STEP_COUNTS
+
+
+def test_no_taxel_is_read() -> None:
+    with pytest.raises(TypeError, match="do not read single taxels"):
+        boards().counts(0)
+
+
 def test_rows_that_are_read_for_longer_than_a_period_are_refused() -> None:
     with pytest.raises(InputError, match=r"skew 0.005: 8 sums of a block take longer than a period"):
         boards("skew=0.005")
