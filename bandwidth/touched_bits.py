@@ -55,7 +55,7 @@ def _sums(
     taxels, phi = contract.layout.taxels, contract.phi
     noise_n = 0.0 if source.has_noise else NOISE_N
     force_n = source.frame(step).force_n.ravel()
-    read = converter(contract.layout)
-    if read is not None:
-        return read.counts(np.asarray(phi.forward(force_n + random.normal(0.0, noise_n, force_n.shape)), np.float64))
+    of_sums = converter(contract.layout)
+    if of_sums is not None:
+        return of_sums.counts(np.asarray(phi.forward(force_n + random.normal(0.0, noise_n, force_n.shape)), np.float64))
     return phi.block_sums(to_counts(sense(force_n, random, noise_n, taxels.force_max_n, dtype=np.float64), taxels))

@@ -61,14 +61,14 @@ def simulate_sums(
     is_adaptive = layout.sending == "adaptive"
     left = ADAPTIVE_NOISE_RATIO if is_adaptive else 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
     sd = np.broadcast_to(np.asarray(noise_n, np.float32) * np.float32(left), (len(flat),))
-    read = converter(layout)
+    of_sums = converter(layout)
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
     for start in range(0, len(flat), _CHUNK):
         part = slice(start, start + _CHUNK)
-        if read is not None:
+        if of_sums is not None:
             sums_n = np.asarray(phi.forward(flat[part]), np.float32)
             sums_n += rng.standard_normal(sums_n.shape, np.float32) * sd[part, None] * np.float32(phi.block_size**0.5)
-            sums[part] = read.counts(sums_n)
+            sums[part] = of_sums.counts(sums_n)
             continue
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
         if is_adaptive:

@@ -68,9 +68,9 @@ def node_sums(contract: Contract, node: NodeContract, shown: npt.NDArray[np.floa
     """
     kept = contract.phi.kept[node.block : node.block + node.blocks]
     sums = np.asarray(fast_hadamard(shown), np.float32)[kept]
-    read = contract.packing.converter
-    if read is not None:
-        return read.codes(sums) * np.int32(read.step_counts)
+    of_sums = contract.packing.converter
+    if of_sums is not None:
+        return of_sums.rounded(sums)
     return np.rint(sums).astype(np.int32)
 
 

@@ -85,13 +85,13 @@ def packing(layout: Layout) -> Packing:
     bits = layout.encoding.sum_bits
     offset = ((1 << bits) - 1) // 3 if layout.encoding.offset_binary else 0
     size, top = layout.measurement.block_size, (1 << layout.taxels.adc_bits) - 1
-    read = converter(layout)
+    of_sums = converter(layout)
     scale, low, high = 1, -(size // 2) * top, size * top
-    if read is not None:
-        scale, low, high = read.step_counts, read.low * read.step_counts, read.high * read.step_counts
-    while not _holds(Packing(bits, scale, offset), low, high - (0 if read is None else scale // 2)):
+    if of_sums is not None:
+        scale, low, high = of_sums.step_counts, of_sums.low * of_sums.step_counts, of_sums.high * of_sums.step_counts
+    while not _holds(Packing(bits, scale, offset), low, high - (0 if of_sums is None else scale // 2)):
         scale *= 2
-    return Packing(bits, scale, offset, read)
+    return Packing(bits, scale, offset, of_sums)
 
 
 def rounding_error_n(layout: Layout) -> float:

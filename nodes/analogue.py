@@ -99,8 +99,7 @@ class AnalogueElectronics(Electronics):
         shown = self.pattern[phi.taxels_of_blocks]
         if (shown >= 0).any():
             pattern = np.asarray(phi.forward(np.maximum(self.pattern, 0)), np.float64)
-            shown_counts = self.converter.codes(pattern) * np.int32(self.converter.step_counts)
-            counts = np.where((shown[:, 0] >= 0)[phi.block_of_sum], shown_counts, counts)
+            counts = np.where((shown[:, 0] >= 0)[phi.block_of_sum], self.converter.rounded(pattern), counts)
         return counts
 
     def _change_n_per_s(self, force_n: Force, later_n: Force, step: int) -> Force:

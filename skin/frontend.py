@@ -44,9 +44,13 @@ class SumConverter:
         codes: npt.NDArray[np.int32] = np.clip(np.rint(counts / self.step_counts), self.low, self.high).astype(np.int32)
         return codes
 
+    def rounded(self, counts: npt.NDArray[np.floating]) -> npt.NDArray[np.int32]:
+        """Return what sums in counts of a taxel read, in the same unit; same shape."""
+        return self.codes(counts) * np.int32(self.step_counts)
+
     def counts(self, sums_n: npt.NDArray[np.floating]) -> npt.NDArray[np.int32]:
         """Return what sums in newtons read, in counts of a taxel; same shape."""
-        return self.codes(sums_n / self.newton_per_count) * np.int32(self.step_counts)
+        return self.rounded(sums_n / self.newton_per_count)
 
     def is_saturated(self, counts: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
         """Tell which sums, in counts of a taxel, have an end code; same shape."""
@@ -66,8 +70,8 @@ def converter(layout: Layout) -> SumConverter | None:
 
 def sum_step_n(layout: Layout) -> float:
     """Return the step of a sum before it is packed, newtons: one count, or one step of its converter."""
-    read = converter(layout)
-    return layout.taxels.newton_per_count * (1 if read is None else read.step_counts)
+    of_sums = converter(layout)
+    return layout.taxels.newton_per_count * (1 if of_sums is None else of_sums.step_counts)
 
 
 @dataclass(frozen=True)

@@ -58,14 +58,14 @@ def test_rows_are_read_one_after_the_other_while_the_touch_moves() -> None:
 
 
 def test_a_converter_spans_half_the_block_and_its_end_codes_are_saturated() -> None:
-    read = converter(LAYOUT)
-    assert read is not None
+    of_sums = converter(LAYOUT)
+    assert of_sums is not None
     half_n = 16 * LAYOUT.taxels.force_max_n
-    counts = read.counts(np.array([0.0, 0.99 * half_n, -0.99 * half_n, 1.01 * half_n, -1.01 * half_n]))
-    assert read.is_saturated(counts).tolist() == [False, False, False, True, True]
+    counts = of_sums.counts(np.array([0.0, 0.99 * half_n, -0.99 * half_n, 1.01 * half_n, -1.01 * half_n]))
+    assert of_sums.is_saturated(counts).tolist() == [False, False, False, True, True]
     step_n = 32 * LAYOUT.taxels.newton_per_count
     sums_n = np.linspace(-0.3, 0.3, 1000)
-    assert np.abs(read.counts(sums_n) * LAYOUT.taxels.newton_per_count - sums_n).max() <= 0.51 * step_n
+    assert np.abs(of_sums.counts(sums_n) * LAYOUT.taxels.newton_per_count - sums_n).max() <= 0.51 * step_n
     assert converter(load_layout()) is None
 
 
