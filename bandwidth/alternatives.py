@@ -54,9 +54,10 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
         if bits < layout.encoding.sum_bits:
             yield f"{bits}-bit sums", with_bits(layout, bits)
     sums = layout.measurement.sums
-    if 2 * sums <= layout.taxels.count:
+    is_drawn = layout.measurement.rows is None  # named rows have one number of sums
+    if is_drawn and 2 * sums <= layout.taxels.count:
         yield f"{2 * sums} sums", with_sums(layout, 2 * sums)
-    if sums % (2 * layout.blocks) == 0:
+    if is_drawn and sums % (2 * layout.blocks) == 0:
         yield f"{sums // 2} sums", with_sums(layout, sums // 2)
     for per_node in BLOCKS_PER_NODE:
         if per_node > first.blocks_per_node:

@@ -129,7 +129,8 @@ def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iter
     after_ms = (taken["time_ns"] - syncs[cycles_of(taken)]) * 1e-6
     plain = is_plain(taken)
     late: dict[int, str] = {}
-    for node, plan in zip(contract.on_bus(bus), planned.node_plans, strict=True):
+    sending = [node for node in contract.on_bus(bus) if node.tpdos]
+    for node, plan in zip(sending, planned.node_plans, strict=True):
         mine = plain & np.isin(taken["can_id"], [tpdo.cob_id for tpdo in node.tpdos])
         bound_ms = planned.window_ms if plan.response_ms is None else plan.response_ms
         count = int((after_ms[mine] > bound_ms).sum())

@@ -142,7 +142,7 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
         receive_buffer_frames=buffered,
         receive_buffer_bytes=buffered * RECEIVED_FRAME_BYTES,
         node_plans=nodes,
-        problems=_problems(line, worst, rate_hz, needed, window_ms),
+        problems=_problems(line, worst, rate_hz, needed, window_ms, sends=bool(nodes)),
     )
 
 
@@ -157,7 +157,7 @@ def random_bus_time(streams: Traffic) -> BusTime:
     """Return the mean bus time of `streams` with random data bits in TPDOs."""
     tpdos = streams.frames[streams.is_tpdo]
     shapes = zip(tpdos["length"].tolist(), tpdos["flags"].tolist(), tpdos["can_id"].tolist(), strict=True)
-    bits = np.sum([mean_wire_bits(*shape) for shape in shapes], axis=0)
+    bits = np.sum([np.zeros(2), *(mean_wire_bits(*shape) for shape in shapes)], axis=0)
     return _mean_bus_time(streams, bits)
 
 
@@ -195,7 +195,10 @@ def _node_plans(streams: Traffic, responses: npt.NDArray[np.int64]) -> list[Node
     return plans
 
 
-def _problems(bus: Bus, worst: BusTime, rate_hz: float, needed_ms: float | None, window_ms: float) -> list[str]:
+def _problems(
+    bus: Bus, worst: BusTime, rate_hz: float, needed_ms: float | None, window_ms: float, *, sends: bool
+) -> list[str]:
+    """Say what does not fit; a bus none of whose blocks sends sums has no TPDOs that could be late."""
     load = worst.load(rate_hz)
     found = []
     if load > 1:
@@ -204,7 +207,7 @@ def _problems(bus: Bus, worst: BusTime, rate_hz: float, needed_ms: float | None,
             f"{bus.name}: frames with the most stuff bits ask for {load:.1%} of the bus; "
             f"{missing:.0f} bits a second are missing at {rate_hz:g} Hz, {worst.rate_hz():.1f} Hz would fit"
         )
-    if needed_ms is None and load <= 1:
+    if needed_ms is None and load <= 1 and sends:
         found.append(f"{bus.name}: with SDO transfers and errors, the last TPDOs have no bound")
     if needed_ms is not None and needed_ms > window_ms:
         found.append(

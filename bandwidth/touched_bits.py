@@ -48,9 +48,7 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
     return mean
 
 
-def _sums(
-    contract: Contract, source: TaxelSource, step: int, random: np.random.Generator
-) -> npt.NDArray[np.int16 | np.int32]:
+def _sums(contract: Contract, source: TaxelSource, step: int, random: np.random.Generator) -> npt.NDArray[np.int32]:
     """Return the sums of the nodes in ADC counts: noise, clipping, rounding; an analogue front end clips no taxel."""
     taxels, phi = contract.layout.taxels, contract.phi
     noise_n = 0.0 if source.has_noise else NOISE_N
@@ -58,4 +56,5 @@ def _sums(
     of_sums = converter(contract.layout)
     if of_sums is not None:
         return of_sums.counts(np.asarray(phi.forward(force_n + random.normal(0.0, noise_n, force_n.shape)), np.float64))
-    return phi.block_sums(to_counts(sense(force_n, random, noise_n, taxels.force_max_n, dtype=np.float64), taxels))
+    counts = to_counts(sense(force_n, random, noise_n, taxels.force_max_n, dtype=np.float64), taxels)
+    return np.asarray(phi.forward(counts), np.int32)  # more than 16 bits before they are packed

@@ -130,7 +130,7 @@ class Run:
         names = [bus.name for bus in self._layout.bus]
         start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
         stroke = ["--stroke", options.stroke] if options.stroke != "slide" else []
-        touch = [*stroke, "--objects", ",".join(options.objects)] if options.objects else stroke
+        touch = [*stroke, "--objects", ",".join(options.objects)] if options.objects else [*stroke]
         if options.recording is not None:
             touch = ["--input", str(options.recording)]
             touch += ["--full-scale", str(options.full_scale)] if options.full_scale is not None else []

@@ -11,8 +11,13 @@ from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from skin.layout import SHIPPED, Layout, load_layout
 
-#: Shipped layouts whose nodes send in every cycle.
-IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name), adaptive=True).sending == "synchronous"]
+#: Shipped layouts whose nodes send in every cycle, at any rate.
+IN_CYCLES = [
+    name
+    for name in SHIPPED
+    for layout in [load_layout(Path(name), adaptive=True)]
+    if layout.sending == "synchronous" and layout.recognition is None
+]
 
 
 def at(layout: Layout, rate_hz: float) -> Layout:

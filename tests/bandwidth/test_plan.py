@@ -158,6 +158,35 @@ def test_an_impossible_alternative_names_the_key() -> None:
     assert "no identifiers left" in first.problem
 
 
+FEW = """
+name = "few"
+[taxels]
+rows = 16
+columns = 16
+adc_bits = 16
+[measurement]
+rows = [[0, 0], [1, 1]]
+[[bus]]
+name = "left"
+nodes = 4
+[[bus]]
+name = "right"
+nodes = 4
+"""
+
+
+def test_a_bus_whose_nodes_send_no_sums_has_heartbeats_alone_and_no_problem() -> None:
+    left, right = plan(Contract.from_layout(parse_layout(FEW.encode(), "few")))
+    assert (left.problems, right.problems) == ([], [])
+    assert [(each.node_id, each.frames_per_cycle) for each in left.node_plans] == [(1, 1), (2, 1)]
+    assert (right.node_plans, right.frames_per_cycle) == ([], 1)  # SYNC
+
+
+def test_named_rows_have_no_alternative_with_other_sums() -> None:
+    layout = parse_layout(FEW.encode(), "few")
+    assert {each.problem for each in alternatives(layout)} == {None}
+
+
 def test_conversions_of_a_node_are_those_of_its_taxels_or_of_its_analogue_sums() -> None:
     assert wiring(load_layout()).conversions_per_s == 32 * 1000
     assert wiring(load_layout(Path("analogue"))).conversions_per_s == 8 * 100

@@ -94,6 +94,7 @@ def test_all_hands_draws_only_to_those_that_average(
     assert {name for name, draws in asked.items() if draws is None} == {
         "sparsity",
         "figures",
+        "scaling",
         "solvers",
         "comparison",
         "rates",
