@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.defects import DefectFinder, Defects
-from calibration.drift import LONGEST_HELD, DriftFollower, line_through
+from calibration.drift import LONGEST_GAP, LONGEST_HELD, SHORTEST_MEMORY, DriftFollower, line_through
 from calibration.touched import Touch, TouchFinder
-from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, tare_s
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, tare_s, window_s
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
@@ -100,6 +100,8 @@ class Calibrator:
         self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
         self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
         self._waiting: Window | None = None
+        self._newest_ns = 0
+        self._needs_until_ns = 0
         self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._still = np.zeros(self._phi.blocks, np.intp)
@@ -216,11 +218,30 @@ class Calibrator:
         window, self._waiting = self._waiting, None
         if window is None:
             return
+        self._newest_ns = window.centre_ns
         self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
         if self._follower is not None and self._centre_ns and self._tares:
             self._follow(self._follower, window)
         if self.state is not CalibrationState.FOLLOWING:
             self._measure(window)
+
+    def needs_cycles(self, now_ns: int) -> bool:
+        """Tell whether cycles of all sums should come now, where they do not come all the time.
+
+        While the zero is measured; then for some windows after every `LONGEST_GAP` windows without any.
+
+        Parameters
+        ----------
+        now_ns : int
+            On the clock of the measurements.
+        """
+        if self.state not in {CalibrationState.TOUCHED, CalibrationState.FOLLOWING}:
+            return self.state is CalibrationState.MEASURING
+        length_ns = round(1e9 * window_s(self._period_s))
+        if now_ns - self._newest_ns > LONGEST_GAP * length_ns:
+            windows = TARE_WINDOWS if self.state is CalibrationState.TOUCHED else SHORTEST_MEMORY
+            self._needs_until_ns = now_ns + windows * length_ns
+        return now_ns < self._needs_until_ns
 
     def status(self) -> CalibrationStatus:
         """Return what is known for `canskin.messages.GatewayStatus`."""
