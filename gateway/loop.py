@@ -175,13 +175,14 @@ class GatewayLoop:
             Wall clock minus monotonic clock.
         """
         if self.states is not None and now_s >= self.sync.due_s:
-            self.sync.period_s = self.states.take_sync(now_s)
+            self.sync.period_s = self.states.next_period_s
         due_s = self.sync.take(now_s)
         if due_s is None:
             return []
         sync_ns, period_s = round(due_s * 1e9), self.sync.period_s
         begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns, period_s=period_s)
         if self.states is not None:
+            self.states.take_sync(now_s)
             begun = replace(begun, state=self.states.state)
         closed = self._noted(self.gathering.begin(begun), now_s)
         sync = self._contract.sync(self.sync.counter)
