@@ -20,6 +20,8 @@ LONGEST_GAP: Final = LONGEST_HELD // 4
 #: The noise of the means follows them by this part of the difference.
 NOISE_GAIN: Final = 0.05
 
+#: Variance of what the first window foresees of the second, in units of that of one window.
+_SECOND: Final = 5.0
 #: Variance of a slope that nothing is known of, in units of that of one window.
 _ANY_SLOPE: Final = 1e6
 
@@ -66,7 +68,7 @@ class DriftFollower:
         #: Variance of level, covariance, variance of slope of each block, in units of the noise's: the gains of a line.
         self._spread = _spread(self._age)
         self._least_spread = _spread(np.full(blocks, MEMORY))
-        self._is_after_gap = False
+        self._is_after_gap = np.zeros(blocks, np.bool_)
         self._held = np.zeros_like(self._age)
         self._least_noise_n = least_noise_n
 
@@ -98,7 +100,7 @@ class DriftFollower:
         """
         self.level_n = self.predicted_n(windows)
         self._spread = _ahead(self._spread, windows)
-        self._is_after_gap = True
+        self._is_after_gap[:] = True
         self._held = self._held + windows
 
     def begin(self, sums: Bools, level_n: Floats, slope_n: Floats, age: int) -> None:
@@ -107,7 +109,7 @@ class DriftFollower:
         self._slope_n = np.where(sums, slope_n, self._slope_n)
         self.known = self.known | sums
         blocks = np.unique(self._block_of_sum[sums])
-        self._age[blocks], self._held[blocks] = age, 0
+        self._age[blocks], self._held[blocks], self._is_after_gap[blocks] = age, 0, False
         self._spread[:, blocks] = _spread(self._age[blocks])
 
     @property
@@ -133,9 +135,15 @@ class DriftFollower:
         ahead = np.where(is_held, self.predicted_n(1.0), own)
         residual = mean_n - ahead
         follows = ~is_held & self.known
-        if follows.any():
-            deviation = np.sqrt(1.0 + _ahead(self._spread, 1)[0])
-            self._learn((residual / deviation[self._block_of_sum])[follows])
+        deviation = np.sqrt(1.0 + np.where(self._age > 1, _ahead(self._spread, 1)[0], _SECOND))
+        relative = residual / deviation[self._block_of_sum]
+        late = self._is_after_gap[self._block_of_sum]
+        if (follows & late).any():
+            # A drift that has changed in the gap: all of the line is less certain, not its last windows alone.
+            surprise = float(np.mean(relative[follows & late] ** 2)) / self.noise_n**2
+            self._spread = np.where(self._is_after_gap, max(1.0, surprise) * self._spread, self._spread)
+        if (follows & ~late).any():
+            self._learn(relative[follows & ~late])
         age = np.minimum(self._age + 1, MEMORY)
         spread = np.maximum(_after_point(_ahead(self._spread, 1)), self._least_spread)
         level_gain, slope_gain = spread[:2, self._block_of_sum]
@@ -145,15 +153,11 @@ class DriftFollower:
         followed[self._block_of_sum[follows]] = True
         self._age = np.where(followed, age, self._age)
         self._spread = np.where(followed, spread, self._spread)
-        self._is_after_gap = False
+        self._is_after_gap &= ~followed
         self._held = np.where(followed, 0, self._held + 1)
 
     def _learn(self, residual_n: Floats) -> None:
         """Learn the noise from what the line did not foresee; shorten the memory when that is too much."""
-        if self._is_after_gap:
-            # A drift that has changed in the gap: all of the line is less certain, not its last windows alone.
-            self._spread *= max(1.0, float(np.mean(residual_n**2)) / self.noise_n**2)
-            return
         square = float(np.mean(np.minimum(residual_n**2, (6 * self.noise_n) ** 2)))
         if square > (CHANGED * self.noise_n) ** 2:
             self._age = np.minimum(self._age, np.maximum(self._age // 2, SHORTEST_MEMORY))

@@ -282,7 +282,7 @@ def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
     calibration, phi = GatewayCalibration(CONTRACT), CONTRACT.phi
     drift_n_per_s = np.random.default_rng(0).normal(0, 5e-4, phi.shape[0])
     newton_per_count, period_s = CONTRACT.layout.taxels.newton_per_count, CONTRACT.layout.sync.period_s
-    images, errors_n = 0, list[float]()
+    images, came, errors_n = 0, False, list[float]()
     for cycle in range(round(300 / period_s)):
         now_s = cycle * period_s
         sums = np.rint(drift_n_per_s * now_s / newton_per_count).astype("<i4")
@@ -291,10 +291,11 @@ def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
             sync_counter=1,
             sampled_mono_ns=round((100 + now_s) * 1e9),
             sums=sums.tobytes(),
-            valid=np.ones(phi.blocks, np.uint8).tobytes(),
+            valid=np.full(phi.blocks, came, np.uint8).tobytes(),  # not in the first cycle of images
             fingerprint=phi.fingerprint,
         )
-        if calibration.needs_images(100 + now_s):
+        came = calibration.needs_images(100 + now_s)
+        if came:
             images += 1
             calibration.take(each)
             calibration.work()
