@@ -173,7 +173,7 @@ def _spread(age: Ages) -> Floats:
     """
     n = np.maximum(age, 2).astype(np.float64)
     spread = np.stack([2 * (2 * n - 1) / (n * (n + 1)), 6 / (n * (n + 1)), 12 / (n * (n * n - 1))])
-    return np.where(age > 1, spread, [[1.0], [0.0], [_ANY_SLOPE]])
+    return np.asarray(np.where(age > 1, spread, [[1.0], [0.0], [_ANY_SLOPE]]), np.float64)
 
 
 def _ahead(spread: Floats, windows: int) -> Floats:
