@@ -135,7 +135,7 @@ def _tpdos(contract: Contract, node: NodeContract) -> list[tuple[Sequence[int], 
         (range(tpdo.first_sum, tpdo.first_sum + tpdo.sums), tpdo) for tpdo in node.tpdos
     ]
     if contract.recognition is not None:
-        few = contract.recognition.nodes[contract.nodes.index(node)].tpdos
+        few = contract.states_of(node)[1].tpdos
         found += [(contract.recognised[each.first_sum : each.first_sum + each.sums].tolist(), each) for each in few]
     return found
 
