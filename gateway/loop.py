@@ -91,8 +91,10 @@ class GatewayLoop:
         self.gathering: Gathering
         if contract.layout.sending == "adaptive":
             self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz)
+        elif contract.recognition is not None:
+            self.gathering = StateGathering(contract)
         else:
-            self.gathering = CycleGathering(contract) if contract.recognition is None else StateGathering(contract)
+            self.gathering = CycleGathering(contract)
         self.states = None if contract.recognition is None else StateSwitch(contract, sends)
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
