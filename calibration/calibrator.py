@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from calibration.defects import DefectFinder, Defects
+from calibration.defects import DefectFinder, Defects, subject_of
 from calibration.drift import LONGEST_GAP, LONGEST_HELD, SHORTEST_MEMORY, DriftFollower, line_through
 from calibration.touched import Touch, TouchFinder
-from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, tare_s, window_s
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, change, rms, tare_s, typical, window_s
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
@@ -252,8 +252,8 @@ class Calibrator:
             state=self.state,
             tared_mono_ns=self._tared_ns,
             known_sums=known_n.size,
-            offset_rms_n=_rms(known_n),
-            drift_rms_n_per_s=_rms(follower.slope_n) * per_s if follower is not None else 0.0,
+            offset_rms_n=rms(known_n),
+            drift_rms_n_per_s=rms(follower.slope_n) * per_s if follower is not None else 0.0,
             noise_n=self._noise_n,
             held_blocks=self._held_blocks,
             defects=self._defects.words,
@@ -299,7 +299,7 @@ class Calibrator:
         level_n, slope_n, _ = line_through(means_n)
         sums = self._phi.sums_of_blocks(ready)
         known = np.logical_and.reduce([each.known for each in self._recent]) & (follower.known | sums)
-        changed_n = _change(means_n)
+        changed_n = change(means_n)
         touched = np.zeros_like(ready)
         for each_n in (np.where(sums, level_n, follower.level_n), changed_n, -changed_n):
             touched |= self._finder.look(each_n, known, follower.noise_n).blocks
@@ -310,9 +310,9 @@ class Calibrator:
     def _look_for_defects(self, window: Window, held: Bools) -> None:
         """Find defects; log those that are new."""
         found = self._defect_finder.take(window, held)
-        told = {_subject(each) for each in self._defects.words}
+        told = {subject_of(each) for each in self._defects.words}
         for text in found.words:
-            if _subject(text) not in told:
+            if subject_of(text) not in told:
                 self._say(text)
         self._defects = found
 
@@ -325,7 +325,7 @@ class Calibrator:
             return
         means_n = np.stack([each.mean_n for each in self._measured])
         level_n, slope_n, deviation_n = line_through(means_n)
-        noise_n = _typical(deviation_n[known])
+        noise_n = typical(deviation_n[known])
         touch = None if self._forced else self._touch_of(means_n, level_n, known, noise_n)
         if touch is not None:
             self._refuse(touch)
@@ -344,13 +344,13 @@ class Calibrator:
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
         self._tell(
             is_done=True,
-            text=f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * _rms(level_n[known]):.2f} mN rms,"
+            text=f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
             f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise_n:.2f} mN",
         )
 
     def _touch_of(self, means_n: Floats, level_n: Floats, known: Bools, noise_n: float) -> Touch | None:
         """Return what touches the skin or moves on it, None for nothing."""
-        moved = self._finder.look(_change(means_n), known, noise_n)
+        moved = self._finder.look(change(means_n), known, noise_n)
         if moved.is_touched or moved.is_negative:
             return moved
         follower = self._follower
@@ -395,26 +395,3 @@ class Calibrator:
         return DriftFollower(
             phi.block_of_sum, phi.blocks, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n
         )
-
-
-def _subject(text: str) -> str:
-    """Return what a defect is of: its first two words."""
-    return " ".join(text.split()[:2])
-
-
-def _change(means_n: Floats) -> Floats:
-    """Return the change from the first to the second half of windows, shape (windows, m)."""
-    half = len(means_n) // 2
-    change: Floats = means_n[half:].mean(axis=0) - means_n[:half].mean(axis=0)
-    return change
-
-
-def _typical(deviation_n: Floats) -> float:
-    """Return the root mean square of deviations, without those that are far above the others."""
-    square = deviation_n**2
-    limit = 9 * max(float(np.median(square)), float(square.mean()) / 9)
-    return float(np.minimum(square, limit).mean() ** 0.5)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.mean(values**2) ** 0.5) if values.size else 0.0
