@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from calibration.defects import DefectFinder, Defects
-from calibration.drift import LONGEST_HELD, DriftFollower, line_through
+from calibration.defects import DefectFinder, Defects, subject_of
+from calibration.drift import LONGEST_GAP, LONGEST_HELD, SHORTEST_MEMORY, DriftFollower, line_through
 from calibration.touched import Touch, TouchFinder
-from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, tare_s
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, change, rms, tare_s, typical, window_s
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
@@ -100,6 +100,8 @@ class Calibrator:
         self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
         self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
         self._waiting: Window | None = None
+        self._newest_ns = 0
+        self._needs_until_ns = 0
         self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._still = np.zeros(self._phi.blocks, np.intp)
@@ -216,11 +218,30 @@ class Calibrator:
         window, self._waiting = self._waiting, None
         if window is None:
             return
+        self._newest_ns = window.centre_ns
         self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
         if self._follower is not None and self._centre_ns and self._tares:
             self._follow(self._follower, window)
         if self.state is not CalibrationState.FOLLOWING:
             self._measure(window)
+
+    def needs_cycles(self, now_ns: int) -> bool:
+        """Tell whether cycles of all sums should come now, where they do not come all the time.
+
+        While the zero is measured; then for some windows after every `LONGEST_GAP` windows without any.
+
+        Parameters
+        ----------
+        now_ns : int
+            On the clock of the measurements.
+        """
+        if self.state not in {CalibrationState.TOUCHED, CalibrationState.FOLLOWING}:
+            return self.state is CalibrationState.MEASURING
+        length_ns = round(1e9 * window_s(self._period_s))
+        if now_ns - self._newest_ns > LONGEST_GAP * length_ns:
+            windows = TARE_WINDOWS if self.state is CalibrationState.TOUCHED else SHORTEST_MEMORY
+            self._needs_until_ns = now_ns + windows * length_ns
+        return now_ns < self._needs_until_ns
 
     def status(self) -> CalibrationStatus:
         """Return what is known for `canskin.messages.GatewayStatus`."""
@@ -231,8 +252,8 @@ class Calibrator:
             state=self.state,
             tared_mono_ns=self._tared_ns,
             known_sums=known_n.size,
-            offset_rms_n=_rms(known_n),
-            drift_rms_n_per_s=_rms(follower.slope_n) * per_s if follower is not None else 0.0,
+            offset_rms_n=rms(known_n),
+            drift_rms_n_per_s=rms(follower.slope_n) * per_s if follower is not None else 0.0,
             noise_n=self._noise_n,
             held_blocks=self._held_blocks,
             defects=self._defects.words,
@@ -278,7 +299,7 @@ class Calibrator:
         level_n, slope_n, _ = line_through(means_n)
         sums = self._phi.sums_of_blocks(ready)
         known = np.logical_and.reduce([each.known for each in self._recent]) & (follower.known | sums)
-        changed_n = _change(means_n)
+        changed_n = change(means_n)
         touched = np.zeros_like(ready)
         for each_n in (np.where(sums, level_n, follower.level_n), changed_n, -changed_n):
             touched |= self._finder.look(each_n, known, follower.noise_n).blocks
@@ -289,9 +310,9 @@ class Calibrator:
     def _look_for_defects(self, window: Window, held: Bools) -> None:
         """Find defects; log those that are new."""
         found = self._defect_finder.take(window, held)
-        told = {_subject(each) for each in self._defects.words}
+        told = {subject_of(each) for each in self._defects.words}
         for text in found.words:
-            if _subject(text) not in told:
+            if subject_of(text) not in told:
                 self._say(text)
         self._defects = found
 
@@ -304,7 +325,7 @@ class Calibrator:
             return
         means_n = np.stack([each.mean_n for each in self._measured])
         level_n, slope_n, deviation_n = line_through(means_n)
-        noise_n = _typical(deviation_n[known])
+        noise_n = typical(deviation_n[known])
         touch = None if self._forced else self._touch_of(means_n, level_n, known, noise_n)
         if touch is not None:
             self._refuse(touch)
@@ -323,13 +344,13 @@ class Calibrator:
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
         self._tell(
             is_done=True,
-            text=f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * _rms(level_n[known]):.2f} mN rms,"
+            text=f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
             f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise_n:.2f} mN",
         )
 
     def _touch_of(self, means_n: Floats, level_n: Floats, known: Bools, noise_n: float) -> Touch | None:
         """Return what touches the skin or moves on it, None for nothing."""
-        moved = self._finder.look(_change(means_n), known, noise_n)
+        moved = self._finder.look(change(means_n), known, noise_n)
         if moved.is_touched or moved.is_negative:
             return moved
         follower = self._follower
@@ -374,26 +395,3 @@ class Calibrator:
         return DriftFollower(
             phi.block_of_sum, phi.blocks, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n
         )
-
-
-def _subject(text: str) -> str:
-    """Return what a defect is of: its first two words."""
-    return " ".join(text.split()[:2])
-
-
-def _change(means_n: Floats) -> Floats:
-    """Return the change from the first to the second half of windows, shape (windows, m)."""
-    half = len(means_n) // 2
-    change: Floats = means_n[half:].mean(axis=0) - means_n[:half].mean(axis=0)
-    return change
-
-
-def _typical(deviation_n: Floats) -> float:
-    """Return the root mean square of deviations, without those that are far above the others."""
-    square = deviation_n**2
-    limit = 9 * max(float(np.median(square)), float(square.mean()) / 9)
-    return float(np.minimum(square, limit).mean() ** 0.5)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.mean(values**2) ** 0.5) if values.size else 0.0

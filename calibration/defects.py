@@ -124,3 +124,8 @@ class DefectFinder:
             return ""
         row, column = divmod(int(taxels[first]), self._columns)
         return f", most likely of the taxel at row {row}, column {column}"
+
+
+def subject_of(text: str) -> str:
+    """Return what a defect is of: its first two words."""
+    return " ".join(text.split()[:2])

@@ -15,8 +15,15 @@ SHORTEST_MEMORY: Final = 4
 CHANGED: Final = 1.3
 #: Longest time for which offsets go on along their slopes under a touch, windows.
 LONGEST_HELD: Final = 240
+#: Longest time without measurements, windows, where a caller can ask for them.
+LONGEST_GAP: Final = LONGEST_HELD // 4
 #: The noise of the means follows them by this part of the difference.
 NOISE_GAIN: Final = 0.05
+
+#: Variance of what the first window foresees of the second, in units of that of one window.
+_SECOND: Final = 5.0
+#: Variance of a slope that nothing is known of, in units of that of one window.
+_ANY_SLOPE: Final = 1e6
 
 Ages = npt.NDArray[np.intp]
 
@@ -58,6 +65,10 @@ class DriftFollower:
         self._slope_n = np.where(known, slope_n, 0.0)
         self._block_of_sum = block_of_sum
         self._age = np.full(blocks, age, np.intp)
+        #: Variance of level, covariance, variance of slope of each block, in units of the noise's: the gains of a line.
+        self._spread = _spread(self._age)
+        self._least_spread = _spread(np.full(blocks, MEMORY))
+        self._is_after_gap = np.zeros(blocks, np.bool_)
         self._held = np.zeros_like(self._age)
         self._least_noise_n = least_noise_n
 
@@ -68,7 +79,7 @@ class DriftFollower:
         of_sums = self.known & (self._age[self._block_of_sum] > 1)
         if not of_sums.any():
             return np.zeros_like(self._slope_n)
-        expected = (self.noise_n**2 * _slope_variance(self._age[self._block_of_sum]))[of_sums].mean()
+        expected = (self.noise_n**2 * self._spread[2, self._block_of_sum])[of_sums].mean()
         # James and Stein's factor: what is left of the slopes when the noise in them is taken off.
         factor = max(0.0, 1.0 - expected / max(float(square[of_sums].mean()), 1e-30))
         moving = self._held[self._block_of_sum] < LONGEST_HELD
@@ -82,8 +93,14 @@ class DriftFollower:
         return self.level_n + np.minimum(windows, self._left) * self.slope_n
 
     def skip(self, windows: int) -> None:
-        """Let the offsets go on along their slopes for so many windows, in which nothing was measured."""
+        """Let the offsets go on along their slopes for so many windows, in which nothing was measured.
+
+        The level becomes less certain: what is measured next moves the level much and the slope little, as a line
+        through the points on both sides of the gap.
+        """
         self.level_n = self.predicted_n(windows)
+        self._spread = _ahead(self._spread, windows)
+        self._is_after_gap[:] = True
         self._held = self._held + windows
 
     def begin(self, sums: Bools, level_n: Floats, slope_n: Floats, age: int) -> None:
@@ -92,7 +109,8 @@ class DriftFollower:
         self._slope_n = np.where(sums, slope_n, self._slope_n)
         self.known = self.known | sums
         blocks = np.unique(self._block_of_sum[sums])
-        self._age[blocks], self._held[blocks] = age, 0
+        self._age[blocks], self._held[blocks], self._is_after_gap[blocks] = age, 0, False
+        self._spread[:, blocks] = _spread(self._age[blocks])
 
     @property
     def _left(self) -> Ages:
@@ -117,15 +135,25 @@ class DriftFollower:
         ahead = np.where(is_held, self.predicted_n(1.0), own)
         residual = mean_n - ahead
         follows = ~is_held & self.known
-        if follows.any():
-            self._learn((residual / _forecast_deviation(self._age[self._block_of_sum]))[follows])
+        deviation = np.sqrt(1.0 + np.where(self._age > 1, _ahead(self._spread, 1)[0], _SECOND))
+        relative = residual / deviation[self._block_of_sum]
+        late = self._is_after_gap[self._block_of_sum]
+        if (follows & late).any():
+            # A drift that has changed in the gap: all of the line is less certain, not its last windows alone.
+            surprise = float(np.mean(relative[follows & late] ** 2)) / self.noise_n**2
+            self._spread = np.where(self._is_after_gap, max(1.0, surprise) * self._spread, self._spread)
+        if (follows & ~late).any():
+            self._learn(relative[follows & ~late])
         age = np.minimum(self._age + 1, MEMORY)
-        n = age[self._block_of_sum]
-        self.level_n = np.where(follows, ahead + 2 * (2 * n - 1) / (n * (n + 1)) * residual, ahead)
-        self._slope_n = np.where(follows, self._slope_n + 6 / (n * (n + 1)) * residual, self._slope_n)
+        spread = np.maximum(_after_point(_ahead(self._spread, 1)), self._least_spread)
+        level_gain, slope_gain = spread[:2, self._block_of_sum]
+        self.level_n = np.where(follows, ahead + level_gain * residual, ahead)
+        self._slope_n = np.where(follows, self._slope_n + slope_gain * residual, self._slope_n)
         followed = np.zeros_like(held)
         followed[self._block_of_sum[follows]] = True
         self._age = np.where(followed, age, self._age)
+        self._spread = np.where(followed, spread, self._spread)
+        self._is_after_gap &= ~followed
         self._held = np.where(followed, 0, self._held + 1)
 
     def _learn(self, residual_n: Floats) -> None:
@@ -133,20 +161,31 @@ class DriftFollower:
         square = float(np.mean(np.minimum(residual_n**2, (6 * self.noise_n) ** 2)))
         if square > (CHANGED * self.noise_n) ** 2:
             self._age = np.minimum(self._age, np.maximum(self._age // 2, SHORTEST_MEMORY))
+            self._spread = np.maximum(self._spread, _spread(self._age))
         noise_n = (self.noise_n**2 + NOISE_GAIN * (min(square, 4 * self.noise_n**2) - self.noise_n**2)) ** 0.5
         self.noise_n = max(noise_n, self._least_noise_n)
 
 
-def _slope_variance(age: Ages) -> Floats:
-    """Return the variance of the slope of a line through `age` windows, in units of that of one window."""
+def _spread(age: Ages) -> Floats:
+    """Return variance of level, covariance, and variance of slope of lines through `age` windows, shape (3, blocks).
+
+    In units of the variance of one window; the level is that of the newest. One window tells nothing of the slope.
+    """
     n = np.maximum(age, 2).astype(np.float64)
-    return 12.0 / (n * (n * n - 1))
+    spread = np.stack([2 * (2 * n - 1) / (n * (n + 1)), 6 / (n * (n + 1)), 12 / (n * (n * n - 1))])
+    return np.asarray(np.where(age > 1, spread, [[1.0], [0.0], [_ANY_SLOPE]]), np.float64)
 
 
-def _forecast_deviation(age: Ages) -> Floats:
-    """Return the deviation of a mean from what a line through `age` windows foresees, in units of that of the mean."""
-    n = np.maximum(age, 2).astype(np.float64)
-    return np.sqrt(1.0 + 2 * (2 * n + 1) / (n * (n - 1)))
+def _ahead(spread: Floats, windows: int) -> Floats:
+    """Return what `_spread` is of the level so many windows later."""
+    level, both, slope = spread
+    return np.stack([level + 2 * windows * both + windows**2 * slope, both + windows * slope, slope])
+
+
+def _after_point(spread: Floats) -> Floats:
+    """Return what `_spread` is with one more window at the time of the level (Kalman 1960)."""
+    level, both, slope = spread
+    return np.stack([level, both, slope - both**2 + level * slope]) / (1 + level)
 
 
 def line_through(means_n: Floats) -> tuple[Floats, Floats, Floats]:

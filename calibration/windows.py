@@ -32,6 +32,25 @@ def tare_s(period_s: float) -> float:
     return TARE_WINDOWS * window_s(period_s)
 
 
+def change(means_n: Floats) -> Floats:
+    """Return the change from the first to the second half of windows, shape (windows, m)."""
+    half = len(means_n) // 2
+    change: Floats = means_n[half:].mean(axis=0) - means_n[:half].mean(axis=0)
+    return change
+
+
+def typical(deviation_n: Floats) -> float:
+    """Return the root mean square of deviations, without those that are far above the others."""
+    square = deviation_n**2
+    limit = 9 * max(float(np.median(square)), float(square.mean()) / 9)
+    return float(np.minimum(square, limit).mean() ** 0.5)
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square of values, 0 of none."""
+    return float(np.mean(values**2) ** 0.5) if values.size else 0.0
+
+
 class Window(NamedTuple):
     """The sums of one window.
 

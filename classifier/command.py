@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from canskin.errors import InputError
+from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
 from canskin.messages import RECOGNITION
 from canskin.session import DEFAULT_ENDPOINT
@@ -36,7 +36,7 @@ def classify(
     connect: str = DEFAULT_ENDPOINT,
     model: Path | None = None,
     objects: str = "",
-    stroke: StrokeKind = "slide",
+    stroke: StrokeKind | None = None,
 ) -> None:
     """Name the object that touches the skin, once per measurement; of adaptive sums, a hundred times a second.
 
@@ -55,7 +55,7 @@ def classify(
         Comma-separated names of the objects to train on without ``--model``, ``paper`` for the paper's sixteen;
         default: a series of five.
     stroke
-        Touches to train on without ``--model``, see ``skin nodes``.
+        Touches to train on without ``--model``, see ``skin nodes``; default: slide.
 
     Examples
     --------
@@ -71,10 +71,12 @@ def classify(
     phi, classified = skin.phi(), classified_phi(skin)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
+    if model is not None and stroke is not None:
+        raise InputError("--model contains what it was trained on: leave --stroke out")
     if model is not None:
         trained = load_model(model, skin, classified)
     else:
-        trained = find_or_train(skin, classified, _named(objects), stroke)
+        trained = find_or_train(skin, classified, _named(objects), stroke or "slide")
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
@@ -98,7 +100,9 @@ def _recognise(state: Recognition, decides: "Classifier", classified: Sbhe, fabr
     from classifier.wake import Wake
 
     def ask(hold_s: float) -> None:
-        fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ASK_S)
+        reply = fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ASK_S)
+        if not reply.is_done:
+            raise RunError(reply.text)
 
     wake = Wake(state, ask)
     try:
@@ -144,7 +148,8 @@ def train(
     out
         Model file; default: the file in the cache folder that ``skin classify`` uses without ``--model``.
     choose
-        Number of rows of Φ that separate the touches best, in place of the layout's; needs ``--layout-out``.
+        Number of rows of Φ that separate the touches best, in place of the layout's, those of ``[recognition]`` if it
+        has this table; needs ``--layout-out``.
     layout_out
         Layout file with the chosen rows: the model is for this layout.
     json

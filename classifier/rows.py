@@ -67,7 +67,8 @@ def with_chosen_rows(
     Parameters
     ----------
     layout : Layout
-        All rows of its blocks are candidates.
+        All rows of its blocks are candidates. With a state of recognition the rows are those of this state, and the
+        candidates are the rows that the nodes send for images.
     force_n : array, shape (touches, rows, columns)
         True forces in newtons.
     labels : array, shape (touches,)
@@ -85,10 +86,13 @@ def with_chosen_rows(
     if layout.sending == "adaptive":
         raise InputError("adaptive nodes send every row: expected a layout with synchronous sending")
     drawn = layout.phi()
-    every = Sbhe(drawn.order, np.ones_like(drawn.kept))
+    every = Sbhe(drawn.order, np.ones_like(drawn.kept)) if layout.recognition is None else drawn
     sums = simulate_sums(force_n, layout, every, noise_n, np.random.default_rng(seed))
     chosen = choose_rows(every, sums, labels, count)
     rows = tuple(zip(chosen.block_of_sum.tolist(), chosen.row_of_sum.tolist(), strict=True))
+    if layout.recognition is not None:
+        recognition = msgspec.structs.replace(layout.recognition, sums=None, rows=rows)
+        return validated(msgspec.structs.replace(layout, recognition=recognition))
     measurement = msgspec.structs.replace(layout.measurement, sums=count, rows=rows, selection="balanced")
     return validated(msgspec.structs.replace(layout, measurement=measurement))
 

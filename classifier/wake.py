@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from canskin.errors import SkinError
 from canskin.messages import UNKNOWN_OBJECT
 from skin.layout import Recognition
+from skin.service import say
 
 #: A request is renewed after this part of its time.
 RENEW: Final = 0.5
@@ -20,7 +20,8 @@ class Wake:
     ----------
     state : Recognition
     ask : callable
-        Asks the gateway for images for so many seconds; may block, and may raise `SkinError`.
+        Asks the gateway for images for so many seconds; may block. What it raises is logged, and not again before a
+        request has worked.
     clock : callable, optional
         Monotonic time in seconds.
     """
@@ -37,11 +38,15 @@ class Wake:
 
     def take(self, label: str) -> None:
         """Take a label, empty without contact; ask for images if it is time to."""
-        wakes = {"contact": bool(label), "label": label not in ("", UNKNOWN_OBJECT), "request": False}
         now_s = self._clock()
-        if wakes[self._state.wake] and now_s >= self._due_s:
+        if self.wants(label, now_s):
             self._due_s = now_s + RENEW * self._state.hold_s
             self._wanted.set()
+
+    def wants(self, label: str, now_s: float) -> bool:
+        """Tell whether a label that comes now is to ask for images."""
+        wakes = {"contact": bool(label), "label": label not in ("", UNKNOWN_OBJECT), "request": False}
+        return wakes[self._state.wake] and now_s >= self._due_s
 
     def close(self) -> None:
         """End the thread."""
@@ -50,9 +55,14 @@ class Wake:
         self._thread.join()
 
     def _serve(self) -> None:
+        is_told = False
         while self._wanted.wait() and not self._is_closed:
             self._wanted.clear()
             try:
                 self._ask(self._state.hold_s)
-            except SkinError:  # no gateway: the next label asks again
+                is_told = False
+            except Exception as error:  # noqa: BLE001 - whatever happened, the next label asks again
+                if not is_told:
+                    say("classifier", f"no images: {error}")
+                is_told = True
                 self._due_s = float("-inf")

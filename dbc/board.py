@@ -265,7 +265,7 @@ def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[Boar
     lengths = {each.number: each.length for each in node.tpdos} | dict.fromkeys(urgencies, CLASSIC_BYTES)
     states: dict[int, int] = {}
     if contract.recognition is not None:
-        few = contract.recognition.nodes[contract.nodes.index(node)].tpdos
+        few = contract.states_of(node)[1].tpdos
         states = dict.fromkeys(lengths, IMAGES) | {each.number: RECOGNITION for each in few}
         lengths |= {each.number: each.length for each in few}
     tpdos = []

@@ -131,6 +131,11 @@ class Contract:
     packing: Packing
     nodes: tuple[NodeContract, ...]
 
+    def states_of(self, node: NodeContract) -> list[NodeContract]:
+        """Return a node of this contract as it is in each of `states`."""
+        place = self.nodes.index(node)
+        return [state.nodes[place] for state in self.states]
+
     @classmethod
     def from_layout(cls, layout: Layout) -> Self:
         """Compute all nodes and frames of a skin.

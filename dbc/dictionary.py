@@ -135,7 +135,7 @@ def _tpdos(contract: Contract, node: NodeContract) -> list[tuple[Sequence[int], 
         (range(tpdo.first_sum, tpdo.first_sum + tpdo.sums), tpdo) for tpdo in node.tpdos
     ]
     if contract.recognition is not None:
-        few = contract.recognition.nodes[contract.nodes.index(node)].tpdos
+        few = contract.states_of(node)[1].tpdos
         found += [(contract.recognised[each.first_sum : each.first_sum + each.sums].tolist(), each) for each in few]
     return found
 
@@ -144,12 +144,15 @@ def _state_rpdo(contract: Contract) -> list[Object]:
     """Return the RPDO that switches between recognition and images at the next SYNC; the same for all nodes."""
     if contract.recognition is None:
         return []
-    communication = [
-        ("COB-ID used by RPDO", UNSIGNED32, "const", STATE_COB_ID),
-        ("Transmission type", UNSIGNED8, "const", EVERY_SYNC),
-    ]
     return [
-        *record(OD_RPDO_COMMUNICATION, "RPDO 1 communication parameter", communication),
+        *record(
+            OD_RPDO_COMMUNICATION,
+            "RPDO 1 communication parameter",
+            [
+                ("COB-ID used by RPDO", UNSIGNED32, "const", STATE_COB_ID),
+                ("Transmission type", UNSIGNED8, "const", EVERY_SYNC),
+            ],
+        ),
         Object(OD_RPDO_MAPPING, 0, "Number of mapped objects", UNSIGNED8, "const", 1, group=_RPDO_MAPPING),
         Object(
             OD_RPDO_MAPPING, 1, "Mapped object 1", UNSIGNED32, "const", OD_STATE << 16 | 1 << 8 | 8, group=_RPDO_MAPPING

@@ -42,7 +42,8 @@ class StateFigures(msgspec.Struct, frozen=True, kw_only=True):
     bus_load : list of float or None
         Mean load of each bus in this state.
     label_accuracy : float or None
-        Cycles with the right label / cycles with contact and a named object.
+        Cycles with the right label / cycles with contact and a named object, as in `Report`; a cycle whose measurement
+        was lost counts as one of recognition.
     """
 
     bus_load: list[float] | None

@@ -109,7 +109,9 @@ class Score:
         if {len(truth.true), len(truth.sensor)} != {4 * self.layout.taxels.count}:
             return
         with self._lock:
-            self.named_contacts += self._is_named_contact(truth)
+            if self._is_named_contact(truth):
+                self.named_contacts += 1
+                self._states.take_contact(truth)
             for image, true in self._images.take_truth(truth):
                 self._compare(image, true)
             for label, true in self._labels.take_truth(truth):
@@ -119,7 +121,6 @@ class Score:
 
     def take_measurement(self, measurement: Measurement) -> None:
         """Compare the sampling instant of a cycle with that of the nodes."""
-        self._states.take_measurement(measurement)
         with self._lock:
             for mine, truth in self._measurements.take(measurement) if self._is_cyclic else ():
                 self._compare_times(mine, truth)
@@ -167,12 +168,13 @@ class Score:
         if self._is_named_contact(truth):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
-            self._states.count_label(label, is_right=label.label == truth.label)
+            self._states.take_label(label, truth)
 
     def _is_named_contact(self, truth: Truth) -> bool:
         return bool(truth.label) and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n)
 
     def _compare_times(self, measurement: Measurement, truth: Truth) -> None:
+        self._states.take_image_cycle(truth)
         bus_ns = np.frombuffer(measurement.bus_sampled_ns, "<i8")
         for errors_us, estimates_ns in (
             (self.bus_sampling_error_us, bus_ns[bus_ns > 0]),

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.calibrator import Calibrator
 from calibration.stored import StoredCalibration, encoded, parse_calibration, store
 from calibration.windows import Floats
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
 from canskin.errors import InputError
 from canskin.fabric import Reply
 from canskin.messages import Measurement
@@ -100,10 +100,9 @@ class GatewayCalibration:
             raise InputError(f"a calibration of {len(request.content)} bytes: expected {most} at most for this skin")
         return parse_calibration(request.content, layout, "calibration")
 
-    @property
-    def is_measuring(self) -> bool:
-        """Whether the zero is being measured, which takes all sums."""
-        return self._calibrator.state is CalibrationState.MEASURING
+    def needs_images(self, now_s: float) -> bool:
+        """Tell whether the zero is to be measured or followed now, which takes all sums."""
+        return self._calibrator.needs_cycles(round(now_s * 1e9))
 
     def apply(self, measurement: Measurement) -> Measurement:
         """Return a measurement, of all sums or of those of recognition, with the offsets of its instant."""

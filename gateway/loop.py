@@ -91,8 +91,10 @@ class GatewayLoop:
         self.gathering: Gathering
         if contract.layout.sending == "adaptive":
             self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz)
+        elif contract.recognition is not None:
+            self.gathering = StateGathering(contract)
         else:
-            self.gathering = CycleGathering(contract) if contract.recognition is None else StateGathering(contract)
+            self.gathering = CycleGathering(contract)
         self.states = None if contract.recognition is None else StateSwitch(contract, sends)
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
@@ -175,13 +177,14 @@ class GatewayLoop:
             Wall clock minus monotonic clock.
         """
         if self.states is not None and now_s >= self.sync.due_s:
-            self.sync.period_s = self.states.take_sync(now_s)
+            self.sync.period_s = self.states.next_period_s
         due_s = self.sync.take(now_s)
         if due_s is None:
             return []
         sync_ns, period_s = round(due_s * 1e9), self.sync.period_s
         begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns, period_s=period_s)
         if self.states is not None:
+            self.states.take_sync(now_s)
             begun = replace(begun, state=self.states.state)
         closed = self._noted(self.gathering.begin(begun), now_s)
         sync = self._contract.sync(self.sync.counter)

@@ -25,7 +25,7 @@ STATUS_PERIOD_S: Final = 0.2
 TURN_S: Final = 0.01
 #: Calibration works when nothing is due for so long: it takes a millisecond, on a slow machine two.
 SPARE_S: Final = 0.004
-#: Images come for so long after the zero has been measured.
+#: Images come for so long after the zero has been measured or followed.
 ZERO_S: Final = 0.1
 _NOTHING: Final = frames(0)
 
@@ -127,8 +127,8 @@ class GatewayService:
         self.publish(self.loop.measurements(self._clock(), wall_offset_ns))
         if self._calibration is not None:
             self._calibration.tick(self.loop.masters, self._clock())
-            if self.loop.states is not None and self._calibration.is_measuring:
-                self.loop.states.ask_images(ZERO_S)
+            if self.loop.states is not None and self._calibration.needs_images(self._clock()):
+                self.loop.states.ask_images(ZERO_S, is_counted=False)
             if self.loop.due_s - self._clock() >= SPARE_S:
                 self._calibration.work()
         if self._clock() >= self._status_at_s:

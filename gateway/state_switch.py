@@ -41,9 +41,9 @@ class StateSwitch:
     state : int
         `dbc.dictionary.RECOGNITION` or `IMAGES`: that of the newest SYNC.
     switches : int
-        Number of times images were asked for in recognition, and came.
+        Number of times images were asked for in recognition, and came before the request had ended.
     switch_s : float
-        The newest time from the request to the first complete image cycle, 0 before.
+        The newest time from such a request to the first complete image cycle, 0 before.
     """
 
     def __init__(self, contract: Contract, sends: Mapping[int, Send]) -> None:
@@ -53,16 +53,23 @@ class StateSwitch:
         self._periods_s = {IMAGES: images.layout.sync.period_s, RECOGNITION: few.layout.sync.period_s}
         self._phi = contract.phi
         self._sends = dict(sends)
-        self._requests: deque[float] = deque()
+        self._requests: deque[tuple[float, bool]] = deque()
         self._until_s = self._send_s = float("-inf")
         self._asked_s: float | None = None
         #: Buses that have had the RPDO; SYNCs for which it was waited; SYNCs at which it is sent again.
         self._echoed: set[int] = set()
         self._waited = self._again = 0
 
-    def ask_images(self, hold_s: float) -> None:
-        """Ask for images from now on, for `hold_s` seconds; from any thread."""
-        self._requests.append(hold_s)
+    def ask_images(self, hold_s: float, *, is_counted: bool = True) -> None:
+        """Ask for images from now on, for `hold_s` seconds; from any thread. An earlier request may last longer.
+
+        Parameters
+        ----------
+        hold_s : float
+        is_counted : bool
+            False for what is not part of `switches` and `switch_s`.
+        """
+        self._requests.append((hold_s, is_counted))
 
     def tick(self, now_s: float, sync_due_s: float) -> None:
         """Send the RPDO if the state is to change, or if its time has come.
@@ -70,10 +77,13 @@ class StateSwitch:
         A change does not begin just before the SYNC that is due at `sync_due_s`.
         """
         while self._requests:
-            self._until_s = max(self._until_s, now_s + self._requests.popleft())
-            if self._commanded == RECOGNITION and self._asked_s is None:
+            hold_s, is_counted = self._requests.popleft()
+            self._until_s = max(self._until_s, now_s + hold_s)
+            if is_counted and self._commanded == RECOGNITION and self._asked_s is None:
                 self._asked_s = now_s
         wanted = IMAGES if now_s < self._until_s else RECOGNITION
+        if wanted == RECOGNITION:
+            self._asked_s = None
         if wanted != self._commanded and sync_due_s - now_s >= MARGIN * self._periods_s[RECOGNITION]:
             self._commanded, self._again, self._waited = wanted, REPEATS, 0
             self._echoed.clear()
@@ -89,16 +99,25 @@ class StateSwitch:
         if own.any() and np.any(arrived["data"][own, 0] == self._commanded):
             self._echoed.add(bus)
 
-    def take_sync(self, now_s: float) -> float:
-        """Take note of a SYNC that is about to be sent, which sets `state`; return the time to the SYNC after it."""
+    @property
+    def _next_state(self) -> int:
+        """The state with the next SYNC."""
+        follows = self._waited >= PATIENCE_SYNCS or self._echoed >= self._sends.keys()
+        return self._commanded if follows else self.state
+
+    @property
+    def next_period_s(self) -> float:
+        """Time from the next SYNC, if it is sent now, to the SYNC after it."""
+        return self._periods_s[self._next_state]
+
+    def take_sync(self, now_s: float) -> None:
+        """Take note of a SYNC that is being sent, which sets `state`."""
         if self._commanded != self.state:
+            self.state = self._next_state
             self._waited += 1
-            if self._waited > PATIENCE_SYNCS or self._echoed >= self._sends.keys():
-                self.state = self._commanded
         if self._again:
             self._again -= 1
             self._send_s = now_s
-        return self._periods_s[self.state]
 
     def status(self) -> dict[str, Any]:
         """Return the fields of `canskin.messages.GatewayStatus` that tell of the states."""

@@ -291,7 +291,7 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     state : str
         Where the nodes have two states: ``recognition`` or ``images``; else empty.
     switches : int
-        Number of times that images were asked for in recognition, and came.
+        Number of times that a program asked for images in recognition, and they came before the request had ended.
     switch_s : float
         The newest time from such a request to the first complete cycle of images.
     """

@@ -190,6 +190,8 @@ class Skin(ABC):
     def ask_images(self, hold_s: float = 1.0) -> None:  # noqa: B027 - nothing to do is right for most skins
         """Ask a skin that recognises first for images, from now on for `hold_s` seconds; ask again for longer.
 
+        A request cannot be shortened: images come until the end of the request that ends last.
+
         Other skins give images all the time.
 
         Raises

@@ -8,7 +8,10 @@ from canskin.question import Question
 
 
 class ImagesRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """Asks for images from now on, for `hold_s` seconds; asked again, for so long from then on."""
+    """Asks for images from now on, for `hold_s` seconds.
+
+    Images come until the end of the request that ends last: a shorter one does not end a longer one.
+    """
 
     hold_s: float
 

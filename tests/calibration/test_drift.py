@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.drift import LONGEST_HELD, MEMORY, DriftFollower, line_through
+from calibration.drift import LONGEST_GAP, LONGEST_HELD, MEMORY, DriftFollower, line_through
 
 SUMS, BLOCKS, NOISE_N = 400, 100, 1e-4
 BLOCK_OF_SUM = np.arange(SUMS) // 4
@@ -85,3 +85,34 @@ def test_line_through_points_of_which_one_is_wrong() -> None:
     level, slope, _ = line_through(points)
     assert level == pytest.approx([12.0, -7.0])
     assert slope == pytest.approx([1.0, -2.0])
+
+
+@pytest.mark.parametrize("known_windows", [8, 100])
+def test_a_drift_is_followed_through_gaps(known_windows: int) -> None:
+    """Four windows after every sixty: offsets stay near the drift, however well it was known before the first gap."""
+    mine, rate_n = follower(), np.random.default_rng(5).normal(0, 0.1 * NOISE_N, SUMS)
+    time, worst = 0, list[float]()
+    for gap in (0, *[LONGEST_GAP] * 30):
+        mine.skip(gap) if gap else None
+        time += gap
+        for _ in range(4 if gap else known_windows):
+            time += 1
+            mine.take(rate_n * time + noise(time), ALL, NO_BLOCK)
+        worst.append(float(np.std(mine.predicted_n(LONGEST_GAP) - rate_n * (time + LONGEST_GAP))))
+    assert max(worst) < 0.1 * NOISE_N * LONGEST_GAP
+    assert max(worst[5:]) < 2 * NOISE_N
+
+
+def test_a_drift_that_changes_in_a_gap_is_followed() -> None:
+    mine, rate_n = follower(), np.random.default_rng(5).normal(0, NOISE_N, SUMS)
+    drifted, errors_n = np.zeros(SUMS), list[float]()
+    for turn in range(20):
+        rate = rate_n if turn < 10 else -rate_n
+        mine.skip(LONGEST_GAP)
+        drifted = drifted + LONGEST_GAP * rate
+        for k in range(4):
+            drifted = drifted + rate
+            mine.take(drifted + noise(10 * turn + k), ALL, NO_BLOCK)
+        errors_n.append(float(np.std(mine.level_n - drifted)))
+    assert max(errors_n[9], errors_n[19]) < 2 * NOISE_N
+    assert max(errors_n[10:]) < 0.1 * NOISE_N * LONGEST_GAP

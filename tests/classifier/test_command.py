@@ -158,6 +158,8 @@ def test_wrong_options(small: Path, tmp_path: Path) -> None:
         train(layout=small, out=tmp_path)
     with pytest.raises(InputError, match="leave --objects out"):
         classify(layout=small, model=tmp_path / "x.npz", objects="ring")
+    with pytest.raises(InputError, match="leave --stroke out"):
+        classify(model=Path("palm.npz"), stroke="press")
     with pytest.raises(ModelError, match="cannot read the model"):
         classify(layout=small, model=tmp_path / "x.npz")
 

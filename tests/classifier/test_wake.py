@@ -5,7 +5,7 @@ from typing import Literal
 
 import pytest
 
-from canskin.errors import BusError
+from canskin.errors import BusError, RunError
 from canskin.messages import UNKNOWN_OBJECT
 from classifier.wake import RENEW, Wake
 from skin.layout import Recognition
@@ -14,9 +14,10 @@ What = Literal["contact", "label", "request"]
 
 
 class Gateway:
-    """Takes requests; the first of them may find nobody."""
+    """Takes requests; the first of them may fail."""
 
-    def __init__(self, refused: int = 0) -> None:
+    def __init__(self, refused: int = 0, error: type[Exception] = BusError) -> None:
+        self._error = error
         self.asked: list[float] = []
         self.came = threading.Semaphore(0)
         self._refused = refused
@@ -25,7 +26,7 @@ class Gateway:
         self.asked.append(hold_s)
         self.came.release()
         if len(self.asked) <= self._refused:
-            raise BusError("nobody")
+            raise self._error("nobody")
 
 
 def waking(wake: What, gateway: Gateway, now_s: list[float]) -> Wake:
@@ -39,11 +40,11 @@ def waking(wake: What, gateway: Gateway, now_s: list[float]) -> Wake:
 def test_what_wakes(wake: What, labels: list[str]) -> None:
     gateway, now_s = Gateway(), [0.0]
     made = waking(wake, gateway, now_s)
-    for label in ("", UNKNOWN_OBJECT, "ring"):
+    assert [label for label in ("", UNKNOWN_OBJECT, "ring") if made.wants(label, 0.0)] == list(reversed(labels))
+    for label in labels:
         now_s[0] += 10
         made.take(label)
-        if label in labels:
-            assert gateway.came.acquire(timeout=10)
+        assert gateway.came.acquire(timeout=10)
     made.close()
     assert gateway.asked == [2.0] * len(labels)
 
@@ -60,14 +61,19 @@ def test_a_touch_that_goes_on_renews_the_request() -> None:
     assert len(gateway.asked) == 4
 
 
-def test_without_a_gateway_the_next_label_asks_again() -> None:
-    gateway, now_s = Gateway(refused=1), [0.0]
+@pytest.mark.parametrize("error", [BusError, RunError, ValueError])
+def test_after_a_failure_that_is_told_once_the_next_label_asks_again(
+    error: type[Exception], capsys: pytest.CaptureFixture[str]
+) -> None:
+    gateway, now_s = Gateway(refused=2, error=error), [0.0]
     made = waking("contact", gateway, now_s)
     made.take("ring")
     assert gateway.came.acquire(timeout=10)
     for _ in range(1000):
         made.take("ring")
-        if gateway.came.acquire(timeout=0.01):
+        gateway.came.acquire(timeout=0.01)
+        if len(gateway.asked) == 3:
             break
     made.close()
-    assert len(gateway.asked) == 2
+    assert len(gateway.asked) == 3
+    assert capsys.readouterr().err.count("no images: nobody") == 1

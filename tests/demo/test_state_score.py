@@ -2,8 +2,8 @@
 
 import pytest
 
-from canskin.messages import BusState, FrameCounts, GatewayStatus, Label, Measurement
-from demo.state_score import StateScore
+from canskin.messages import BusState, FrameCounts, GatewayStatus, Label, Truth
+from demo.state_score import REMEMBERED, StateScore
 
 
 def status(state: str, load: float, switches: int = 0, switch_s: float = 0.0) -> GatewayStatus:
@@ -21,20 +21,27 @@ def status(state: str, load: float, switches: int = 0, switch_s: float = 0.0) ->
     )
 
 
-def label(cycle: int) -> Label:
-    return Label(cycle=cycle, sync_counter=1, sampled_mono_ns=0, label="ring", confidence=1.0, valid_sums=64)
+def label(cycle: int, name: str) -> Label:
+    return Label(cycle=cycle, sync_counter=1, sampled_mono_ns=0, label=name, confidence=1.0, valid_sums=64)
+
+
+def truth(cycle: int) -> Truth:
+    return Truth(step=cycle, sync_counter=1, sampled_mono_ns=cycle, true=b"", sensor=b"", label="ring")
 
 
 def test_loads_and_labels_count_in_their_state() -> None:
+    """A cycle with contact and no label counts, and a label may come before the measurement of its cycle."""
     score = StateScore()
     for state, load in (("recognition", 0.9), ("recognition", 0.1), ("images", 0.5), ("images", 0.7)):
         score.take_gateway(status(state, load, *((1, 0.08) if state == "images" else ())))
-    score.take_measurement(Measurement(cycle=7, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"", fingerprint=""))
-    for cycle, is_right in ((6, False), (8, True), (7, True)):
-        score.count_label(label(cycle), is_right=is_right)
+    for cycle in range(1, 9):
+        score.take_contact(truth(cycle))
+    for cycle, name in ((5, ""), (6, "ring"), (7, "ring"), (8, "ring")):
+        score.take_label(label(cycle, name), truth(cycle))
+    score.take_image_cycle(truth(7))
     figures = score.figures()
     assert (figures["recognition"].bus_load, figures["images"].bus_load) == ([0.1], [0.7])
-    assert figures["recognition"].label_accuracy == 0.5
+    assert figures["recognition"].label_accuracy == pytest.approx(2 / 7)
     assert figures["images"].label_accuracy == 1.0
     assert (score.switches, score.switch_ms) == (1, [pytest.approx(80)])
 
@@ -44,3 +51,16 @@ def test_nodes_without_states_have_no_figures() -> None:
     score.take_gateway(status("", 0.5))
     score.take_gateway(status("", 0.5))
     assert score.figures() == {}
+
+
+def test_cycles_beyond_those_that_wait_are_counted() -> None:
+    score = StateScore()
+    for _ in range(2):
+        score.take_gateway(status("images", 0.5))
+    for cycle in range(REMEMBERED + 10):
+        score.take_contact(truth(cycle))
+        score.take_image_cycle(truth(cycle))
+        if cycle % 2:
+            score.take_label(label(cycle, "ring"), truth(cycle))
+    assert score.figures()["images"].label_accuracy == 0.5
+    assert score.figures()["recognition"].label_accuracy is None

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.stored import store
+from canskin.calibration_messages import CalibrationState
 from canskin.messages import MEASUREMENT, Measurement, Topic
 from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
 from canskin.state_messages import ImagesReply, ImagesRequest
@@ -272,5 +273,75 @@ def test_sums_of_recognition_have_the_offsets_of_theirs(skin: Skin) -> None:
     counts = np.rint(offsets_n / CONTRACT.layout.taxels.newton_per_count)
     assert np.frombuffer(told.offsets, "<i4").tolist() == counts[CONTRACT.recognised].tolist()
     calibration.take(few)
-    assert not calibration.is_measuring
-    assert GatewayCalibration(CONTRACT).is_measuring
+    assert not calibration.needs_images(skin.now_s)
+    assert GatewayCalibration(CONTRACT).needs_images(skin.now_s)
+
+
+def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
+    """Images come for a short time, again and again; a drift of every sum does not grow into forces."""
+    calibration, phi = GatewayCalibration(CONTRACT), CONTRACT.phi
+    drift_n_per_s = np.random.default_rng(0).normal(0, 5e-4, phi.shape[0])
+    newton_per_count, period_s = CONTRACT.layout.taxels.newton_per_count, CONTRACT.layout.sync.period_s
+    images, came, errors_n = 0, False, list[float]()
+    for cycle in range(round(300 / period_s)):
+        now_s = cycle * period_s
+        sums = np.rint(drift_n_per_s * now_s / newton_per_count).astype("<i4")
+        each = Measurement(
+            cycle=cycle,
+            sync_counter=1,
+            sampled_mono_ns=round((100 + now_s) * 1e9),
+            sums=sums.tobytes(),
+            valid=np.full(phi.blocks, came, np.uint8).tobytes(),  # not in the first cycle of images
+            fingerprint=phi.fingerprint,
+        )
+        came = calibration.needs_images(100 + now_s)
+        if came:
+            images += 1
+            calibration.take(each)
+            calibration.work()
+        elif now_s > 10:
+            offsets = np.frombuffer(calibration.apply(each).offsets, "<i4")
+            errors_n.append(float(np.abs(offsets - sums).max() * newton_per_count))
+    assert calibration.status().state is CalibrationState.FOLLOWING
+    assert images * period_s < 0.15 * 300
+    assert max(errors_n) < 0.1 * 300 * float(np.abs(drift_n_per_s).max())
+
+
+def test_a_request_that_ended_before_its_images_came_is_not_counted(skin: Skin) -> None:
+    states = skin.gateway.states
+    assert states is not None
+    skin.wires[1].loses = lambda _end, each: 0x180 < int(each["can_id"]) < 0x580
+    skin.ask(0.5)
+    skin.run(1.0)
+    skin.wires[1].loses = None
+    skin.run(2.0)
+    assert (states.switches, states.switch_s) == (0, 0.0)
+    skin.ask(0.5)
+    skin.run(1.0)
+    assert states.switches == 1
+    assert 0.05 < states.switch_s < 0.12
+
+
+def test_images_for_the_zero_are_not_counted_and_a_request_does_not_shorten_another(skin: Skin) -> None:
+    states = skin.gateway.states
+    assert states is not None
+    states.ask_images(0.8, is_counted=False)
+    skin.run(0.3)
+    skin.ask(0.1)
+    assert all(skin.is_image(each) for each in skin.run(0.3))
+    assert states.switches == 0
+
+
+def test_a_sync_that_is_too_late_to_be_sent_does_not_switch(skin: Skin) -> None:
+    """The state is that of the newest SYNC, and repeats of the RPDO are for SYNCs that are sent."""
+    states, sync = skin.gateway.states, skin.gateway.sync
+    assert states is not None
+    states.ask_images(1.0)
+    skin.gateway.tick(sync.due_s - FAST_S / 2)
+    skin.carry()
+    sent, late_s = sync.sent, 0.7 * CONTRACT.layout.sync.period_s
+    skin.gateway.send_sync(sync.due_s + late_s)
+    assert (sync.sent, states.state) == (sent, RECOGNITION)
+    skin.now_s = sync.due_s
+    skin.gateway.send_sync(skin.now_s)
+    assert (sync.sent, states.state) == (sent + 1, IMAGES)
