@@ -112,6 +112,11 @@ class Sbhe:
         return self.taxels_of_blocks[self.has_sums]
 
     @cached_property
+    def _sent(self) -> npt.NDArray[np.bool_]:
+        """Hadamard rows that are sent, of the blocks that send sums."""
+        return self.kept[self.has_sums]
+
+    @cached_property
     def block_of_taxel(self) -> npt.NDArray[np.intp]:
         """Block of every taxel, shape (n,)."""
         return np.argsort(self.order) // self.block_size
@@ -148,7 +153,7 @@ class Sbhe:
         """
         check_vectors("taxels", x, self.shape[1])
         work = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32)
-        return fast_hadamard(work[..., self._sending_taxels])[..., self.kept[self.has_sums]]
+        return fast_hadamard(work[..., self._sending_taxels])[..., self._sent]
 
     def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
         """Return Φᵀ y, shape (..., n), of sums `y` of shape (..., m)."""
