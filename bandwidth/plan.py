@@ -157,7 +157,9 @@ def random_bus_time(streams: Traffic) -> BusTime:
     """Return the mean bus time of `streams` with random data bits in TPDOs."""
     tpdos = streams.frames[streams.is_tpdo]
     shapes = zip(tpdos["length"].tolist(), tpdos["flags"].tolist(), tpdos["can_id"].tolist(), strict=True)
-    bits = np.sum([np.zeros(2), *(mean_wire_bits(*shape) for shape in shapes)], axis=0)
+    bits = np.zeros(2)
+    for shape in shapes:
+        bits += mean_wire_bits(*shape)
     return _mean_bus_time(streams, bits)
 
 

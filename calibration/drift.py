@@ -185,7 +185,8 @@ def _ahead(spread: Floats, windows: int) -> Floats:
 def _after_point(spread: Floats) -> Floats:
     """Return what `_spread` is with one more window at the time of the level (Kalman 1960)."""
     level, both, slope = spread
-    return np.stack([level, both, slope - both**2 + level * slope]) / (1 + level)
+    after: Floats = np.stack([level, both, slope - both**2 + level * slope]) / (1 + level)
+    return after
 
 
 def line_through(means_n: Floats) -> tuple[Floats, Floats, Floats]:

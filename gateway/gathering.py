@@ -55,16 +55,17 @@ class Sync:
 
 
 class Gathering(Protocol):
-    """Makes measurements of frames. All times are arguments.
+    """Makes measurements of frames. All times are arguments."""
 
-    Attributes
-    ----------
-    published, complete : int
-        Measurements so far, and those in which every block was valid.
-    """
+    @property
+    def published(self) -> int:
+        """Measurements so far."""
+        ...
 
-    published: int
-    complete: int
+    @property
+    def complete(self) -> int:
+        """Measurements so far in which every block was valid."""
+        ...
 
     @property
     def counts(self) -> FrameCounts:
