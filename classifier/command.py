@@ -172,6 +172,8 @@ def train(
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
         check_output_path(layout_out, "layout")
+        if layout is not None and layout_out.exists() and layout_out.samefile(layout):
+            raise InputError(f"{layout_out}: is the layout that rows are chosen for; give --layout-out another name")
     count = touches or TOUCHES_PER_OBJECT * len(names)
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)

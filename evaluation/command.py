@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, get_args
 
 from cyclopts import Parameter
 
@@ -35,41 +35,35 @@ Subject = Literal[
     "recognition",
     "postures",
 ]
-#: Where each subject's function ``options -> Result`` lives, in the order of the report.
-SUBJECTS: Final[dict[str, str]] = {
-    "claims": "evaluation.claims:evaluate",
-    "sparsity": "evaluation.paper.sparsity:evaluate",
-    "compression": "evaluation.paper.tables:compression",
-    "iterations": "evaluation.paper.tables:iterations",
-    "figures": "evaluation.paper.figures:evaluate",
-    "solvers": "evaluation.paper.solvers:evaluate",
-    "noiselets": "evaluation.paper.noiselets:evaluate",
-    "rivals": "evaluation.schemes.comparison:evaluate",
-    "rates": "evaluation.schemes.rates:evaluate",
-    "contacts": "evaluation.schemes.contacts:evaluate",
-    "calibration": "evaluation.schemes.calibration:evaluate",
-    "wiring": "evaluation.schemes.wiring:evaluate",
-    "frontend": "evaluation.schemes.frontend:evaluate",
-    "scaling": "evaluation.schemes.scaling:evaluate",
-    "classification": "evaluation.recognition.classification:evaluate",
-    "recognition": "evaluation.recognition.beyond:evaluate",
-    "postures": "evaluation.recognition.postures:evaluate",
-}
 
-#: Subjects that average over no draws of Φ; ``all`` hands draws to the others alone.
-_WITHOUT_DRAWS: Final = (
-    "sparsity",
-    "figures",
-    "solvers",
-    "noiselets",
-    "rivals",
-    "rates",
-    "contacts",
-    "calibration",
-    "wiring",
-    "frontend",
-    "scaling",
-)
+
+class _Subject(NamedTuple):
+    """Where the function ``options -> Result`` of a subject is, and whether it averages over draws of Φ."""
+
+    function: str
+    draws: bool = False
+
+
+#: In the order of the report.
+SUBJECTS: Final[dict[str, _Subject]] = {
+    "claims": _Subject("evaluation.claims:evaluate", draws=True),
+    "sparsity": _Subject("evaluation.paper.sparsity:evaluate"),
+    "compression": _Subject("evaluation.paper.tables:compression", draws=True),
+    "iterations": _Subject("evaluation.paper.tables:iterations", draws=True),
+    "figures": _Subject("evaluation.paper.figures:evaluate"),
+    "solvers": _Subject("evaluation.paper.solvers:evaluate"),
+    "noiselets": _Subject("evaluation.paper.noiselets:evaluate"),
+    "rivals": _Subject("evaluation.schemes.comparison:evaluate"),
+    "rates": _Subject("evaluation.schemes.rates:evaluate"),
+    "contacts": _Subject("evaluation.schemes.contacts:evaluate"),
+    "calibration": _Subject("evaluation.schemes.calibration:evaluate"),
+    "wiring": _Subject("evaluation.schemes.wiring:evaluate"),
+    "frontend": _Subject("evaluation.schemes.frontend:evaluate"),
+    "scaling": _Subject("evaluation.schemes.scaling:evaluate"),
+    "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
+    "recognition": _Subject("evaluation.recognition.beyond:evaluate", draws=True),
+    "postures": _Subject("evaluation.recognition.postures:evaluate", draws=True),
+}
 
 
 def evaluate(
@@ -134,7 +128,7 @@ def evaluate(
         raise InputError(f"unknown subject '{subject}': expected one of {', '.join(get_args(Subject))}")
     if subject == "postures" and recordings is None:
         raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
-    if draws is not None and subject in _WITHOUT_DRAWS:
+    if draws is not None and subject != "all" and not SUBJECTS[subject].draws:
         raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
     if basis and subject not in {"all", "sparsity"}:
         raise InputError(f"only 'sparsity' takes bases, not '{subject}': leave out --basis")
@@ -145,8 +139,8 @@ def evaluate(
     options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases)
     results: dict[str, Result] = {}
     for name in SUBJECTS if subject == "all" else [subject]:
-        asked = replace(options, draws=None) if name in _WITHOUT_DRAWS else options
-        module, _, function = SUBJECTS[name].partition(":")
+        asked = options if SUBJECTS[name].draws else replace(options, draws=None)
+        module, _, function = SUBJECTS[name].function.partition(":")
         found = results[name] = getattr(import_module(module), function)(asked)
         if not json:
             print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)

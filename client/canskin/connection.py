@@ -16,7 +16,7 @@ from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Gatew
 from canskin.peers import Peer, client_version
 from canskin.session import DEFAULT_ENDPOINT, close_with_program, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
-from canskin.state_messages import IMAGES, ImagesReply, ImagesRequest
+from canskin.state_messages import IMAGES, MOST_HOLD_S, ImagesReply, ImagesRequest
 
 #: Name of this service on the fabric.
 NAME: Final = "client"
@@ -134,6 +134,8 @@ class ConnectedSkin(Skin):
 
     def ask_images(self, hold_s: float = 1.0) -> None:
         """See `Skin.ask_images`."""
+        if not isinstance(hold_s, int | float) or not 0 < hold_s <= MOST_HOLD_S:
+            raise InputError(f"hold_s: expected more than 0 and up to {MOST_HOLD_S:g} seconds, got {hold_s!r}")
         if self._hub.is_closed:
             raise BusError(CLOSED)
         reply: ImagesReply = self._fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ANSWER_S)

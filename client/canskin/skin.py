@@ -196,6 +196,8 @@ class Skin(ABC):
 
         Raises
         ------
+        InputError
+            If the time is no number above 0, or longer than an hour.
         RunError
             If the gateway refuses the request.
         BusError

@@ -97,6 +97,8 @@ def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path
     assert load_model(out, skin, skin.phi()).metadata.card.validation_accuracy > 0.9
     with pytest.raises(InputError, match="belong together"):
         train(layout=small, choose=8)
+    with pytest.raises(InputError, match="another name"):
+        train(layout=small, objects="dome,plate", choose=8, layout_out=small)
 
 
 @pytest.mark.usefixtures("trained")

@@ -43,6 +43,15 @@ def test_equals_its_definition_and_has_orthogonal_rows(phi: Sbhe) -> None:
     assert np.array_equal(matrix @ matrix.T, phi.block_size * np.eye(phi.shape[0]))
 
 
+@given(st.integers(1, 16), st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_a_few_sums_have_the_bits_that_they_have_among_all(sums: int, seed: int) -> None:
+    phi = sbhe(512, sums, seed=seed)
+    x = np.random.default_rng(seed).normal(size=(2, 512)).astype(np.float32)
+    among_all = fast_hadamard(x[:, phi.taxels_of_blocks])[:, phi.kept]
+    assert phi.forward(x).tobytes() == among_all.tobytes()
+
+
 @given(operators(), st.integers(0, 2**32 - 1))
 @settings(max_examples=50, deadline=None)
 def test_dot_product(phi: Sbhe, seed: int) -> None:
