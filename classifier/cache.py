@@ -10,6 +10,7 @@ import msgspec
 from canskin.errors import ModelError
 from classifier.model import SIMULATED, VERSION, Features, Model
 from classifier.modelfile import load_model, save_model
+from classifier.samples import averaged_cycles
 from skin.cache import cache_folder
 from skin.layout import Layout
 from skin.measurement import Sbhe
@@ -23,12 +24,15 @@ FEATURES: Final[dict[StrokeKind, Features]] = {"slide": "energies", "press": "su
 
 def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
     """Return the path of the model of this skin, these objects and this kind of touch."""
-    about = msgspec.json.encode([layout.taxels, layout.samples_per_sync > 1, sorted(objects), *_unusual(stroke)])
+    about = msgspec.json.encode(
+        [layout.taxels, layout.samples_per_sync > 1, sorted(objects), *_unusual(layout, stroke)]
+    )
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 
 
-def _unusual(stroke: StrokeKind) -> list[str]:
-    return [] if stroke == "slide" else [stroke]
+def _unusual(layout: Layout, stroke: StrokeKind) -> list[str | int]:
+    cycles = averaged_cycles(layout)
+    return [*([] if stroke == "slide" else [stroke]), *([] if cycles == 1 else [cycles])]
 
 
 def keep_model(model: Model, path: Path) -> None:

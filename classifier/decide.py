@@ -21,6 +21,8 @@ SETTLING: Final = 0.4
 #: Weight of the newest cycle in the settled novelty. Smaller, because every object looks unknown while it is pressed
 #: in.
 NOVELTY_SETTLING: Final = 0.1
+#: Cycles that come in less than this time weigh less, so that labels settle over times and not over numbers of cycles.
+SETTLING_PERIOD_S: Final = 0.01
 #: Largest novelty of a single cycle, relative to the limit.
 _MOST_NOVELTY: Final = 3.0
 #: Slope of the doubt around the limit: 50 % at a novelty of 1, 95 % at 1.5.
@@ -64,7 +66,7 @@ class Classifier:
         self._model = model
         self._labels = (*about.classes, "")
         self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=about.sending == "adaptive")
-        self._newest = NewestSums(phi)
+        self._newest = NewestSums(phi, about.cycles)
         self._features = np.zeros(model.offset.size)
         self._completion: Completion | None = None
         if about.features == "sums":
@@ -75,8 +77,15 @@ class Classifier:
         self._novelty = 0.0
         self._fresh = True
         self._cycle: int | None = None
+        self._time_ns = 0
 
-    def decide(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], cycle: int | None = None) -> Decision:
+    def decide(
+        self,
+        sums: npt.NDArray[np.int32],
+        valid: npt.NDArray[np.bool_],
+        cycle: int | None = None,
+        time_ns: int | None = None,
+    ) -> Decision:
         """Return the settled decision after one more measurement.
 
         Parameters
@@ -87,6 +96,8 @@ class Classifier:
             Sums of blocks that are False here are ignored; see `classifier.newest_sums`.
         cycle : int, optional
             Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, past cycles are dropped.
+        time_ns : int, optional
+            When the sums were sampled, by the same clock in all calls. Default: `SETTLING_PERIOD_S` after the last.
         """
         step = 1
         if cycle is not None:
@@ -99,10 +110,17 @@ class Classifier:
         if valid_ratio < MIN_VALID_RATIO:
             self._fresh = True
             return Decision("", 0.0, blind=True)
-        self._look(valid_ratio)
+        self._look(valid_ratio, self._periods(time_ns))
         return self._said()
 
-    def _look(self, valid_ratio: float) -> None:
+    def _periods(self, time_ns: int | None) -> float:
+        """Return the time since the last sums in periods in which labels settle, 1 at most."""
+        if time_ns is None:
+            return 1.0
+        elapsed_s, self._time_ns = (time_ns - self._time_ns) * 1e-9, time_ns
+        return elapsed_s / SETTLING_PERIOD_S if 0 < elapsed_s < SETTLING_PERIOD_S else 1.0
+
+    def _look(self, valid_ratio: float, periods: float) -> None:
         """Update belief and novelty with the newest sums."""
         model, about, newest = self._model, self._model.metadata, self._newest
         peak = self._observer.look(newest.sums, newest.valid, valid_ratio)
@@ -116,11 +134,11 @@ class Classifier:
         self._features -= model.offset
         self._features *= model.scale
         winner, confidence = descend(self._features, model.weights, model.biases, len(about.classes))
-        self._settle(winner, confidence, contact)
+        self._settle(winner, confidence, contact, _weight(self._settling, periods))
         slack = 1.0 + about.unknown_slack * (1.0 - valid_ratio)
         seen = min(novelty(self._observer.features, self._regions) / slack, _MOST_NOVELTY)
         touched = contact * (1.0 - self._belief[-1])
-        self._novelty += NOVELTY_SETTLING * (touched * seen - self._novelty)
+        self._novelty += _weight(NOVELTY_SETTLING, periods) * (touched * seen - self._novelty)
 
     def _said(self) -> Decision:
         best = int(self._belief.argmax())
@@ -131,18 +149,22 @@ class Classifier:
             return Decision(UNKNOWN_OBJECT, doubt * float(1.0 - self._belief[-1]))
         return Decision(self._labels[best], (1.0 - doubt) * float(self._belief[best]))
 
-    def _settle(self, winner: int, confidence: float, contact: float) -> None:
+    def _settle(self, winner: int, confidence: float, contact: float, weight: float) -> None:
         """Update the belief with one measurement; its sum is 1, its last entry is "no contact"."""
         belief = self._belief
         others = belief.size - 2
-        weight = 1.0 if self._fresh else self._settling
         if self._fresh:
-            self._novelty = 0.0
+            weight, self._novelty = 1.0, 0.0
         self._fresh = False
         belief *= 1.0 - weight
         belief[:-1] += weight * contact * (1.0 - confidence) / others
         belief[winner] += weight * contact * (confidence - (1.0 - confidence) / others)
         belief[-1] += weight * (1.0 - contact)
+
+
+def _weight(weight: float, periods: float) -> float:
+    """Return the weight of a cycle after part of a period, of which a cycle after a whole period has `weight`."""
+    return float(1.0 - (1.0 - weight) ** periods)
 
 
 def _logistic(value: float) -> float:

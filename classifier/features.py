@@ -6,7 +6,7 @@ on position and rotation of the object. Hadamard row 0 of a block, the plain sum
 row changes with a common offset of the taxels (clipped noise, drift).
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -68,12 +68,13 @@ class Smoothed:
         self._image = np.zeros((rows, columns), np.float32)
         self._stages = [_Stage(width, rows, columns) for width in widths]
 
-    def measure(self, sums: npt.NDArray[np.int32], valid: Float32, valid_ratio: float) -> None:
+    def measure(self, sums: npt.NDArray[Any], valid: Float32, valid_ratio: float) -> None:
         """Fill `energies` and `peaks` from one measurement.
 
         Parameters
         ----------
-        sums : array of int32, shape (m,)
+        sums : array, shape (m,)
+            ADC counts or their means.
         valid : array of float32, shape (blocks,)
             1 or 0 per block; sums of invalid blocks count as 0.
         valid_ratio : float

@@ -85,6 +85,8 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Part of the cycles of an untouched skin above the threshold.
     unknown_slack : float
         Limits grow by the factor 1 + `unknown_slack` x fraction of missing blocks.
+    cycles : int
+        Sums are means over so many cycles (`classifier.newest_sums.NewestSums`).
     sum_noise : float
         Variance of a sum that `Model.sum_loadings` do not explain; 0 without loadings.
     """
@@ -103,6 +105,7 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     sum_noise: float
     card: TrainingCard
     sending: Sending = "synchronous"
+    cycles: int = 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from canskin.errors import UNDECODABLE, ModelError
 from classifier.dag import pairs
 from classifier.features import widths_for
 from classifier.model import ARRAYS, VERSION, Metadata, Model
+from classifier.samples import averaged_cycles
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.output import write_file
@@ -103,6 +104,7 @@ def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
         "rows": (about.rows, taxels.rows),
         "columns": (about.columns, taxels.columns),
         "newton per count": (about.newton_per_count, taxels.newton_per_count),
+        "averaged cycles": (about.cycles, averaged_cycles(layout)),
     }
     for what, (has, wants) in expected.items():
         if has != wants:

@@ -1,7 +1,7 @@
 """Features of one measurement for a model, and the standardised peak that tells contact."""
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +36,7 @@ class Observer:
         #: Features of the newest `look`: asinh of the standardised energies, log of the relative peaks.
         self.features = np.zeros(2 * widths)
 
-    def look(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.float32], valid_ratio: float) -> float:
+    def look(self, sums: npt.NDArray[Any], valid: npt.NDArray[np.float32], valid_ratio: float) -> float:
         """Fill `features` and return the largest standardised peak.
 
         Missing blocks reduce the energy of the image; the features are corrected for this.

@@ -27,6 +27,8 @@ AVERAGED_NOISE_RATIO: Final = 0.2
 #: noise for none; nodes that nothing touches show 0.
 ADAPTIVE_NOISE_RATIO: Final = 0.25
 ADAPTIVE_DEAD_RATIO: Final = 0.4
+#: Where nodes do not average, the classifier does, over cycles of about so much time.
+AVERAGED_S: Final = 0.04
 _CHUNK: Final = 128
 
 
@@ -35,6 +37,13 @@ class Untouched(NamedTuple):
 
     no_touch: Float64
     contact_threshold: float
+
+
+def averaged_cycles(layout: Layout) -> int:
+    """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates change."""
+    if layout.sending == "adaptive" or layout.samples_per_sync > 1 or layout.recognition is not None:
+        return 1
+    return max(1, round(AVERAGED_S * layout.sync.rate_hz))
 
 
 def simulate_sums(

@@ -79,7 +79,7 @@ class ClassifierService:
         sums = self._reader.read(measurement)
         if sums is None:
             return None
-        decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle)
+        decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle, measurement.sampled_mono_ns)
         self.labelled += 1
         label = _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
         return msgspec.structs.replace(label, sums=self._named_sums) if self._named_sums else label

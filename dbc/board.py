@@ -13,7 +13,7 @@ from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import CLASSIC_BYTES, Contract, NodeContract
-from dbc.dictionary import IMAGES, RECOGNITION, dictionary
+from dbc.dictionary import SkinState, dictionary
 from dbc.frame import FD
 from dbc.indices import (
     OD_CYCLE_PERIOD_US,
@@ -263,10 +263,10 @@ def _packing(packing: Packing) -> BoardPacking:
 def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[BoardTpdo]:
     urgencies = {each.number: (each.level, each.group, each.is_fine) for each in node.adaptive_tpdos}
     lengths = {each.number: each.length for each in node.tpdos} | dict.fromkeys(urgencies, CLASSIC_BYTES)
-    states: dict[int, int] = {}
+    states: dict[int, SkinState] = {}
     if contract.recognition is not None:
         few = contract.states_of(node)[1].tpdos
-        states = dict.fromkeys(lengths, IMAGES) | {each.number: RECOGNITION for each in few}
+        states = dict.fromkeys(lengths, SkinState.IMAGES) | {each.number: SkinState.RECOGNITION for each in few}
         lengths |= {each.number: each.length for each in few}
     tpdos = []
     for number, length in lengths.items():

@@ -25,7 +25,7 @@ from dbc.canopen import (
     NmtState,
 )
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
-from dbc.dictionary import HEARTBEAT_MS, IMAGES, RECOGNITION
+from dbc.dictionary import HEARTBEAT_MS, SkinState
 from dbc.frame import FD
 from dbc.packing import rounding_error_n
 from skin.sync_counter import SYNC_OVERFLOW
@@ -191,7 +191,7 @@ def _network(contract: Contract) -> list["Message"]:
         _signal("Days", 32, 16, receiver=None, unit="d"),
     ]
     about = "TIME_OF_DAY in UTC; days since 1984-01-01"
-    states = {RECOGNITION: "Recognition", IMAGES: "Images"}
+    states: dict[int, str] = {SkinState.RECOGNITION: "Recognition", SkinState.IMAGES: "Images"}
     state = [_signal("State", 0, 8, receiver=None, meanings=states)]
     switch = _message("State", STATE_COB_ID, 1, GATEWAY, state, comment="State of all nodes from the next SYNC on")
     return [

@@ -6,6 +6,7 @@ that it needs to refuse a node programmed for another Φ.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
@@ -78,9 +79,14 @@ from dbc.objects import HIGHEST_SUBINDEX, Access, Object, array, mapping, places
 from skin.layout import Layout
 from skin.walsh import GROUPS
 
-#: Values of 2008h:1, the state of a node after a reset and that in which it sends all sums.
-RECOGNITION: Final = 0
-IMAGES: Final = 1
+
+class SkinState(IntEnum):
+    """Values of 2008h:1, the state of a node after a reset and that in which it sends all sums."""
+
+    RECOGNITION = 0
+    IMAGES = 1
+
+
 #: Lowest cyclic synchronous transmission type; an RPDO of it acts at the next SYNC (CiA 301, 7.5.2.35).
 EVERY_SYNC: Final = 1
 _RPDO_MAPPING: Final = "RPDO 1 mapping parameter"
@@ -167,7 +173,16 @@ def _state(contract: Contract) -> list[Object]:
     window_us = round(window_s(contract.recognition.layout) * 1e6)
     return [
         Object(OD_STATE, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 2, group="State"),
-        Object(OD_STATE, 1, "State, 0 recognition, 1 images", UNSIGNED8, "rw", RECOGNITION, pdo=True, group="State"),
+        Object(
+            OD_STATE,
+            1,
+            "State, 0 recognition, 1 images",
+            UNSIGNED8,
+            "rw",
+            SkinState.RECOGNITION,
+            pdo=True,
+            group="State",
+        ),
         Object(OD_STATE, 2, "Synchronous window length in recognition", UNSIGNED32, "const", window_us, group="State"),
     ]
 

@@ -11,7 +11,7 @@ from bus.error_frames import ErrorClass
 from bus.link import State
 from canskin.messages import FrameCounts, Measurement
 from dbc.contract import NodeContract
-from dbc.dictionary import IMAGES
+from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames
 from gateway.nmt_master import NmtMaster
 
@@ -45,7 +45,7 @@ class Sync:
     due_ns: int
     sent_ns: int | None
     wall_offset_ns: int
-    state: int = IMAGES
+    state: SkinState = SkinState.IMAGES
     period_s: float | None = None
 
     @property

@@ -9,7 +9,7 @@ import msgspec
 
 from canskin.messages import FrameCounts, Measurement
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import IMAGES, RECOGNITION
+from dbc.dictionary import SkinState
 from dbc.frame import Frames
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health, Sync
@@ -31,7 +31,7 @@ class StateGathering:
 
     def __init__(self, contract: Contract) -> None:
         images, recognition = map(CycleGathering, contract.states)
-        self.of_state = {RECOGNITION: recognition, IMAGES: images}
+        self.of_state = {SkinState.RECOGNITION: recognition, SkinState.IMAGES: images}
         self._both = images, recognition
 
     @property

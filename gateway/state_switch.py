@@ -14,7 +14,7 @@ from bus.link import Send
 from canskin.messages import Measurement
 from dbc.canopen import STATE_COB_ID
 from dbc.contract import Contract
-from dbc.dictionary import IMAGES, RECOGNITION
+from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames, one_frame
 
 #: After a switch the RPDO is sent again at so many SYNCs, then once in `REPEAT_S`.
@@ -39,7 +39,7 @@ class StateSwitch:
     Attributes
     ----------
     state : int
-        `dbc.dictionary.RECOGNITION` or `IMAGES`: that of the newest SYNC.
+        `dbc.dictionary.SkinState`: that of the newest SYNC.
     switches : int
         Number of times images were asked for in recognition, and came before the request had ended.
     switch_s : float
@@ -48,9 +48,12 @@ class StateSwitch:
 
     def __init__(self, contract: Contract, sends: Mapping[int, Send]) -> None:
         images, few = contract.states
-        self.state = self._commanded = RECOGNITION
+        self.state = self._commanded = SkinState.RECOGNITION
         self.switches, self.switch_s = 0, 0.0
-        self._periods_s = {IMAGES: images.layout.sync.period_s, RECOGNITION: few.layout.sync.period_s}
+        self._periods_s = {
+            SkinState.IMAGES: images.layout.sync.period_s,
+            SkinState.RECOGNITION: few.layout.sync.period_s,
+        }
         self._phi = contract.phi
         self._sends = dict(sends)
         self._requests: deque[tuple[float, bool]] = deque()
@@ -79,12 +82,12 @@ class StateSwitch:
         while self._requests:
             hold_s, is_counted = self._requests.popleft()
             self._until_s = max(self._until_s, now_s + hold_s)
-            if is_counted and self._commanded == RECOGNITION and self._asked_s is None:
+            if is_counted and self._commanded == SkinState.RECOGNITION and self._asked_s is None:
                 self._asked_s = now_s
-        wanted = IMAGES if now_s < self._until_s else RECOGNITION
-        if wanted == RECOGNITION:
+        wanted = SkinState.IMAGES if now_s < self._until_s else SkinState.RECOGNITION
+        if wanted == SkinState.RECOGNITION:
             self._asked_s = None
-        if wanted != self._commanded and sync_due_s - now_s >= MARGIN * self._periods_s[RECOGNITION]:
+        if wanted != self._commanded and sync_due_s - now_s >= MARGIN * self._periods_s[SkinState.RECOGNITION]:
             self._commanded, self._again, self._waited = wanted, REPEATS, 0
             self._echoed.clear()
             self._send_s = now_s
@@ -100,7 +103,7 @@ class StateSwitch:
             self._echoed.add(bus)
 
     @property
-    def _next_state(self) -> int:
+    def _next_state(self) -> SkinState:
         """The state with the next SYNC."""
         follows = self._waited >= PATIENCE_SYNCS or self._echoed >= self._sends.keys()
         return self._commanded if follows else self.state
@@ -121,7 +124,7 @@ class StateSwitch:
 
     def status(self) -> dict[str, Any]:
         """Return the fields of `canskin.messages.GatewayStatus` that tell of the states."""
-        state = "images" if self.state == IMAGES else "recognition"
+        state = "images" if self.state == SkinState.IMAGES else "recognition"
         return {"state": state, "switches": self.switches, "switch_s": self.switch_s}
 
     def take_measurement(self, measurement: Measurement, now_s: float) -> None:

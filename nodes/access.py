@@ -22,7 +22,7 @@ from dbc.canopen import (
     SYNC_COB_ID,
     Abort,
 )
-from dbc.dictionary import HEARTBEATS_WATCHED, IMAGES
+from dbc.dictionary import HEARTBEATS_WATCHED, SkinState
 from dbc.indices import (
     OD_COEFFICIENT_NOISE,
     OD_CONSUMER_HEARTBEAT,
@@ -93,7 +93,7 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     OD_GAIN: math.isfinite,
     OD_TEST_PATTERN: lambda value: value <= PATTERN_FULL,
     OD_REFRESH: lambda value: value < 1 << GROUPS,
-    OD_STATE: lambda value: value <= IMAGES,
+    OD_STATE: lambda value: value <= SkinState.IMAGES,
     OD_SENDING: lambda value: 0 < value < math.inf,
     OD_COEFFICIENT_NOISE: _is_noise,
     OD_TAXEL_NOISE: _is_noise,

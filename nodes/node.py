@@ -22,7 +22,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import Setting, signature
 from dbc.contract import NodeContract
-from dbc.dictionary import HEARTBEATS_WATCHED, IMAGES, ON_COMMAND, RECOGNITION
+from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
 from dbc.indices import (
     BITS,
     OD_CONSUMER_HEARTBEAT,
@@ -108,7 +108,7 @@ class SkinNode:
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[Tpdo] = []
-        self.sends = self._wanted = RECOGNITION
+        self.sends = self._wanted = SkinState.RECOGNITION
         self._states = _states_of_tpdos(contract, objects)
         self._settings = settings
         self._signature: int | None = None
@@ -156,7 +156,7 @@ class SkinNode:
                     store.setdefault(index, {})[subindex] = data
         if not communication_only:
             self._reset_electronics()
-        self.sends = self._wanted = RECOGNITION
+        self.sends = self._wanted = SkinState.RECOGNITION
         self._signature = None
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
@@ -205,7 +205,7 @@ class SkinNode:
         elif command in COMMANDED:
             self.state = COMMANDED[NmtCommand(command)]
 
-    def switch(self, state: int) -> None:
+    def switch(self, state: SkinState) -> None:
         """Send the TPDOs of a state from the next SYNC on: write 2008h:1."""
         self._wanted = state
 
@@ -327,7 +327,7 @@ class SkinNode:
             self._store({})
         self._signature = None
         if index == OD_STATE:
-            self._wanted = data[0]
+            self._wanted = SkinState(data[0])
         elif index >= OD_MANUFACTURER:
             self._adjust(index, subindex, data)
         else:
@@ -349,7 +349,7 @@ def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int,
     if all(each.index != OD_STATE for each in objects):
         return dict.fromkeys(own)
     numbers = {each.index - OD_TPDO_COMMUNICATION + 1 for each in objects if _is_tpdo(each)}
-    return {number: IMAGES if number in own else RECOGNITION for number in sorted(numbers)}
+    return {number: SkinState.IMAGES if number in own else SkinState.RECOGNITION for number in sorted(numbers)}
 
 
 def _is_tpdo(each: Object) -> bool:

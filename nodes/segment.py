@@ -24,7 +24,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import configuration
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import IMAGES, RECOGNITION, dictionary
+from dbc.dictionary import SkinState, dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from dbc.indices import OD_SYNC_OVERFLOW
 from nodes.boards import Boards
@@ -207,10 +207,10 @@ class Segment(ABC):
 
     def _switch(self, data: bytes) -> None:
         """Take the RPDO with the state of all nodes; nodes that are not operational take no PDO."""
-        if len(data) == 1 and data[0] in (RECOGNITION, IMAGES):
+        if len(data) == 1 and data[0] in (SkinState.RECOGNITION, SkinState.IMAGES):
             for node in self.nodes:
                 if node.state is NmtState.OPERATIONAL:
-                    node.switch(data[0])
+                    node.switch(SkinState(data[0]))
 
     def _nmt(self, data: bytes, now_s: float) -> None:
         if len(data) != NMT_BYTES:

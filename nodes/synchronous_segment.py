@@ -9,7 +9,7 @@ import numpy as np
 from bus.link import DISCARDED, Send
 from dbc.canopen import HIGHEST_NODE_ID, Emergency, NmtState
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import IMAGES, RECOGNITION
+from dbc.dictionary import SkinState
 from dbc.frame import Frames
 from dbc.frame_bits import frame_time_ns
 from dbc.indices import OD_STATE, OD_WINDOW_US
@@ -121,7 +121,7 @@ class SynchronousSegment(Segment):
         for place, node in enumerate(self.nodes):
             window_us = node.local.unsigned(OD_WINDOW_US)
             few_us = window_us if self._contract.recognition is None else node.local.unsigned(OD_STATE, 2)
-            self._window_ns[node.contract.node_id, [RECOGNITION, IMAGES]] = [
+            self._window_ns[node.contract.node_id, [SkinState.RECOGNITION, SkinState.IMAGES]] = [
                 max(1, each_us * 1000 - self._frame_ns) if each_us else NO_WINDOW_NS for each_us in (few_us, window_us)
             ]
             plain += [(place, node.contract, tpdo) for tpdo in node.tpdos if tpdo.is_plain]

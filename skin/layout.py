@@ -323,7 +323,7 @@ def _read_attached(path: Path) -> bytes:
     except InputError as error:
         raise LayoutError(str(error)) from error
     if content is None:
-        raise LayoutError(f"{path}: this recording has no layout: give the layout's own file")
+        raise LayoutError(f"{path}: this recording has no layout, or a damaged one: give the layout's own file")
     return content
 
 

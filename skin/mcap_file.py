@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 
 import msgspec
 import zstandard
+from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
@@ -45,6 +46,8 @@ RECORDER: Final = "recorder"
 _CHUNK_BYTES: Final = 1 << 20
 #: A longer record is damage.
 _LONGEST_RECORD: Final = 1 << 28
+#: An attachment ends with its CRC-32.
+_CRC_BYTES: Final = 4
 #: Errors of the library for files that are cut or damaged.
 _DAMAGE: Final = (
     McapError,
@@ -204,7 +207,7 @@ def newest_file(path: Path, name: str) -> bytes | None:
     with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
         if make_reader(file).get_summary() is not None:
             for record in make_reader(file).iter_attachments():
-                found = record.data if record.name == name else found
+                found = record.data if record.name == name and _is_whole(record, file) else found
             return found
     for record in _records(path):  # without an index, as after a crash
         if isinstance(record, Attachment) and record.name == name:
@@ -317,11 +320,23 @@ def _records(path: Path) -> Iterator[Any]:
             try:
                 for record in records:
                     chunks += isinstance(record, Chunk)
+                    if isinstance(record, Attachment) and not _is_whole(record, file):
+                        continue
                     yield from _records_of(record) if isinstance(record, Chunk) else (record,)
+                if file.read(1):  # after the end, as of two files in one
+                    yield Gap(0, 0, is_rest=True, has_end=True)
             except _DAMAGE:
                 yield from _indexed_records(file, chunks)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _is_whole(attachment: Attachment, file: BinaryIO) -> bool:
+    """Check the CRC of an attachment that was just read, which the library writes and does not check; 0 is none."""
+    file.seek(-_CRC_BYTES, os.SEEK_CUR)
+    stored, expected = file.read(_CRC_BYTES), RecordBuilder()
+    attachment.write(expected)
+    return not any(stored) or bool(stored == expected.end()[-_CRC_BYTES:])
 
 
 def _records_of(chunk: Chunk) -> list[Any]:

@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -160,7 +160,8 @@ class Sbhe:
             If the last axis has another length, or a number is complex, NaN or infinite; so does `adjoint`.
         """
         check_vectors("taxels", x, self.shape[1])
-        work = (x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32))[..., self._sending_taxels]
+        sent: npt.NDArray[Any] = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32)
+        work = sent[..., self._sending_taxels]
         if self._signs is None:
             return fast_hadamard(work)[..., self._sent]
         # B additions for one row in place of B log2 B for all, in the same order: the same bits.

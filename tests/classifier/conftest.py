@@ -17,6 +17,8 @@ rows = 32
 columns = 32
 [measurement]
 sums = 512
+[sync]
+rate_hz = 20.0
 [[bus]]
 name = "bus0"
 nodes = 32

@@ -22,6 +22,7 @@ from skin import sources
 from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
 from skin.sources import load_touches
+from tests.classifier.conftest import SMALL
 
 NAMES = ("dome", "plate")
 
@@ -68,10 +69,7 @@ def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
     file = tmp_path / "small.toml"
-    file.write_text(
-        'name = "small"\n[taxels]\nrows = 32\ncolumns = 32\n[measurement]\nsums = 512\n'
-        '[[bus]]\nname = "bus0"\nnodes = 32\n'
-    )
+    file.write_bytes(b'name = "small"' + SMALL)
     return file
 
 

@@ -1,21 +1,27 @@
 """Decisions cycle by cycle: silence, settling, loss, forgetting."""
 
 import tracemalloc
+from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import ModelError
 from canskin.messages import UNKNOWN_OBJECT
 from classifier.decide import Classifier
 from classifier.model import Model
+from classifier.modelfile import load_model, save_model
 from classifier.newest_sums import HOLD_CYCLES
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from tests.classifier.conftest import draw
+from tests.classifier.conftest import Touches, draw
 
 Sums = np.ndarray
+#: Too faint for one cycle.
+FAINT_N = 0.0015
 
 
 @pytest.fixture
@@ -206,3 +212,58 @@ def test_deciding_allocates_nothing_worth_mentioning(
         finally:
             tracemalloc.stop()
         assert peak - before < most_bytes  # but for the solve, less than any one array of the measurement
+
+
+def test_cycles_in_quick_succession_settle_over_time(
+    model: Model, phi: Sbhe, idle: Sums, pressed: dict[str, Sums], valid: np.ndarray
+) -> None:
+    classifier = Classifier(model, phi)
+    for cycle, y in enumerate(idle[:20]):
+        classifier.decide(y, valid, cycle, 2_000_000 * cycle)
+    labels = [classifier.decide(y, valid, 20 + k, 2_000_000 * (20 + k)).label for k, y in enumerate(pressed["dome"])]
+    assert labels[:5] == [""] * 5  # 10 ms
+    assert labels[9:] == ["dome"] * 11  # 20 ms
+
+
+@pytest.fixture(scope="module")
+def quick_layout(layout: Layout) -> Layout:
+    """One sample a cycle, 100 times a second: the classifier averages over four cycles."""
+    return msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=100.0))
+
+
+@pytest.fixture(scope="module")
+def averaging_model(quick_layout: Layout, touches: Touches) -> Model:
+    return train(*touches, quick_layout)
+
+
+def test_what_one_cycle_does_not_show_the_mean_of_cycles_does(
+    quick_layout: Layout, model: Model, averaging_model: Model, phi: Sbhe, valid: np.ndarray
+) -> None:
+    assert (model.metadata.cycles, averaging_model.metadata.cycles) == (1, 4)
+    force_n, _ = draw(1, seed=5)
+    faint = np.repeat(force_n * np.float32(FAINT_N / force_n.max()), 60, axis=0)
+    sums = simulate_sums(faint, quick_layout, phi, 0.001, np.random.default_rng(3))
+    found = {
+        each.metadata.cycles: np.mean([classifier.decide(y, valid).label != "" for y in sums[10:]])
+        for each in (model, averaging_model)
+        for classifier in (Classifier(each, phi),)
+    }
+    assert found[4] > 0.9
+    assert found[1] < 0.3
+
+
+def test_untouched_skin_is_silent_when_cycles_are_averaged(
+    quick_layout: Layout, averaging_model: Model, phi: Sbhe, valid: np.ndarray
+) -> None:
+    still = simulate_sums(np.zeros((2000, 32, 32), np.float32), quick_layout, phi, 0.001, np.random.default_rng(7))
+    classifier = Classifier(averaging_model, phi)
+    alarms = sum(classifier.decide(y, valid).label != "" for y in still)
+    assert alarms <= 4 * averaging_model.metadata.false_alarm_ratio * len(still)
+
+
+def test_a_model_that_averages_otherwise_is_refused(
+    layout: Layout, averaging_model: Model, phi: Sbhe, tmp_path: Path
+) -> None:
+    save_model(averaging_model, tmp_path / "model.npz")
+    with pytest.raises(ModelError, match="averaged cycles 4, this skin has 1"):
+        load_model(tmp_path / "model.npz", layout, phi)

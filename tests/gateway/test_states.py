@@ -16,7 +16,7 @@ from dbc.board import board
 from dbc.canopen import STATE_COB_ID, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from dbc.database import database
-from dbc.dictionary import IMAGES, RECOGNITION
+from dbc.dictionary import SkinState
 from dbc.indices import OD_STATE
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
@@ -115,7 +115,7 @@ def test_nodes_that_miss_the_switch_are_not_valid_and_follow(skin: Skin, lost: i
     assert left[0] == 0
     assert not any(skin.wrong_blocks(each) for each in came)
     assert skin.is_whole(came[-1])
-    assert skin.states == [IMAGES] * 4
+    assert skin.states == [SkinState.IMAGES] * 4
 
 
 def test_node_that_is_reset_while_images_come_follows(skin: Skin) -> None:
@@ -123,7 +123,7 @@ def test_node_that_is_reset_while_images_come_follows(skin: Skin) -> None:
     skin.run(0.5)
     skin.nmt(0, NmtCommand.RESET_NODE, 1)
     skin.step()
-    assert skin.states[0] == RECOGNITION
+    assert skin.states[0] == SkinState.RECOGNITION
     came = skin.run(2.0)
     assert not any(skin.wrong_blocks(each) for each in came)
     assert skin.is_whole(came[-1])
@@ -131,7 +131,7 @@ def test_node_that_is_reset_while_images_come_follows(skin: Skin) -> None:
 
 def test_switch_of_another_master_is_undone(skin: Skin) -> None:
     for wire in skin.wires:
-        wire.put(STATE_COB_ID, bytes((IMAGES,)))
+        wire.put(STATE_COB_ID, bytes((SkinState.IMAGES,)))
     came = skin.run(REPEAT_S / 2) + skin.run(REPEAT_S)
     assert not any(skin.wrong_blocks(each) for each in came)
     assert not all(skin.is_whole(each) for each in came)
@@ -240,17 +240,17 @@ def test_service_publishes_the_sums_of_recognition_in_every_cycle_and_answers_re
 def test_state_is_an_object_of_the_node(skin: Skin) -> None:
     """SDO writes what the RPDO writes; other values do not exist, and a node that is not operational takes no PDO."""
     node = skin.segments[0].nodes[0]
-    skin.write(0, 1, OD_STATE, 1, bytes((IMAGES + 1,)))
+    skin.write(0, 1, OD_STATE, 1, bytes((SkinState.IMAGES + 1,)))
     skin.carry()
-    assert node.local.unsigned(OD_STATE, 1) == RECOGNITION
-    skin.write(0, 1, OD_STATE, 1, bytes((IMAGES,)))
+    assert node.local.unsigned(OD_STATE, 1) == SkinState.RECOGNITION
+    skin.write(0, 1, OD_STATE, 1, bytes((SkinState.IMAGES,)))
     skin.carry()
-    assert node.local.unsigned(OD_STATE, 1) == IMAGES
+    assert node.local.unsigned(OD_STATE, 1) == SkinState.IMAGES
     node.boot(skin.now_s)
-    skin.wires[0].put(STATE_COB_ID, bytes((IMAGES,)))
+    skin.wires[0].put(STATE_COB_ID, bytes((SkinState.IMAGES,)))
     skin.carry()
-    assert node.local.unsigned(OD_STATE, 1) == RECOGNITION
-    assert skin.segments[0].nodes[1].local.unsigned(OD_STATE, 1) == IMAGES
+    assert node.local.unsigned(OD_STATE, 1) == SkinState.RECOGNITION
+    assert skin.segments[0].nodes[1].local.unsigned(OD_STATE, 1) == SkinState.IMAGES
 
 
 def test_database_and_contract_name_the_frames_of_both_states() -> None:
@@ -260,7 +260,7 @@ def test_database_and_contract_name_the_frames_of_both_states() -> None:
     assert f"BO_ {few.cob_id} Node2_TPDO{few.number}_Recognition" in text
     assert few.cob_id not in {tpdo.cob_id for node in CONTRACT.on_bus(0) for tpdo in node.tpdos}
     table = board(CONTRACT, CONTRACT.nodes[1])
-    assert [tpdo.state for tpdo in table.tpdos] == [IMAGES, IMAGES, RECOGNITION]
+    assert [tpdo.state for tpdo in table.tpdos] == [SkinState.IMAGES, SkinState.IMAGES, SkinState.RECOGNITION]
 
 
 def test_sums_of_recognition_have_the_offsets_of_theirs(skin: Skin) -> None:
@@ -341,7 +341,7 @@ def test_a_sync_that_is_too_late_to_be_sent_does_not_switch(skin: Skin) -> None:
     skin.carry()
     sent, late_s = sync.sent, 0.7 * CONTRACT.layout.sync.period_s
     skin.gateway.send_sync(sync.due_s + late_s)
-    assert (sync.sent, states.state) == (sent, RECOGNITION)
+    assert (sync.sent, states.state) == (sent, SkinState.RECOGNITION)
     skin.now_s = sync.due_s
     skin.gateway.send_sync(skin.now_s)
-    assert (sync.sent, states.state) == (sent + 1, IMAGES)
+    assert (sync.sent, states.state) == (sent + 1, SkinState.IMAGES)

@@ -11,7 +11,16 @@ from mcap.writer import Writer
 
 from canskin.errors import InputError
 from canskin.messages import LABEL
-from skin.mcap_file import EVENTS, File, RecordingWriter, message_decoder, read_about, read_entries, read_topics
+from skin.mcap_file import (
+    EVENTS,
+    File,
+    RecordingWriter,
+    message_decoder,
+    newest_file,
+    read_about,
+    read_entries,
+    read_topics,
+)
 
 COUNT = 20
 
@@ -109,6 +118,25 @@ def test_a_damaged_chunk_of_a_closed_file_is_left_out_and_named(
     data, said = read(path)
     assert [each[0] for each in data] == [place for place in range(4) if place != number]
     assert said == [f"{path}: is damaged: the 0.0 s from {number:.1f} s on are missing"]
+
+
+def test_what_comes_after_the_end_is_named(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.mcap")
+    path.write_bytes(2 * path.read_bytes())
+    data, said = read(path)
+    assert len(data) == COUNT
+    assert said == [f"{path}: is damaged: read up to its cut, 0.0 s"]
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_a_damaged_attachment_is_no_attachment(tmp_path: Path, closes: bool) -> None:
+    path = written(tmp_path / "run.mcap", closes=closes)
+    assert newest_file(path, "layout.toml") == b"x = 1"
+    begin = path.read_bytes().index(b"x = 1")
+    damage(path, begin, begin + 1)
+    assert read_about(path).files == {}
+    assert newest_file(path, "layout.toml") is None
+    assert len(read(path)[0]) == COUNT
 
 
 def test_a_file_without_end_whose_topics_are_damaged_says_how_much_is_missing(tmp_path: Path) -> None:
