@@ -16,9 +16,8 @@ from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES
 from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.plan import CAUTION, BusTime, sync_bits
 from dbc.canopen import HIGHEST_NODE_ID
-from dbc.contract import CLASSIC_BYTES, FD_BYTES
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import BRS, FD, FD_LENGTHS, frames
+from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, frames
 from dbc.frame_bits import wire_bits
 from skin.layout import Layout
 

@@ -10,9 +10,9 @@ from cyclopts import Parameter
 from bandwidth.response import blocking_ns, response_times_ns
 from canskin.errors import InputError
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, TIME_COB_ID, NmtState
-from dbc.contract import CLASSIC_BYTES, Contract
+from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import Frames, frames
+from dbc.frame import CLASSIC_BYTES, Frames, frames
 from dbc.frame_bits import frame_time_ns, nominal_ns
 from dbc.time_of_day import time_frame
 from skin.layout import Bus, Layout

@@ -17,7 +17,7 @@ import numpy as np
 
 from bus.error_frames import State
 from canskin.errors import UNDECODABLE, InputError
-from dbc.frame import BRS, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
+from dbc.frame import BRS, CLASSIC_BYTES, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
 from dbc.frame_bits import padded_length
 
 MAGIC: Final = b"CSK1"
@@ -32,6 +32,7 @@ MAX_PACKET: Final = HEADER.size + MAX_FRAMES * FRAME.itemsize
 #: Largest start time of a frame, 146 years after the start of the machine: sums of such times fit 64 bits.
 LATEST_NS: Final = 1 << 62
 
+_HIGHEST_BASE: Final = 0x7FF
 _SENDABLE: Final = EXTENDED | REMOTE | FD | BRS | ESI
 
 
@@ -154,9 +155,11 @@ def check_frames(burst: Frames, *, fd: bool) -> None:
         The message names the first wrong frame and its error.
     """
     flags, length, can_id = burst["flags"], burst["length"], burst["can_id"]
+    if _are_plain(burst):
+        return
     is_fd = flags & FD != 0
-    highest = np.where(flags & EXTENDED, 0x1FFFFFFF, 0x7FF)
-    longest = np.where(is_fd, 64, 8)
+    highest = np.where(flags & EXTENDED, 0x1FFFFFFF, _HIGHEST_BASE)
+    longest = np.where(is_fd, 64, CLASSIC_BYTES)
     faults = (
         (flags & ~np.uint8(_SENDABLE) != 0, "flags that only a receiver sees"),
         (can_id > highest, "an identifier that does not fit its format"),
@@ -171,6 +174,17 @@ def check_frames(burst: Frames, *, fd: bool) -> None:
         if wrong.any():
             place = int(wrong.argmax())
             raise InputError(f"frame {place} (identifier 0x{int(can_id[place]):X}) has {what}")
+
+
+def _are_plain(burst: Frames) -> bool:
+    """Tell whether all frames are classical data frames with 11 bits of identifier and nothing wrong: most bursts."""
+    return not len(burst) or bool(
+        not burst["flags"].any()
+        and burst["can_id"].max() <= _HIGHEST_BASE
+        and burst["length"].max() <= CLASSIC_BYTES
+        and burst["port"].max() < MAX_PORTS
+        and burst["time_ns"].max() <= LATEST_NS
+    )
 
 
 def pad_lengths(burst: Frames) -> None:

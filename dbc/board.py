@@ -12,9 +12,9 @@ import msgspec
 from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.configuration import configuration, expected_signature
-from dbc.contract import CLASSIC_BYTES, Contract, NodeContract
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SkinState, dictionary
-from dbc.frame import FD
+from dbc.frame import CLASSIC_BYTES, FD
 from dbc.indices import (
     OD_CYCLE_PERIOD_US,
     OD_EMCY_COB_ID,

@@ -22,7 +22,7 @@ from canskin.errors import LayoutError
 from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, NODES, TPDOS, Companding, companding, frame_of, payload_bytes
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
-from dbc.frame import BRS, FD, FD_LENGTHS, Frames, frames, one_frame
+from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
 from skin.layout import Bus, Layout
@@ -40,9 +40,6 @@ COARSE_STEP_RATIO: Final = 1 / 40
 _COMPANDED: Final = 2
 #: The same byte with this added: sums of an analogue front end.
 _ANALOGUE: Final = 4
-#: Longest payload of a classic CAN and of a CAN FD frame.
-CLASSIC_BYTES: Final = 8
-FD_BYTES: Final = 64
 
 
 @dataclass(frozen=True)

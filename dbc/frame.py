@@ -18,6 +18,9 @@ ESI: Final = 0x20
 #: A frame that this connection sent, reported back after its transmission.
 ECHO: Final = 0x40
 
+#: Longest payload of a classic CAN and of a CAN FD frame.
+CLASSIC_BYTES: Final = 8
+FD_BYTES: Final = 64
 #: Payload bytes of a CAN FD frame, by DLC (ISO 11898-1:2015, table 5).
 FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 

@@ -18,7 +18,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames
+from dbc.frame import BRS, CLASSIC_BYTES, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames
 
 Stuffing = Literal["none", "worst", "exact"]
 Bits = npt.NDArray[np.int32]
@@ -32,6 +32,8 @@ _DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np
 _PADDED: Final = np.array(FD_LENGTHS, np.int32)[_DLC]
 #: CRC delimiter, ACK slot and delimiter, end of frame, intermission.
 _CLASSIC_TAIL: Final = 13
+#: From the start of frame to the CRC of a classical frame without data, with identifiers of 11 and 29 bits.
+_BASE_BITS, _EXTENDED_BITS = 34, 54
 _FD_NOMINAL_TAIL: Final = 12
 
 
@@ -63,6 +65,10 @@ def wire_bits(frames: Frames, stuffing: Stuffing = "exact") -> tuple[Bits, Bits]
     bit string SOF to CRC. CAN FD: ISO 11898-1:2015 with stuff bit count and fixed stuff bits.
     """
     flags = frames["flags"]
+    if stuffing == "exact" and not flags.any():  # most frames of a bus, and quick: classical data frames
+        nominal, data = _exact_stuff(frames)
+        nominal += _BASE_BITS + _CLASSIC_TAIL + 8 * np.minimum(frames["length"], np.int32(CLASSIC_BYTES))
+        return nominal, data
     is_fd = flags & FD != 0
     nominal, data = _fixed_bits(frames, is_fd)
     if stuffing != "none":
@@ -111,8 +117,8 @@ def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bit
     """Count all bits except dynamic stuff bits."""
     flags, length = frames["flags"], frames["length"]
     extended = flags & EXTENDED != 0
-    payload = np.where(flags & REMOTE, 0, np.minimum(length, 8)).astype(np.int32)
-    nominal = np.where(extended, 54, 34).astype(np.int32) + 8 * payload + _CLASSIC_TAIL
+    payload = np.where(flags & REMOTE, 0, np.minimum(length, CLASSIC_BYTES)).astype(np.int32)
+    nominal = np.where(extended, _EXTENDED_BITS, _BASE_BITS).astype(np.int32) + 8 * payload + _CLASSIC_TAIL
     data = np.zeros_like(nominal)
     if is_fd.any():
         padded = _PADDED[length]
@@ -135,8 +141,8 @@ def _exact_stuff(frames: Frames) -> tuple[Bits, Bits]:
 
 def _worst_stuff(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
     flags = frames["flags"]
-    payload = np.where(flags & REMOTE, 0, np.minimum(frames["length"], 8)).astype(np.int32)
-    nominal = (np.where(flags & EXTENDED, 54, 34).astype(np.int32) + 8 * payload - 1) // 4
+    payload = np.where(flags & REMOTE, 0, np.minimum(frames["length"], CLASSIC_BYTES)).astype(np.int32)
+    nominal = (np.where(flags & EXTENDED, _EXTENDED_BITS, _BASE_BITS).astype(np.int32) + 8 * payload - 1) // 4
     data = np.zeros_like(nominal)
     for index in np.flatnonzero(is_fd):
         shape = int(flags[index]) & (EXTENDED | BRS | ESI)

@@ -6,9 +6,6 @@ import numpy as np
 
 from dbc.frame import Frames, frames
 
-#: Bytes of data in the records of a bus without and with CAN FD.
-CLASSIC_BYTES: Final = 8
-FD_BYTES: Final = 64
 #: The record, in words for other programs.
 RECORD_TEXT: Final = (
     "time_ns int64 (end of frame, CLOCK_MONOTONIC: the wall clock is wall_offset_ns later), can_id uint32, "

@@ -13,7 +13,7 @@ from nodes.boards import Boards
 from nodes.electronics import Electronics
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from skin.sources import TaxelSource
+from skin.sources import Frame, TaxelSource
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: Longest time between the SYNC frames of one cycle, with the same counter, on different buses. A busy master delays
@@ -39,6 +39,16 @@ class _Cycle:
     time_ns: int
     sums: npt.NDArray[np.int32]
     buses: set[int] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class _Ahead:
+    """What the boards will answer at a step, unless a write changes it, and what their taxels read then."""
+
+    step: int
+    frame: Frame
+    sums: npt.NDArray[np.int32]
+    sampled: npt.NDArray[np.int32]
 
 
 class Sampler(Boards):
@@ -67,6 +77,7 @@ class Sampler(Boards):
         #: Number of the newest cycle of each bus.
         self._newest: dict[int, int] = {}
         self._truth: Truth | None = None
+        self._ahead: _Ahead | None = None
 
     @property
     def sums(self) -> npt.NDArray[np.int32]:
@@ -77,8 +88,14 @@ class Sampler(Boards):
         """Return what the taxels of a block read last, in counts."""
         return self._electronics.sampled[self._chain(block)]
 
+    def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
+        """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
+        self._drop_answer()
+        super().adjust(block, index, subindex, value)
+
     def reset(self, block: int) -> None:
         """Set a block to the defaults, and begin its averages anew."""
+        self._drop_answer()
         super().reset(block)
         self._electronics.restart(block)
 
@@ -108,11 +125,16 @@ class Sampler(Boards):
             step = counter - 1
         else:
             step = self._step + ((counter - self._counter) % SYNC_OVERFLOW or 1)
-        if 0 <= self._step < step - 1 and self._electronics.averages:
-            self._electronics.prepare(self._source.frame(step - 1).force_n, step - 1)
+        if self._ahead is not None and self._ahead.step == step:
+            frame, self._sums, self._electronics.sampled = self._ahead.frame, self._ahead.sums, self._ahead.sampled
+            self._ahead = None
+        else:
+            self._drop_answer()
+            if 0 <= self._step < step - 1 and self._electronics.averages:
+                self._electronics.prepare(self._source.frame(step - 1).force_n, step - 1)
+            frame = self._source.frame(step)
+            self._sums = self._answer(frame.force_n, step)
         self._step, self._counter = step, counter
-        frame = self._source.frame(self._step)
-        self._sums = self._answer(frame.force_n)
         self._truth = Truth(
             step=self._step,
             sync_counter=counter,
@@ -130,17 +152,26 @@ class Sampler(Boards):
         self._sync_ns = max(self._sync_ns, time_ns)
         return max(0, int((time_ns - self._zero_ns) / self._period_ns + EARLY))
 
-    def _answer(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
-        """Return what the boards answer with: the sums, shape (m,)."""
-        exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(force_n, self._step))
+    def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
+        """Return what the boards answer with at `step`: the sums, shape (m,)."""
+        exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(force_n, step))
         sums: npt.NDArray[np.int32] = np.rint(exact).astype(np.int32)
         return sums
 
     def prepare(self) -> None:
-        """Sample ahead what the next SYNC will most likely ask for."""
+        """Make the answer that the next SYNC will most likely ask for."""
         step = self._step + 1
-        if step > 0 and step != self._electronics.sampled_ahead:
-            self._electronics.prepare(self._source.frame(step).force_n, step)
+        if step > 0 and self._ahead is None:
+            sampled, frame = self._electronics.sampled, self._source.frame(step)
+            sums = self._answer(frame.force_n, step)
+            self._ahead = _Ahead(step, frame, sums, self._electronics.sampled)
+            self._electronics.sampled = sampled  # until then
+
+    def _drop_answer(self) -> None:
+        """Make the next answer anew from the same samples."""
+        if self._ahead is not None:
+            self._electronics.sampled_ahead = self._ahead.step
+            self._ahead = None
 
     def take_truth(self) -> Truth | None:
         """Return the true forces and the sensor signal of the newest cycle, once."""
@@ -170,9 +201,9 @@ class AnalogueSampler(Sampler):
         first, last = self._phi.starts[block : block + 2]
         return int(self._analogue.converter.is_saturated(self._sums[first:last]).sum())
 
-    def _answer(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
-        later_n = self._source.frame(self._step + 1).force_n if self._analogue.is_skewed else None
-        return self._analogue.read_sums(force_n, later_n, self._step)
+    def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
+        later_n = self._source.frame(step + 1).force_n if self._analogue.is_skewed else None
+        return self._analogue.read_sums(force_n, later_n, step)
 
 
 def new_electronics(layout: Layout, phi: Sbhe, **analogue: Any) -> Electronics:
@@ -218,8 +249,14 @@ class CountSampler(Sampler):
     `sample` returns ADC counts, shape (samples, n), row-major, since the cycle before; the last sample is at the SYNC.
     """
 
-    def _answer(self, force_n: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
-        self._electronics.read(force_n, self._step)
+    def prepare(self) -> None:
+        """Sample ahead what the next SYNC will most likely ask for: the boards make the sums."""
+        step = self._step + 1
+        if step > 0 and step != self._electronics.sampled_ahead:
+            self._electronics.prepare(self._source.frame(step).force_n, step)
+
+    def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
+        self._electronics.read(force_n, step)
         counts = np.concatenate(self._electronics.unread)
         self._electronics.unread.clear()
         return counts

@@ -27,7 +27,8 @@ TURN_S: Final = 0.005
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for the last echoes when the process ends.
 LAST_FRAMES_S: Final = 0.5
-#: The next cycle is sampled ahead from so many periods after a SYNC on: all buses have had their answers by then.
+#: With several buses, the next cycle is sampled ahead from so many periods after a SYNC on: all buses have had their
+#: answers by then.
 PREPARE_FROM: Final = 0.3
 
 
@@ -82,7 +83,7 @@ class NodesService:
         self._fabric = fabric
         self._clock = clock
         self._status_at_s = 0.0
-        self._prepare_after_s = PREPARE_FROM * contract.layout.sync.period_s
+        self._prepare_after_s = PREPARE_FROM * contract.layout.sync.period_s if len(links) > 1 else 0.0
         if contract.recognition is not None:
             self._prepare_after_s = NEVER_S  # which step comes next depends on the state
 
@@ -122,8 +123,13 @@ class NodesService:
         for segment in self.segments.values():
             segment.tick(now_s)
         self._publish(now_s)
-        if now_s - max(segment.sync_at_s for segment in self.segments.values()) >= self._prepare_after_s:
+        if self._has_answered(now_s):
             self._boards.prepare()
+
+    def _has_answered(self, now_s: float) -> bool:
+        """Tell whether all buses have had their answers of a cycle, as far as can be known."""
+        since_s = now_s - max(segment.sync_at_s for segment in self.segments.values())
+        return since_s >= self._prepare_after_s
 
     def publish_status(self) -> None:
         """Publish the counters of all segments."""

@@ -3,6 +3,7 @@
 With adaptive sending only the newest measurement counts: it holds everything that the ones before held.
 """
 
+import os
 import time
 from collections.abc import Callable
 from typing import Final
@@ -22,6 +23,8 @@ from skin.service import StopSignal, request_real_time
 
 #: Measurements that wait during a solve; a longer queue would only make images older.
 MAILBOX_DEPTH: Final = 4
+#: Fewer sums than blocks give poor images: labels count, and the reconstructor leaves the processor to others.
+LABELS_FIRST: Final = 10
 #: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1
 
@@ -84,7 +87,10 @@ class ReconstructorService:
 
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
-        request_real_time()
+        if self._phi.has_sums.all():
+            request_real_time()
+        else:
+            os.nice(LABELS_FIRST)
         while not stop.is_set():
             measurement = self._mailbox.get(PATIENCE_S)
             if measurement is not None:

@@ -15,9 +15,9 @@ from bus.messages import to_message
 from canskin.errors import InputError
 from canskin.messages import Topic
 from dbc.contract import Contract
-from dbc.frame import Frames, frames
+from dbc.frame import CLASSIC_BYTES, FD_BYTES, Frames, frames
 from dbc.generate import contract_files
-from dbc.stored_frames import CLASSIC_BYTES, FD_BYTES, RECORD_TEXT, to_bytes
+from dbc.stored_frames import RECORD_TEXT, to_bytes
 from skin.layout import Layout, layout_text
 from skin.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
 from skin.output import RECORDING_SUFFIX

@@ -20,6 +20,8 @@ from touch.strokes import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touc
 
 #: Most other arrays of a file that the log names.
 NAMED: Final = 8
+#: Objects are pressed at about this rate; at the steps of a higher rate forces are interpolated.
+POSES_HZ: Final = 100.0
 
 
 class ObjectSource:
@@ -49,6 +51,8 @@ class ObjectSource:
         self._seed = seed
         self._stroke = stroke
         self._index = -1
+        self._stride = max(1, round(rate_hz / POSES_HZ))
+        self._newest: dict[int, Frame] = {}
         self._touch: Touch | None = None
         self._pressed: tuple[int, Pose] | None = None
         self._force_n = self._untouched = _fixed(np.zeros((grid.rows, grid.columns), np.float32))
@@ -71,6 +75,25 @@ class ObjectSource:
         """
         if step < 0:
             raise InputError(f"a source starts at step 0: got {step}")
+        whole, part = divmod(step, self._stride)
+        before = self._posed(whole * self._stride)
+        if not part:
+            return before
+        after = self._posed((whole + 1) * self._stride)
+        if after.force_n is before.force_n:
+            return before
+        force_n = _fixed(before.force_n + np.float32(part / self._stride) * (after.force_n - before.force_n))
+        return Frame(force_n, self._label(force_n, before.label or after.label))
+
+    def _posed(self, step: int) -> Frame:
+        """Return the frame at a step at which the object is pressed; of the newest two it is known."""
+        frame = self._newest.get(step)
+        if frame is None:
+            frame = self._press(step)
+            self._newest = {**dict(list(self._newest.items())[-1:]), step: frame}
+        return frame
+
+    def _press(self, step: int) -> Frame:
         index, time_s = divmod(max(0, step - self._rest_steps) / self.rate_hz, SLOT_S)
         if time_s <= PAUSE_S:
             return Frame(self._untouched, "")
@@ -79,7 +102,11 @@ class ObjectSource:
         if (self._index, pose) != self._pressed:  # a held object has the same image for many steps
             self._force_n = _fixed(touch.force_n(self.grid, pose))
             self._pressed = self._index, pose
-        return Frame(self._force_n, touch.name if float(self._force_n.max()) >= LABEL_FORCE_N else "")
+        return Frame(self._force_n, self._label(self._force_n, touch.name))
+
+    @staticmethod
+    def _label(force_n: Force, name: str) -> str:
+        return name if float(force_n.max()) >= LABEL_FORCE_N else ""
 
 
 def objects(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dbc.frame import BRS, ERROR, EXTENDED, FD, frames
-from dbc.stored_frames import CLASSIC_BYTES, FD_BYTES, from_bytes, record_type, to_bytes
+from dbc.frame import BRS, CLASSIC_BYTES, ERROR, EXTENDED, FD, FD_BYTES, frames
+from dbc.stored_frames import from_bytes, record_type, to_bytes
 
 
 @pytest.mark.parametrize("data_bytes", [CLASSIC_BYTES, FD_BYTES])

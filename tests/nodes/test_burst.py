@@ -8,9 +8,9 @@ import pytest
 from canopen import SdoAbortedError
 
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import CLASSIC_BYTES, FD_BYTES, Contract, NodeContract
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
-from dbc.frame import ECHO
+from dbc.frame import CLASSIC_BYTES, ECHO, FD_BYTES
 from dbc.indices import (
     OD_GAIN,
     OD_MANUFACTURER,

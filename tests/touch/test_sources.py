@@ -158,3 +158,13 @@ def test_a_small_array_is_touched_by_what_it_can_feel() -> None:
     assert set(random_touches(DEFAULT_OBJECTS, 8, 16, 16, skip_unfelt=True).labels) == set(names)
     with pytest.raises(InputError, match="'ring' is never felt"):
         random_touches(["ring"], 50, 16, 16)
+
+
+def test_steps_of_a_high_rate_lie_between_poses() -> None:
+    slow, quick = (objects(rate_hz=rate_hz, names=["golf-ball"], seed=3) for rate_hz in (100.0, 500.0))
+    for step in range(60, 90):
+        first, second = slow.frame(step).force_n, slow.frame(step + 1).force_n
+        assert np.array_equal(quick.frame(5 * step).force_n, first)
+        np.testing.assert_allclose(quick.frame(5 * step + 2).force_n, 0.6 * first + 0.4 * second, atol=1e-8)
+    assert slow.frame(90).force_n.max() > LABEL_FORCE_N
+    assert quick.frame(452).label == "golf-ball"
