@@ -1,5 +1,6 @@
 """Recognition and images: all nodes switch together, and no cycle is misread, whatever node missed the switch."""
 
+import os
 from functools import partial
 from typing import Any
 
@@ -138,8 +139,8 @@ def test_switch_of_another_master_is_undone(skin: Skin) -> None:
     assert all(skin.is_whole(each) for each in skin.run(0.2))
 
 
-#: Requests for images of each of four seeds: a thousand switches to images, and a thousand back, in all.
-TURNS = 250
+#: Requests for images of each of four seeds. Each is a switch to images and a switch back.
+TURNS = int(os.environ.get("SKIN_SWITCHES", "240")) // 4
 
 
 class Chance:
@@ -181,7 +182,7 @@ class Chance:
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
-def test_a_thousand_switches_at_random_moments_with_losses_late_frames_and_resets(seed: int) -> None:
+def test_switches_at_random_moments_with_losses_late_frames_and_resets(seed: int) -> None:
     """What is valid is of its cycle and its state."""
     skin = Skin(CONTRACT)
     skin.run(1.0)
