@@ -189,3 +189,18 @@ def test_the_next_cycle_is_sampled_ahead_when_all_buses_have_had_their_answers(
     now_s += 0.0002
     service.turn()
     assert prepared == [now_s]
+
+
+def test_on_a_single_bus_the_next_cycle_is_sampled_ahead_at_once(
+    contract: Contract, links: dict[int, ReadyLink]
+) -> None:
+    now_s, prepared = 100.0, []
+    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler.prepare = lambda: prepared.append(sampler.sums)  # type: ignore[method-assign]
+    service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
+    service.segments[0].boot(now_s)
+    service.segments[0].take(frame(0, bytes((START, 0))), now_s)
+    before = sampler.sums
+    links[0].put(sync(1))
+    service.turn()
+    assert prepared[-1] is sampler.sums is not before  # after the answer
