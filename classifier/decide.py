@@ -22,12 +22,12 @@ SETTLING: Final = 0.4
 #: in.
 NOVELTY_SETTLING: Final = 0.1
 #: Cycles that come in less than this time weigh less, so that labels settle over times and not over numbers of cycles.
-SETTLING_PERIOD_S: Final = 0.01
+_SETTLING_PERIOD_NS: Final = 10_000_000
 #: Largest novelty of a single cycle, relative to the limit.
 _MOST_NOVELTY: Final = 3.0
 #: Slope of the doubt around the limit: 50 % at a novelty of 1, 95 % at 1.5.
 _DOUBT_SLOPE: Final = 6.0
-#: After a gap of more cycles than this, the decision starts again.
+#: After a gap of more cycles than this, and than are averaged, the decision starts again.
 FORGET_CYCLES: Final = 10
 
 
@@ -59,6 +59,7 @@ class Classifier:
         The Φ of the model.
     settling : float
         Weight of the newest cycle in the settled decision; with 1 every cycle is decided alone, except unknown objects.
+        A model of means (`Metadata.cycles` above 1) needs so many cycles before it decides; it is blind until then.
     """
 
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
@@ -77,7 +78,7 @@ class Classifier:
         self._novelty = 0.0
         self._fresh = True
         self._cycle: int | None = None
-        self._time_ns = 0
+        self._settled_ns = 0
 
     def decide(
         self,
@@ -95,15 +96,16 @@ class Classifier:
         valid : array of bool, shape (blocks,)
             Sums of blocks that are False here are ignored; see `classifier.newest_sums`.
         cycle : int, optional
-            Number of the cycle; after a gap of more than `FORGET_CYCLES`, or a step back, past cycles are dropped.
+            Number of the cycle; after a gap of more cycles than `FORGET_CYCLES` and than are averaged, or a step back,
+            past cycles are dropped.
         time_ns : int, optional
-            When the sums were sampled, by the same clock in all calls. Default: `SETTLING_PERIOD_S` after the last.
+            When the sums were sampled, by the same clock in all calls. Default: 10 ms after the last.
         """
         step = 1
         if cycle is not None:
             step = 1 if self._cycle is None else cycle - self._cycle
             self._cycle = cycle
-        if not 0 < step <= FORGET_CYCLES:
+        if not 0 < step <= max(FORGET_CYCLES, self._model.metadata.cycles):
             self._fresh = True
             self._newest.forget()
         valid_ratio = self._newest.take(sums, valid, step)
@@ -114,11 +116,15 @@ class Classifier:
         return self._said()
 
     def _periods(self, time_ns: int | None) -> float:
-        """Return the time since the last sums in periods in which labels settle, 1 at most."""
-        if time_ns is None:
+        """Return how many periods of settling have passed that did not count yet, 1 at most.
+
+        What is over 1 counts in the next cycle, up to a period: a late cycle takes nothing from those after it.
+        """
+        if time_ns is None or time_ns <= self._settled_ns:
             return 1.0
-        elapsed_s, self._time_ns = (time_ns - self._time_ns) * 1e-9, time_ns
-        return elapsed_s / SETTLING_PERIOD_S if 0 < elapsed_s < SETTLING_PERIOD_S else 1.0
+        periods = min(1.0, (time_ns - self._settled_ns) / _SETTLING_PERIOD_NS)
+        self._settled_ns = max(self._settled_ns + round(periods * _SETTLING_PERIOD_NS), time_ns - _SETTLING_PERIOD_NS)
+        return periods
 
     def _look(self, valid_ratio: float, periods: float) -> None:
         """Update belief and novelty with the newest sums."""

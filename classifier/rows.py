@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from classifier.dag import pairs
-from classifier.samples import simulate_sums
+from classifier.samples import simulate_means
 from skin.layout import Layout, validated
 from skin.measurement import Sbhe
 
@@ -87,7 +87,7 @@ def with_chosen_rows(
         raise InputError("adaptive nodes send every row: expected a layout with synchronous sending")
     drawn = layout.phi()
     every = Sbhe(drawn.order, np.ones_like(drawn.kept)) if layout.recognition is None else drawn
-    sums = simulate_sums(force_n, layout, every, noise_n, np.random.default_rng(seed))
+    sums = simulate_means(force_n, layout, every, noise_n, np.random.default_rng(seed))
     chosen = choose_rows(every, sums, labels, count)
     rows = tuple(zip(chosen.block_of_sum.tolist(), chosen.row_of_sum.tolist(), strict=True))
     if layout.recognition is not None:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from classifier.features import Float32, widths_for
 from classifier.model import Float64
 from classifier.observer import Observer
+from skin.clipping import clipped_mean
 from skin.frontend import converter
 from skin.layout import Layout
 from skin.measurement import Sbhe
@@ -87,6 +88,34 @@ def simulate_sums(
     return sums
 
 
+def simulate_means(
+    force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float | Float64, rng: np.random.Generator
+) -> npt.NDArray[np.int32]:
+    """Return simulated sums as the classifier averages them; see `simulate_sums`.
+
+    The noise is that of one cycle less what `averaged_cycles` leave; clipped noise keeps its mean.
+    """
+    sums, cycles = simulate_sums(force_n, layout, phi, noise_n, rng), averaged_cycles(layout)
+    if cycles == 1:
+        return sums
+    expected = _expected_counts(force_n, layout, phi, noise_n)
+    return np.rint(expected + (sums - expected) * np.float32(cycles**-0.5)).astype(np.int32)
+
+
+def _expected_counts(force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float | Float64) -> Float32:
+    """Return the mean of the sums of boards that sample once a cycle, counts, shape (count, m)."""
+    taxels = layout.taxels
+    expected = np.empty((len(force_n), phi.shape[0]), np.float32)
+    noises_n = np.broadcast_to(np.maximum(noise_n, taxels.newton_per_count / 100), (len(force_n),))
+    for each, force, noise in zip(expected, force_n.reshape(len(force_n), -1), noises_n, strict=True):
+        if taxels.is_analogue:
+            mean_n = force
+        else:
+            mean_n = noise * (clipped_mean(force / noise) - clipped_mean((force - taxels.force_max_n) / noise))
+        each[:] = phi.forward(np.asarray(mean_n / taxels.newton_per_count, np.float32))
+    return expected
+
+
 def _beside(is_touched: npt.NDArray[np.bool_], phi: Sbhe) -> npt.NDArray[np.bool_]:
     """Return which taxels are of a block that nothing touches, while something touches another block.
 
@@ -110,7 +139,7 @@ def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng
     observer = Observer(phi, taxels.rows, taxels.columns, ignorant, means=layout.sending == "adaptive")
     whole = np.ones(phi.blocks, np.float32)
     seen = np.empty((count, 2, ignorant.shape[1]))
-    for one, sums in zip(seen, simulate_sums(still, layout, phi, noise_n, rng), strict=True):
+    for one, sums in zip(seen, simulate_means(still, layout, phi, noise_n, rng), strict=True):
         observer.look(sums, whole, 1.0)
         one[:] = observer.smoothed.energies, observer.smoothed.peaks
     mean = seen.mean(axis=0)

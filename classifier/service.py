@@ -33,6 +33,8 @@ class ClassifierService:
         Of the measurements.
     wake : callable
         Called with each label.
+    keeps_time : bool
+        Whether measurements come as they are sampled; else labels settle over cycles, whatever their times.
 
     Attributes
     ----------
@@ -48,8 +50,10 @@ class ClassifierService:
         *,
         topic: Topic = MEASUREMENT,
         wake: Callable[[str], None] = lambda _label: None,
+        keeps_time: bool = True,
     ) -> None:
         self.labelled = 0
+        self._keeps_time = keeps_time
         self._wake = wake
         self._classifier = classifier
         self._reader = MeasurementReader(phi, "classifier", decode_measurement)
@@ -79,7 +83,8 @@ class ClassifierService:
         sums = self._reader.read(measurement)
         if sums is None:
             return None
-        decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle, measurement.sampled_mono_ns)
+        time_ns = measurement.sampled_mono_ns if self._keeps_time else None
+        decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle, time_ns)
         self.labelled += 1
         label = _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
         return msgspec.structs.replace(label, sums=self._named_sums) if self._named_sums else label

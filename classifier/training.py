@@ -23,7 +23,7 @@ from classifier.samples import (
     draw_missing_counts,
     draw_noise_levels,
     observe_untouched,
-    simulate_sums,
+    simulate_means,
 )
 from classifier.validation import Chosen, choose_C, global_scale
 from skin.layout import Layout
@@ -82,11 +82,10 @@ class _Training:
     split: _Split
     extractor: FeatureExtractor
     rng: np.random.Generator
-    noise_n: float
 
     def sums(self, force_n: Float32, noise_n: float | Float64) -> npt.NDArray[np.int32]:
-        """Return the sums of true forces with noise."""
-        return simulate_sums(force_n, self.layout, self.phi, noise_n, self.rng)
+        """Return the sums of true forces with noise, as the classifier averages them."""
+        return simulate_means(force_n, self.layout, self.phi, noise_n, self.rng)
 
 
 def train(
@@ -120,12 +119,11 @@ def train(
     phi = classified_phi(layout)
     rng = np.random.default_rng(options.seed)
     say("the untouched skin", 0.0)
-    noise_n = options.noise_n * averaged_cycles(layout) ** -0.5  # of sums that the classifier has averaged
-    untouched = observe_untouched(layout, phi, noise_n, options.no_touches, rng)
+    untouched = observe_untouched(layout, phi, options.noise_n, options.no_touches, rng)
     say("the touches", 0.2)
     extractor = FeatureExtractor(layout, phi, untouched.no_touch)
-    training = _Training(options, layout, phi, names, _split(names, rng), extractor, rng, noise_n)
-    plain = training.sums(force_n, noise_n)
+    training = _Training(options, layout, phi, names, _split(names, rng), extractor, rng)
+    plain = training.sums(force_n, options.noise_n)
     features, factors = _features(training, force_n, plain)
     offset, scale = _standard(features, options.features, training.split)
     standard = (features - offset) * scale
@@ -137,7 +135,7 @@ def train(
         progress=lambda doing, part: say(doing, 0.5 + 0.4 * part),
     )
     say("what is known", 0.9)
-    quieter = training.sums(force_n, draw_noise_levels(len(names), noise_n, _QUIET_RATIO, rng))
+    quieter = training.sums(force_n, draw_noise_levels(len(names), options.noise_n, _QUIET_RATIO, rng))
     known = fit_known(quieter, names, training.split, extractor, rng)
     held = training.split.validation
     slope = confidence_slope(chosen.development_machine, standard[held], names[held])
@@ -171,7 +169,7 @@ def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32
         raw = plain.astype(np.float64)
         return raw, fit_factors(raw[training.split.development])
     count, rng = len(force_n), training.rng
-    sums = training.sums(force_n, draw_noise_levels(count, training.noise_n, 0.0, rng))
+    sums = training.sums(force_n, draw_noise_levels(count, training.options.noise_n, 0.0, rng))
     features = training.extractor.features(sums, draw_missing_counts(count, training.extractor.blocks, rng), rng)
     return features, Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
 

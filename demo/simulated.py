@@ -80,7 +80,7 @@ class SimulatedSkin(Skin):
         self._messages = _Messages()
         self._reconstructor = ReconstructorService(skin, engine, self._messages)
         trained = find_or_train(skin, phi, known_objects(objects))
-        self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages)
+        self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages, keeps_time=False)
         self._builder = FrameBuilder(self.layout)
         self._counter = 0
         self._valid = phi.has_sums.tobytes()

@@ -168,7 +168,7 @@ class Sampler(Boards):
             self._electronics.sampled = sampled  # until then
 
     def _drop_answer(self) -> None:
-        """Make the next answer anew from the same samples."""
+        """Make the next answer anew, from the same samples of the taxels."""
         if self._ahead is not None:
             self._electronics.sampled_ahead = self._ahead.step
             self._ahead = None

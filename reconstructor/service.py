@@ -3,7 +3,6 @@
 With adaptive sending only the newest measurement counts: it holds everything that the ones before held.
 """
 
-import os
 import time
 from collections.abc import Callable
 from typing import Final
@@ -19,12 +18,10 @@ from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, used_blocks
-from skin.service import StopSignal, request_real_time
+from skin.service import StopSignal, request_real_time, yield_processor
 
 #: Measurements that wait during a solve; a longer queue would only make images older.
 MAILBOX_DEPTH: Final = 4
-#: Fewer sums than blocks give poor images: labels count, and the reconstructor leaves the processor to others.
-LABELS_FIRST: Final = 10
 #: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1
 
@@ -87,10 +84,10 @@ class ReconstructorService:
 
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
-        if self._phi.has_sums.all():
+        if self._phi.shape[0] >= self._phi.blocks:
             request_real_time()
         else:
-            os.nice(LABELS_FIRST)
+            yield_processor()  # so few sums give poor images: the label counts
         while not stop.is_set():
             measurement = self._mailbox.get(PATIENCE_S)
             if measurement is not None:

@@ -71,6 +71,13 @@ class Gap(NamedTuple):
     has_end: bool
 
 
+class Damage(NamedTuple):
+    """What else is wrong with a recording; `file` is the name of an attachment that is damaged."""
+
+    text: str
+    file: str = ""
+
+
 class File(NamedTuple):
     """An attachment."""
 
@@ -201,17 +208,29 @@ def newest_file(path: Path, name: str) -> bytes | None:
     Raises
     ------
     InputError
-        If the file is no recording of a skin, or cannot be read.
+        If the file is no recording of a skin, or cannot be read, or the newest attachment of the name is damaged.
     """
-    found = read_about(path).files.get(name)
+    read_about(path)
+    found: bytes | None = None
+    is_damaged = False
     with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
-        if make_reader(file).get_summary() is not None:
+        summary = make_reader(file).get_summary()
+        if summary is not None and summary.attachment_indexes:
             for record in make_reader(file).iter_attachments():
-                found = record.data if record.name == name and _is_whole(record, file) else found
-            return found
+                if record.name == name:
+                    found, is_damaged = record.data, not _is_whole(record, file)
+            return _sound(path, name, found, is_damaged)
     for record in _records(path):  # without an index, as after a crash
         if isinstance(record, Attachment) and record.name == name:
-            found = record.data
+            found, is_damaged = record.data, False
+        elif isinstance(record, Damage) and record.file == name:
+            is_damaged = True
+    return _sound(path, name, found, is_damaged)
+
+
+def _sound(path: Path, name: str, found: bytes | None, is_damaged: bool) -> bytes | None:
+    if is_damaged:
+        raise InputError(f"{path}: the newest '{name}' in this recording is damaged: give the file itself")
     return found
 
 
@@ -274,6 +293,8 @@ def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
             begin_s, length_s = (record.first_ns - first_ns) * 1e-9, (record.last_ns - record.first_ns) * 1e-9
             warn(f"{path}: is damaged: the {length_s:.1f} s from {begin_s:.1f} s on are missing")
             channels = {**_indexed_channels(path), **channels}
+        elif isinstance(record, Damage):
+            warn(f"{path}: is damaged: {record.text}")
     if unknown:
         warn(f"{path}: is damaged: {unknown} messages are missing whose topics were named in the damaged part")
 
@@ -321,10 +342,11 @@ def _records(path: Path) -> Iterator[Any]:
                 for record in records:
                     chunks += isinstance(record, Chunk)
                     if isinstance(record, Attachment) and not _is_whole(record, file):
+                        yield Damage(f"its file '{record.name}' is left out", record.name)
                         continue
                     yield from _records_of(record) if isinstance(record, Chunk) else (record,)
-                if file.read(1):  # after the end, as of two files in one
-                    yield Gap(0, 0, is_rest=True, has_end=True)
+                if file.read(1):
+                    yield Damage("more comes after its end, as of two files in one, which is not read")
             except _DAMAGE:
                 yield from _indexed_records(file, chunks)
     except OSError as error:

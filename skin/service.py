@@ -17,6 +17,8 @@ from canskin.session import LOG
 
 #: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
+#: Of loops that let others go first; 0 is that of programs, 19 the most.
+NICENESS: Final = 10
 #: A service that waits checks the stop signal this often.
 LOOK_S: Final = 0.02
 #: prctl(2).
@@ -108,6 +110,12 @@ def request_real_time() -> None:
     if sys.platform.startswith("linux"):
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME_PRIORITY))
+
+
+def yield_processor() -> None:
+    """Let other services go first, for a loop whose results count less than theirs."""
+    if sys.platform.startswith("linux"):
+        os.nice(NICENESS)
 
 
 class Talk(enum.IntEnum):

@@ -29,7 +29,8 @@ class ObjectSource:
 
     The first touch begins after `rest_s`. Each takes `touch.strokes.SLOT_S`: pause, press, hold, slide (if `stroke` is
     that), lift. A frame has the object's name as label while its largest true force is at least
-    `touch.strokes.LABEL_FORCE_N`.
+    `touch.strokes.LABEL_FORCE_N`. Above 150 steps a second, objects are pressed at every second, third, ... step, and
+    forces between are interpolated.
     """
 
     has_noise = False

@@ -267,3 +267,31 @@ def test_a_model_that_averages_otherwise_is_refused(
     save_model(averaging_model, tmp_path / "model.npz")
     with pytest.raises(ModelError, match="averaged cycles 4, this skin has 1"):
         load_model(tmp_path / "model.npz", layout, phi)
+
+
+def test_an_untouched_skin_is_silent_after_a_start_and_after_losses(
+    quick_layout: Layout, averaging_model: Model, phi: Sbhe, valid: np.ndarray
+) -> None:
+    still = simulate_sums(np.zeros((400, 32, 32), np.float32), quick_layout, phi, 0.001, np.random.default_rng(9))
+    classifier = Classifier(averaging_model, phi)
+    for turn in range(20):
+        for _ in range(5 if turn % 2 else 3):
+            assert classifier.decide(0 * still[0], 0 * valid).label == ""
+        labels = [classifier.decide(y, valid) for y in still[20 * turn : 20 * turn + 20]]
+        assert {each.label for each in labels} == {""}
+        assert not labels[-1].blind
+
+
+def test_a_late_cycle_takes_no_weight_from_the_next(model: Model, phi: Sbhe) -> None:
+    classifier = Classifier(model, phi)
+    classifier._periods(10_000_000)
+    at_ns, weights = 1_000_000_000, []
+    for gap_ms in (10, 10, 15, 5, 10):
+        at_ns += gap_ms * 1_000_000
+        weights.append(classifier._periods(at_ns))
+    assert weights == [1.0] * 5
+    steady = []
+    for _ in range(20):
+        at_ns += 2_000_000
+        steady.append(classifier._periods(at_ns))
+    assert steady[-1] == pytest.approx(0.2)

@@ -58,7 +58,9 @@ def test_what_cannot_be_used(sums: np.ndarray, labels: np.ndarray, count: int, s
 
 
 def test_layout_that_names_the_chosen_rows() -> None:
-    layout = parse_layout(b"[taxels]\nrows = 16\ncolumns = 16\n[[bus]]\nname = 'a'\nnodes = 8\n", "small")
+    layout = parse_layout(
+        b"[taxels]\nrows = 16\ncolumns = 16\n[sync]\nrate_hz = 20.0\n[[bus]]\nname = 'a'\nnodes = 8\n", "small"
+    )
     force_n = np.zeros((40, 16, 16), np.float32)
     force_n[:20, :8], force_n[20:, 8:] = 0.01, 0.01
     labels = np.repeat(["top", "bottom"], 20)

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from canskin.fabric import Fabric
 from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
-from classifier.decide import Classifier
+from classifier.decide import Classifier, Decision
 from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.service import ClassifierService
@@ -94,3 +95,25 @@ def test_over_the_fabric_until_told_to_stop(service: ClassifierService, hub: Fab
         thread.join(10)
     assert not thread.is_alive()
     assert got[0].label == "plate"
+
+
+class Timed:
+    """Keeps the times that it is given."""
+
+    def __init__(self) -> None:
+        self.times_ns: list[int | None] = []
+
+    def decide(self, *values: Any) -> Decision:
+        self.times_ns.append(values[3])
+        return Decision("dome", 1.0)
+
+
+@pytest.mark.parametrize(("keeps_time", "expected"), [(True, [2_000_000, 4_000_000]), (False, [None, None])])
+def test_labels_settle_by_the_time_of_the_samples_where_it_is_that_of_the_skin(
+    hub: Fabric, measurement: Measurement, phi: Sbhe, keeps_time: bool, expected: list[int | None]
+) -> None:
+    timed = Timed()
+    service = ClassifierService(timed, phi, hub, keeps_time=keeps_time)  # type: ignore[arg-type]
+    for cycle in (1, 2):
+        service.label(msgspec.structs.replace(measurement, cycle=cycle, sampled_mono_ns=2_000_000 * cycle))
+    assert timed.times_ns == expected

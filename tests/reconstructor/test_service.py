@@ -90,6 +90,21 @@ class Exchange:
         pytest.fail("no image came")
 
 
+@pytest.mark.parametrize(("sums", "goes_first"), [(64, False), (128, True), (1024, True)])
+def test_images_of_fewer_sums_than_blocks_let_other_services_go_first(
+    hub: Fabric, monkeypatch: pytest.MonkeyPatch, sums: int, goes_first: bool
+) -> None:
+    asked: list[bool] = []
+    monkeypatch.setattr("reconstructor.service.request_real_time", lambda: asked.append(True))
+    monkeypatch.setattr("reconstructor.service.yield_processor", lambda: asked.append(False))
+    layout = msgspec.structs.replace(LAYOUT, measurement=msgspec.structs.replace(LAYOUT.measurement, sums=sums))
+    stop = StopSignal()
+    stop.set()
+    engine = Reconstructor(layout.phi(), layout.taxels.rows, layout.taxels.columns)
+    ReconstructorService(layout, engine, hub).run(stop)
+    assert asked == [goes_first]
+
+
 def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
     image = Exchange(hub).image_of(measurement(7, golf.sensor[30]))
     assert (image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (8, 7000, 1024)

@@ -125,18 +125,39 @@ def test_what_comes_after_the_end_is_named(tmp_path: Path) -> None:
     path.write_bytes(2 * path.read_bytes())
     data, said = read(path)
     assert len(data) == COUNT
-    assert said == [f"{path}: is damaged: read up to its cut, 0.0 s"]
+    assert said == [f"{path}: is damaged: more comes after its end, as of two files in one, which is not read"]
 
 
 @pytest.mark.parametrize("closes", [True, False])
-def test_a_damaged_attachment_is_no_attachment(tmp_path: Path, closes: bool) -> None:
+def test_a_damaged_attachment_is_named_and_no_attachment(tmp_path: Path, closes: bool) -> None:
     path = written(tmp_path / "run.mcap", closes=closes)
     assert newest_file(path, "layout.toml") == b"x = 1"
     begin = path.read_bytes().index(b"x = 1")
     damage(path, begin, begin + 1)
     assert read_about(path).files == {}
-    assert newest_file(path, "layout.toml") is None
-    assert len(read(path)[0]) == COUNT
+    with pytest.raises(InputError, match=r"the newest 'layout\.toml' in this recording is damaged"):
+        newest_file(path, "layout.toml")
+    data, said = read(path)
+    assert len(data) == COUNT
+    assert f"{path}: is damaged: its file 'layout.toml' is left out" in said
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_an_older_attachment_does_not_stand_for_a_damaged_newer_one(tmp_path: Path, closes: bool) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordingWriter(path, {}, [File("zero.json", "application/json", b"first")], 5)
+    writer.add_file(File("zero.json", "application/json", b"second"), 6)
+    writer.flush()
+    if closes:
+        writer.close()
+    else:
+        writer.abandon()
+    assert newest_file(path, "zero.json") == b"second"
+    begin = path.read_bytes().index(b"second")
+    damage(path, begin, begin + 1)
+    with pytest.raises(InputError, match=r"zero\.json"):
+        newest_file(path, "zero.json")
+    assert read_about(path).files == {"zero.json": b"first"}
 
 
 def test_a_file_without_end_whose_topics_are_damaged_says_how_much_is_missing(tmp_path: Path) -> None:
