@@ -10,7 +10,7 @@ import msgspec
 from canskin.errors import ModelError
 from classifier.model import SIMULATED, VERSION, Features, Model
 from classifier.modelfile import load_model, save_model
-from classifier.samples import averaged_cycles
+from classifier.newest_sums import averaged_cycles
 from skin.cache import cache_folder
 from skin.layout import Layout
 from skin.measurement import Sbhe

@@ -17,7 +17,7 @@ from canskin.errors import UNDECODABLE, ModelError
 from classifier.dag import pairs
 from classifier.features import widths_for
 from classifier.model import ARRAYS, VERSION, Metadata, Model
-from classifier.samples import averaged_cycles
+from classifier.newest_sums import averaged_cycles
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.output import write_file

@@ -5,11 +5,21 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from skin.layout import Layout
 from skin.measurement import Sbhe
 
 #: A missing block keeps its last sums for this number of cycles, or half of those that are averaged; after that it is
 #: left out.
 HOLD_CYCLES: Final = 4
+#: Where nodes do not average, the classifier does, over cycles of about so much time.
+AVERAGED_S: Final = 0.04
+
+
+def averaged_cycles(layout: Layout) -> int:
+    """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates change."""
+    if layout.sending == "adaptive" or layout.samples_per_sync > 1 or layout.recognition is not None:
+        return 1
+    return max(1, round(AVERAGED_S * layout.sync.rate_hz))
 
 
 class NewestSums:

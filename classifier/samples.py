@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from classifier.features import Float32, widths_for
 from classifier.model import Float64
+from classifier.newest_sums import averaged_cycles
 from classifier.observer import Observer
 from skin.clipping import clipped_mean
 from skin.frontend import converter
@@ -28,8 +29,6 @@ AVERAGED_NOISE_RATIO: Final = 0.2
 #: noise for none; nodes that nothing touches show 0.
 ADAPTIVE_NOISE_RATIO: Final = 0.25
 ADAPTIVE_DEAD_RATIO: Final = 0.4
-#: Where nodes do not average, the classifier does, over cycles of about so much time.
-AVERAGED_S: Final = 0.04
 _CHUNK: Final = 128
 
 
@@ -38,13 +37,6 @@ class Untouched(NamedTuple):
 
     no_touch: Float64
     contact_threshold: float
-
-
-def averaged_cycles(layout: Layout) -> int:
-    """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates change."""
-    if layout.sending == "adaptive" or layout.samples_per_sync > 1 or layout.recognition is not None:
-        return 1
-    return max(1, round(AVERAGED_S * layout.sync.rate_hz))
 
 
 def simulate_sums(

@@ -15,11 +15,11 @@ from classifier.confidence import confidence_slope
 from classifier.features import Float32
 from classifier.missing import Factors, fit_factors
 from classifier.model import VERSION, Features, Float64, Metadata, Model, TrainingCard
+from classifier.newest_sums import averaged_cycles
 from classifier.regions import KnownRegions, fit_known
 from classifier.samples import (
     FALSE_ALARM_RATIO,
     FeatureExtractor,
-    averaged_cycles,
     draw_missing_counts,
     draw_noise_levels,
     observe_untouched,

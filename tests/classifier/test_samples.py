@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 
 from classifier.features import Float32
-from classifier.newest_sums import NewestSums
-from classifier.samples import FALSE_ALARM_RATIO, averaged_cycles, observe_untouched, simulate_means, simulate_sums
+from classifier.newest_sums import NewestSums, averaged_cycles
+from classifier.samples import FALSE_ALARM_RATIO, observe_untouched, simulate_means, simulate_sums
 from skin.layout import Layout
 from skin.measurement import Sbhe
 
