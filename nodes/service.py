@@ -123,13 +123,8 @@ class NodesService:
         for segment in self.segments.values():
             segment.tick(now_s)
         self._publish(now_s)
-        if self._has_answered(now_s):
+        if now_s - max(segment.sync_at_s for segment in self.segments.values()) >= self._prepare_after_s:
             self._boards.prepare()
-
-    def _has_answered(self, now_s: float) -> bool:
-        """Tell whether all buses have had their answers of a cycle, as far as can be known."""
-        since_s = now_s - max(segment.sync_at_s for segment in self.segments.values())
-        return since_s >= self._prepare_after_s
 
     def publish_status(self) -> None:
         """Publish the counters of all segments."""
