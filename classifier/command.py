@@ -64,7 +64,7 @@ def classify(
     skin classify --layout palm.toml --model palm.npz
     """
     from classifier.decide import Classifier  # compiled parts take a moment to load
-    from classifier.service import AdaptiveClassifierService, ClassifierService
+    from classifier.service import AdaptiveClassifierService, ClassifierService, most_waiting
 
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
@@ -89,14 +89,14 @@ def classify(
         elif skin.recognition is not None:
             _recognise(skin.recognition, decides, classified, fabric, stop)
         else:
-            ClassifierService(decides, phi, fabric).run(stop)
+            ClassifierService(decides, phi, fabric, waiting=most_waiting(skin.sync.rate_hz)).run(stop)
     finally:
         fabric.close()
 
 
 def _recognise(state: Recognition, decides: "Classifier", classified: Sbhe, fabric: Fabric, stop: StopSignal) -> None:
     """Label the sums of recognition, and ask for images as the layout says."""
-    from classifier.service import ClassifierService
+    from classifier.service import ClassifierService, most_waiting
     from classifier.wake import Wake
 
     def ask(hold_s: float) -> None:
@@ -106,7 +106,8 @@ def _recognise(state: Recognition, decides: "Classifier", classified: Sbhe, fabr
 
     wake = Wake(state, ask)
     try:
-        ClassifierService(decides, classified, fabric, topic=RECOGNITION, wake=wake.take).run(stop)
+        waiting = most_waiting(state.rate_hz)
+        ClassifierService(decides, classified, fabric, topic=RECOGNITION, wake=wake.take, waiting=waiting).run(stop)
     finally:
         wake.close()
 
@@ -174,6 +175,8 @@ def train(
         check_output_path(layout_out, "layout")
         if layout is not None and layout_out.exists() and layout_out.samefile(layout):
             raise InputError(f"{layout_out}: is the layout that rows are chosen for; give --layout-out another name")
+        if out is not None and out.resolve() == layout_out.resolve():
+            raise InputError(f"{out}: is named for the model and for the layout: give --layout-out another name")
     count = touches or TOUCHES_PER_OBJECT * len(names)
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)

@@ -27,7 +27,8 @@ _SETTLING_PERIOD_NS: Final = 10_000_000
 _MOST_NOVELTY: Final = 3.0
 #: Slope of the doubt around the limit: 50 % at a novelty of 1, 95 % at 1.5.
 _DOUBT_SLOPE: Final = 6.0
-#: After a gap of more cycles than this, and than are averaged, the decision starts again.
+#: After a gap of more cycles than this, or than three times those that are averaged if these are more, the decision
+#: starts again.
 FORGET_CYCLES: Final = 10
 
 
@@ -59,7 +60,7 @@ class Classifier:
         The Φ of the model.
     settling : float
         Weight of the newest cycle in the settled decision; with 1 every cycle is decided alone, except unknown objects.
-        A model of means (`Metadata.cycles` above 1) needs so many cycles before it decides; it is blind until then.
+        A model of means (`Metadata.cycles` above 1) needs a stronger contact until so many cycles have come.
     """
 
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
@@ -96,8 +97,7 @@ class Classifier:
         valid : array of bool, shape (blocks,)
             Sums of blocks that are False here are ignored; see `classifier.newest_sums`.
         cycle : int, optional
-            Number of the cycle; after a gap of more cycles than `FORGET_CYCLES` and than are averaged, or a step back,
-            past cycles are dropped.
+            Number of the cycle; after a gap (see `FORGET_CYCLES`) or a step back, past cycles are dropped.
         time_ns : int, optional
             When the sums were sampled, by the same clock in all calls. Default: 10 ms after the last.
         """
@@ -105,7 +105,7 @@ class Classifier:
         if cycle is not None:
             step = 1 if self._cycle is None else cycle - self._cycle
             self._cycle = cycle
-        if not 0 < step <= max(FORGET_CYCLES, self._model.metadata.cycles):
+        if not 0 < step <= max(FORGET_CYCLES, 3 * self._model.metadata.cycles):
             self._fresh = True
             self._newest.forget()
         valid_ratio = self._newest.take(sums, valid, step)
@@ -129,7 +129,7 @@ class Classifier:
     def _look(self, valid_ratio: float, periods: float) -> None:
         """Update belief and novelty with the newest sums."""
         model, about, newest = self._model, self._model.metadata, self._newest
-        peak = self._observer.look(newest.sums, newest.valid, valid_ratio)
+        peak = self._observer.look(newest.sums, newest.valid, valid_ratio, newest.noise_ratio)
         contact = _logistic(peak - about.contact_threshold)
         if self._completion is None:
             np.copyto(self._features, self._observer.features)

@@ -8,9 +8,11 @@ import numpy.typing as npt
 from skin.layout import Layout
 from skin.measurement import Sbhe
 
-#: A missing block keeps its last sums for this number of cycles, or half of those that are averaged; after that it is
-#: left out.
+#: A missing block keeps its last sums, or their mean, for this number of cycles, or for half of those that are averaged
+#: if these are more; after that it is left out.
 HOLD_CYCLES: Final = 4
+#: Variance of a mean of no sums, in place of infinity.
+_UNKNOWN: Final = 1e30
 #: Where nodes do not average, the classifier does, over cycles of about so much time.
 AVERAGED_S: Final = 0.04
 
@@ -29,55 +31,68 @@ class NewestSums:
     ----------
     phi : Sbhe
     cycles : int
-        More than one: means with exponential weights, whose noise is that of means of so many cycles. A block counts
-        when so many of its sums have come, at the beginning and after it was left out.
+        More than one: means with exponential weights, whose noise is that of means of so many cycles. An old mean fades
+        in cycles without sums, too.
 
     Attributes
     ----------
     sums : array of float64, shape (m,)
     valid : array of float32, shape (blocks,)
-        1 if the newest sums are not too old and enough sums came.
+        1 if the newest sums are not too old.
+    noise_ratio : float
+        Noise of the sums in use / noise of means of `cycles`, root mean square. Above 1 at the beginning, and after
+        many cycles without sums.
     """
 
     def __init__(self, phi: Sbhe, cycles: int = 1) -> None:
         self.sums = np.zeros(phi.shape[0])
         self.valid = np.ones(phi.blocks, np.float32)
+        self.noise_ratio = 1.0
         self._cycles = cycles
+        self._old_weight = 1 - 2 / (cycles + 1)
         self._hold = max(HOLD_CYCLES, cycles // 2)
         self._work = np.zeros(phi.shape[0])
-        #: Cycles since the newest sums of each block, and how many of its sums are in the mean, up to `cycles`.
-        self._age = np.full(phi.blocks, self._hold, np.int32)
-        self._count = np.zeros(phi.blocks, np.int32)
+        #: Cycles since the newest sums of each block, and the variance of its mean / that of one cycle's sums.
+        self._age = np.zeros(phi.blocks, np.int64)
+        self._variance = np.zeros(phi.blocks)
         self._came = np.ones(phi.blocks, np.bool_)
         self._came_sums = np.ones(phi.shape[0], np.bool_)
         self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
         self._sending = np.flatnonzero(phi.has_sums)
+        self.forget()
 
     def forget(self) -> None:
         """Drop all sums."""
         self._age.fill(self._hold)
-        self._count.fill(0)
+        self._variance.fill(_UNKNOWN)
 
     def take(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], step: int) -> float:
         """Take new sums, `step` cycles after the last; return the fraction in use of the blocks that send sums."""
         np.not_equal(valid, 0, out=self._came)
-        self._count += self._came
-        np.minimum(self._count, self._cycles, out=self._count)
         np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
+        self._age += max(1, step)
         np.copyto(self._work, sums)
         if self._cycles > 1:
-            # The mean of all at first; then with exponential weights.
-            weight = np.maximum(2 / (self._cycles + 1), 1 / np.maximum(self._count, 1))
-            self._work -= self.sums
-            self._work *= weight[self._block_of_sum]
-            self._work += self.sums
+            self._average()
         np.copyto(self.sums, self._work, where=self._came_sums)
-        self._age += max(1, min(step, self._hold))
-        np.minimum(self._age, self._hold + 1, out=self._age)
         np.copyto(self._age, 0, where=self._came)
-        np.copyto(self._count, 0, where=self._age > self._hold)
-        np.greater_equal(self._count, self._cycles, out=self.valid, casting="unsafe")
-        return float(self.valid[self._sending].mean())
+        np.less_equal(self._age, self._hold, out=self.valid, casting="unsafe")
+        used = self.valid[self._sending]
+        valid_ratio = float(used.mean())
+        if self._cycles > 1 and valid_ratio > 0:
+            variance = float(self._variance[self._sending] @ used) / (valid_ratio * used.size)
+            self.noise_ratio = max(1.0, (self._cycles * variance) ** 0.5)
+        return valid_ratio
+
+    def _average(self) -> None:
+        """Turn the new sums in `_work` into means: of all at first, then with exponential weights."""
+        variance = self._variance
+        # An old mean weighs as little as if sums had come all the time, and less where its noise is larger.
+        weight = np.maximum(1 - self._old_weight**self._age, variance / (variance + 1))
+        np.copyto(variance, (1 - weight) ** 2 * variance + weight**2, where=self._came)
+        self._work -= self.sums
+        self._work *= weight[self._block_of_sum]
+        self._work += self.sums
 
     def valid_sums(self) -> npt.NDArray[np.bool_]:
         """Return which sums are in use, shape (m,); the array is reused."""

@@ -36,14 +36,23 @@ class Observer:
         #: Features of the newest `look`: asinh of the standardised energies, log of the relative peaks.
         self.features = np.zeros(2 * widths)
 
-    def look(self, sums: npt.NDArray[Any], valid: npt.NDArray[np.float32], valid_ratio: float) -> float:
+    def look(
+        self, sums: npt.NDArray[Any], valid: npt.NDArray[np.float32], valid_ratio: float, noise_ratio: float = 1.0
+    ) -> float:
         """Fill `features` and return the largest standardised peak.
 
         Missing blocks reduce the energy of the image; the features are corrected for this.
+
+        Parameters
+        ----------
+        noise_ratio : float
+            Noise of the sums / noise of the sums that `no_touch` is of: an untouched skin then has so much larger
+            peaks, and the square of it more energy.
         """
         smoothed, standard, half = self.smoothed, self._standard, self._standard.size
         smoothed.measure(sums, valid, valid_ratio)
-        np.subtract(smoothed.energies, self._energy_mean, out=standard)
+        np.multiply(self._energy_mean, -(noise_ratio**2), out=standard)
+        standard += smoothed.energies
         standard /= self._energy_sd
         standard /= valid_ratio
         np.arcsinh(standard, out=self.features[:half])
@@ -51,6 +60,7 @@ class Observer:
         standard /= math.sqrt(valid_ratio)
         np.maximum(standard, _LEAST_PEAK, out=standard)
         np.log(standard, out=self.features[half:])
-        np.subtract(smoothed.peaks, self._peak_mean, out=standard)
+        np.divide(smoothed.peaks, noise_ratio, out=standard)
+        standard -= self._peak_mean
         standard /= self._peak_sd
         return float(standard.max())

@@ -16,8 +16,16 @@ from skin.service import StopSignal
 
 #: Period of the check of the stop signal.
 _TURN_S = 0.1
+#: Measurements of so much time wait while the classifier pauses, and so many at least; older ones get no label.
+_WAITING_S: Final = 0.04
+_LEAST_WAITING: Final = 4
 #: Adaptive sums are decided on at most so often. The decision settles over cycles of this period.
 PERIOD_S: Final = 0.01
+
+
+def most_waiting(rate_hz: float) -> int:
+    """Return how many measurements may wait, of `rate_hz` cycles a second."""
+    return max(_LEAST_WAITING, round(_WAITING_S * rate_hz))
 
 
 class ClassifierService:
@@ -35,6 +43,8 @@ class ClassifierService:
         Called with each label.
     keeps_time : bool
         Whether measurements come as they are sampled; else labels settle over cycles, whatever their times.
+    waiting : int
+        Number of measurements that may wait, see `most_waiting`.
 
     Attributes
     ----------
@@ -51,6 +61,7 @@ class ClassifierService:
         topic: Topic = MEASUREMENT,
         wake: Callable[[str], None] = lambda _label: None,
         keeps_time: bool = True,
+        waiting: int = _LEAST_WAITING,
     ) -> None:
         self.labelled = 0
         self._keeps_time = keeps_time
@@ -60,7 +71,7 @@ class ClassifierService:
         self._sums_of_block = np.diff(phi.starts)
         self._named_sums = phi.shape[0] if topic is RECOGNITION else 0
         self._fabric = fabric
-        self._measurements = fabric.mailbox(topic)
+        self._measurements = fabric.mailbox(topic, waiting)
 
     @property
     def refused(self) -> int:

@@ -110,13 +110,19 @@ def train(
     Raises
     ------
     InputError
-        If the arrays do not fit the skin or each other, or hold fewer than 2 objects with 8 touches each.
+        If the arrays do not fit the skin or each other, or hold fewer than 2 objects with 8 touches each; if no row
+        shows a contact.
     """
     options = options or TrainingOptions()
     say: Progress = progress or (lambda _doing, _ratio: None)
     names = np.asarray(labels, np.str_)
     _check(force_n, names, layout, options)
     phi = classified_phi(layout)
+    if layout.sending != "adaptive" and not phi.row_of_sum.any():
+        raise InputError(
+            f"all {phi.shape[0]} rows of this layout are row 0, the sum of a block, which shows no contact: "
+            "choose more rows, or others"
+        )
     rng = np.random.default_rng(options.seed)
     say("the untouched skin", 0.0)
     untouched = observe_untouched(layout, phi, options.noise_n, options.no_touches, rng)

@@ -41,12 +41,14 @@ class StateFigures(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     bus_load : list of float or None
         Mean load of each bus in this state.
+    contacts : int
+        Cycles with contact and a named object; a cycle whose measurement was lost counts as one of recognition.
     label_accuracy : float or None
-        Cycles with the right label / cycles with contact and a named object, as in `Report`; a cycle whose measurement
-        was lost counts as one of recognition.
+        Cycles with the right label / `contacts`, as in `Report`.
     """
 
     bus_load: list[float] | None
+    contacts: int
     label_accuracy: float | None
 
 
@@ -198,7 +200,11 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         rows = []
         for name, state in self.states.items():
             loads = ", ".join(f"{load:.1%}" for load in state.bus_load or ())
-            label = "" if state.label_accuracy is None else f"; label right on {state.label_accuracy:.1%} of the cycles"
+            label = (
+                ""
+                if state.label_accuracy is None
+                else f"; label right on {state.label_accuracy:.1%} of {state.contacts} cycles"
+            )
             rows.append((f"in {name}", f"load {loads or 'not measured'}{label}"))
         if self.switch_ms.p50 is not None:
             rows.append(("switch", f"{self.switches} to images, {self.switch_ms.p50:.0f} ms to the first whole cycle"))

@@ -76,6 +76,7 @@ class StateScore:
         return {
             name: StateFigures(
                 bus_load=np.mean(loads, axis=0).round(4).tolist() if (loads := self._loads.get(name)) else None,
+                contacts=int(contacts),
                 label_accuracy=float(right / contacts) if labelled else None,
             )
             for name, (contacts, labelled, right) in zip(_NAMES, counts, strict=True)

@@ -14,9 +14,9 @@ from canskin.messages import Image, Label, Measurement, Truth
 from skin.layout import Layout
 from skin.sync_counter import SYNC_OVERFLOW
 
-#: Messages with equal SYNC counters belong to one cycle if their SYNCs are nearer than this: the counter repeats, after
-#: 2.4 s at 100 Hz.
-PAIRED_WITHIN_NS: Final = 1_000_000_000
+#: Messages with equal SYNC counters belong to one cycle if their SYNCs are nearer than this, and than half the time
+#: after which the counter repeats: 2.4 s at 100 Hz, 0.48 s at 500 Hz.
+PAIRED_WITHIN_S: Final = 1.0
 #: Messages kept: SYNC counters repeat, so older cycles would be ambiguous.
 REMEMBERED: Final = SYNC_OVERFLOW
 #: There is contact if the largest true force is at least this part of the range: twice the sensor noise.
@@ -157,11 +157,12 @@ class NearestTruths:
 
 def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: float) -> bool:
     """Tell whether a message and a truth belong to the same SYNC: by its counter, or by its time if nodes read none."""
-    later_ns = truth.sampled_mono_ns - message.sampled_mono_ns
+    later_s = (truth.sampled_mono_ns - message.sampled_mono_ns) * 1e-9
     if truth.sync_counter:
-        return truth.sync_counter == message.sync_counter and abs(later_ns) < PAIRED_WITHIN_NS
+        within_s = min(PAIRED_WITHIN_S, SYNC_OVERFLOW / 2 * period_s)
+        return truth.sync_counter == message.sync_counter and abs(later_s) < within_s
     # The nodes of one bus received SYNC before the mean over the buses, or after.
-    return -period_s / 2 <= later_ns * 1e-9 < period_s / 2
+    return -period_s / 2 <= later_s < period_s / 2
 
 
 def image_pairs(layout: Layout) -> Pairs[Image]:

@@ -128,6 +128,7 @@ def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any
         "connect/endpoints": [] if hub else [endpoint],
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "scouting/delay": 0,  # a router would wait for others, 0.5 s
         "transport/shared_memory/enabled": False,
         "connect/timeout_ms": round(patience_s * 1000),
     }

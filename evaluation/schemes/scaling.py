@@ -231,12 +231,14 @@ def _right_ratio(model: Model, layout: Layout, touches: int, seed: int) -> float
 
 
 def held_bytes(thing: object) -> int:
-    """Return the bytes of all arrays that an object holds."""
+    """Return the bytes of all arrays that an object holds, without those of the code that it calls."""
     seen: set[int] = set()
     total, waiting = 0, [thing]
     while waiting:
         each = waiting.pop()
-        if id(each) in seen or isinstance(each, type | ModuleType | FunctionType):
+        # A compiled function holds its compiler, and this holds arrays of whatever else was compiled.
+        is_code = isinstance(each, type | ModuleType | FunctionType) or type(each).__module__.startswith("numba")
+        if is_code or id(each) in seen:
             continue
         seen.add(id(each))
         if not isinstance(each, np.ndarray):

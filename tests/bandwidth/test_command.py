@@ -47,6 +47,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.heavy
 def test_json_plan_has_buses_alternatives_and_schemes(skin: Skin) -> None:
     status, out, said = skin("plan", "--json")
     document = json.loads(out)
@@ -71,15 +72,28 @@ def test_json_plan_has_buses_alternatives_and_schemes(skin: Skin) -> None:
     assert {each["bits"] for each in full_scan} == {10, 12, 16}
 
 
+@pytest.mark.heavy
 def test_a_person_gets_a_table(skin: Skin) -> None:
     status, out, _ = skin("plan", "fd")
     assert status == 0
     assert "load, touched / worst" in out
     assert "184.2" in out
     assert "bus0: 1: " in out
+    assert not out.startswith("recognition")
     assert "longest chain of taxels 1.63 m, all chains 165.6 m, 12800 conversions a second on a node" in out
 
 
+@pytest.mark.heavy
+def test_both_states_of_nodes_have_a_table(skin: Skin) -> None:
+    status, out, _ = skin("plan", "recognise-first")
+    assert status == 0
+    first, _, second = out.partition("\n\nimages\n")
+    assert first.startswith("recognition\n")
+    assert "32.1" in first
+    assert "58.8" in second
+
+
+@pytest.mark.heavy
 def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_path: Path) -> None:
     path = tmp_path / "fast.toml"
     path.write_text('[sync]\nrate_hz = 150.0\n[[bus]]\nname = "a"\nnodes = 64\n[[bus]]\nname = "b"\nnodes = 64\n')
@@ -112,6 +126,7 @@ def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
     assert "bits a second" in document["missing"]
 
 
+@pytest.mark.heavy
 def test_pictures(skin: Skin, tmp_path: Path) -> None:
     assert skin("plan", "fd", "--plot", tmp_path / "p")[0] == 0
     assert {path.name for path in (tmp_path / "p").iterdir()} == {"rates.png", "cycle.png"}
@@ -141,6 +156,7 @@ def test_wrong_input_is_one_line_and_status_2(skin: Skin, arguments: list[str], 
     assert words.count("\n") == 1
 
 
+@pytest.mark.heavy
 def test_load_of_a_log(skin: Skin, log: Path) -> None:
     status, out, _ = skin("load", log, "--json")
     loads = json.loads(out)["buses"]
@@ -154,6 +170,7 @@ def test_load_of_a_log(skin: Skin, log: Path) -> None:
     assert "2A0h" in table
 
 
+@pytest.mark.heavy
 def test_check_of_a_log(skin: Skin, log: Path, tmp_path: Path) -> None:
     status, out, said = skin("plan", "--check", log)
     assert (status, out) == (0, "")
@@ -167,6 +184,7 @@ def test_check_of_a_log(skin: Skin, log: Path, tmp_path: Path) -> None:
     assert skin("plan", "--check", broken, "-c", "vcan2", "-c", "vcan1", "-c", "none", "-c", "vcan3")[0] == 1
 
 
+@pytest.mark.heavy
 def test_a_log_of_another_layout_is_refused_or_noticed(skin: Skin, log: Path, tmp_path: Path) -> None:
     status, out, said = skin("load", log, "--layout", "one-bus-12bit", "-c", "vcan0")
     assert (status, said.count("Give the right one with --layout")) == (0, 1)
@@ -182,12 +200,14 @@ def test_channels_are_a_list(skin: Skin, log: Path) -> None:
     assert [each["name"] for each in loads] == ["bus0", "bus2"]
 
 
+@pytest.mark.heavy
 def test_a_cut_log_is_checked_up_to_the_cut(skin: Skin, log: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.log"
     cut.write_text(log.read_text()[:-20])
     assert "is cut off: read up to line" in skin("plan", "--check", cut)[2]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_waiting_for_a_bus_ends_with_a_signal(number: int, status: int, tmp_path: Path) -> None:
     with subprocess.Popen(

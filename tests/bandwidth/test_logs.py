@@ -2,6 +2,7 @@
 
 import gzip
 from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -29,6 +30,13 @@ def messages() -> list[can.Message]:
         {"arbitration_id": 0x80, "data": b"", "is_extended_id": False},
     )
     return [can.Message(timestamp=1000.0 + 0.01 * place, channel=0, **kind) for place, kind in enumerate(kinds)]
+
+
+def test_identifiers_are_from_0_on(tmp_path: Path) -> None:
+    """0 is that of NMT (CiA 301)."""
+    path = tmp_path / "nmt.log"
+    path.write_bytes(b"(0.0) can0 000#0100\n(0.1) can0 1FFFFFFF#01\n")
+    assert list(seen(read_log(path, refuse_warning))["can_id"]) == [0, 0x1FFFFFFF]
 
 
 def seen(logged: dict[str, Frames]) -> Frames:
@@ -61,6 +69,7 @@ def test_formats(tmp_path: Path, suffix: str) -> None:
         ("bytes.blf", bytes(200), "cannot be read"),
         ("what.pdf", b"%PDF", "cannot be read"),
         ("never.log", b"(1e400) can0 181#01\n", "line 1: cannot be read"),
+        ("before.log", b"(-0.5) can0 181#01\n", "line 1: .* a time of -0.5 s"),
         ("half.log", b"(1.0) can0 181#0100\n(1.1) can0 181#01G0\n(1.2) can0 181#01\n", "line 2: cannot be read"),
         ("long.log", b"(1.0) can0 181#112233445566778899\n", "line 1: .* a frame of 9 bytes"),
         ("latin.log", b"(1.0) can0 181#01\n(1.1) \xe4 181\n", "line 2: cannot be read"),
@@ -102,6 +111,20 @@ def test_a_live_bus_is_listened_to() -> None:
         assert list(heard[7]["can_id"]) == list(range(20))
 
 
+def test_listening_looks_five_times_a_second_whether_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+
+    def select(_read: list[object], _write: list[object], _error: list[object], timeout_s: float) -> None:
+        waits.append(timeout_s)
+
+    monkeypatch.setattr("bandwidth.logs.select", SimpleNamespace(select=select))
+    monkeypatch.setattr("bandwidth.logs.time", SimpleNamespace(monotonic=lambda: 100.0 + sum(waits)))
+    assert listen({}, 0.5, lambda: False) == {}
+    assert waits == pytest.approx([0.2, 0.2, 0.1])
+    assert listen({}, 0.5, lambda: True) == {}
+    assert len(waits) == 3
+
+
 LINES = b"(1.0) can0 181#0102030405060708\n(1.1) can0 182#0102030405060708\n"
 
 
@@ -125,9 +148,9 @@ def test_a_compressed_log_that_was_cut_is_read_up_to_there(tmp_path: Path) -> No
 
 def test_error_frames_of_candump_are_errors(tmp_path: Path) -> None:
     path = tmp_path / "errors.log"
-    path.write_text("(1.0) can0 181#01\n(1.1) can0 20000004#0008000000000000\n(1.2) can0 200000A8#0000001900000000 R\n")
+    path.write_text("(1.0) can0 181#01\n(1.1) can0 20000005#0008000000000000\n(1.2) can0 200000A8#0000001900000000 R\n")
     found = seen(read_log(path, refuse_warning))
-    assert list(found["can_id"]) == [0x181, 0x004, 0x0A8]
+    assert list(found["can_id"]) == [0x181, 0x005, 0x0A8]
     assert list(found["flags"]) == [0, ERROR, ERROR]
     assert found["data"][1, 1] == 0x08
 
@@ -158,6 +181,7 @@ CSV_LINES = st.builds(
 )
 
 
+@pytest.mark.heavy
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=100)
 @given(
     lines=st.lists(st.text(max_size=60) | FRAME_LINES | ASC_LINES | CSV_LINES, max_size=8),

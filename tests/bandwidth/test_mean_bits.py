@@ -10,6 +10,7 @@ from dbc.frame_bits import wire_bits
 SAMPLES = 20_000
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("flags", [0, EXTENDED, FD, FD | BRS, FD | BRS | ESI, FD | EXTENDED])
 @pytest.mark.parametrize("can_id", [None, 0x181, 0x7F])
 @pytest.mark.parametrize("length", [0, 2, 8, 12, 64])

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bandwidth.departures import departures, sync
-from bandwidth.measured import kind_of, measure, misfits, planned_rates, tpdo_rows, whole_cycles
+from bandwidth.measured import is_due, kind_of, measure, misfits, planned_rates, tpdo_rows, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
 from canskin.errors import InputError
@@ -247,6 +248,12 @@ def test_services_have_their_names(contract: Contract) -> None:
     assert kind_of(contract, 1, 0x7FF) == ("foreign", None)
 
 
+def test_the_identifier_after_those_of_adaptive_sums_is_an_sdo_response() -> None:
+    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    assert kind_of(contract, 0, 0x580) == ("fine", 32)
+    assert kind_of(contract, 0, 0x581) == ("SDO response", 1)
+
+
 def test_time_is_planned_if_the_layout_has_it(contract: Contract) -> None:
     assert kind_of(contract, 1, 0x100) == ("foreign", None)
     layout = contract.layout
@@ -259,3 +266,99 @@ def test_time_is_planned_if_the_layout_has_it(contract: Contract) -> None:
 def test_nothing_to_measure_is_said(contract: Contract, planned: BusPlan, seen: Frames) -> None:
     with pytest.raises(InputError, match="expected"):
         whole_cycles(seen)
+
+
+def made(*ids_and_times: tuple[int, float]) -> Frames:
+    """Return frames of 8 bytes, SYNC without data, of identifiers and times in milliseconds."""
+    found = frames(len(ids_and_times))
+    for place, (can_id, time_ms) in enumerate(ids_and_times):
+        found["can_id"][place], found["time_ns"][place] = can_id, round(time_ms * 1e6)
+    found["length"] = np.where(found["can_id"] == 0x80, 0, 8)
+    return found
+
+
+def test_cycles_go_from_the_first_sync_until_before_the_last() -> None:
+    seen = made((0x181, 1), (0x80, 2), (0x182, 3), (0x80, 12), (0x183, 13), (0x80, 22), (0x184, 23))
+    taken, seconds = whole_cycles(seen)
+    assert taken["can_id"].tolist() == [0x80, 0x182, 0x80, 0x183]
+    assert seconds == pytest.approx(0.02)
+    taken, seconds = whole_cycles(seen[:5])
+    assert (taken["can_id"].tolist(), seconds) == ([0x80, 0x182], pytest.approx(0.01))
+    # With one SYNC or none from the first frame to the last, which is not counted.
+    taken, seconds = whole_cycles(seen[:3])
+    assert (taken["can_id"].tolist(), seconds) == ([0x181, 0x80], pytest.approx(0.002))
+    taken, seconds = whole_cycles(seen[[0, 2]])
+    assert (taken["can_id"].tolist(), seconds) == ([0x181], pytest.approx(0.002))
+    seen["flags"][[1, 5]] = ERROR
+    assert whole_cycles(seen)[0]["can_id"].tolist() == [0x181, 0x182, 0x80, 0x183]
+
+
+def test_errors_of_a_log_are_counted_and_are_no_load(contract: Contract, planned: BusPlan) -> None:
+    seen = made((0x80, 0), (0x181, 1), (0x182, 2), (0x183, 3), (0x80, 10))
+    assert measure(contract, 1, seen, planned).errors == 0
+    seen["flags"][1:4] = ERROR, REMOTE, ERROR | EXTENDED
+    load = measure(contract, 1, seen, planned)
+    assert (load.errors, load.frames, [each.cob_id for each in load.identifiers]) == (2, 2, [0x80, 0x182])
+
+
+def test_loads_are_bits_of_the_bit_rate(contract: Contract, planned: BusPlan) -> None:
+    """8 bytes: 111 bits, at most 24 stuff bits; SYNC: 47 bits and a few; in 10 ms of 1 Mbit/s."""
+    load = measure(contract, 1, made((0x80, 0), (0x181, 1), (0x181, 2), (0x80, 10)), planned)
+    _, node = load.nodes
+    assert (node.node_id, node.frames, load.seconds) == (1, 2, pytest.approx(0.01))
+    assert node.load_worst == pytest.approx(2 * 135e-6 / 0.01)
+    assert 2 * 111e-6 / 0.01 < node.load_exact < node.load_worst
+    rates = [(each.cob_id, each.rate_hz, each.planned_rate_hz) for each in load.identifiers]
+    assert rates == [(0x80, pytest.approx(100.0), 100.0), (0x181, pytest.approx(200.0), 50.0)]
+    assert planned_rates(contract, 1)[0x720] == 1.0
+
+
+@pytest.mark.parametrize(("wrong", "is_said"), [(2, False), (3, True)])
+def test_a_fifth_of_wrong_frames_is_no_misfit(contract: Contract, planned: BusPlan, wrong: int, is_said: bool) -> None:
+    """Ten frames are measured, of which SYNC is one, and ten TPDOs of which some are too short."""
+    unknown = [0x7F0] * wrong + [0x181] * (9 - wrong)
+    seen = made((0x80, 0), *((each, 1 + place) for place, each in enumerate(unknown)), (0x80, 100))
+    found = misfits(contract, 1, seen, measure(contract, 1, seen, planned))
+    assert [line.split("; ")[0] for line in found] == (
+        [f"bus1: {wrong} of 10 frames have identifiers that the layout does not plan"] if is_said else []
+    )
+    seen = made((0x80, 0), *((0x181, 1 + place) for place in range(10)), (0x80, 100))
+    seen["length"][1 : 1 + wrong] = 7
+    found = misfits(contract, 1, seen, measure(contract, 1, seen, planned))
+    assert [line.split("; ")[0] for line in found] == (
+        [f"bus1: {wrong} of 10 TPDOs have another length or format than the layout plans"] if is_said else []
+    )
+
+
+@pytest.mark.parametrize(
+    ("cob_id", "kind"),
+    [
+        (0x080, ("SYNC", 0)),
+        (0x081, ("EMCY", 1)),
+        (0x0A0, ("EMCY", 32)),
+        (0x0A1, ("foreign", None)),
+        (0x180, ("foreign", None)),
+        (0x181, ("TPDO", 1)),
+        (0x4A0, ("TPDO", 32)),
+        (0x580, ("foreign", None)),
+        (0x5A0, ("SDO response", 32)),
+        (0x600, ("foreign", None)),
+        (0x620, ("SDO request", 0)),
+        (0x621, ("foreign", None)),
+        (0x700, ("foreign", None)),
+        (0x701, ("heartbeat", 1)),
+        (0x720, ("heartbeat", 32)),
+        (0x721, ("foreign", None)),
+        (0x800, ("foreign", None)),
+    ],
+)
+def test_each_range_of_identifiers_belongs_to_the_nodes_of_the_bus(
+    contract: Contract, cob_id: int, kind: tuple[str, int | None]
+) -> None:
+    assert kind_of(contract, 1, cob_id) == kind
+
+
+def test_the_first_tpdo_of_the_first_bus_is_one_like_the_others(contract: Contract) -> None:
+    assert kind_of(contract, 0, 0x181) == ("TPDO", 1)
+    seen = made((0x181, 0), (0x182, 1), (0x7F0, 2))
+    assert is_due(contract, 0, seen).tolist() == [True, True, False]

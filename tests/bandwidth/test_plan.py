@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bandwidth.alternatives import alternatives, with_bits, with_buses
-from bandwidth.plan import bus_time, plan, plan_bus
+from bandwidth.plan import BusTime, bus_time, plan, plan_bus
 from bandwidth.traffic import Disturbance, traffic
 from bandwidth.wiring import wiring
 from bus.simulated_bus import SimulatedBus
@@ -24,6 +24,7 @@ from tests.identity import alternating
 IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name), adaptive=True).sending == "synchronous"]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("name", "average_hz", "worst_hz"),
     [("default", 135.6, 114.6), ("fd", 216, 184), ("one-bus-12bit", 39.6, 33.6), ("recognition", 735.9, 630.3)],
@@ -53,6 +54,43 @@ def test_time_does_not_fit_a_full_window() -> None:
     assert plan_bus(with_time("fd", 60.0), 0, None, Disturbance()).problems == []
 
 
+def test_a_plan_is_that_of_its_frames() -> None:
+    """Two nodes with two TPDOs of 8 bytes: 135 bits at most, SYNC 55 (51 with its own stuff bits), heartbeats 65 (58).
+
+    From SYNC: 1 ms of jitter, a frame on its way, SYNC, TPDOs in their order. An SDO response waits for the request on
+    its way, SYNC and TPDOs; a heartbeat for both SDO frames and the other heartbeat, too.
+    """
+    layout = "taxels = { rows = 8, columns = 8 }\nmeasurement = { sums = 16 }\nbus = [{ name = 'arm', nodes = 2 }]\n"
+    contract = Contract.from_layout(parse_layout(layout.encode(), "arm.toml"))
+    planned = plan_bus(contract, 0, np.array([500.0, 0.0]), Disturbance())
+    assert (planned.name, planned.nodes, planned.bitrate, planned.data_bitrate) == ("arm", 2, 1_000_000, None)
+    assert (planned.frames_per_cycle, planned.bits_per_cycle_worst, planned.bits_per_cycle_touched) == (5, 595, 551.0)
+    assert planned.bits_per_cycle_random == pytest.approx(4 * 114.2 + 51, rel=0.01)
+    assert planned.load_worst == pytest.approx(595e-6 * 100 + 2 * 65e-6)
+    assert planned.load_touched == pytest.approx(551e-6 * 100 + 2 * 58e-6)
+    assert planned.load_random == pytest.approx(planned.bits_per_cycle_random * 1e-4 + 2 * 58e-6)
+    assert planned.max_rate_hz_worst == pytest.approx((1 - 130e-6) / 595e-6)
+    assert planned.max_rate_hz_worst_80 == pytest.approx((0.8 - 130e-6) / 595e-6)
+    assert planned.max_rate_hz_touched == pytest.approx((1 - 116e-6) / 551e-6)
+    random_s = planned.bits_per_cycle_random * 1e-6
+    assert planned.max_rate_hz_random == pytest.approx((1 - 116e-6) / random_s)
+    assert planned.max_rate_hz_random_80 == pytest.approx((0.8 - 116e-6) / random_s)
+    assert planned.window_ms == pytest.approx(9.9)
+    assert planned.window_needed_ms == pytest.approx(1 + 0.135 + 0.055 + 4 * 0.135)
+    waits = [(each.node_id, each.frames_per_cycle, each.response_ms) for each in planned.node_plans]
+    assert waits == [(1, 2, pytest.approx(1.73 - 0.135)), (2, 2, pytest.approx(1.73))]
+    assert planned.sdo_response_ms == pytest.approx(0.135 + 0.055 + 4 * 0.135 + 0.135)
+    assert planned.heartbeat_response_ms == pytest.approx(0.055 + 6 * 0.135 + 2 * 0.065)
+    assert (planned.receive_buffer_frames, planned.receive_buffer_bytes) == (12, 12 * 896)
+    assert planned.problems == []
+
+
+def test_heartbeats_that_fill_a_bus_leave_no_rate() -> None:
+    full = BusTime(cycle_s=0.001, cycle_bits=1000, beats_s=0.5)
+    assert full.load(100) == pytest.approx(0.6)
+    assert [full.rate_hz(), full.rate_hz(0.6), full.rate_hz(0.4)] == pytest.approx([500.0, 100.0, 0.0])
+
+
 def with_time(name: str, time_s: float | None) -> Contract:
     layout = load_layout(Path(name), adaptive=True)
     return Contract.from_layout(
@@ -64,6 +102,7 @@ def load_worst(contract: Contract) -> float:
     return bus_time(traffic(contract, 0), "worst").load(contract.layout.sync.rate_hz)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", IN_CYCLES)
 def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
     """Two seconds of one touch after another on the virtual bus, every frame sent as nodes send it."""
@@ -112,6 +151,7 @@ def faster(layout: Layout, rate_hz: float) -> Layout:
     return msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
 
 
+@pytest.mark.heavy
 def test_a_bus_that_is_asked_for_too_much_says_what_is_missing() -> None:
     planned = plan(Contract.from_layout(faster(load_layout(), 130)))[0]
     assert planned.window_needed_ms is None
@@ -124,6 +164,7 @@ def test_a_bus_that_is_asked_for_too_much_says_what_is_missing() -> None:
     assert "the window (1007h) is 8.84 ms" in tight.problems[0]
 
 
+@pytest.mark.heavy
 def test_errors_and_sdo_lengthen_responses() -> None:
     contract = Contract.from_layout(load_layout())
     calm, rough = (
@@ -190,3 +231,13 @@ def test_named_rows_have_no_alternative_with_other_sums() -> None:
 def test_conversions_of_a_node_are_those_of_its_taxels_or_of_its_analogue_sums() -> None:
     assert wiring(load_layout()).conversions_per_s == 32 * 1000
     assert wiring(load_layout(Path("analogue"))).conversions_per_s == 8 * 100
+
+
+def test_blocks_that_send_no_sum_need_no_wires() -> None:
+    """Rows of one block and of two: a chain each."""
+    one, two = (
+        wiring(parse_layout(FEW.replace("[[0, 0], [1, 1]]", rows).encode(), "few"))
+        for rows in ("[[0, 0], [0, 1]]", "[[0, 0], [1, 1]]")
+    )
+    assert one.wires_m == one.longest_chain_m
+    assert two.wires_m > two.longest_chain_m

@@ -69,6 +69,7 @@ def test_wrong_numbers_are_refused(wrong: dict[str, list[int]]) -> None:
 messages = st.lists(st.tuples(st.integers(1, 30), st.integers(20, 400), st.integers(0, 300)), min_size=1, max_size=7)
 
 
+@pytest.mark.heavy
 @settings(max_examples=300, deadline=None)
 @given(messages)
 def test_agrees_with_the_analyses_that_prosa_verified(drawn: list[tuple[int, int, int]]) -> None:

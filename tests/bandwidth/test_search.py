@@ -88,9 +88,15 @@ def test_a_missing_window_is_named() -> None:
         ({"taxels": 32, "rate_hz": 100}, "64 to 65536"),
         ({"taxels": 1024, "rate_hz": 0}, "rate above 0"),
         ({"taxels": 1024, "rate_hz": 10, "buses": 0}, "1 to 16 buses"),
+        ({"taxels": 1024, "rate_hz": 10, "buses": 17}, "1 to 16 buses, got 17"),
         ({"taxels": 1024, "rate_hz": 10, "budget": 1.5}, "budget above 0"),
     ],
 )
 def test_a_requirement_out_of_range_is_refused(required: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Requirement(**required)
+
+
+@pytest.mark.parametrize("buses", [1, 16])
+def test_a_requirement_may_name_one_to_sixteen_buses(buses: int) -> None:
+    assert Requirement(taxels=1024, rate_hz=10, buses=buses).buses == buses

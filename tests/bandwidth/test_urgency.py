@@ -1,7 +1,7 @@
 """The bounds of adaptive nodes against random overloads of the arbitrated bus, which runs the nodes' own decisions."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +16,8 @@ from bandwidth.urgency import Urgency
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule, coarse_value
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import FRAME, frame_bytes, frames
+from dbc.frame import BRS, FD, FRAME, frame_bytes, frames
+from dbc.frame_bits import frame_time_ns
 from evaluation.schemes.adaptive_bus import ASKED, ENDED, GROUP, NODE, REASON, SYNC_MS, Record, line_of, run_bus
 from nodes.adaptive.sending import DETAIL, NEWS, Groups, new_groups
 from skin.layout import load_layout
@@ -128,12 +129,14 @@ def compare(seeds: range, contract: Contract | None = None) -> tuple[float, floa
     return nearest
 
 
+@pytest.mark.heavy
 def test_random_overloads_stay_below_the_bounds_and_reach_them() -> None:
     news, beat = compare(range(100))
     assert news > 0.9
     assert beat > 0.9
 
 
+@pytest.mark.heavy
 def test_random_overloads_of_can_fd_stay_below_the_bounds() -> None:
     news, beat = compare(range(60), adaptive(fd=True))
     assert news > 0.7
@@ -206,6 +209,109 @@ def test_a_budget_bounds_the_load_and_lengthens_coarse_waits() -> None:
     assert int(limit.news_ns.max()) < fair.coarse_ns < UNBOUNDED
     assert small.full_ns < fair.full_ns < UNBOUNDED == limit.budgeted(40_000).full_ns
     assert small.fine_ns < UNBOUNDED == limit.budgeted(40_000).fine_ns
+
+
+def of_nodes(nodes: int, allowed: Disturbance = QUIET, *, fd: bool = False) -> Urgency:
+    """Return the times of a bus with the services of 32 nodes and the sums of some."""
+    return replace(bounds(allowed, adaptive(fd=fd)), nodes=nodes)
+
+
+#: Half a millisecond of jitter, 20 SDO transfers and ten errors a second.
+ROUGH = Disturbance(0.0005, 20.0, 10.0)
+
+
+def test_frames_and_pauses_take_the_times_of_a_bus_of_1_mbit_s() -> None:
+    """8 bytes: 44 + 64 + 24 stuff bits + 3; SYNC with a byte: 44 + 8 + 10 + 3; an error: 31 bits, the frame again."""
+    limit = bounds(ROUGH)
+    assert (limit.frame_ns, limit.coarse_frame_ns, limit.sync_ns) == (135_000, 135_000, 65_000)
+    assert (limit.period_ns, limit.jitter_ns) == (100_000_000, 500_000)
+    assert limit.above == [(65_000 + 2_000_000 + 135_000, 100_000_000, 500_000), (166_000, 100_000_000, 135_000)]
+    assert bounds().above == [(2_200_000, 100_000_000, 0)]
+    assert bounds(Disturbance()).jitter_ns == 100_000  # firmware of one's own answers at once
+
+
+def test_a_node_alone_waits_for_a_pause_a_frame_and_its_own_frames() -> None:
+    """2,200 µs of pause, 135 µs of a frame on its way, 135 µs for each of its frames; news waits 24 ms before that.
+
+    At rest, a sample later: four coarse frames; then, 4 ms later, four refreshes and four fine frames.
+    """
+    alone = of_nodes(1)
+    assert alone.top_ns.tolist() == [[2_470_000, 2_605_000, 2_740_000, 2_875_000]]
+    assert alone.news_ns.tolist() == [[26_470_000, 26_605_000, 26_740_000, 26_875_000]]
+    assert alone.refresh_ns.tolist() == [[502_470_000, 502_605_000, 502_740_000, 502_875_000]]
+    assert alone.settled_ns == (3_875_000, 3_875_000 + 4_000_000 + 4_415_000)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "coarse_ns", "fine_ns"),
+    [
+        (56, 33_575_000, 33_575_000 + 4_000_000 + 63_815_000),
+        (57, 34_115_000, UNBOUNDED),
+        (112, 63_815_000, UNBOUNDED),
+        (113, UNBOUNDED, UNBOUNDED),
+    ],
+)
+def test_more_frames_than_fit_between_two_refreshes_have_no_bound(nodes: int, coarse_ns: int, fine_ns: int) -> None:
+    """Coarse frames of all take 3,335 + 540 µs a node, refreshes and fine frames twice that, of 64 ms."""
+    assert of_nodes(nodes).settled_ns == (coarse_ns, fine_ns)
+
+
+def test_on_can_fd_a_node_has_one_frame_and_waits_twice_for_details() -> None:
+    shapes = frames(2)
+    shapes["length"], shapes["flags"] = (32, 64), FD | BRS
+    coarse_ns, fine_ns = frame_time_ns(shapes, 500_000, 600_000, "worst").tolist()
+    alone = of_nodes(1, fd=True)
+    assert (alone.coarse_frame_ns, alone.frame_ns, alone.frames_of_node) == (coarse_ns, fine_ns, 1)
+    before_ns = 130_000 + 2_000_000 + 2 * fine_ns  # SYNC, its pause, a frame on its way then and at the end of it
+    assert alone.top_ns.tolist() == [[before_ns + coarse_ns]]
+    shown_ns, late_ns = before_ns + coarse_ns + MS, before_ns + 2 * fine_ns + MS
+    assert alone.settled_ns == (shown_ns, shown_ns + 2 * 4 * MS + late_ns)
+
+
+def test_heartbeats_and_answers_wait_for_the_room_of_a_pause() -> None:
+    """A pause has room for 2,000 - 135 - 65 = 1,800 µs; it begins 98,200 µs after the one before ended.
+
+    The first heartbeat waits for one of 65 µs, the 27th for 27. For the 28th, 20 µs are left to the second pause, for
+    the last 215 µs. With errors (166 µs each 100 ms) and two SDO transfers in 100 ms (135 µs each frame) ahead, and
+    jitter, the answer waits for the request, too.
+    """
+    beats_ns = bounds().service_ns[1:]
+    assert [int(beats_ns[place]) for place in (0, 1, 26, 27, 30, 31)] == [
+        98_200_000 + 65_000 + 65_000,
+        98_200_000 + 2 * 65_000 + 65_000,
+        98_200_000 + 27 * 65_000 + 65_000,
+        198_200_000 + 20_000 + 65_000,
+        198_200_000 + 215_000 + 65_000,
+        198_200_000 + 215_000 + 65_000,
+    ]
+    assert bounds(ROUGH).service_ns[1:4].tolist() == [
+        98_700_000 + 166_000 + 135_000 + 135_000,
+        98_700_000 + 166_000 + 2 * 135_000 + 65_000 + 135_000,
+        98_700_000 + 166_000 + 4 * 135_000 + 65_000 + 65_000,
+    ]
+
+
+@pytest.mark.parametrize(("bits_per_s", "saved_bits"), [(4_000, 8 * 135), (5_000, 1_250), (24_000, 6_000)])
+def test_a_node_saves_up_a_quarter_of_a_second_or_eight_frames(bits_per_s: int, saved_bits: int) -> None:
+    budgeted = bounds().budgeted(bits_per_s)
+    assert (budgeted.frame_bits, budgeted.saved_bits) == (135, saved_bits)
+
+
+def test_a_budget_makes_a_node_alone_wait_for_its_bits() -> None:
+    """At 24 kbit/s a frame takes 5,625 µs of budget. The bus is full for 6,000 bits saved up, 540 owed, a frame on its
+    way and a pause, longer by the 2.4 % of the budget and the 2.2 % of the pauses.
+
+    Coarse: five frames are owed, and while the last group waits the three others come four times in 24 ms each:
+    (5 + 4 * 3 + 1) frames. Fine: 8 + 4 + 1 frames.
+    """
+    budgeted = of_nodes(1).budgeted(24_000)
+    assert budgeted.full_ns == round((6_000 + 540 + 135 + 2_200) * 1000 / (1 - 0.024 - 0.022))
+    assert budgeted.coarse_ns == 24_000_000 + 18 * 5_625_000 + 2_875_000
+    assert budgeted.fine_ns == 4_000_000 + 13 * 5_625_000 + budgeted.full_ns
+    rough = of_nodes(1, ROUGH).budgeted(24_000)
+    at_once_us = 6_000 + 540 + 135 + 2_200 * 1.005 + 166 * 1.00135
+    assert rough.full_ns == pytest.approx(at_once_us * 1000 / (1 - 0.024 - 0.022 - 0.00166), abs=1)
+    assert rough.fine_ns == 4_000_000 + 13 * 5_625_000 + 500_000 + rough.full_ns
 
 
 @pytest.mark.slow

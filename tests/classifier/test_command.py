@@ -73,6 +73,7 @@ def small(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.heavy
 def test_train_writes_a_model_and_tells(
     offer: Offer, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -86,6 +87,7 @@ def test_train_writes_a_model_and_tells(
     assert load_model(out, skin, skin.phi()).metadata.fingerprint == told["fingerprint"]
 
 
+@pytest.mark.heavy
 @pytest.mark.usefixtures("offer")
 def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path: Path) -> None:
     out, chosen = tmp_path / "out.npz", tmp_path / "chosen.toml"
@@ -97,6 +99,10 @@ def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path
         train(layout=small, choose=8)
     with pytest.raises(InputError, match="another name"):
         train(layout=small, objects="dome,plate", choose=8, layout_out=small)
+    both = tmp_path / "both.npz"
+    with pytest.raises(InputError, match="named for the model and for the layout"):
+        train(layout=small, objects="dome,plate", choose=8, layout_out=both, out=both)
+    assert not both.exists()
 
 
 @pytest.mark.usefixtures("trained")
@@ -164,6 +170,7 @@ def test_wrong_options(small: Path, tmp_path: Path) -> None:
         classify(layout=small, model=tmp_path / "x.npz")
 
 
+@pytest.mark.heavy
 def test_verbs_load_without_scikit_learn() -> None:
     code = "import sys, classifier.command; sys.exit('sklearn' in sys.modules or 'scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -176,6 +183,7 @@ def hub(endpoint: str) -> Iterator[Fabric]:
     fabric.close()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_service_comes_alive_and_ends_quietly(
     model: Model, small: Path, hub: Fabric, endpoint: str, number: signal.Signals

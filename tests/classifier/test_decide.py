@@ -49,6 +49,7 @@ def pressed(layout: Layout, phi: Sbhe, unseen: tuple[np.ndarray, np.ndarray]) ->
     return found
 
 
+@pytest.mark.heavy
 def test_untouched_skin_is_silent_as_often_as_stated(model: Model, phi: Sbhe, idle: Sums, valid: np.ndarray) -> None:
     single = Classifier(model, phi, settling=1.0)
     alarms = sum(single.decide(y, valid).label != "" for y in idle)
@@ -182,6 +183,7 @@ def test_model_of_few_touches_calls_nothing_unknown(layout: Layout, phi: Sbhe, v
     assert classifier.decide(sums, valid).label in {"dome", "plate", ""}
 
 
+@pytest.mark.heavy
 def test_missing_raw_sums_are_estimated(raw_model: Model, phi: Sbhe, pressed: dict[str, Sums]) -> None:
     most = np.ones(phi.blocks, np.uint8)
     most[::10] = 0
@@ -236,6 +238,7 @@ def averaging_model(quick_layout: Layout, touches: Touches) -> Model:
     return train(*touches, quick_layout)
 
 
+@pytest.mark.heavy
 def test_what_one_cycle_does_not_show_the_mean_of_cycles_does(
     quick_layout: Layout, model: Model, averaging_model: Model, phi: Sbhe, valid: np.ndarray
 ) -> None:
@@ -252,6 +255,7 @@ def test_what_one_cycle_does_not_show_the_mean_of_cycles_does(
     assert found[1] < 0.3
 
 
+@pytest.mark.heavy
 def test_untouched_skin_is_silent_when_cycles_are_averaged(
     quick_layout: Layout, averaging_model: Model, phi: Sbhe, valid: np.ndarray
 ) -> None:
@@ -261,6 +265,7 @@ def test_untouched_skin_is_silent_when_cycles_are_averaged(
     assert alarms <= 4 * averaging_model.metadata.false_alarm_ratio * len(still)
 
 
+@pytest.mark.heavy
 def test_a_model_that_averages_otherwise_is_refused(
     layout: Layout, averaging_model: Model, phi: Sbhe, tmp_path: Path
 ) -> None:
@@ -269,6 +274,7 @@ def test_a_model_that_averages_otherwise_is_refused(
         load_model(tmp_path / "model.npz", layout, phi)
 
 
+@pytest.mark.heavy
 def test_an_untouched_skin_is_silent_after_a_start_and_after_losses(
     quick_layout: Layout, averaging_model: Model, phi: Sbhe, valid: np.ndarray
 ) -> None:
@@ -280,6 +286,25 @@ def test_an_untouched_skin_is_silent_after_a_start_and_after_losses(
         labels = [classifier.decide(y, valid) for y in still[20 * turn : 20 * turn + 20]]
         assert {each.label for each in labels} == {""}
         assert not labels[-1].blind
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(("step", "is_kept"), [(10, True), (12, True), (13, False), (0, False), (-1, False)])
+def test_means_go_on_after_a_gap_of_up_to_three_times_the_cycles_that_are_averaged(
+    quick_layout: Layout,
+    averaging_model: Model,
+    phi: Sbhe,
+    pressed: dict[str, Sums],
+    valid: np.ndarray,
+    step: int,
+    is_kept: bool,
+) -> None:
+    """A single cycle does not change a label; where the past is dropped there is none."""
+    classifier = Classifier(averaging_model, phi)
+    for cycle in range(10):
+        assert classifier.decide(pressed["dome"][0], valid, cycle).label == "dome"
+    still = simulate_sums(np.zeros((1, 32, 32), np.float32), quick_layout, phi, 0.001, np.random.default_rng(3))[0]
+    assert classifier.decide(still, valid, 9 + step).label == ("dome" if is_kept else "")
 
 
 def test_a_late_cycle_takes_no_weight_from_the_next(model: Model, phi: Sbhe) -> None:

@@ -144,6 +144,7 @@ def test_files_that_are_no_models(tmp_path: Path, layout: Layout, phi: Sbhe) -> 
             load_model(file, layout, phi)
 
 
+@pytest.mark.heavy
 @given(data=st.data())
 def test_damage_anywhere_is_noticed_or_harmless(
     data: st.DataObject, model: Model, layout: Layout, phi: Sbhe, tmp_path_factory: pytest.TempPathFactory

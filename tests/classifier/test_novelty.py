@@ -29,6 +29,7 @@ def test_every_feature_counts_in_the_distance() -> None:
     assert nearest(np.array([2.0, 2.0, 1.0]), centres, whitening) == (1, 3.0)
 
 
+@pytest.mark.heavy
 def test_known_is_near_and_new_is_far() -> None:
     regions = fit_regions(*clouds(300, 0), clouds(200, 1)[0], seed=0)
     known = [novelty(one, regions) for one in clouds(1000, 2)[0]]
@@ -37,6 +38,7 @@ def test_known_is_near_and_new_is_far() -> None:
     assert novelty(np.array([-5.0, 3.0, 0.0]), regions) > 2
 
 
+@pytest.mark.heavy
 def test_whitening_undoes_the_covariance() -> None:
     features, names = clouds(300, 0)
     regions = fit_regions(features, names, features, seed=0)

@@ -2,6 +2,7 @@
 
 import msgspec
 import numpy as np
+import pytest
 
 from classifier.features import Float32
 from classifier.newest_sums import NewestSums, averaged_cycles
@@ -29,6 +30,7 @@ def test_noise_has_the_asked_deviation(layout: Layout, phi: Sbhe) -> None:
     np.testing.assert_allclose(plain[100:].std(), 0.0005, rtol=0.02)
 
 
+@pytest.mark.heavy
 def test_threshold_is_passed_as_often_as_stated(layout: Layout, phi: Sbhe) -> None:
     one = observe_untouched(layout, phi, 0.001, 3000, np.random.default_rng(0))
     other = observe_untouched(layout, phi, 0.001, 3000, np.random.default_rng(1))

@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from canskin.fabric import Fabric
-from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
+from canskin.fabric import Fabric, Mailbox
+from canskin.messages import LABEL, MEASUREMENT, Label, Measurement, Topic
 from classifier.decide import Classifier, Decision
 from classifier.model import Model
 from classifier.samples import simulate_sums
-from classifier.service import ClassifierService
+from classifier.service import ClassifierService, most_waiting
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.service import StopSignal
@@ -117,3 +117,37 @@ def test_labels_settle_by_the_time_of_the_samples_where_it_is_that_of_the_skin(
     for cycle in (1, 2):
         service.label(msgspec.structs.replace(measurement, cycle=cycle, sampled_mono_ns=2_000_000 * cycle))
     assert timed.times_ns == expected
+
+
+class Waiting:
+    """An exchange whose only mailbox is filled by the test."""
+
+    def __init__(self) -> None:
+        self.mailboxes: list[Mailbox[Any]] = []
+        self.labelled: list[int] = []
+
+    def publish(self, _topic: Topic, label: Any) -> None:
+        self.labelled.append(label.cycle)
+
+    def mailbox(self, _topic: Topic, depth: int = 4) -> Mailbox[Any]:
+        self.mailboxes.append(Mailbox(depth))
+        return self.mailboxes[0]
+
+
+def test_after_a_pause_the_newest_measurements_that_waited_get_labels(measurement: Measurement, phi: Sbhe) -> None:
+    exchange, stop = Waiting(), StopSignal()
+
+    def wake(_label: str) -> None:
+        if exchange.labelled[-1] == 29:
+            stop.set()
+
+    service = ClassifierService(Timed(), phi, exchange, wake=wake, waiting=20)  # type: ignore[arg-type]
+    for cycle in range(30):
+        exchange.mailboxes[0].put(msgspec.structs.replace(measurement, cycle=cycle))
+    service.run(stop)
+    assert exchange.labelled == list(range(10, 30))
+
+
+@pytest.mark.parametrize(("rate_hz", "count"), [(1, 4), (100, 4), (200, 8), (500, 20), (1000, 40)])
+def test_measurements_of_40_ms_may_wait_and_four_at_least(rate_hz: float, count: int) -> None:
+    assert most_waiting(rate_hz) == count

@@ -46,6 +46,7 @@ def test_card_tells_data_split_and_confusion(model: Model) -> None:
     assert card.unknown_ratio < 0.2
 
 
+@pytest.mark.heavy
 def test_same_seed_same_model(layout: Layout, touches: Labelled) -> None:
     one, two, other = (
         train(*touches, layout, options=TrainingOptions(no_touches=200, seed=seed, C_grid=(1.0,))) for seed in (3, 3, 4)
@@ -55,6 +56,7 @@ def test_same_seed_same_model(layout: Layout, touches: Labelled) -> None:
     assert not np.array_equal(one.weights, other.weights)
 
 
+@pytest.mark.heavy
 def test_progress_tells_what_is_done(layout: Layout, touches: Labelled) -> None:
     said: list[tuple[str, float]] = []
     train(*touches, layout, options=TrainingOptions(no_touches=200), progress=lambda *step: said.append(step))
@@ -89,3 +91,10 @@ def test_images_that_cannot_be_used(layout: Layout, touches: Labelled) -> None:
     ):
         with pytest.raises(InputError, match=says):
             train(force_n, labels, layout, options=options)
+
+
+def test_rows_that_show_no_contact_are_refused(layout: Layout, touches: Labelled) -> None:
+    rows = tuple((block, 0) for block in range(3))
+    measurement = msgspec.structs.replace(layout.measurement, sums=3, rows=rows, selection="balanced")
+    with pytest.raises(InputError, match="all 3 rows of this layout are row 0"):
+        train(*touches, msgspec.structs.replace(layout, measurement=measurement))

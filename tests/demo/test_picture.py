@@ -10,6 +10,7 @@ from demo.score import Snapshot
 from skin.output import PICTURE_SUFFIXES, check_picture_path
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("suffix", PICTURE_SUFFIXES)
 def test_picture_is_saved_where_it_may_be(suffix: str, tmp_path: Path) -> None:
     force_n = np.random.default_rng(0).uniform(0, 0.02, (16, 16)).astype(np.float32)

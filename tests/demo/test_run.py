@@ -31,6 +31,7 @@ def run_with_contact(picture: Path, folder: Path) -> Run:
     return run
 
 
+@pytest.mark.heavy
 def test_picture_that_cannot_be_written_after_all_is_a_failure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,6 +73,7 @@ def test_report_as_json_has_a_picture_only_where_one_was_saved() -> None:
     assert list(json.loads(msgspec.json.encode(saved))["latency_ms"]) == ["p50", "p99"]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_before_the_first_cycle_has_no_summary(number: signal.Signals, tmp_path: Path) -> None:
     environment = {**os.environ, "TMPDIR": str(tmp_path)}

@@ -23,6 +23,7 @@ def until(holds: Callable[[], object]) -> None:
     pytest.fail("it did not happen")
 
 
+@pytest.mark.heavy
 def test_wrong_input_of_a_service_is_that_of_the_run(supervisor: Supervisor) -> None:
     child = supervisor.start("nodes", "nodes", "--layout", "missing.toml")
     child.process.wait(30)
@@ -30,6 +31,7 @@ def test_wrong_input_of_a_service_is_that_of_the_run(supervisor: Supervisor) -> 
         supervisor.look()
 
 
+@pytest.mark.heavy
 def test_service_that_the_run_needs_ends_it(supervisor: Supervisor) -> None:
     child = supervisor.start("bus", "bus", "only_for_this_test")
     until(lambda: "ready" in child.log.read_text())
@@ -39,6 +41,7 @@ def test_service_that_the_run_needs_ends_it(supervisor: Supervisor) -> None:
         supervisor.look()
 
 
+@pytest.mark.heavy
 def test_restart_and_end(supervisor: Supervisor) -> None:
     child = supervisor.start("bus", "bus", "only_for_this_test", restart=True)
     first = child.process.pid

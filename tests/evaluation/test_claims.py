@@ -30,8 +30,8 @@ def front_end(effect: Row, **_: Any) -> Row:
     return {"psnr_db": 30.5 if effect["keeps_penalty"] else 32.0, "frames": 70}
 
 
-@pytest.fixture
-def rows(monkeypatch: pytest.MonkeyPatch) -> dict[str, Row]:
+@pytest.fixture(scope="module")
+def rows() -> dict[str, Row]:
     """What the subject says when each measurement gives a known number."""
     answers: dict[str, Callable[..., Row]] = {
         "measure": lambda method, **_: {"mean": 30.0 if method.basis == "haar" else 32.0},
@@ -45,11 +45,12 @@ def rows(monkeypatch: pytest.MonkeyPatch) -> dict[str, Row]:
         ),
         "measure_decisions": lambda **_: {"sums_us": 2.0, "taxels_us": 11.0},
     }
-    for name, answer in answers.items():
-        monkeypatch.setattr(claims, name, canned(getattr(claims, name), answer))
-    monkeypatch.setattr(frontend, "measure", canned(frontend.measure, front_end))
-    monkeypatch.setattr(claims, "convergence", lambda _: {claims.FROM_ZERO: (28.0, None)})
-    found = claims.evaluate(Options(quick=True)).rows
+    with pytest.MonkeyPatch.context() as patch:
+        for name, answer in answers.items():
+            patch.setattr(claims, name, canned(getattr(claims, name), answer))
+        patch.setattr(frontend, "measure", canned(frontend.measure, front_end))
+        patch.setattr(claims, "convergence", lambda _: {claims.FROM_ZERO: (28.0, None)})
+        found = claims.evaluate(Options(quick=True)).rows
     assert len({tuple(row) for row in found}) == 1
     assert {row["mode"] for row in found} == {"offline", "live"}
     return {f"{row['claim']}: {row['quantity']}": row for row in found}

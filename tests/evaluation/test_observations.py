@@ -10,6 +10,7 @@ from touch.classification_poses import PERTURBATIONS
 from touch.coarse_arrays import averaged
 
 
+@pytest.mark.heavy
 def test_sums_are_those_of_what_the_taxels_felt() -> None:
     felt = sensed(None, 0)
     assert felt.shape == (5760, 4096)
@@ -27,6 +28,7 @@ def test_candidate_rows_lie_in_the_same_scrambled_blocks() -> None:
     assert every.kept.all()
 
 
+@pytest.mark.heavy
 def test_coarse_taxels_are_means_with_their_own_noise() -> None:
     coarse = signal("averaged", 64, 0, None, 0)
     assert coarse.shape == (5760, 64)
@@ -35,6 +37,7 @@ def test_coarse_taxels_are_means_with_their_own_noise() -> None:
     assert np.std(coarse[:50] - fine) == pytest.approx(0.6e-3, rel=0.3)
 
 
+@pytest.mark.heavy
 def test_other_cycles_have_other_noise() -> None:
     # Where the true force keeps the noise from being clipped, the difference of two cycles has its deviation √2 times.
     pressed = true_force_n(None).reshape(-1, 4096) > 5e-3
@@ -43,6 +46,7 @@ def test_other_cycles_have_other_noise() -> None:
     assert np.mean(difference_n) == pytest.approx(0, abs=1e-5)
 
 
+@pytest.mark.heavy
 @given(st.integers(0, 50), st.sampled_from([(0.4, 0.2), (0.02, 0.01), (0.0066, 0.0033)]))
 def test_parts_share_no_perturbation_and_hold_all_objects(number: int, shares: tuple[float, float]) -> None:
     split = draw_split(number, *shares)

@@ -26,6 +26,7 @@ def _no_calls() -> None:
     _calls.clear()
 
 
+@pytest.mark.heavy
 def test_results_come_in_the_order_of_the_cells_from_one_process_and_from_two() -> None:
     assert measure_cells(double, CELLS, Options(), "cells") == DOUBLED
     assert measure_cells(double, CELLS, Options(jobs=2), "cells") == DOUBLED

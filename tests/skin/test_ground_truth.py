@@ -122,3 +122,24 @@ def test_a_label_is_judged_by_the_truth_nearest_to_its_sums() -> None:
     assert pairs.take_truth(truth(100)) == []
     assert pairs.take(label(60)) == []  # no truth near
     assert len(pairs.take(label(100))) == 1
+
+
+@pytest.mark.parametrize("rate_hz", [40, 100, 250, 500, 1000])
+def test_each_message_has_the_truth_of_its_own_cycle_though_the_counter_repeats(rate_hz: int) -> None:
+    """The counter runs from 1 to 240. Labels come before their truths, and after; some truths never come."""
+    pairs: Pairing[Label] = Pairing(1 / rate_hz)
+    found: list[tuple[Label, Truth]] = []
+    for cycle in range(2000):
+        counter, time_ns = cycle % 240 + 1, cycle * 1_000_000_000 // rate_hz
+        said = Label(
+            cycle=cycle, sync_counter=counter, sampled_mono_ns=time_ns + 1000, label="", confidence=1.0, valid_sums=0
+        )
+        true = Truth(step=cycle, sync_counter=counter, sampled_mono_ns=time_ns, true=b"", sensor=b"", label="")
+        if cycle % 3:
+            found += pairs.take(said)
+        if cycle % 7:
+            found += pairs.take_truth(true)
+        if cycle % 3 == 0:
+            found += pairs.take(said)
+    assert [said.cycle for said, _ in found] == [true.step for _, true in found]
+    assert [said.cycle for said, _ in found] == [cycle for cycle in range(2000) if cycle % 7]

@@ -6,6 +6,7 @@ from evaluation.paper.printed import TABLE_ONE
 from evaluation.paper.sparsity import count
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("basis", ["haar", "d4", "dct"])
 def test_golf_ball_is_exact(basis: str) -> None:
     found = count(name="golf-ball", meshes=None, basis=basis, stride=1)

@@ -160,6 +160,7 @@ def test_the_cost_of_an_iteration_is_the_least_of_all_that_were_timed(monkeypatc
     assert found == pytest.approx({"one": 0.3, "two": 0.1})
 
 
+@pytest.mark.heavy
 def test_times_are_medians_of_the_steps_that_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """A solver of n ms with n iterations, ten times slower on the steps that warm up, and 1 s on one that counts."""
     clock, make = FakeClock(), Method.make

@@ -36,12 +36,14 @@ def test_frames_lie_in_the_middle_and_know_their_person(folder: Path) -> None:
     np.testing.assert_array_equal(np.unique(postures), range(17))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("variant", ["raw sums, unit length", "sums of roots, unit length, rows chosen"])
 def test_person_never_met_is_recognised(folder: Path, variant: str) -> None:
     result = measure_postures(recordings=str(folder), variant=variant, size=64, draw=0, person=1)
     assert result["accuracy"] > 0.9
 
 
+@pytest.mark.heavy
 def test_subject_says_what_it_needs(folder: Path, tmp_path: Path) -> None:
     assert "--recordings" in evaluate(Options()).note
     found = evaluate(Options(quick=True, recordings=folder))

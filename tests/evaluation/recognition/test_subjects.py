@@ -22,6 +22,7 @@ from touch.classification_poses import CLASSIFICATION_OBJECTS
 SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("kind", "size", "least", "most"),
     [("sbhe", 64, 0.97, 1.0), ("sbhe", 16, 0.87, 0.97), ("averaged", 64, 0.91, 0.96), ("averaged", 16, 0.5, 0.7)],
@@ -34,6 +35,7 @@ def test_accuracy_is_near_the_papers(kind: str, size: int, least: float, most: f
     assert confusion.diagonal().mean() == pytest.approx(result["accuracy"][0], abs=2e-3)
 
 
+@pytest.mark.heavy
 def test_inner_products_give_what_the_signal_itself_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = {"kind": "sbhe", "size": 64, "draw": 1, "splits": [2], **SHARES}
     direct = measure_accuracy(**wanted)  # type: ignore[arg-type]

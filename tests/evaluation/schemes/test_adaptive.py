@@ -75,6 +75,7 @@ def test_lost_frames_cost_quality_until_the_refresh(run: AdaptiveRun, true_n: np
     assert not nothing.any()
 
 
+@pytest.mark.heavy
 def test_filtered_taxels_send_less_than_a_threshold_in_the_noise_would() -> None:
     shown = FilteredEvents(0.5e-3).show(Touch("nothing", ticks=200))
     # 800,000 samples; a taxel that is not filtered passes the threshold in a third of them.
@@ -87,6 +88,7 @@ def test_filtered_taxels_send_less_than_a_threshold_in_the_noise_would() -> None
     assert max(errors) < 0.06
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", [*POSED, *FIELDS])
 def test_every_fresh_scene_touches_the_skin(name: str) -> None:
     what = Touch(name, ticks=400).load()
@@ -95,6 +97,7 @@ def test_every_fresh_scene_touches_the_skin(name: str) -> None:
     assert 0 <= what.true_n.min() <= what.true_n.max() < 0.03
 
 
+@pytest.mark.heavy
 def test_random_scenes_follow_their_seed_and_stay_on_the_skin() -> None:
     assert random_contacts(5, 3) == random_contacts(5, 3)
     assert len({random_contacts(seed, number) for seed in range(3) for number in range(3)}) == 9

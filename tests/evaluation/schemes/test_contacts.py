@@ -16,6 +16,7 @@ def test_centre_force_and_identity_of_balls(name: str, ticks: int) -> None:
     assert row["force_95"] < 0.05
 
 
+@pytest.mark.heavy
 def test_nothing_is_no_contact() -> None:
     row = measure_contacts("nothing", 300, None, 3)
     assert (row["identities"], row["right_number"]) == (0, 1)

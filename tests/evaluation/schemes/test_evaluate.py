@@ -98,6 +98,7 @@ def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
         recordings_in(tmp_path.parent / "nothing")
 
 
+@pytest.mark.heavy
 def test_the_first_image_of_a_slap_is_that_of_the_next_sync() -> None:
     # SYNC comes 10 ms after the slap began, frames take 7 to 9 ms, and SOLVED_NS passes until the image is in use.
     solved_ms = round(SOLVED_NS * 1e-6)

@@ -26,6 +26,7 @@ def test_what_is_wrong_with_a_front_end_costs_quality(monkeypatch: pytest.Monkey
     assert change["offsets of sums, 10 mN, tared"] > 0.1 * change["offsets of sums, 10 mN"]
 
 
+@pytest.mark.heavy
 def test_gains_that_are_known_or_rolled_give_most_of_the_loss_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frontend, "OBJECTS", ("granola-box",))
     wrong = frontend.Effect("mismatch 20 %", mismatch=0.2)

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from classifier.novelty import nearest
 from evaluation.result import Options
 from evaluation.schemes import scaling
 
 
+@pytest.mark.heavy
 def test_counts_are_in_proportion_and_a_million_taxels_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scaling, "QUICK_CYCLES", 60)
     found = scaling.evaluate(Options(quick=True))
@@ -33,3 +35,9 @@ def test_counts_are_in_proportion_and_a_million_taxels_are_marked(monkeypatch: p
 def test_arrays_count_once() -> None:
     array = np.zeros((10, 10))
     assert scaling.held_bytes([array, array[2:], {"again": array}, np.zeros(3, np.uint8)]) == 803
+
+
+def test_arrays_of_a_compiled_function_do_not_count() -> None:
+    array = np.zeros((10, 10))
+    nearest(np.zeros(3), np.zeros((2, 3)), np.zeros((2, 3, 3)))
+    assert scaling.held_bytes([array, nearest]) == 800

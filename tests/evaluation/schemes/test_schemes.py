@@ -136,11 +136,13 @@ def test_schemes_are_named_by_what_they_are() -> None:
     ]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("scheme", [Sums(16), Scan(64, 10), Events(0.004, 1)])
 def test_what_is_measured_is_what_the_scheme_shows(scheme: Scheme) -> None:
     assert measure_scheme(scheme, SHORT, 1.0) == scheme.show(SHORT, 1.0).figures(SHORT.load())
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("receiver", ["plain", "solved"])
 def test_a_scan_takes_half_the_bits_at_half_the_share(receiver: Literal["plain", "solved"]) -> None:
     whole, half = (Scan(32, 10, receiver).show(Touch("nothing", ticks=1000), share) for share in (1.0, 0.5))

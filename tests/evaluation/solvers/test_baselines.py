@@ -25,6 +25,7 @@ def sparse_image(psi: object, count: int = 10) -> np.ndarray:
     return s
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("phi", [PHI, NOISELET])
 def test_admm_and_fista_find_the_same_minimum(phi: object) -> None:
     psi, penalty_n = haar_pyramid(16, 16), 0.01 * phi.norm_squared / 16
@@ -65,6 +66,7 @@ def test_smoothed_l0_leaves_the_noise_unexplained() -> None:
     np.testing.assert_allclose(found, sparse_image(psi), atol=0.004)
 
 
+@pytest.mark.heavy
 def test_largest_eigenvalue() -> None:
     exact = largest_eigenvalue(PHI, haar_tensor(16, 16))
     assert exact == pytest.approx(16, rel=2e-4)
@@ -92,6 +94,7 @@ def test_golf_ball_has_the_sparsity_of_table_i() -> None:
     assert 14 <= np.count_nonzero(np.abs(s) > 0.001) <= 27
 
 
+@pytest.mark.heavy
 def test_basis_pursuit_gives_up_plainly() -> None:
     psi = Contourlet(16, 16)
     assert not basis_pursuit(psi, np.zeros((16, 16))).any()

@@ -1,0 +1,33 @@
+"""Features and peak of sums whose noise differs from that of the training."""
+
+import numpy as np
+import pytest
+
+from classifier.features import widths_for
+from classifier.observer import Observer
+from classifier.samples import observe_untouched
+from skin.layout import Layout
+from skin.measurement import Sbhe
+
+
+@pytest.mark.parametrize("noise_ratio", [1.0, 2.0, 4.5])
+def test_an_untouched_skin_looks_the_same_whatever_its_noise_when_that_is_told(
+    layout: Layout, phi: Sbhe, noise_ratio: float
+) -> None:
+    rng = np.random.default_rng(5)
+    no_touch = observe_untouched(layout, phi, 0.001, 400, rng).no_touch
+    observer = Observer(phi, layout.taxels.rows, layout.taxels.columns, no_touch)
+    # Counts of taxels without an end of their range: noise alone, in proportion.
+    sums = phi.forward(rng.normal(0, 0.001 / layout.taxels.newton_per_count, (400, layout.taxels.count)))
+    widths, whole = len(widths_for(layout.taxels.rows, layout.taxels.columns)), np.ones(phi.blocks, np.float32)
+
+    def seen(ratio: float) -> tuple[float, np.ndarray]:
+        peaks, energies = [], []
+        for one in sums:
+            peaks.append(observer.look(ratio * one, whole, 1.0, ratio))
+            energies.append(np.sinh(observer.features[:widths]))
+        return float(np.mean(peaks)), np.mean(energies, axis=0) / ratio**2
+
+    expected, found = seen(1.0), seen(noise_ratio)
+    assert found[0] == pytest.approx(expected[0], rel=1e-3)
+    assert found[1] == pytest.approx(expected[1], rel=1e-3)
