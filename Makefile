@@ -1,7 +1,7 @@
 # make demo     the whole chain on this machine, about 20 s
 # make test     everything that must hold: style, types, imports, tests
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
-# make mutants  small faults put into the code that no quick test notices (docs/develop.md); hours without PATHS or ARGS
+# make mutants  small faults put into the code that no test notices, slow ones apart (docs/develop.md); hours without PATHS or ARGS
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
 
@@ -66,9 +66,9 @@ test-vcan: setup
 mutants: .venv/.mutants
 	@$(BIN)/python tests/mutants/find.py $(PATHS) $(ARGS)
 
-# The quick loop while working: no slow tests.
+# The quick loop while working: no heavy tests and no slow ones; it names the longest: those that compile, or have become heavy.
 loop: setup
-	$(BIN)/pytest -q -m "not slow" $(ON_ALL_CORES)
+	$(BIN)/pytest -q -m "not heavy and not slow" --durations 5 $(ON_ALL_CORES)
 
 check: setup
 	$(BIN)/ruff check .
