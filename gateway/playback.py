@@ -251,7 +251,6 @@ class AdaptivePlayback:
     def _begin(self, nodes: Collection[NodeContract]) -> None:
         """Forget the sums of nodes, and use their frames that come from now on."""
         for node in nodes:
-            self._loop.gathering.trust(node, proven=False)
             self._loop.gathering.trust(node, proven=True)
         self._loop.gathering.tick(self._now_s)
 

@@ -104,6 +104,7 @@ def hidden_imports(tree: ast.AST) -> Iterator[str]:
             yield node.value
 
 
+@pytest.mark.heavy
 def test_no_import_hides_from_the_import_rules() -> None:
     files = {path.relative_to(ROOT): path for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
     found = {name.as_posix(): set(hidden_imports(ast.parse(path.read_text()))) for name, path in files.items()}

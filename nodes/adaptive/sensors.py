@@ -63,7 +63,7 @@ class PatchSensors:
         cells: npt.NDArray[np.intp],
         model: TaxelModel,
         source: TaxelSource,
-        seed: int = 0,
+        seed: int,
     ) -> None:
         taxels = calibration.taxels
         self.counts = np.zeros(cells.shape, np.float32)

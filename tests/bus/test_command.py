@@ -15,6 +15,7 @@ def start(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> None:
     process = start("left", "right", "--fault", "controller=a:*,loss_ratio=1", "--json")
@@ -35,6 +36,7 @@ def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> N
     assert (counts["right"]["transmitted"], counts["right"]["lost"]) == (10, 10)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

@@ -1,6 +1,7 @@
 """python-can and canopen on the virtual bus."""
 
 import asyncio
+import select
 import time
 
 import can
@@ -43,6 +44,16 @@ def test_messages_arrive_as_they_were_sent(options: dict[str, object]) -> None:
         assert got.is_rx
         assert abs(got.timestamp - time.time()) < PATIENCE_S
         assert one.recv(0.0) is None
+
+
+def test_nothing_is_told_to_wait_when_all_messages_are_read() -> None:
+    """An event loop would turn for ever; messages come in one packet and are read one by one."""
+    with serving("bus0"), open_bus() as one, open_bus() as two:
+        for can_id in range(1, 21):
+            one.send(can.Message(arbitration_id=can_id, is_extended_id=False))
+        got = [two.recv(PATIENCE_S) for _ in range(20)]
+        assert [each.arbitration_id for each in got if each] == list(range(1, 21))
+        assert select.select([two], [], [], 0) == ([], [], [])
 
 
 def test_own_messages_and_filters() -> None:
@@ -120,6 +131,7 @@ def test_a_notifier_in_an_event_loop_gets_every_message() -> None:
         assert asyncio.run(gather()) == list(range(20))
 
 
+@pytest.mark.heavy
 def test_an_sdo_goes_from_one_network_to_another() -> None:
     dictionary = canopen.ObjectDictionary()
     for index, kind in ((0x2000, canopen.objectdictionary.UNSIGNED32), (0x2001, canopen.objectdictionary.DOMAIN)):

@@ -236,6 +236,14 @@ def test_a_link_refuses_frames_that_cannot_be_sent(bad: np.ndarray, what: str) -
         a.send(np.concatenate([frame(5), bad]))
 
 
+def test_another_data_rate_is_refused() -> None:
+    with (
+        serving("bus0", data_bitrate=5_000_000),
+        pytest.raises(BusError, match="its data rate is 5000000 bit/s, not 2000000"),
+    ):
+        open_link("canskin", "bus0", 1_000_000, fd=True, data_bitrate=2_000_000)
+
+
 def test_wrong_rates_and_missing_buses_are_one_line() -> None:
     with serving("bus0", data_bitrate=None):
         for options, what in (
@@ -283,6 +291,7 @@ def test_sockets_lie_where_the_environment_says(monkeypatch: pytest.MonkeyPatch,
     assert runtime_folder().name == f"canskin-{os.getuid()}"
 
 
+@pytest.mark.heavy
 def test_a_killed_process_is_noticed_and_a_new_one_is_found() -> None:
     command = [sys.executable, "-m", "skin", "bus", "bus0"]
     first = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

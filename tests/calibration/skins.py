@@ -57,6 +57,11 @@ class Skin(Generic[Calibrating]):
         self._phi = layout.phi()
         self._random = np.random.default_rng(seed)
 
+    def skip(self, seconds: float) -> None:
+        """Let time pass without cycles."""
+        self.time_s += seconds
+        self._cycle += round(seconds / self.layout.sync.period_s)
+
     def run(
         self,
         seconds: float,

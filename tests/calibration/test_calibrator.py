@@ -94,6 +94,7 @@ def test_a_zero_measured_under_a_touch_is_measured_again_when_the_touch_ends() -
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
 
 
+@pytest.mark.heavy
 def test_a_wrong_zero_under_a_hand_that_moves_is_told_ever_more_rarely() -> None:
     said: list[str] = []
     skin = Skin(Calibrator(LAYOUT, say=said.append))
@@ -239,3 +240,34 @@ def test_unclipped_noise_of_an_untouched_skin_has_no_mean() -> None:
     last = skin.run(4.0, lambda _time_s: random.normal(0, SENSOR_NOISE_N, layout.taxels.count))
     offsets_n = np.frombuffer(last.offsets, "<i4") * layout.taxels.newton_per_count
     assert np.abs(offsets_n[layout.phi().row_of_sum == 0]).mean() < 0.5 * layout.measurement.block_size**0.5 * 1e-3
+
+
+@pytest.mark.parametrize(
+    ("force", "state", "windows"),
+    [
+        (ZERO, CalibrationState.FOLLOWING, 4),
+        (pressed(10, 20, 20, 0.005), CalibrationState.TOUCHED, 8),
+    ],
+)
+def test_cycles_are_asked_for_after_sixty_windows_without_any(
+    force: np.ndarray, state: CalibrationState, windows: int
+) -> None:
+    """For a line through the fewest windows while the zero is followed, for a whole tare under a touch."""
+    skin = Skin(Calibrator(LAYOUT))
+    last = skin.run(6.0, still(OFFSETS + force))
+    assert skin.calibrator.state is state
+    window_ns, at_ns = skin.calibrator._windows.length_ns, last.sampled_mono_ns
+    gaps = [gap for gap in range(80) if skin.calibrator.needs_cycles(at_ns + gap * window_ns)]
+    assert gaps[0] == pytest.approx(60, abs=2)
+    asked_ns = at_ns + gaps[-1] * window_ns
+    skin.skip(gaps[-1] * window_ns * 1e-9)
+    skin.run(1.0, still(OFFSETS + force))
+    asks = [skin.calibrator.needs_cycles(asked_ns + late * window_ns) for late in range(20)]
+    assert asks == [True] * windows + [False] * (20 - windows)
+
+
+def test_noise_is_0_while_no_sum_is_known() -> None:
+    skin = Skin(Calibrator(LAYOUT))
+    skin.run(4.0, still(OFFSETS))
+    skin.run(2.0, still(OFFSETS), valid=np.zeros(LAYOUT.blocks, np.bool_))
+    assert skin.calibrator.status().noise_n == 0

@@ -1,6 +1,7 @@
 """``skin tare`` and ``skin calibration`` with a gateway, and their errors."""
 
 import json
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +23,7 @@ from canskin.fabric import Fabric, Reply
 from skin.command import main
 from tests.calibration.skins import LAYOUT, PHI
 
-STORED = store(LAYOUT, offsets_n=np.linspace(0, 0.1, PHI.shape[0]), gains=np.ones(PHI.shape[1]))
+STORED = store(LAYOUT, offsets_n=np.linspace(0, 0.1, PHI.shape[0]), gains=np.linspace(0.9, 1.1, PHI.shape[1]))
 
 
 class Gateway:
@@ -64,6 +65,7 @@ def test_the_calibration_of_a_gateway_is_shown_saved_and_loaded(
     shown = capsys.readouterr().out
     assert "1024 of 1024" in shown
     assert "following" in shown
+    assert re.search(r"gains of taxels +0\.900 to 1\.100", shown)
     path = tmp_path / "it.json"
     calibration("save", path, connect=endpoint)
     assert load_calibration(path, LAYOUT).offsets_n == STORED.offsets_n
@@ -88,6 +90,7 @@ def test_a_gateway_that_refuses_or_has_nothing_fails_the_verb(gateway: Gateway, 
     assert not (tmp_path / "other.json").exists()
 
 
+@pytest.mark.heavy
 def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
     hub = Fabric(LAYOUT.name, "replay", endpoint, hub=True)
     with pytest.raises(BusError, match="no service of skin 'skin' answers"):

@@ -59,6 +59,7 @@ def test_gains_are_found_within_a_few_percent(gains: np.ndarray) -> None:
     assert defects_of(found, PHI, SIDE) == []
 
 
+@pytest.mark.heavy
 def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarray) -> None:
     """Gains of 5 % of the paths and of 10 % of the taxels: what is left is a small part of both."""
     made = Mismatch(0.05, seed=3).gains(PHI.shape[0])
@@ -89,6 +90,7 @@ def test_a_dead_taxel_is_named(gains: np.ndarray) -> None:
     assert text.startswith(f"taxel {16 * SIDE + 12} (row 16, column 12) feels ")
 
 
+@pytest.mark.heavy
 def test_dead_sums_are_named(gains: np.ndarray) -> None:
     middle = np.bincount(PHI.block_of_taxel.reshape(SIDE, SIDE)[12:20, 12:20].ravel()).argmax()
     dead = [int(PHI.starts[middle]) + 1, int(np.flatnonzero(PHI.row_of_sum == 0)[0])]
@@ -156,6 +158,7 @@ def test_gains_of_a_recording(gains: np.ndarray, tmp_path: Path) -> None:
     assert (np.array(stored.gains) / gains - 1)[inner.ravel()].std() < 0.03
 
 
+@pytest.mark.heavy
 def test_gains_of_a_second_roll_multiply_those_of_the_first(
     gains: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,12 +176,14 @@ def test_gains_of_a_second_roll_multiply_those_of_the_first(
         stored_gains(LAYOUT, path, WHOLE_N, tmp_path / "none.json")
 
 
+@pytest.mark.heavy
 def test_cycles_of_a_gateway_that_started_again_are_other_cycles(gains: np.ndarray, tmp_path: Path) -> None:
     whole = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains), WHOLE_N)
     twice = stored_gains(LAYOUT, recording(tmp_path / "twice.mcap", gains, restart=len(FORCES) // 2), WHOLE_N)
     assert twice.gains == pytest.approx(whole.gains)
 
 
+@pytest.mark.heavy
 def test_a_roll_over_an_analogue_skin_stores_the_gains_of_its_sums(gains: np.ndarray, tmp_path: Path) -> None:
     replace = msgspec.structs.replace
     analogue = replace(LAYOUT, taxels=replace(LAYOUT.taxels, frontend="analogue"))

@@ -22,6 +22,16 @@ def test_a_file_holds_what_was_stored(tmp_path: Path) -> None:
     assert loaded.defects == ["sum 3 is stuck"]
 
 
+def test_a_file_without_gains_of_sums_is_of_version_1_as_is_a_file_that_names_none(tmp_path: Path) -> None:
+    """Programs from before the gains of sums read version 1."""
+    path = tmp_path / "it.json"
+    save_calibration(path, store(LAYOUT, gains=np.ones(PHI.shape[1])))
+    written = msgspec.json.decode(path.read_bytes())
+    assert written.pop("version", 1) == 1
+    path.write_bytes(msgspec.json.encode(written))
+    assert load_calibration(path, LAYOUT).version == 1
+
+
 BAD = (
     ({"fingerprint": "0" * 16}, "the calibration of another layout"),
     ({"force_max_n": 0.04}, "and 0.04 N: expected"),

@@ -121,6 +121,7 @@ def test_a_time_of_images_that_is_none_is_named(chain: Chain) -> None:
                 skin.ask_images(hold_s)
 
 
+@pytest.mark.heavy
 def test_a_program_that_closes_nothing_ends(chain: Chain) -> None:
     program = f"import canskin; print(canskin.connect('{chain.endpoint}', timeout_s=20).layout.name)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100, check=False)
@@ -133,6 +134,7 @@ def test_a_timeout_that_is_none_is_named(timeout_s: Any) -> None:
         canskin.connect(timeout_s=timeout_s)
 
 
+@pytest.mark.heavy
 def test_images_that_are_too_old_are_told(chain: Chain) -> None:
     chain.start()
     with (
@@ -150,6 +152,7 @@ def test_tare_tells_success_and_raises_otherwise(chain: Chain) -> None:
     assert chain.tares == [False, True]
 
 
+@pytest.mark.heavy
 def test_silence_names_the_service_that_is_missing(chain: Chain) -> None:
     with (
         canskin.connect(chain.endpoint, "palm", timeout_s=1.0) as skin,
@@ -178,6 +181,7 @@ def test_a_skin_that_is_not_there_is_told_with_those_that_are(chain: Chain) -> N
         assert skin.layout.name == "palm"
 
 
+@pytest.mark.heavy
 def test_a_hub_without_a_skin(endpoint: str) -> None:
     hub = Fabric("palm", "demo", endpoint, hub=True)
     with pytest.raises(canskin.BusError, match=r"no skin at .*, found demo of 'palm': is 'skin gateway' running"):

@@ -21,6 +21,7 @@ def block(word: str) -> str:
     return str(found)
 
 
+@pytest.mark.heavy
 def test_reading_of_a_running_skin(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     chain = Chain(endpoint)
     chain.start()

@@ -77,6 +77,7 @@ def test_an_attachment_of_another_program_is_no_origin(attachment: bytes) -> Non
     assert fabric_module._origin_of(zenoh.ZBytes(attachment)) is None
 
 
+@pytest.mark.heavy
 def test_an_answer_to_someone_who_has_left_is_no_error(hub: Fabric, endpoint: str, log: Log) -> None:
     replies: list[Reply] = []
     hub.answer(CALIBRATION, lambda _request, reply: replies.append(reply))
@@ -198,6 +199,7 @@ def test_no_hub_is_one_clear_line(endpoint: str) -> None:
         Fabric("test", "lonely", endpoint, patience_s=0.2)
 
 
+@pytest.mark.heavy
 def test_hub_that_comes_later_is_found_and_both_are_told(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, log: Log
 ) -> None:
@@ -220,6 +222,7 @@ def test_hub_that_comes_later_is_found_and_both_are_told(
     ]
 
 
+@pytest.mark.heavy
 def test_services_of_another_phi_skin_or_version_are_named_once(endpoint: str, log: Log) -> None:
     gateway = Fabric("palm", "gateway", endpoint, hub=True, fingerprint="aa")
     others = [

@@ -129,6 +129,7 @@ def test_cantools_decodes_the_bits_of_fine_frames(small: Contract) -> None:
     assert fine_steps(0.001, contract.law) == 16  # of 62.5 µN
 
 
+@pytest.mark.heavy
 def test_one_eds_describes_all_boards(contract: Contract) -> None:
     (kind,) = node_types(contract)
     assert len(kind.nodes) == 128

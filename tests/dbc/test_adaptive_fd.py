@@ -55,6 +55,7 @@ def test_every_frame_of_127_nodes_has_an_identifier_of_its_own() -> None:
     assert order == sorted(order)
 
 
+@pytest.mark.heavy
 def test_the_mapping_fills_the_frame_and_is_proven(contract: Contract) -> None:
     node = contract.nodes[70]
     entries = {(each.index, each.subindex): int(each.value) for each in dictionary(contract, node) if each.subindex}
@@ -75,6 +76,7 @@ def test_a_frame_of_all_groups_takes_no_longer_than_a_classic_frame_of_one(contr
     assert [sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] == [104, 168]
 
 
+@pytest.mark.heavy
 @given(st.integers(0, 2**32), st.floats(0, 20e-3))
 @settings(deadline=None)
 def test_a_fine_frame_alone_tells_all_sums(seed: int, size_n: float) -> None:
@@ -93,6 +95,7 @@ def test_a_fine_frame_alone_tells_all_sums(seed: int, size_n: float) -> None:
         assert abs(value_n[place] - sum_n) <= (0.51 * law.fine_n if is_in_reach else abs(coarse - sum_n))
 
 
+@pytest.mark.heavy
 def test_cantools_decodes_all_groups() -> None:
     lines = "".join(f'[[bus]]\nname = "{name}"\nnodes = 4\nfd = true\n' for name in "ab")
     layout = parse_layout((LARGE.replace("= 64", "= 16") + lines).encode(), "small")

@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
+from dbc.adaptive import coarse_value
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
-from dbc.contract import PHASES, Contract, _length, _spread
+from dbc.contract import PHASES, Contract, _cob_id, _length, _spread, sample_age_ns, sum_frame_bits
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
@@ -238,3 +239,53 @@ def test_pdos_switch_the_rate_only_where_the_bus_has_a_second_one(
 def test_encoding_is_width_scale_sign_and_blocks_by_byte(bits: int, offset_binary: bool, encoding: int) -> None:
     layout = msgspec.structs.replace(load_layout(), encoding=Encoding(sum_bits=bits, offset_binary=offset_binary))
     assert {node.encoding for node in Contract.from_layout(layout).nodes} == {encoding}
+
+
+@pytest.mark.parametrize(
+    ("nodes", "node_id", "index", "cob_id"),
+    [
+        (32, 5, 3, 0x485),
+        (32, 5, 4, 0x205),
+        (32, 5, 7, 0x505),
+        (32, 5, 8, 0x180 + 5 + 32),
+        (32, 32, 16, 0x180 + 32 + 64),
+        (126, 1, 8, 0x180 + 127),
+        (126, 2, 8, None),
+        (127, 127, 7, 0x57F),
+        (32, 32, 24, None),  # 32 + 96 is no node-ID
+        (32, 31, 24, 0x180 + 127),
+    ],
+)
+def test_a_node_with_many_frames_has_identifiers_of_unused_node_ids(
+    nodes: int, node_id: int, index: int, cob_id: int | None
+) -> None:
+    bus = Bus(name="a", nodes=nodes)
+    if cob_id is not None:
+        assert _cob_id(bus, 0, node_id, index) == cob_id
+    else:
+        with pytest.raises(LayoutError, match=f"no identifiers left for TPDO {index + 1} of node {node_id}: "):
+            _cob_id(bus, 0, node_id, index)
+
+
+def test_a_frame_of_adaptive_sums_takes_135_bits_and_tells_of_a_sample_a_millisecond_before() -> None:
+    line = load_layout(Path("adaptive"), adaptive=True).bus[0]
+    assert [sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] == [135, 135]
+    assert sample_age_ns(line) == 1_000_000 + 135_000
+    slow = msgspec.structs.replace(line, bitrate=500_000)
+    assert (sum_frame_bits(slow, is_fine=True), sample_age_ns(slow)) == (135, 1_000_000 + 270_000)
+
+
+def test_a_coarse_step_near_0_is_half_a_millinewton_of_twenty() -> None:
+    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    full_scale = contract.layout.taxels.force_max_n
+    assert [coarse_value(code, False, contract.law) for code in (127, 128, 129)] == pytest.approx(
+        [-full_scale / 40, 0.0, full_scale / 40], rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(("offset_binary", "form"), [(False, 4), (True, 5)])
+def test_encoding_tells_sums_of_an_analogue_front_end(offset_binary: bool, form: int) -> None:
+    layout = load_layout(Path("analogue"))
+    encoding = msgspec.structs.replace(layout.encoding, offset_binary=offset_binary)
+    node = Contract.from_layout(msgspec.structs.replace(layout, encoding=encoding)).nodes[0]
+    assert (node.encoding >> 16 & 0xFF, node.encoding & 0xFF, node.encoding >> 24) == (form, encoding.sum_bits, 1)

@@ -12,7 +12,7 @@ from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.database import database, signal_name
-from skin.layout import Encoding, load_layout
+from skin.layout import Encoding, load_layout, parse_layout
 from tests.identity import alternating
 
 CASES = [
@@ -36,6 +36,7 @@ def read(contract: Contract, bus: int) -> Any:
     return cantools.database.load_string(database(contract, bus), "dbc", strict=True)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("name", "encoding"), CASES)
 def test_cantools_decodes_exactly_the_sums(name: str, encoding: dict[str, object]) -> None:
     contract = made_of(name, encoding)
@@ -98,6 +99,7 @@ def test_every_frame_on_a_bus_is_described() -> None:
     assert described.decode_message("NMT", b"\x81\x00") == {"Command": "Reset node", "NodeId": 0}
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("rate", "switches"), [(5_000_000, "1"), (None, "0")])
 def test_can_fd_frames_say_whether_they_switch_the_bit_rate(rate: int | None, switches: str) -> None:
     layout = load_layout(Path("fd"))
@@ -106,3 +108,171 @@ def test_can_fd_frames_say_whether_they_switch_the_bit_rate(rate: int | None, sw
     assert described.dbc.attribute_definitions["CANFD_BRS"].default_value == switches
     assert {message.is_fd for message in described.messages if "TPDO" in message.name} == {True}
     assert not described.get_message_by_name("SYNC").is_fd
+
+
+#: One node on CAN FD, with every message that the gateway sends to all nodes.
+ARM = """
+name = "small"
+[taxels]
+rows = 8
+columns = 8
+[measurement]
+sums = 5
+block_size = 64
+[sync]
+rate_hz = 50.0
+identity = "alternating"
+time_s = 2.5
+[encoding]
+sum_bits = 12
+[[bus]]
+name = "arm"
+nodes = 1
+bitrate = 500000
+fd = true
+data_bitrate = 2000000
+"""
+
+#: Identifiers of CiA 301's predefined connection set, fields of its 7.2.
+SERVICES = """\
+BO_ 0 NMT: 2 Gateway
+ SG_ Command : 0|8@1+ (1,0) [0|255] "" Vector__XXX
+ SG_ NodeId : 8|8@1+ (1,0) [0|255] "" Vector__XXX
+
+BO_ 128 SYNC: 1 Gateway
+ SG_ Counter : 0|8@1+ (1,0) [0|255] "" Vector__XXX
+
+BO_ 129 Node1_EMCY: 8 Node1
+ SG_ ErrorCode : 0|16@1+ (1,0) [0|65535] ""  Gateway
+ SG_ ErrorRegister : 16|8@1+ (1,0) [0|255] ""  Gateway
+ SG_ ManufacturerField : 24|40@1+ (1,0) [0|1099511627775] ""  Gateway
+
+BO_ 256 TIME: 6 Gateway
+ SG_ AfterMidnight : 0|28@1+ (1,0) [0|268435455] "ms" Vector__XXX
+ SG_ Days : 32|16@1+ (1,0) [0|65535] "d" Vector__XXX
+
+"""
+TRANSFERS = """\
+BO_ 1409 Node1_SDO_Response: 8 Node1
+ SG_ Command : 0|8@1+ (1,0) [0|255] ""  Gateway
+ SG_ Index : 8|16@1+ (1,0) [0|65535] ""  Gateway
+ SG_ Subindex : 24|8@1+ (1,0) [0|255] ""  Gateway
+ SG_ Data : 32|32@1+ (1,0) [0|4294967295] ""  Gateway
+
+BO_ 1537 Node1_SDO_Request: 8 Gateway
+ SG_ Command : 0|8@1+ (1,0) [0|255] ""  Node1
+ SG_ Index : 8|16@1+ (1,0) [0|65535] ""  Node1
+ SG_ Subindex : 24|8@1+ (1,0) [0|255] ""  Node1
+ SG_ Data : 32|32@1+ (1,0) [0|4294967295] ""  Node1
+
+BO_ 1793 Node1_Heartbeat: 1 Node1
+ SG_ State : 0|8@1+ (1,0) [0|255] ""  Gateway
+"""
+
+
+def test_services_are_written_field_by_field() -> None:
+    text = database(Contract.from_layout(parse_layout(ARM.encode(), "arm.toml")), 0)
+    assert SERVICES in text
+    assert TRANSFERS in text
+    lines = text.splitlines()
+    tpdo = lines[lines.index("BO_ 641 Node1_TPDO2_Phase2: 8 Node1") + 1 :][:5]
+    assert [line.split(" : ")[1] for line in tpdo] == [
+        f'{start}|12@1- (32,0) [-65536|65504] "count"  Gateway' for start in (0, 12, 24, 36, 48)
+    ]
+
+
+def test_attributes_tell_rates_formats_and_periods() -> None:
+    """VFrameFormat 14 is StandardCAN_FD; a TPDO of one of two phases comes every second cycle of 20 ms."""
+    text = database(Contract.from_layout(parse_layout(ARM.encode(), "arm.toml")), 0)
+    kinds = "BA_DEF_ ", "BA_DEF_DEF_ ", "BA_ ", "VAL_ "
+    lines = [line for line in text.splitlines() if line.startswith(kinds) and "PhiFingerprint" not in line]
+    reserved = 10 * ["reserved"]
+    formats = '","'.join(
+        ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *reserved, "StandardCAN_FD", "ExtendedCAN_FD"]
+    )
+    assert lines == [
+        'BA_DEF_  "DBName" STRING ;',
+        'BA_DEF_  "BusType" STRING ;',
+        'BA_DEF_  "Baudrate" INT 0 2147483647;',
+        'BA_DEF_  "BaudrateCANFD" INT 0 2147483647;',
+        'BA_DEF_  "NewtonPerCount" FLOAT 0 1000000;',
+        'BA_DEF_ BO_  "GenMsgCycleTime" INT 0 65535;',
+        f'BA_DEF_ BO_  "VFrameFormat" ENUM  "{formats}";',
+        'BA_DEF_ BO_  "CANFD_BRS" ENUM  "0","1";',
+        'BA_DEF_DEF_  "DBName" "";',
+        'BA_DEF_DEF_  "BusType" "";',
+        'BA_DEF_DEF_  "Baudrate" 0;',
+        'BA_DEF_DEF_  "BaudrateCANFD" 0;',
+        'BA_DEF_DEF_  "NewtonPerCount" 0.0;',
+        'BA_DEF_DEF_  "GenMsgCycleTime" 0;',
+        'BA_DEF_DEF_  "VFrameFormat" "StandardCAN";',
+        'BA_DEF_DEF_  "CANFD_BRS" "1";',
+        'BA_ "DBName" "arm";',
+        'BA_ "BusType" "CAN FD";',
+        'BA_ "BaudrateCANFD" 2000000;',
+        'BA_ "NewtonPerCount" 1.9550342130987292e-05;',
+        'BA_ "Baudrate" 500000;',
+        'BA_ "GenMsgCycleTime" BO_ 128 20;',
+        'BA_ "GenMsgCycleTime" BO_ 256 2500;',
+        'BA_ "GenMsgCycleTime" BO_ 385 40;',
+        'BA_ "VFrameFormat" BO_ 385 14;',
+        'BA_ "GenMsgCycleTime" BO_ 641 40;',
+        'BA_ "VFrameFormat" BO_ 641 14;',
+        'BA_ "GenMsgCycleTime" BO_ 1793 1000;',
+        'VAL_ 0 Command 1 "Start" 2 "Stop" 128 "Enter pre-operational" 129 "Reset node" 130 "Reset communication" ;',
+        'VAL_ 1793 State 0 "Boot-up" 4 "Stopped" 5 "Operational" 127 "Pre-operational" ;',
+    ]
+
+
+def comments(layout: str) -> list[str]:
+    text = database(Contract.from_layout(parse_layout(layout.encode(), "arm.toml")), 0)
+    return [line for line in text.splitlines() if line.startswith("CM_")]
+
+
+def test_comments_say_what_a_frame_is() -> None:
+    """A sum that is rounded to 32 counts is off by 16 of them at most: 16 * 19.55 µN = 313 µN."""
+    bus, *messages = comments(ARM)
+    assert bus.startswith('CM_ "Bus arm of skin small: blocks 0 to 0 of Phi ')
+    exact = "Sums are in ADC counts, 1.95503e-05 N each; "
+    assert bus.endswith(f'{exact}rounded to 32, which adds at most 0.000313 N to a sum.";')
+    wide = comments(ARM.replace("sum_bits = 12", "sum_bits = 16"))
+    assert wide[0].endswith(f'{exact}rounded to 2, which adds at most 1.96e-05 N to a sum.";')
+    small = ARM.replace("sums = 5\nblock_size = 64", "sums = 4").replace("sum_bits = 12", "")
+    assert comments(small.replace("nodes = 1", "nodes = 2"))[0].endswith(f'{exact}they are exact.";')
+    assert messages == [
+        'CM_ BO_ 0 "NMT command; node-ID 0 is all nodes";',
+        'CM_ BO_ 128 "All blocks measure now; the counter goes from 1 to 240";',
+        'CM_ BO_ 256 "TIME_OF_DAY in UTC; days since 1984-01-01";',
+        'CM_ BO_ 385 "Sums 0 to 4 in phase 1 of 2: after SYNC counters 1, 3, 5, ...";',
+        'CM_ BO_ 641 "Sums 0 to 4 in phase 2 of 2: after SYNC counters 2, 4, 6, ...";',
+    ]
+    plain = comments(ARM.replace('"alternating"', '"window"').replace("time_s = 2.5", ""))[1:]
+    assert plain[1:] == ['CM_ BO_ 128 "All blocks measure now";', 'CM_ BO_ 385 "Sums 0 to 4, after every SYNC";']
+
+
+def test_a_skin_that_recognises_has_frames_of_its_own_for_that() -> None:
+    window = (
+        ARM.replace("alternating", "window").replace("time_s = 2.5", "").replace("rate_hz = 50.0", "rate_hz = 25.0")
+    )
+    layout = parse_layout((window + "[recognition]\nsums = 2\nrate_hz = 200.0\n").encode(), "arm.toml")
+    text = database(Contract.from_layout(layout), 0)
+    state = 'BO_ 255 State: 1 Gateway\n SG_ State : 0|8@1+ (1,0) [0|255] "" Vector__XXX\n\n'
+    assert state in text
+    lines = text.splitlines()
+    assert [line for line in lines if "TPDO" in line] == [
+        "BO_ 385 Node1_TPDO1: 8 Node1",
+        "BO_ 641 Node1_TPDO2_Recognition: 3 Node1",
+    ]
+    said = ("BO_ 255", "BO_ 385", "BO_ 641", "255 State")
+    assert [
+        line for line in lines if line.startswith(("CM_", "BA_ ", "VAL_ ")) and any(each in line for each in said)
+    ] == [
+        'CM_ BO_ 255 "State of all nodes from the next SYNC on";',
+        'CM_ BO_ 385 "Sums 0 to 4, after every SYNC";',
+        'CM_ BO_ 641 "Sums 0 to 1 of recognition, after every SYNC";',
+        'BA_ "GenMsgCycleTime" BO_ 385 40;',
+        'BA_ "VFrameFormat" BO_ 385 14;',
+        'BA_ "GenMsgCycleTime" BO_ 641 5;',
+        'BA_ "VFrameFormat" BO_ 641 14;',
+        'VAL_ 255 State 0 "Recognition" 1 "Images" ;',
+    ]

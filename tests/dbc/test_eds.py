@@ -73,6 +73,7 @@ def some_types(contract: Contract) -> list[NodeType]:
     return types if len(types) < 4 else [*types[:2], types[-1]]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_canopen_reads_the_dictionary(name: str, tmp_path: Path) -> None:
     contract = Contract.from_layout(LAYOUTS[name])
@@ -112,6 +113,7 @@ def first_block(index: int) -> int:
     return split_block(index)[1] if index >= OD_MANUFACTURER else index
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ["fd", "mixed", "recognise-first"])
 def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None:
     contract = Contract.from_layout(LAYOUTS[name])
@@ -134,6 +136,7 @@ def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None
                     assert device[each.index][each.subindex or 0].parse_value() == each.value
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ["default", "adaptive"])
 def test_no_warning_of_any_reader_and_no_value_without_default(
     name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -153,6 +156,7 @@ def test_no_warning_of_any_reader_and_no_value_without_default(
     assert unsaid == ({OD_COMPANDING, OD_SENDING} if name == "adaptive" else set())
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_lely_reads_the_dictionary_and_has_no_complaint(name: str, tmp_path: Path) -> None:
     contract = Contract.from_layout(LAYOUTS[name])
@@ -211,3 +215,4 @@ def test_every_node_has_one_type_and_each_number_of_sums_its_own() -> None:
     assert sorted(node.block for kind in kinds for node in kind.nodes) == list(range(128))
     assert len(kinds) == len({node.sums for node in contract.nodes}) > 5
     assert len({kind.file for kind in kinds}) == len(kinds)
+    assert [kind.file for kind in kinds] == [f"skin-type{number}.eds" for number in range(1, len(kinds) + 1)]

@@ -87,6 +87,7 @@ def test_exact_classic_agrees_with_the_bit_string(identifier: tuple[int, int], d
     assert (nominal[0], fast[0]) == (slow, 0)
 
 
+@pytest.mark.heavy
 @settings(max_examples=150, deadline=None)
 @given(identifiers, st.data(), st.sampled_from(FD_LENGTHS), st.booleans(), st.booleans())
 def test_exact_fd_agrees_with_the_bit_string(

@@ -28,6 +28,7 @@ def test_milliseconds_after_midnight_and_days_since_1984(instant: datetime, data
     assert time_of_day(wall_ns + 999_999) == bytes.fromhex(data)
 
 
+@pytest.mark.heavy
 def test_the_dbc_decodes_time_if_the_layout_has_it() -> None:
     layout = load_layout()
     timed = msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, time_s=2.5))

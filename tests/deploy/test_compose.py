@@ -35,6 +35,7 @@ def of_profile(services: dict[str, Service], profile: str) -> dict[str, Service]
     return {name: service for name, service in services.items() if service["profiles"] == [profile]}
 
 
+@pytest.mark.heavy
 def test_the_file_is_valid_by_the_compose_specification() -> None:
     command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", str(COMPOSE)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -55,6 +55,7 @@ def run(twins: AdaptiveTwins, samples: int) -> int:
     return sent
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("defects", [(), DEFECTS], ids=["sound", "defective"])
 def test_frames_of_touches_though_some_are_lost(contract: Contract, defects: tuple[str, ...]) -> None:
     twins = AdaptiveTwins(contract, defects=parse_defects(defects, 3))
@@ -64,6 +65,7 @@ def test_frames_of_touches_though_some_are_lost(contract: Contract, defects: tup
     assert twins.segments[0].frames_sent > SAMPLES / 20
 
 
+@pytest.mark.heavy
 def test_a_full_transmit_queue(contract: Contract) -> None:
     twins = AdaptiveTwins(contract, room=1)
     twins.nmt(START)
@@ -73,6 +75,7 @@ def test_a_full_transmit_queue(contract: Contract) -> None:
     assert [segment.frames_dropped for segment in twins.segments] == [twins.segments[0].frames_dropped] * 2
 
 
+@pytest.mark.heavy
 def test_writes_of_all_settings(contract: Contract) -> None:
     twins = AdaptiveTwins(contract)
     random = np.random.default_rng(2)
@@ -103,6 +106,7 @@ def test_writes_of_all_settings(contract: Contract) -> None:
     assert sent > 50
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("bits_per_second", [300, 2000, 20_000])
 def test_budgets(contract: Contract, bits_per_second: int) -> None:
     twins = AdaptiveTwins(contract)
@@ -112,6 +116,7 @@ def test_budgets(contract: Contract, bits_per_second: int) -> None:
     assert run(twins, SAMPLES) > 20
 
 
+@pytest.mark.heavy
 def test_objects_that_boards_compute(contract: Contract) -> None:
     twins = AdaptiveTwins(contract)
     twins.nmt(START)

@@ -55,6 +55,7 @@ CONTRACTS = {
 }
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", CONTRACTS)
 def test_sums_and_frames_at_every_sync(name: str) -> None:
     twins = Twins(CONTRACTS[name]())
@@ -135,6 +136,7 @@ def random_request(random: np.random.Generator, indices: list[tuple[int, int]]) 
     return bytes((command, index & 0xFF, index >> 8, subindex)) + value.to_bytes(4, "little")
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("seed", range(4))
 def test_random_requests_get_the_same_answers(seed: int) -> None:
     contract = small_contract("[encoding]\nsum_bits = 12" if seed % 2 else ALTERNATING)

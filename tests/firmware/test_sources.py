@@ -29,6 +29,8 @@ ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 #: Flash memory of the sums, and of sums and slave with the constants of one board, bytes.
 SUMS_BYTES, SLAVE_BYTES = 1024, 12 * 1024
+#: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
+UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
@@ -36,6 +38,7 @@ def contract_of(name: str) -> Contract:
     return Contract.from_layout(load_layout(Path(name), adaptive=True))
 
 
+@pytest.mark.heavy
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
 def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
@@ -47,12 +50,14 @@ def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path)
     compile_c([*parts, main], tmp_path / "firmware", ["cc", *STANDARD_FLAGS, "-O2"])
 
 
+@pytest.mark.heavy
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
 def test_the_adapter_for_canopennode_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
     assert compile_adapter(contract_of(name), tmp_path, "print_dictionary.c").exists()
 
 
+@pytest.mark.heavy
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
 def test_the_dictionary_for_canopennode_is_that_of_the_contract(name: str, tmp_path: Path) -> None:
@@ -98,6 +103,7 @@ FUZZED = {
 }
 
 
+@pytest.mark.heavy
 @needs_compiler
 @pytest.mark.parametrize("name", FUZZED)
 def test_random_frames_break_nothing(name: str, tmp_path: Path) -> None:
@@ -117,11 +123,16 @@ def test_random_frames_break_nothing(name: str, tmp_path: Path) -> None:
         # The memory of a program that preloads a library cannot be watched.
         environment = {key: value for key, value in os.environ.items() if key != "LD_PRELOAD"}
         done = subprocess.run(
-            [program, str(seed), str(bursts)], capture_output=True, text=True, check=False, env=environment
+            ["sh", "-c", UNLIMITED, program, str(seed), str(bursts)],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=environment,
         )
         assert done.returncode == 0, done.stderr + done.stdout
 
 
+@pytest.mark.heavy
 @needs_compiler
 def test_a_damaged_library_in_the_cache_is_made_anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     contract, first, damaged = small_contract(), tmp_path / "first", tmp_path / "damaged"

@@ -46,6 +46,7 @@ def read_real(boards: AdaptiveBoards, index: int, subindex: int) -> float:
     return float(struct.unpack_from("<f", sdo(boards, struct.pack("<BHB", 0x40, index, subindex)), 4)[0])
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
 def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
     contract, vectors = vectors_of(name)
@@ -80,6 +81,7 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
     assert sent > 50
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
 def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, tmp_path: Path) -> None:
     contract, vectors = vectors_of(name)

@@ -5,6 +5,7 @@ of a loss with the batch that holds the next frame, as a kernel's does, but not 
 """
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -115,6 +116,7 @@ def check(sums: BusSums, node: Sender) -> None:
             assert codes[0] == codes[1]
 
 
+@pytest.mark.heavy
 @given(STEPS, st.booleans())
 @settings(max_examples=120, deadline=None)
 def test_no_frame_is_misread_and_a_refresh_makes_whole(steps: list[tuple[int, int, int, bool]], is_fd: bool) -> None:
@@ -135,6 +137,7 @@ def test_no_frame_is_misread_and_a_refresh_makes_whole(steps: list[tuple[int, in
     assert not receiver.sums.is_lost.any()
 
 
+@pytest.mark.heavy
 @given(STEPS)
 @settings(max_examples=50, deadline=None)
 def test_after_a_loss_that_nobody_noticed_no_frame_counts_that_has_another_check(
@@ -159,6 +162,7 @@ def test_after_a_loss_that_nobody_noticed_no_frame_counts_that_has_another_check
                 assert sums.counts[USED] == used + 1
 
 
+@pytest.mark.heavy
 @given(STEPS)
 @settings(max_examples=60, deadline=None)
 def test_on_can_fd_any_frame_alone_makes_a_block_whole(steps: list[tuple[int, int, int, bool]]) -> None:

@@ -229,6 +229,7 @@ def test_a_slow_skin_says_how_long_its_zero_takes(small: Contract) -> None:
     assert "which takes 64 s" in replies[0].text
 
 
+@pytest.mark.heavy
 def test_a_node_that_is_not_there_is_named(small: Contract, stored: StoredCalibration) -> None:
     world = World(small)
     world.until_whole(2.0)

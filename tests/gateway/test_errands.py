@@ -100,6 +100,7 @@ def test_node_without_noise_is_not_counted(adaptive: Contract) -> None:
     assert world.run(0.5)[-1].noise_n == pytest.approx(3e-4)
 
 
+@pytest.mark.heavy
 def test_a_busy_node_does_not_hold_back_the_noise_of_the_others(
     boards: BoardWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,22 +1,31 @@
 """`skin node check` finds what differs, and leaves the board as it was."""
 
 import itertools
+import re
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import pytest
 
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import NmtCommand, NmtState
+from dbc.configuration import setting_of
 from dbc.contract import Contract
+from dbc.dictionary import dictionary
+from dbc.frame import ERROR, REMOTE, Frames
 from dbc.indices import OD_TEST_PATTERN
-from gateway.node_check import CYCLES, NodeCheck, NodeReport
+from gateway.node_check import NodeCheck, NodeReport
 from nodes.sampler import new_sampler
 from nodes.synchronous_segment import SynchronousSegment
+from tests.bus.harness import frame
+from tests.gateway.boards import Board
 from tests.gateway.world import Shaking, Wire, small_contract
 from tests.identity import IDENTITIES, with_identity
 
 STEP_S = 0.005
+#: 1007h at 20 SYNCs a second: 99 % of the period.
+WINDOW_US = 49_500
 
 
 class Bench:
@@ -43,7 +52,7 @@ class Bench:
             check.tick(self.now_s)
             self.segment.tick(self.now_s)
             self.wire.now_ns = round(self.now_s * 1e9)
-            while self.wire.deliver():
+            while self.wire.deliver() or self.wire.gateway.has_news:
                 self.segment.take(self.wire.nodes.receive(), self.now_s)
                 check.take(self.wire.gateway.receive(), self.now_s)
         return check.report
@@ -62,7 +71,7 @@ def test_a_board_that_keeps_the_contract(bus: str, identity: str) -> None:
     node = bench.contract.nodes[0]
     assert (report.bus, report.node_id, report.differences, report.notes) == ("bus0", 1, [], [])
     due = sum(tpdo.phase == 0 for tpdo in node.tpdos)
-    assert (report.cycles, report.frames) == (3 * CYCLES, 3 * CYCLES * due)
+    assert (report.cycles, report.frames) == (12, 12 * due)
     assert report.objects > len(node.tpdos) * 3
     assert 0 < report.latest_s < bench.contract.layout.sync.period_s
     assert (bench.node.state, pattern_of(bench)) == (NmtState.PRE_OPERATIONAL, 0)
@@ -144,7 +153,7 @@ def test_a_board_that_leaves_is_asked_once_more_and_not_again() -> None:
     report = bench.check()
     assert report.differences[-1].startswith("no answer to object 2021h:0")
     assert sum("no answer" in text for text in report.differences) == 1
-    assert report.cycles == CYCLES
+    assert report.cycles == 4
 
 
 def test_the_bus_of_a_running_gateway_is_refused() -> None:
@@ -163,7 +172,195 @@ def test_a_check_that_is_stopped_ends_the_pattern() -> None:
         while bench.wire.deliver():
             bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
             check.take(bench.wire.gateway.receive(), bench.now_s)
+    bench.wire.log.clear()
     check.give_up()
     bench.wire.deliver()
+    assert bench.wire.log == [(0x601, bytes.fromhex("2F 21 20 00 00 00 00 00")), (0x000, b"\x80\x01")]
     bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
     assert pattern_of(bench) == 0
+
+
+@pytest.mark.parametrize(("rate_hz", "listens_s"), [(5.0, 0.6), (20.0, 0.2), (100.0, 0.2)])
+def test_the_bus_is_heard_before_anything_is_sent(rate_hz: float, listens_s: float) -> None:
+    small = small_contract().layout
+    layout = msgspec.structs.replace(small, sync=msgspec.structs.replace(small.sync, rate_hz=rate_hz))
+    contract, sent = Contract.from_layout(layout), list[Frames]()
+
+    def send(burst: Frames) -> int:
+        sent.append(burst)
+        return len(burst)
+
+    check = NodeCheck(contract, contract.nodes[0], send, 0.0)
+    check.tick(listens_s - 0.001)
+    assert not sent
+    check.tick(listens_s + 0.001)
+    assert [(int(each["can_id"][0]), each["data"][0, :4].tobytes()) for each in sent] == [(0x601, b"\x40\x05\x10\0")]
+
+
+def sync_times(bench: Bench) -> tuple[NodeReport, list[float]]:
+    """Check node 1; return the report, and the times of SYNC."""
+    times_s: list[float] = []
+
+    def look() -> None:
+        if sum(can_id == 0x080 for can_id, _ in bench.wire.log) > len(times_s):
+            times_s.append(bench.now_s)
+
+    return bench.check(look), times_s
+
+
+def test_a_cycle_is_a_period_and_half_a_second_longer_without_its_frames() -> None:
+    bench = Bench(small_contract())
+    report, times_s = sync_times(bench)
+    within = [np.diff(times_s[first : first + 4]) for first in (0, 4, 8)]
+    np.testing.assert_allclose(within, 0.05, atol=0.0051)
+    bench = Bench(small_contract())
+    bench.wire.loses = lambda end, each: end is bench.wire.gateway and each["can_id"] == 0x281
+    report, times_s = sync_times(bench)
+    within = [np.diff(times_s[first : first + 4]) for first in (0, 4, 8)]
+    np.testing.assert_allclose(within, 0.55, atol=0.0051)
+    names = ("zero", "ramp", "full scale")
+    places = [f"test pattern {name}, SYNC {counter}" for name in names for counter in (1, 2, 3, 4)]
+    assert report.differences == [f"{place}: TPDO 2 (281h) came 0 times, expected 1" for place in places]
+
+
+def test_frames_that_are_read_late_are_used_when_they_were_in_time() -> None:
+    bench, steps = Bench(small_contract()), itertools.count()
+
+    def hold() -> None:
+        bench.wire.gateway.is_held = next(steps) % 20 != 0
+
+    report = bench.check(hold)
+    assert (report.differences, report.frames) == ([], 24)
+    assert report.latest_s < 0.05
+
+
+@pytest.mark.parametrize(("after_us", "is_late"), [(WINDOW_US, False), (WINDOW_US + 100, True)])
+def test_a_tpdo_after_its_window_differs(after_us: int, *, is_late: bool) -> None:
+    bench = Bench(small_contract())
+
+    def loses(end: object, each: np.void) -> bool:
+        if end is bench.wire.gateway and each["can_id"] == 0x281:
+            each["time_ns"] = bench.wire.now_ns + after_us * 1000
+        return False
+
+    bench.wire.loses = loses
+    report = bench.check()
+    said = f"test pattern zero, SYNC 1: TPDO 2 ends {after_us / 1000:.1f} ms after SYNC, after 1007h"
+    assert report.differences[:1] == [said] * is_late
+    assert len(report.differences) == 12 * is_late
+    assert report.latest_s == pytest.approx(after_us / 1e6)
+
+
+def test_a_tpdo_that_comes_twice_differs() -> None:
+    bench = Bench(small_contract())
+
+    def loses(end: object, each: np.void) -> bool:
+        if end is bench.wire.gateway and each["can_id"] == 0x281:
+            each["can_id"] = 0x181
+        return False
+
+    bench.wire.loses = loses
+    said = bench.check().differences
+    assert "test pattern zero, SYNC 1: TPDO 1 (181h) came 2 times, expected 1" in said
+    assert len(said) == 24
+
+
+def test_a_sync_that_never_was_on_the_bus_is_said() -> None:
+    bench = Bench(small_contract())
+    bench.wire.loses = lambda end, each: end is bench.wire.gateway and each["can_id"] == 0x080
+    report = bench.check()
+    assert report.differences[0] == "test pattern zero, SYNC 1: the SYNC was not sent"
+    assert (len(report.differences), report.cycles, report.frames) == (12, 12, 0)
+
+
+def answered(change: Callable[[np.ndarray], object], index: int) -> NodeReport:
+    """Check a board whose answer about an object is another."""
+    bench = Bench(small_contract())
+
+    def loses(end: object, each: np.void) -> bool:
+        if (
+            end is bench.wire.gateway
+            and each["can_id"] == 0x581
+            and each["data"][:4].tobytes()[1:3] == index.to_bytes(2, "little")
+        ):
+            change(each["data"])
+        return False
+
+    bench.wire.loses = loses
+    return bench.check()
+
+
+def aborts(data: np.ndarray) -> None:
+    """Say that the object does not exist."""
+    data[0], data[4:8] = 0x80, (0x00, 0x00, 0x02, 0x06)
+
+
+def test_a_wrong_signature_differs() -> None:
+    report = answered(lambda data: data.__setitem__(4, data[4] ^ 1), 0x2006)
+    (said,) = report.differences
+    found, expected = (int(each, 16) for each in re.findall(r"([0-9A-F]{8})h", said))
+    assert found == expected ^ 1
+    assert said.startswith("the signature (2006h) is ")
+    assert report.cycles == 12
+
+
+@pytest.mark.parametrize("change", [aborts, lambda data: data.__setitem__(slice(4, 8), 0)])
+def test_a_board_without_signature_is_noted(change: Callable[[np.ndarray], object]) -> None:
+    report = answered(change, 0x2006)
+    assert report.differences == []
+    assert report.notes == ["no signature (2006h): a proof reads every object"]
+
+
+def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> None:
+    whole, report = Bench(small_contract()).check(), answered(aborts, 0x1017)
+    assert len(report.differences) == 1
+    assert "1017h:0" in report.differences[0]
+    assert (report.objects, report.cycles) == (whole.objects - 1, 12)
+
+
+def test_a_board_without_test_pattern_shows_none() -> None:
+    report = answered(aborts, 0x2021)
+    assert len(report.differences) == 1
+    assert report.cycles == 0
+
+
+def test_objects_of_an_adaptive_board_are_compared_and_no_sync_is_sent(adaptive: Contract) -> None:
+    node = adaptive.nodes[0]
+    board, answers = Board(adaptive, node), list[Frames]()
+    board.objects |= {(each.index, each.subindex): setting_of(each).data for each in dictionary(adaptive, node)}
+    asked: list[int] = []
+
+    def send(burst: Frames) -> int:
+        asked.extend(burst["can_id"].tolist())
+        answers.append(board.take(burst, 0.0))
+        return len(burst)
+
+    check = NodeCheck(adaptive, node, send, 0.0)
+    check.tick(1.0)
+    while answers:
+        check.take(answers.pop(), 1.0)
+    assert check.done
+    assert (check.report.differences, check.report.notes) == ([], [])
+    assert set(asked) == {0x601}
+
+
+def test_error_frames_and_remote_frames_are_not_those_of_the_board() -> None:
+    bench = Bench(small_contract())
+    strange = [frame(can_id, bytes(8), flags) for can_id in (0x080, 0x181, 0x581) for flags in (ERROR, REMOTE)]
+    report = bench.check(lambda: bench.wire.queue.extend((None, each) for each in strange))
+    assert (report.differences, report.frames) == ([], 24)
+
+
+def test_a_test_pattern_that_is_not_taken_differs_and_the_next_is_tried() -> None:
+    report = answered(lambda data: aborts(data) if data[0] == 0x60 else None, 0x2021)
+    assert len(report.differences) == 4  # three patterns, and the one that was there
+    assert all("2021h:0" in said for said in report.differences)
+    assert report.cycles == 0
+
+
+def test_wiring_is_read_from_its_first_element_on() -> None:
+    bench = Bench(small_contract())
+    bench.check()
+    asked = [(int.from_bytes(data[1:3], "little"), data[3]) for can_id, data in bench.wire.log if can_id == 0x601]
+    assert [subindex for index, subindex in asked if index == 0x2003] == list(range(1, 9))
+    assert [subindex for index, subindex in asked if index == 0x2004] == list(range(1, 33))

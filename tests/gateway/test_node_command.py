@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from gateway.node_check import NodeReport
+from gateway.node_command import _show
 from skin.command import main
 from tests.processes import PATIENCE_S, Processes
 
@@ -63,3 +65,17 @@ def test_boards_on_a_bus_are_checked(tmp_path: Path) -> None:
         assert (report["bus"], report["node_id"], report["differences"]) == ("bus0", 2, [])
         assert report["frames"] >= report["cycles"] == 12
         assert "no answer" in json.loads(nobody.stdout)["differences"][0]
+
+
+@pytest.mark.parametrize(
+    ("differences", "verdict"), [([], "keeps the contract"), (["a"], "1 difference "), (["a", "b"], "2 differences ")]
+)
+def test_differences_are_listed_and_counted(
+    differences: list[str], verdict: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _show(NodeReport("bus1", 7, differences, ["slow"], objects=9, frames=4, cycles=2, latest_s=0.0031))
+    *listed, note, last = capsys.readouterr().out.splitlines()
+    assert listed == [f"bus1, node 7: {each}" for each in differences]
+    assert note == "bus1, node 7: note: slow"
+    assert last.startswith(f"bus1, node 7: {verdict}")
+    assert last.endswith("(9 objects, 4 TPDOs of 2 cycles, the last 3.1 ms after SYNC)")

@@ -5,8 +5,9 @@ import pytest
 
 from canskin.messages import UNKNOWN_ERROR_NS, Measurement
 from dbc.contract import Contract
-from dbc.frame import Frames
-from gateway.playback import Playback, play
+from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
+from gateway.playback import Playback, play, with_echoes
+from tests.bus.harness import frame
 from tests.recording.conftest import OFFSET_NS, bus_frames, contract, force_n, sums
 
 __all__ = ["bus_frames", "contract", "force_n", "sums"]
@@ -90,3 +91,88 @@ def test_a_sync_comes_again(contract: Contract, bus_frames: dict[int, Frames], l
         assert not any(made[4].valid + made[5].valid)
     found, known = ([(each.sums, each.valid) for each in part] for part in (made[7 + cycles_more :], expected[7:]))
     assert found == known
+
+
+@pytest.mark.parametrize("judges", [True, False])
+def test_a_block_of_two_nodes_with_one_identifier_is_valid_for_those_who_know_better(
+    contract: Contract, bus_frames: dict[int, Frames], *, judges: bool
+) -> None:
+    seen = bus_frames[0]
+    place = int(np.flatnonzero(seen["can_id"] != 0x80)[20])
+    again = seen[place : place + 1].copy()
+    again["data"][0, 0] ^= 1
+    logged = {0: np.insert(seen, place + 1, again), 1: bus_frames[1]}
+    playback = Playback(contract, logged.keys(), int(seen["time_ns"][0]), judges=judges)
+    for bus, each in logged.items():
+        playback.feed(bus, each)
+    assert sum(each.valid.count(b"\0") for each in playback.finish()) == int(judges)
+
+
+def test_a_cycle_ends_when_no_sync_follows(contract: Contract, bus_frames: dict[int, Frames]) -> None:
+    """A frame that is missing in it and comes two periods later is not used."""
+    logged, expected = {}, whole(contract, bus_frames)
+    for bus, seen in bus_frames.items():
+        syncs = np.flatnonzero(seen["can_id"] == 0x80)
+        gone = list(range(syncs[4], syncs[5] + 1))
+        logged[bus] = np.delete(seen, [*gone, int(syncs[3]) + 1] if bus == 0 else gone)
+    made = whole(contract, logged)
+    assert len(made) == len(expected) - 2
+    assert made[3].valid.count(b"\0") == 1
+    assert made[2] == expected[2]
+
+
+@pytest.mark.parametrize(
+    ("data", "flags", "is_counted", "is_echo"),
+    [
+        (b"\1", 0, True, True),
+        (b"\xf0", 0, True, True),
+        (b"\0", 0, True, False),
+        (b"\xf1", 0, True, False),
+        (b"", 0, True, False),
+        (b"\1\1", 0, True, False),
+        (b"", 0, False, True),
+        (b"\1", 0, False, False),
+        *((b"\1", flags, True, False) for flags in (EXTENDED, REMOTE, ERROR, FD)),
+    ],
+)
+def test_syncs_of_the_gateway_are_told_by_their_form(
+    data: bytes, flags: int, *, is_counted: bool, is_echo: bool
+) -> None:
+    """CiA 301: the counter is 1 to 240, or there is none."""
+    logged = np.concatenate([frame(0x80, data, flags), frame(0x81, data, flags)])
+    marked = with_echoes(logged, is_counted)
+    assert (marked["flags"] & ECHO != 0).tolist() == [is_echo, False]
+    assert (logged["flags"] == flags).all()
+
+
+def test_the_rate_is_that_of_the_syncs_since_the_first(contract: Contract, bus_frames: dict[int, Frames]) -> None:
+    seen = bus_frames[0]
+    first_ns = int(seen["time_ns"][0])
+    playback = Playback(contract, [0], first_ns - 1_000_000_000, OFFSET_NS)
+    playback.feed(0, seen)
+    until_ns = first_ns + 100_000_000
+    playback.advance(until_ns)
+    status = playback.status()
+    syncs = int(np.count_nonzero((seen["can_id"] == 0x80) & (seen["time_ns"] <= until_ns)))
+    assert playback.cycles == syncs
+    assert status.sync_rate_hz == pytest.approx(syncs / 0.1)
+    assert status.time_ns == until_ns + OFFSET_NS
+
+
+def test_before_the_first_sync_there_is_no_rate(contract: Contract) -> None:
+    playback = Playback(contract, [0], 5_000)
+    assert playback.finish() == []
+    assert playback.status().sync_rate_hz == 0.0
+
+
+def test_the_last_cycle_is_measured_also_when_a_frame_is_missing(
+    contract: Contract, bus_frames: dict[int, Frames]
+) -> None:
+    expected = whole(contract, bus_frames)
+    playback = Playback(contract, bus_frames.keys(), int(bus_frames[0]["time_ns"][0]))
+    for bus, seen in bus_frames.items():
+        playback.feed(bus, seen[:-1] if bus == 0 else seen)
+    made = playback.finish()
+    assert len(made) == len(expected)
+    assert [each.sums for each in made[:-1]] == [each.sums for each in expected[:-1]]
+    assert made[-1].valid.count(b"\0") == 1

@@ -1,5 +1,6 @@
 """The gateway's turn of input and output, with a clock that stalls where a process may."""
 
+import select
 import socket
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -16,6 +17,14 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from gateway.collector import Collector
 from gateway.service import GatewayService
+
+
+@pytest.fixture(autouse=True)
+def _no_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no turn wait: the tests move the clock."""
+    polls = SimpleNamespace(select=lambda *links_and_timeout: select.select(*links_and_timeout[:3], 0))
+    monkeypatch.setattr("gateway.service.select", polls)
+    monkeypatch.setattr("gateway.service.time", SimpleNamespace(sleep=lambda _rest_s: None))
 
 
 class Clock:

@@ -181,6 +181,7 @@ class Chance:
         return came
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_switches_at_random_moments_with_losses_late_frames_and_resets(seed: int) -> None:
     """What is valid is of its cycle and its state."""
@@ -308,6 +309,7 @@ def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
     assert max(errors_n) < 0.1 * 300 * float(np.abs(drift_n_per_s).max())
 
 
+@pytest.mark.heavy
 def test_a_request_that_ended_before_its_images_came_is_not_counted(skin: Skin) -> None:
     states = skin.gateway.states
     assert states is not None

@@ -12,6 +12,8 @@ from dbc.generate import DEFAULT_FOLDER
 from skin.layout import load_layout
 from tests.processes import PATIENCE_S, Processes
 
+pytestmark = pytest.mark.heavy
+
 NODES = 3
 SUMS, TEST_PATTERN, GAIN, FINGERPRINT = 0x2100, 0x2021, 0x2010, 0x2002
 RAMP = 2
@@ -177,6 +179,7 @@ def test_a_sync_of_the_wrong_length_is_an_emergency_until_it_is_right(
     assert emergencies.expect(NO_ERROR, network.sync.transmit).register == 0
 
 
+@pytest.mark.heavy
 def test_a_node_reports_the_heartbeat_it_misses(
     node: canopen.RemoteNode,
     network: canopen.Network,

@@ -15,9 +15,12 @@ import pytest
 from skin.layout import load_layout
 from tests.processes import PATIENCE_S, Processes, free_endpoint
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("tshark") is None, reason="NOT TESTED: what tshark says of the skin's frames, for want of tshark"
-)
+pytestmark = [
+    pytest.mark.heavy,
+    pytest.mark.skipif(
+        shutil.which("tshark") is None, reason="NOT TESTED: what tshark says of the skin's frames, for want of tshark"
+    ),
+]
 
 LAYOUT = """
 name = "judged"

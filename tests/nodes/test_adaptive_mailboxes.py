@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from dbc.adaptive import SendingRule, cob_id, companding
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, frame_bytes
+from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, frame_bytes
 from nodes.adaptive.mailboxes import (
-    NO_COB_ID,
     choose,
     give_back,
     look_at_all,
@@ -22,6 +21,8 @@ LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
 NODES, GROUPS, MS = 3, 4, 1_000_000
 #: A classic frame of 8 bytes with the most stuff bits, and intermission.
 FRAME_BITS = 135
+#: On CAN FD a fine frame is longer; here it is everywhere, to be told from a coarse one.
+FINE_BITS = 150
 RULES = np.array([RULE] * NODES, np.float64)
 
 
@@ -30,7 +31,7 @@ class Controllers:
 
     def __init__(self) -> None:
         self.groups = new_groups(NODES)
-        self.boxes = new_mailboxes(np.full((NODES, 2), FRAME_BITS))
+        self.boxes = new_mailboxes(np.array([[FRAME_BITS, FINE_BITS]] * NODES))
         self.sums_n = np.full((NODES, 32), 0.01, np.float32)
         self.has_due, self.room = np.zeros(NODES, np.bool_), room_for(16)
         for node in range(NODES):
@@ -50,10 +51,12 @@ class Controllers:
         count = choose(first, last, now, 5 * MS, most, *parts)
         return self.room.can_id[:count].tolist()
 
-    def look(self, passed_s: float, now: int = 1, now_ns: int = 1, is_operational: bool = True) -> list[bool]:
+    def look(
+        self, passed_s: float, now: int = 1, now_ns: int = 1, is_operational: bool = True, noise_n2: float = 1e-9
+    ) -> list[bool]:
         running = np.full(NODES, is_operational)
-        variance_n2, noise_n2 = np.zeros((NODES, 32), np.float32), np.full(NODES, 1e-9)
-        parts = self.sums_n, variance_n2, noise_n2, RULES, LAW, self.groups, self.boxes, self.has_due
+        variance_n2, noises_n2 = np.zeros((NODES, 32), np.float32), np.full(NODES, noise_n2)
+        parts = self.sums_n, variance_n2, noises_n2, RULES, LAW, self.groups, self.boxes, self.has_due
         look_at_all(now, now_ns, passed_s, running, *parts)
         return self.has_due.tolist()
 
@@ -110,8 +113,23 @@ def test_inhibit_time_counts_from_the_newest_frame_of_the_tpdo(made: Controllers
 def test_a_tpdo_without_identifier_and_a_silent_group_send_nothing(made: Controllers) -> None:
     made.want(0, 0, 3)
     made.want(0, 1, SILENT)
-    made.boxes.cob_id[0, 8] = NO_COB_ID
+    assert (new_mailboxes(np.ones((1, 2), np.int64)).cob_id == 0).all()
+    made.boxes.cob_id[0, 8] = 0
     assert made.choose() == []
+
+
+def test_no_inhibit_time_holds_the_first_frame_or_one_that_was_given_back(made: Controllers) -> None:
+    made.boxes.inhibit[:] = 6553  # 1800h:3 at its end, in samples
+    for _ in range(2):
+        made.want(0, 0, 3)
+        assert made.choose(now=1) == [cob_id(0, 3, 0, False)]
+        assert made.choose(now=1) == []
+        give_back(0, 8, made.groups, made.boxes)
+
+
+def test_there_is_room_for_the_longest_payload() -> None:
+    room = room_for(3)
+    assert (room.payload.shape, room.can_id.shape) == ((3, 64), (3,))
 
 
 @pytest.mark.parametrize(
@@ -119,8 +137,8 @@ def test_a_tpdo_without_identifier_and_a_silent_group_send_nothing(made: Control
     [
         (FRAME_BITS - 1, NEWS, False),
         (FRAME_BITS, NEWS, True),
-        (5 * FRAME_BITS - 1, DETAIL, False),  # four coarse frames are kept for news
-        (5 * FRAME_BITS, DETAIL, True),
+        (4 * FRAME_BITS + FINE_BITS - 1, DETAIL, False),  # four coarse frames are kept for news
+        (4 * FRAME_BITS + FINE_BITS, DETAIL, True),
         (-1000, REFRESH, True),
     ],
 )
@@ -130,12 +148,38 @@ def test_a_budget_lets_refreshes_through_and_keeps_room_for_news(
     made.boxes.budget[0], made.boxes.saved[0] = 1000, saved
     made.want(0, 0, 1, reason, is_fine=int(reason == DETAIL))
     assert len(made.choose()) == goes
-    assert made.boxes.saved[0] == saved - FRAME_BITS * goes
+    assert made.boxes.saved[0] == saved - (FINE_BITS if reason == DETAIL else FRAME_BITS) * goes
     tpdo = 24 if reason == DETAIL else 16
     give_back(0, tpdo, made.groups, made.boxes)
     assert made.boxes.saved[0] == saved
     give_back(0, tpdo, made.groups, made.boxes)  # nothing is under way any more
     assert made.boxes.saved[0] == saved
+
+
+@pytest.mark.parametrize(("saved", "goes"), [(FRAME_BITS + FINE_BITS - 1, False), (FRAME_BITS + FINE_BITS, True)])
+def test_details_on_can_fd_leave_room_for_the_one_frame_of_all_groups(
+    made: Controllers, saved: int, goes: bool
+) -> None:
+    made.groups.is_fd[0] = True
+    made.boxes.budget[0], made.boxes.saved[0] = 1000, saved
+    made.want(0, 2, 0, DETAIL, is_fine=1)
+    assert len(made.choose()) == goes
+    assert made.boxes.saved[0] == saved - FINE_BITS * goes
+    assert bool((made.groups.under_way[0] == 505 * MS).all()) == goes
+
+
+def test_one_frame_on_can_fd_carries_the_most_urgent_identifier_and_others_keep_theirs(made: Controllers) -> None:
+    made.groups.is_fd[1] = True
+    for group, level in enumerate((1, 4, 5, 2)):
+        made.want(1, group, level)
+    made.want(0, 0, 3)
+    made.want(2, 1, 0)
+    expected = [cob_id(1, 5, 0, False), cob_id(0, 3, 0, False), cob_id(2, 0, 1, False)]
+    assert made.choose() == expected
+    assert made.room.length[:3].tolist() == [32, 8, 8]
+    assert (made.groups.under_way[1] > 0).all()
+    give_back(1, 0, made.groups, made.boxes)
+    assert not made.groups.under_way[1].any()
 
 
 def test_without_a_budget_everything_goes(made: Controllers) -> None:
@@ -168,6 +212,33 @@ def test_nodes_that_run_and_have_news_are_due_and_others_not(made: Controllers) 
     assert made.groups.reason[1, 2] == REFRESH
 
 
+def test_news_is_a_difference_from_what_is_known_of_any_free_group_of_any_running_node(made: Controllers) -> None:
+    made.groups.known_n[:] = made.sums_n
+    assert made.look(0.0) == [False] * NODES
+    made.sums_n[2, 31] *= -1
+    assert made.look(0.0) == [False, False, True]
+    made.groups.under_way[2, 0] = 100
+    assert made.look(0.0) == [False, False, True]
+    parts = np.zeros((NODES, 32), np.float32), np.full(NODES, 1e-9), RULES, LAW, made.groups, made.boxes, made.has_due
+    running = np.array([False, True, True])
+    assert look_at_all(1, 1, 0.0, running, made.sums_n, *parts)
+    assert made.has_due.tolist() == [False, False, True]
+    made.sums_n[2, 31] *= -1
+    assert not look_at_all(1, 1, 0.0, running, made.sums_n, *parts)
+    made.sums_n[2] *= -1
+    assert look_at_all(1, 1, 0.0, running, made.sums_n, *parts)
+
+
+def test_news_that_has_gone_is_forgotten(made: Controllers) -> None:
+    """When it comes back, it has not waited since then."""
+    made.groups.known_n[:] = made.sums_n
+    made.groups.since[1, 2], made.groups.level[1, 2] = 5, 3
+    made.groups.reason[1, 2], made.groups.is_fine[1, 2] = REFRESH, 1
+    made.look(0.0)
+    told = [each[1, 2] for each in (made.groups.since, made.groups.level, made.groups.reason, made.groups.is_fine)]
+    assert told == [-1, -1, 0, 0]
+
+
 def test_a_frame_that_is_under_way_is_waited_for_until_it_is_given_up(made: Controllers) -> None:
     made.sums_n[1:] = 0
     made.groups.under_way[0] = 100
@@ -175,6 +246,37 @@ def test_a_frame_that_is_under_way_is_waited_for_until_it_is_given_up(made: Cont
     assert (made.groups.under_way[0] == 100).all()
     assert made.look(0.0, now_ns=101) == [True, False, False]
     assert not made.groups.under_way.any()
+
+
+def test_a_difference_below_the_noise_makes_no_node_due(made: Controllers) -> None:
+    assert made.look(0.0, noise_n2=1e9) == [False] * NODES
+    made.groups.under_way[1] = 100
+    assert made.look(0.0, noise_n2=1e-9) == [True, False, True]
+    made.groups.under_way[1, 3] = 0  # one group is free again
+    assert made.look(0.0, noise_n2=1e-9) == [True, True, True]
+    made.groups.under_way[:, 1:] = 100
+    made.groups.level[:, 1:] = 3
+    assert made.look(0.0, noise_n2=1e9) == [False] * NODES
+
+
+@pytest.mark.parametrize("is_fd", [False, True])
+def test_an_echo_has_the_flags_of_its_bus(made: Controllers, is_fd: bool) -> None:
+    made.groups.is_fd[:] = is_fd
+    places = np.full(0x800, -1, np.int64)
+    places[0x123] = 32 * 1
+    payload = bytes([128] * (32 if is_fd else 8))
+
+    def taken(flags: int) -> tuple[int, int]:
+        row = frame_bytes(frame(0x123, payload, flags))
+        return take_echoes(row, places, 7, RULES, LAW, made.groups, made.boxes)
+
+    kinds = (FD, FD | BRS, FD | ESI, FD | BRS | ESI) if is_fd else (0,)
+    assert {taken(ECHO | kind) for kind in kinds} == {(1, 0)}
+    assert {taken(ECHO | ERROR | kind) for kind in kinds} == {(0, 0)}
+    strange = [ECHO, ECHO | BRS] if is_fd else [ECHO | FD, ECHO | BRS, ECHO | ESI]
+    strange += [ECHO | kinds[0] | other for other in (EXTENDED, REMOTE)]
+    assert {taken(flags) for flags in (*strange, *kinds)} == {(0, 1)}
+    assert made.boxes.counts[1].tolist() == [len(kinds), 0]
 
 
 def test_only_own_frames_are_taken_as_echoes(made: Controllers) -> None:

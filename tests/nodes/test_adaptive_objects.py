@@ -165,3 +165,17 @@ def test_parameters_are_stored_and_orders_are_not(tmp_path: Path, contract: Cont
     assert bus.write(0x1011, 1, struct.pack("<I", LOAD)) == 0
     bus.give(frame(0, bytes((RESET_NODE, 1))))
     assert bus.boards._boxes.budget[0] == 0
+
+
+def test_gains_change_what_a_node_feels_and_not_its_noise(bus: Bus) -> None:
+    bus.start()
+    bus.sync()
+    bus.run(600)
+    mine = slice(32 * bus.contract.nodes[0].block, 32 * bus.contract.nodes[0].block + 32)
+    felt = bus.boards.sums[mine].copy()
+    learned = [bus.read_real(index, 5) for index in (0x2032, 0x2033)]
+    for taxel in range(1, 33):
+        assert bus.write(0x2010, taxel, struct.pack("<f", 0.5)) == 0
+    assert [bus.read_real(index, 5) for index in (0x2032, 0x2033)] == learned
+    bus.run(600)
+    assert bus.boards.sums[mine] == pytest.approx(felt / 2, abs=0.02 * np.abs(felt).max())

@@ -125,3 +125,22 @@ def test_corrections_and_patterns_take_effect_when_they_are_read() -> None:
     assert shown[2] == pytest.approx(0.01 - 5000 * TAXELS.newton_per_count, abs=1e-6)
     assert board.counts[3].tolist() == list(range(32))
     assert (board.counts[4] == TAXELS.count_max).all()
+
+
+@pytest.mark.parametrize("jump", [1, 2, 3])
+def test_steps_may_be_left_out(jump: int) -> None:
+    """A process that was late for some steps reads what the touch is now."""
+    board = sensors()
+    board.touch_from_ns = BEGIN_NS
+    for step in range(5, 60, jump):
+        assert sampled_at_ms(board, 10 * step + 5) == pytest.approx(10 * step + 5, abs=1.2)
+
+
+def test_before_the_touch_begins_the_sensors_show_their_offsets() -> None:
+    made = make_defects({"stuck": 0.1}, 4)
+    model = TaxelModel(0.0, TAXELS.force_max_n, **made)
+    shown = np.zeros(256)
+    shown[CELLS] = sensors(**made).sample(BEGIN_NS)
+    expected = model.signal_of_moments(np.zeros((1, *SHAPE), np.float32), np.random.default_rng(0), np.zeros(1))
+    assert np.count_nonzero(expected)
+    assert shown == pytest.approx(expected.ravel(), abs=3e-5)

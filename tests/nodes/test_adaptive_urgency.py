@@ -17,6 +17,7 @@ def test_the_logarithm_is_right_to_the_last_bits_and_whole_for_powers_of_two() -
     assert [log2_of(2.0**power) for power in range(-1074, 1024)] == list(range(-1074, 1024))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("waited", [0, 1, 2, 8, 23])
 def test_levels_are_those_of_a_librarys_logarithm(waited: int) -> None:
     exact = (np.log2(RATIOS) + waited / RULE.doubling) / RULE.level_ratio

@@ -17,6 +17,19 @@ def test_producer_keeps_its_period() -> None:
     assert len(beats) == 4
 
 
+def test_first_beat_comes_after_a_part_of_the_period() -> None:
+    beats: list[float] = []
+    producer = HeartbeatProducer(lambda: beats.append(now_s))
+    now_s = 1e9
+    producer.beat(now_s)  # no period yet
+    assert producer.due_s == float("inf")
+    producer.set_period(2.0, 4.0, part=0.25)
+    assert producer.due_s == 4.5
+    now_s = 4.5
+    producer.beat(now_s)
+    assert (beats, producer.due_s) == ([4.5], 6.5)
+
+
 def test_consumer_watches_from_the_first_heartbeat_on() -> None:
     consumer = HeartbeatConsumer()
     consumer.watch([0x7F << 16 | 500, 3 << 16 | 100, 0, 9 << 16])
@@ -74,3 +87,27 @@ def test_consumer_waits_for_nobody_whose_loss_it_knows() -> None:
     assert consumer.due_s == 0.1
     consumer.check(0.2)
     assert consumer.due_s == 0.5
+
+
+def test_time_of_an_entry_is_in_milliseconds_and_the_loss_comes_after_it() -> None:
+    consumer = HeartbeatConsumer()
+    consumer.watch([1 << 16 | 1, 0x7F << 16 | 0xFFFF, 0x80 << 16 | 100, 5 << 16])
+    assert set(consumer.watches) == {1, 0x7F}
+    consumer.heard(1, 4.0)
+    assert consumer.due_s == 4.001
+    consumer.check(4.001)
+    assert not consumer.lost
+    consumer.check(4.001_001)
+    assert consumer.lost == {1}
+    consumer.heard(0x7F, 4.0)
+    assert consumer.due_s == 4.0 + 65.535
+
+
+def test_another_entry_does_not_end_the_watch_on_a_node() -> None:
+    consumer = HeartbeatConsumer()
+    consumer.watch([3 << 16 | 100])
+    consumer.heard(3, 0.0)
+    consumer.watch([3 << 16 | 100, 4 << 16 | 100])
+    assert consumer.due_s == 0.1
+    consumer.check(0.2)
+    assert consumer.lost == {3}

@@ -67,6 +67,32 @@ def test_boards_powered_together_do_not_beat_together(segment: Segment, link: Ar
     assert len(set(first_s.values())) == 4
 
 
+def beats(segment: Segment, link: ArrayLink, now_s: float) -> list[int]:
+    link.take_sent()
+    segment.tick(now_s)
+    return [int(can_id) - 0x700 for can_id in link.take_sent()["can_id"]]
+
+
+def test_heartbeats_are_sent_when_they_are_due_within_five_milliseconds(segment: Segment, link: ArrayLink) -> None:
+    """The first after boot-up: node-ID / 128 s."""
+    assert beats(segment, link, 0.003) == []
+    assert beats(segment, link, 0.0079) == []  # due, but 5 ms have not passed
+    assert beats(segment, link, 0.003 + 0.005) == [1]
+    assert beats(segment, link, 0.015) == []
+    assert beats(segment, link, 3 / 128) == [2, 3]
+    assert beats(segment, link, 0.031) == []
+    assert beats(segment, link, 0.9) == [4]
+    assert beats(segment, link, 1.007) == []
+    assert beats(segment, link, 1.2) == [1, 2, 3]
+    segment.boot(1.2)
+    assert beats(segment, link, 1.3) == [1, 2, 3, 4]
+
+
+def test_beat_at_the_very_time_it_is_due(segment: Segment, link: ArrayLink) -> None:
+    assert beats(segment, link, 0.001) == []
+    assert beats(segment, link, 0.0078125) == [1]
+
+
 @pytest.mark.parametrize(
     ("behaviour", "state"), [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)]
 )
@@ -103,6 +129,12 @@ def test_stopped_node_keeps_its_emergency_until_it_may_speak(segment: Segment, l
     assert emergencies(segment, link, 1e3) == []
     give(segment, link, nmt(PRE_OPERATIONAL))
     assert emergencies(segment, link, 2e3) == [0x8240]
+
+
+def test_emergency_does_not_wait_for_the_next_heartbeat(segment: Segment, link: ArrayLink) -> None:
+    segment.tick(1e3)  # all beat: the next is due in 1 s
+    give(segment, link, nmt(START), frame(0x80, b"\1\2"), now_s=1e3)
+    assert emergencies(segment, link, 1e3 + 0.1) == [0x8240]
 
 
 def test_emergency_that_is_switched_off_is_not_sent(segment: Segment, link: ArrayLink) -> None:

@@ -6,7 +6,7 @@ import pytest
 from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Electronics
-from nodes.sampler import Sampler
+from nodes.sampler import CountSampler, Sampler
 from skin.defects import Damper, Dead, Drift, Saturated
 from skin.layout import load_layout
 from skin.sources import Frame, TaxelSource
@@ -71,6 +71,96 @@ def test_syncs_without_counter_count_one_each(sampler: Sampler, source: Steps) -
     for cycle in range(3):
         sampler.sample(0, cycle * PERIOD_NS)
     assert source.asked == [0, 1, 2]
+
+
+def test_syncs_of_one_counter_belong_together_for_100_ms(source: Steps) -> None:
+    sampler, first_ns = Sampler(PHI, source, Electronics(LAYOUT.taxels, noise_n=0.0), 1.0), 1_000_000_000
+    first = sampler.sample(7, first_ns)
+    assert sampler.sample(7, first_ns + 99_999_999, 1) is first
+    assert sampler.sample(7, first_ns - 99_999_999, 2) is first
+    later = sampler.sample(7, first_ns + 100_000_000, 3)
+    assert later is not first
+    assert source.asked == [6, 7]
+
+
+def test_a_bus_may_be_seven_cycles_late(sampler: Sampler, source: Steps) -> None:
+    cycles = [sampler.sample(counter, counter * PERIOD_NS) for counter in range(1, 10)]
+    for counter in range(2, 10):
+        assert sampler.sample(counter, counter * PERIOD_NS, 1) is cycles[counter - 1]
+    assert sampler.sample(1, PERIOD_NS, 2) is not cycles[0]
+    assert source.asked == [*range(9), 8 + 232]  # counter 1 follows 9 in the next turn
+
+
+@pytest.mark.parametrize(
+    ("longest_s", "times_ms", "steps"),
+    [
+        # a quarter of a period early is the next step
+        (None, (0, 7.499_999, 7.5, 17.499_999, 17.5), [0, 1, 2]),
+        # SYNCs may be missing
+        (None, (0, 20, 40, 65), [0, 2, 4, 6]),
+        # after two and a half periods of silence a master begins anew
+        (None, (0, 25.000_001, 35, 40), [0, 1, 2]),
+        (None, (0, 25.000_001, 35, 43), [0, 1, 2, 3]),
+        (0.04, (0, 90, 190, 290.000_001), [0, 9, 19, 20]),
+        # one that another bus saw before the first
+        (None, (0, -10, -30, 10), [0, 1]),
+        # the time of an old SYNC is not that of the newest
+        (None, (0, 20, 2, 45), [0, 2, 4]),
+    ],
+)
+def test_steps_without_counter_follow_the_time(
+    source: Steps, longest_s: float | None, times_ms: tuple[float, ...], steps: list[int]
+) -> None:
+    sampler = Sampler(PHI, source, Electronics(LAYOUT.taxels, noise_n=0.0), longest_s)
+    for bus, at_ms in enumerate(times_ms):
+        sampler.sample(0, round(at_ms * 1e6), bus)
+    assert source.asked == steps
+
+
+def test_the_truth_says_when_it_was(sampler: Sampler) -> None:
+    for step, time_ns in ((0, 12_345), (1, 12_345 + 3 * PERIOD_NS)):
+        sampler.sample(0, time_ns)
+        truth = sampler.take_truth()
+        assert truth is not None
+        told = truth.step, truth.sync_counter, truth.sampled_mono_ns, truth.label
+        assert told == (step, 0, time_ns, "steps")
+    sampler.sample(5, 4 * PERIOD_NS)
+    truth = sampler.take_truth()
+    assert truth is not None
+    assert (truth.step, truth.sync_counter) == (6, 5)
+
+
+def test_an_answer_made_ahead_is_asked_for_once_and_shows_when_its_sync_comes(sampler: Sampler, source: Steps) -> None:
+    sampler.prepare()
+    assert source.asked == []
+    assert sampler.sums.tolist() == [0] * 1024
+    for counter in (1, 2):
+        sampler.sample(counter, counter * PERIOD_NS)
+    sampler.prepare()
+    sampler.prepare()
+    assert source.asked == [0, 1, 2]
+    assert (sampler.counts(3) == 1).all()
+    ahead = sampler.sample(3, 3 * PERIOD_NS)
+    assert (sampler.counts(3) == 2).all()
+    assert np.array_equal(ahead, PHI.forward(np.full(4096, 2)))
+    sampler.prepare()
+    sampler.sample(7, 7 * PERIOD_NS)  # another step than the one made ahead
+    assert source.asked == [0, 1, 2, 3, 6]
+    assert (sampler.counts(3) == 6).all()
+
+
+def test_boards_that_make_the_sums_get_the_samples_since_the_sync_before(source: Steps) -> None:
+    sampler = CountSampler(PHI, source, Electronics(LAYOUT.taxels, noise_n=0.0, samples=4))
+    sampler.prepare()
+    assert source.asked == []
+    assert sampler.sample(41, 0).shape == (4, 4096)
+    sampler.prepare()
+    sampler.prepare()
+    assert source.asked == [40, 41]
+    counts = sampler.sample(42, PERIOD_NS)
+    assert counts.shape == (4, 4096)  # a quarter of the period apart
+    assert [set(counts[place].tolist()) for place in (0, 2, 3)] == [{40}, {41}, {41}]
+    assert source.asked == [40, 41, 41]
 
 
 def test_sums_are_those_of_phi_exactly(sampler: Sampler) -> None:
@@ -146,6 +236,12 @@ def test_drift_and_damper_follow_the_steps_of_the_touch() -> None:
     counts = [int(damped.read(force * part, step)[0]) for step, part in ((0, 1), (1, 2), (3, 1), (4, 1))]
     # 5 mN in 10 ms is 0.5 m/s on a spring of 1 N/m: 5 mN more; half the speed downwards takes 2.5 mN.
     assert [round(count * LAYOUT.taxels.newton_per_count, 4) for count in counts] == [0.005, 0.015, 0.0025, 0.005]
+    # The speed is that between two samples, not between two steps.
+    often = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"damper": Damper(0.01)}, period_s=0.01, samples=2)
+    for step in (0, 1):
+        often.read(force * (1 + step), step)
+    felt_n = often.unread[-1][:, 0] * LAYOUT.taxels.newton_per_count
+    assert felt_n.round(4).tolist() == [0.0125, 0.015]
 
 
 def averaging(source: TaxelSource, noise_n: float = NOISE_N) -> tuple[Sampler, Electronics]:
@@ -209,6 +305,6 @@ def test_patterns_gains_and_offsets_are_exact_at_once_and_a_reset_ends_them() ->
 def test_a_missed_sync_leaves_no_gap_in_what_is_averaged() -> None:
     source = Steps()
     sampler, _ = averaging(source, noise_n=0.0)
-    for cycle in (0, 1, 2, 5, 6):
+    for cycle in (0, 2, 3, 6, 7):
         sampler.sample(cycle + 1, cycle * PERIOD_NS)
-    assert source.asked == [0, 1, 2, 4, 5, 6]
+    assert source.asked == [0, 1, 2, 3, 5, 6, 7]

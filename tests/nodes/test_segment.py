@@ -67,6 +67,23 @@ def test_pdos_in_operational_only(segment: Segment, link: ArrayLink) -> None:
     assert give(segment, link, frame(0, bytes((START, 0))), frame(0, bytes((PRE_OPERATIONAL, 0))), sync(5)) == []
 
 
+@pytest.mark.parametrize("flag", [ERROR, EXTENDED, REMOTE])
+def test_reports_and_frames_of_other_formats_command_nothing(contract: Contract, link: ArrayLink, flag: int) -> None:
+    complaints: list[str] = []
+    segment = new_segment(contract, link, {1, 2}, complain=complaints.append)
+    give(segment, link, frame(0, bytes((START, 1))))
+    assert give(segment, link, frame(0, bytes((START, 2)), flag), frame(0x80, b"", flag)) == []
+    assert give(segment, link, frame(0x601, bytes.fromhex("4017100000000000"), flag), frame(0x702, b"\5", flag)) == []
+    assert (complaints, segment.syncs_seen, segment.nodes[1].state) == ([], 0, 127)
+
+
+def test_an_echo_commands_nothing(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, frame(0, bytes((START, 1))))
+    assert give(segment, link, frame(0, bytes((START, 2)), ECHO), frame(0x80, b"", ECHO)) == []
+    assert give(segment, link, frame(0x601, bytes.fromhex("4017100000000000"), ECHO)) == []
+    assert (segment.syncs_seen, segment.nodes[1].state) == (0, 127)
+
+
 def test_every_sync_is_answered_with_the_same_pdos(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))))
     assert [[can_id for can_id, _ in give(segment, link, sync(cycle))] for cycle in (1, 2, 4)] == 3 * [[0x181, 0x281]]
@@ -182,7 +199,7 @@ def test_dropped_outside_the_window_is_counted_and_reported(segment: Segment, li
     assert [struct.unpack("<HB", one[:3]) for one in emcy] == [(0xFF10, 0x81)]
     assert read(segment, link, 1, 0x2020, 3) == 2
     assert read(segment, link, 1, 0x1001) == 0x81
-    assert read(segment, link, 1, 0x1003, 1) & 0xFFFF == 0xFF10
+    assert read(segment, link, 1, 0x1003, 1) == 0x0002_FF10  # the dropped TPDOs are in the upper half
     assert (segment.frames_sent, segment.frames_dropped) == (0, 2)
 
 
@@ -306,6 +323,7 @@ def test_a_second_device_with_a_node_id_is_told(contract: Contract, link: ArrayL
 def test_lost_heartbeat_of_a_watched_node(segment: Segment, link: ArrayLink) -> None:
     write(segment, link, 0x1016, 1, 0x7F << 16 | 100, 4)
     give(segment, link, frame(0, bytes((START, 1))))
+    segment.tick(2e6)  # the nodes' own heartbeats are next, in 1 s
     give(segment, link, frame(0x77F, b"\5"), now_s=2e6)
     segment.tick(2e6 + 0.05)
     assert 0x81 not in link.take_sent()["can_id"]

@@ -3,10 +3,10 @@
 import pytest
 
 from nodes.segment import Segment
-from nodes.tpdo import Tpdo, is_turn
+from nodes.tpdo import Tpdo, is_turn, read_tpdos
 from tests.bus.harness import frame
 from tests.nodes.links import ArrayLink
-from tests.nodes.test_segment import START, give, numbered_sync, read, write
+from tests.nodes.test_segment import START, give, numbered_sync, read, sync, write
 
 COB_ID = 0x181
 
@@ -30,6 +30,15 @@ def set_up(
 
 def change_sums(segment: Segment, by: int) -> None:
     segment.nodes[0]._boards.sums[:] += by
+
+
+def map_sum_and_error_register(segment: Segment, link: ArrayLink) -> None:
+    """Such a PDO is put together object by object."""
+    assert write(segment, link, 0x1800, 1, 0xC000_0000 | COB_ID, 4) == 0
+    assert write(segment, link, 0x1A00, 0, 0, 1) == 0
+    for place, entry in enumerate((0x2100_0310, 0x1001_0008), 1):
+        assert write(segment, link, 0x1A00, place, entry, 4) == 0
+    assert write(segment, link, 0x1A00, 0, 2, 1) == 0
 
 
 def sent_at(segment: Segment, link: ArrayLink, *counters: int) -> list[int]:
@@ -113,3 +122,75 @@ def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink) ->
     payload = segment.nodes[0].tpdos[0].payload(segment.nodes[0].local)
     assert payload.hex() == "ffff00feff"
     assert read(segment, link, 1, 0x2100, 2) == 0xFFFE
+
+
+def test_a_pdo_with_another_object_shows_it_as_it_is_now(segment: Segment, link: ArrayLink) -> None:
+    map_sum_and_error_register(segment, link)
+    set_up(segment, link, every=1)
+    for arrived, register in ((sync(1), 0x00), (frame(0x80, b"\1\2"), 0x11), (sync(2), 0x00)):
+        payload = dict(give(segment, link, arrived))[COB_ID]
+        assert payload == read(segment, link, 1, 0x2100, 3).to_bytes(2, "little") + bytes((register,))
+
+
+def test_a_pdo_with_another_object_is_sent_in_operational_only(segment: Segment, link: ArrayLink) -> None:
+    map_sum_and_error_register(segment, link)
+    set_up(segment, link, every=1)
+    assert sent_at(segment, link, 1) == [1]
+    give(segment, link, frame(0, b"\x80\1"))
+    assert sent_at(segment, link, 2) == []
+
+
+def test_a_pdo_with_another_object_has_its_turns_too(segment: Segment, link: ArrayLink) -> None:
+    map_sum_and_error_register(segment, link)
+    set_up(segment, link, every=3)
+    assert sent_at(segment, link, 11, 12, 13, 14, 15, 16, 17) == [13, 16]
+    set_up(segment, link, every=7, start=5)
+    assert sent_at(segment, link, 1, 2, 3, 4, 5, 6, 12, 18, 19) == [3, 5, 12, 19]
+    set_up(segment, link, every=240, start=9)
+    assert sent_at(segment, link, 8, 9, 10, 240) == [9]
+    tpdo = set_up(segment, link, every=254)
+    assert {tpdo.at_sync(0, segment.nodes[0].local) for _ in range(255)} == {None}
+
+
+@pytest.mark.parametrize(("every", "is_plain"), [(0, False), (1, True), (240, True), (254, False), (255, False)])
+def test_cyclic_pdos_of_sums_are_sent_together(segment: Segment, link: ArrayLink, every: int, is_plain: bool) -> None:
+    assert set_up(segment, link, every=every).is_plain == is_plain
+    map_sum_and_error_register(segment, link)
+    assert not set_up(segment, link, every=every).is_plain
+
+
+def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink) -> None:
+    tpdo, node = set_up(segment, link, every=255, inhibit_100us=5000, event_ms=1000), segment.nodes[0].local
+    assert tpdo.at_event(10.0, node) is not None
+    change_sums(segment, 1)
+    assert tpdo.at_event(10.5, node) is not None
+    assert tpdo.at_event(11.0, node) is None
+    assert tpdo.at_event(11.5, node) is not None
+
+
+def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
+    found = read_tpdos(segment.nodes[0].local, {300: None, 2: 1, 301: 0, 1: None})
+    assert [(tpdo.cob_id, tpdo.state) for tpdo in found] == [(0x281, 1), (0x181, None)]
+
+
+@pytest.mark.parametrize(
+    ("cob_id", "entries"),
+    [
+        (0x8000_0181, (0x2100_0110,)),  # switched off
+        (0x181, ()),
+        (0x181, (0x2100_0108,)),  # half a sum
+        (0x181, (0x2100_0110, 0x1018_0120)),  # no object for PDOs
+        (0x181, (0x2100_0110,) * 4 + (0x1001_0008,)),  # nine bytes
+    ],
+)
+def test_a_pdo_that_cannot_be_sent_does_not_exist(segment: Segment, cob_id: int, entries: tuple[int, ...]) -> None:
+    local = segment.nodes[0].local
+
+    def put(cob_id: int, entries: tuple[int, ...]) -> list[int]:
+        local.data_store[0x1800] = {1: cob_id.to_bytes(4, "little")}
+        packed = {place: entry.to_bytes(4, "little") for place, entry in enumerate(entries, 1)}
+        local.data_store[0x1A00] = {0: bytes((len(entries),)), **packed}
+        return [tpdo.length for tpdo in read_tpdos(local, {1: None})]
+
+    assert put(0x181, (0x2100_0110, 0x2100_0810, 0x1001_0008)) == [5]
+    assert put(cob_id, entries) == []

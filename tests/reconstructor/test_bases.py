@@ -28,6 +28,7 @@ makers = st.sampled_from(sorted(MAKERS)).map(MAKERS.__getitem__)
 Maker = Callable[[int, int], Basis]
 
 
+@pytest.mark.heavy
 @given(makers, sides, sides, st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
 def test_orthonormal_and_adjoint(make: Maker, rows: int, columns: int, seed: int) -> None:
@@ -39,6 +40,7 @@ def test_orthonormal_and_adjoint(make: Maker, rows: int, columns: int, seed: int
     assert np.vdot(psi.forward(x), s) == pytest.approx(np.vdot(x, psi.adjoint(s)), abs=1e-9)
 
 
+@pytest.mark.heavy
 @given(makers, st.integers(0, 2**32 - 1), st.floats(-5, 5))
 @settings(max_examples=30, deadline=None)
 def test_linear_and_leaves_its_argument_alone(make: Maker, seed: int, a: float) -> None:
@@ -50,6 +52,7 @@ def test_linear_and_leaves_its_argument_alone(make: Maker, seed: int, a: float) 
     assert np.array_equal(u, before)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", sorted(MAKERS))
 @pytest.mark.parametrize("shape", [(256, 256), (8, 256)])
 def test_largest_grids_and_float32(name: str, shape: tuple[int, int]) -> None:

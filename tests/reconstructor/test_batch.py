@@ -104,6 +104,7 @@ def test_the_bias_of_clipping_is_corrected_as_in_the_live_engine(phi: Sbhe, golf
     np.testing.assert_array_equal(made, wanted)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("library", [np, array_api_strict])
 def test_recordings_on_arrays_are_as_good_as_one_cycle_after_the_other(
     phi: Sbhe, golf: Scene, library: ModuleType

@@ -13,6 +13,7 @@ from reconstructor.bases.contourlet import Contourlet
 from reconstructor.bases.pkva import pyramid_pair
 
 
+@pytest.mark.heavy
 @given(st.sampled_from([16, 32, 64, 128]), st.integers(0, 2**32 - 1), st.floats(-3, 3))
 @settings(max_examples=15, deadline=None)
 def test_perfect_reconstruction_adjoint_and_linearity(size: int, seed: int, a: float) -> None:

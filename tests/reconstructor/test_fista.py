@@ -21,6 +21,7 @@ def test_soft_threshold() -> None:
     np.testing.assert_array_equal(soft(np.array([-3.0, -1.0, 0.5, 2.0]), 1.0), [-2, 0, 0, 1])
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("psi", [haar_pyramid(16, 16), haar_tensor(16, 16), daubechies4_tensor(16, 16), Dct(16, 16)])
 def test_reaches_the_minimum(psi: Dct) -> None:
     """Optimality of the lasso: correlations with the residual are λ·sign(s) where s ≠ 0, and at most λ elsewhere."""
@@ -33,6 +34,7 @@ def test_reaches_the_minimum(psi: Dct) -> None:
     assert np.abs(correlation).max() <= PENALTY_N * (1 + 1e-6)
 
 
+@pytest.mark.heavy
 def test_objective_falls_towards_a_long_run_and_observers_see_it() -> None:
     psi = haar_pyramid(16, 16)
     seen: list[float] = []
@@ -50,6 +52,7 @@ def test_objective_falls_towards_a_long_run_and_observers_see_it() -> None:
     assert seen[19] - best < 0.1 * (seen[0] - best)
 
 
+@pytest.mark.heavy
 def test_start_at_the_solution_stays_there() -> None:
     psi = haar_pyramid(16, 16)
     solution = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=16, iterations=5000)

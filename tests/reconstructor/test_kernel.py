@@ -85,6 +85,7 @@ def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
     return kernel.image_of(estimate), reference
 
 
+@pytest.mark.heavy
 @given(problems())
 @settings(max_examples=60, deadline=None)
 def test_equals_the_reference_with_rows_deleted(problem: dict[str, Any]) -> None:
@@ -92,6 +93,7 @@ def test_equals_the_reference_with_rows_deleted(problem: dict[str, Any]) -> None
     np.testing.assert_allclose(image, reference, atol=1e-13)
 
 
+@pytest.mark.heavy
 @given(problems())
 @settings(max_examples=25, deadline=None)
 def test_equals_the_reference_in_single_precision(problem: dict[str, Any]) -> None:
@@ -100,6 +102,7 @@ def test_equals_the_reference_in_single_precision(problem: dict[str, Any]) -> No
     np.testing.assert_allclose(image, reference, atol=1e-6)
 
 
+@pytest.mark.heavy
 def test_largest_grid() -> None:
     problem = {
         "phi": sbhe(65536, 8192, block_size=256),
@@ -194,6 +197,7 @@ def test_wrong_options_are_named(phi: Sbhe, rows: int, columns: int, prior: str,
         FusedSolver(phi, rows, columns, settings, dtype=dtype)
 
 
+@pytest.mark.heavy
 def test_the_interpreter_is_free_while_a_kernel_runs(phi: Sbhe) -> None:
     """Another thread gets to run between begin and end of one call, many times over."""
     many, one = (SolverSettings(prior="variation", iterations=count, penalty_n=0.01) for count in (100_000, 1))

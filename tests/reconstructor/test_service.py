@@ -222,6 +222,7 @@ def test_unclipped_noise_has_no_bias_to_correct() -> None:
         make_engine(load_layout(Path("analogue")), SolverOptions(noise_n=1e-3))
 
 
+@pytest.mark.heavy
 def test_options_of_the_solver_are_refused_for_adaptive_sums() -> None:
     verb = [sys.executable, "-m", "skin", "reconstruct", "--layout", "adaptive", "--solver", "live"]
     done = subprocess.run(verb, capture_output=True, text=True, check=False, timeout=60)
@@ -268,6 +269,7 @@ def test_a_long_start_says_why(
     assert ready == "reconstructor: 64 x 64 taxels, 10 iterations"
 
 
+@pytest.mark.heavy
 def test_wrong_option_is_one_line() -> None:
     verb = [sys.executable, "-m", "skin", "reconstruct", "--penalty-n", "-1"]
     done = subprocess.run(verb, capture_output=True, text=True, check=False, timeout=60)

@@ -175,6 +175,7 @@ class Gateway:
         return answer
 
 
+@pytest.mark.heavy
 def test_a_change_is_asked_for_until_the_gateway_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration, "_AGAIN_S", 0.0)
     stop, files = StopSignal(), list[File]()
@@ -228,6 +229,7 @@ def test_formats_that_cannot_hold_the_frames_are_refused(name: str, buses: int, 
         check_log(Path(name), buses)
 
 
+@pytest.mark.heavy
 def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
     contract: Contract, links: dict[int, FakeLink], layout_file: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -224,6 +224,7 @@ def test_another_solver_uses_every_measurement(run: Path, replayed: Callable[...
     assert replay.report.images.made == replay.report.measurements.made
 
 
+@pytest.mark.heavy
 def test_a_log_has_the_sums_of_its_frames(
     contract: Contract,
     bus_frames: dict[int, Frames],
@@ -284,6 +285,7 @@ def played(path: Path, contract: Contract) -> list[Measurement]:
     return [step.message for step in steps if step.topic is MEASUREMENT]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -333,6 +335,7 @@ def test_measurements_without_frames_are_played(run: Path, contract: Contract, t
     assert played(path, contract) == [recorded]
 
 
+@pytest.mark.heavy
 def test_rebuild_takes_off_what_the_run_took_off(run: Path, tmp_path: Path) -> None:
     def rebuilt(**options: Any) -> tuple[np.ndarray, np.ndarray]:
         rebuild(run, out=(out := tmp_path / f"{len(list(tmp_path.iterdir()))}.npz"), **options)

@@ -13,6 +13,7 @@ from recording.sinks import McapSink
 from tests.recording.conftest import OFFSET_NS
 
 
+@pytest.mark.heavy
 def test_a_replay_that_made_no_measurement_leaves_no_file(
     contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -138,6 +138,7 @@ def replayed(folder: Path, name: str) -> tuple[list[Measurement], list[Image]]:
     return messages(out, MEASUREMENT), messages(out, IMAGE)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", FORMATS)
 def test_same_bytes(folder: Path, name: str) -> None:
     measured, images = messages(folder / FORMATS[0], MEASUREMENT), messages(folder / FORMATS[0], IMAGE)
@@ -151,6 +152,7 @@ def test_same_bytes(folder: Path, name: str) -> None:
     assert [each.pixels for each in images_again] == [each.pixels for each in images]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("is_late", [False, True])
 def test_adaptive_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) -> None:
     """A recorder that comes late has frames of some groups only: the others are as recorded, until they are sent."""

@@ -47,6 +47,7 @@ def test_help_ends_with_two_examples(verb: str, where: str) -> None:
     assert all(line.startswith(f"`skin {verb}") and line.endswith("`") for line in shown)
 
 
+@pytest.mark.heavy
 def test_list_of_verbs_and_help_of_one() -> None:
     listed = subprocess.run([sys.executable, "-m", "skin", "--help"], capture_output=True, text=True, check=True).stdout
     places = [listed.index(f"│ {verb} ") for verb in VERBS]
@@ -57,6 +58,7 @@ def test_list_of_verbs_and_help_of_one() -> None:
     assert lines[:2] == ["", "skin demo --seconds 10 --objects golf-ball"]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_shows_no_option_that_nobody_would_write(verb: str) -> None:
     shown = help_of(verb, "--help")
@@ -71,6 +73,7 @@ def test_completion_knows_every_verb_and_its_options() -> None:
     assert "--data-bitrate" in script
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("option", "lines"), [("--quiet", 0), ("-q", 0), ("-v", 8)])
 @pytest.mark.usefixtures("talk")
 def test_quiet_and_verbose(option: str, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,6 +101,7 @@ def test_log_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert (line["service"], line["text"]) == ("gateway", "4 buses")
 
 
+@pytest.mark.heavy
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_behind_the_output_is_one_line() -> None:
     with Path("/dev/full").open("w") as full:

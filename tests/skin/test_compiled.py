@@ -41,6 +41,7 @@ def result(folder: Path, *, factor: int, constant: str) -> list[int]:
     return [int(word) for word in done.stdout.split()]
 
 
+@pytest.mark.heavy
 def test_a_kernel_is_compiled_anew_when_what_it_calls_or_names_in_another_file_changes(
     folder: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

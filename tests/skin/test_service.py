@@ -7,6 +7,8 @@ import sys
 import threading
 import time
 
+import pytest
+
 from skin.service import StopSignal
 
 #: A handler that a second signal interrupts must not wait for itself; many signals make that likely.
@@ -24,6 +26,7 @@ sys.exit(0)
 """
 
 
+@pytest.mark.heavy
 def test_many_signals_in_a_row_end_a_service_once() -> None:
     with subprocess.Popen([sys.executable, "-c", BOMBARDED], stdout=subprocess.PIPE) as process:
         assert process.stdout is not None

@@ -181,6 +181,7 @@ def test_wrong_input_is_one_line_and_exit_code_2(
     assert lines[0].startswith("skin: ")
 
 
+@pytest.mark.heavy
 def test_port_in_use(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -15,6 +15,7 @@ def test_text_is_cut_to_the_contact_and_darker_with_force() -> None:
     assert as_text(np.zeros((4, 4), np.float32)) == "no contact"
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_a_picture_of_any_number_of_objects(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"objects.{ending}"

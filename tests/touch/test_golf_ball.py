@@ -45,11 +45,13 @@ def test_contact_has_the_paper_files_size() -> None:
     assert trajectory().max() <= np.float32(PAPER_DEPTH_M)
 
 
+@pytest.mark.heavy
 def test_table_one_haar() -> None:
     counts = haar_counts(trajectory())
     assert (round(counts.mean(), 1), counts.max()) == (95.9, 146)
 
 
+@pytest.mark.heavy
 def test_table_one_dct() -> None:
     coefficients = fft.dctn(trajectory().astype(np.float64), axes=(1, 2), norm="ortho")
     counts = (np.abs(coefficients) > THRESHOLD_N).sum(axis=(1, 2))

@@ -28,6 +28,7 @@ def open_mesh() -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces[1:])
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("ending", ["ply", "stl", "obj", "off", "glb"])
 def test_any_format_gives_the_same_spheres(tmp_path: Path, ending: str) -> None:
     mesh = ball_mesh()

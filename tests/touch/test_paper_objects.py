@@ -33,6 +33,7 @@ def sensor_psnr_db(true: Force) -> npt.NDArray[np.float64]:
     return psnr
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ACQUISITION_OBJECTS)
 def test_own_shapes_are_as_sparse_and_as_noisy_as_the_papers(name: str) -> None:
     true = trajectory(name)

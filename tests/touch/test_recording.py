@@ -261,6 +261,7 @@ def zipped() -> bytes:
     return out.getvalue()
 
 
+@pytest.mark.heavy
 @given(
     st.sampled_from(
         [

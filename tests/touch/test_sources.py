@@ -22,6 +22,7 @@ def test_it_is_the_source_registered_as_objects() -> None:
         np.testing.assert_array_equal(source.frame(step).force_n, SOURCE.frame(step).force_n)
 
 
+@pytest.mark.heavy
 @given(st.lists(st.integers(0, 20 * SLOT), min_size=2, max_size=6))
 @settings(max_examples=25, deadline=None)
 def test_a_frame_depends_on_its_step_alone(steps: list[int]) -> None:
@@ -120,6 +121,7 @@ def test_training_touches_take_turns_and_are_felt() -> None:
     assert not np.array_equal(found.force_n, random_touches(DEFAULT_OBJECTS, 50, seed=5).force_n)
 
 
+@pytest.mark.heavy
 def test_training_touches_are_distributed_like_live_frames() -> None:
     names = ["racquetball"]
     source = objects(rate_hz=10.0, names=names, seed=1)

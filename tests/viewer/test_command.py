@@ -36,6 +36,7 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_port_0_is_told_and_signals_end_it_quietly(
     hub: Fabric, endpoint: str, tmp_path: Path, number: signal.Signals
@@ -53,6 +54,7 @@ def test_port_0_is_told_and_signals_end_it_quietly(
     assert (process.returncode, out, err) == (0, "", "")
 
 
+@pytest.mark.heavy
 def test_port_in_use_is_one_line_and_exit_2() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -26,6 +26,7 @@ def listed(manifest: Path) -> int:
     return len(msgspec.json.decode(manifest.read_bytes())["chunks"]) if manifest.exists() else 0
 
 
+@pytest.mark.heavy
 def test_one_and_two_processes_make_the_same_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for jobs in (1, 2):
         dataset("classification", out=tmp_path / str(jobs), objects="cup,tuna-can", touches=FEW, jobs=jobs, json=True)
@@ -36,6 +37,7 @@ def test_one_and_two_processes_make_the_same_files(tmp_path: Path, capsys: pytes
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
 
+@pytest.mark.heavy
 def test_a_second_run_makes_only_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def run() -> str:
         dataset("acquisition", out=tmp_path, objects="golf-ball", slides=AcquisitionOptions(speed=3), jobs=1)

@@ -34,6 +34,7 @@ def test_all_of_the_papers_steps_are_planned() -> None:
     assert [name for name, start in plan.about["starts"].items() if start["exact"]] == ["golf-ball"]
 
 
+@pytest.mark.heavy
 def test_trajectories_are_true_force_and_seeded_noise() -> None:
     plan = plan_acquisition(["golf-ball", "clamp"], speed=5, model=PLAIN, seed=3)
     arrays = all_made(plan)
@@ -51,6 +52,7 @@ def test_trajectories_are_true_force_and_seeded_noise() -> None:
     assert (other["clamp/sensor-01.npy"] != alone["clamp/sensor-01.npy"]).any()
 
 
+@pytest.mark.heavy
 def test_damper_and_drift_do_not_see_where_chunks_begin() -> None:
     worn = TaxelModel(noise_n=0.0, damper=Damper(0.01), drift=Drift(1e-3, seed=2))
     arrays = all_made(plan_acquisition(["golf-ball"], steps=1400, model=worn))

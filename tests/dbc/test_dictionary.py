@@ -1,0 +1,110 @@
+"""Values of the object dictionary that differ from the default skin's, which test_generate compares as a whole."""
+
+import pytest
+
+from dbc.contract import Contract
+from dbc.dictionary import SkinState, dictionary
+from dbc.objects import Object
+from skin.layout import parse_layout
+
+ADAPTIVE = """
+sending = "adaptive"
+taxels = { rows = 8, columns = 8 }
+measurement = { wiring = "board" }
+sync = { rate_hz = 10.0 }
+bus = [{ name = "arm", nodes = 2 }]
+"""
+RECOGNITION = """
+taxels = { rows = 8, columns = 8 }
+measurement = { sums = 5, block_size = 64 }
+sync = { rate_hz = 25.0 }
+encoding = { sum_bits = 12 }
+recognition = { sums = 2, rate_hz = 200.0 }
+bus = [{ name = "arm", nodes = 1, fd = true, data_bitrate = 2_000_000 }]
+"""
+#: Data types of CiA 301, 7.4.7.
+U8, U16, U32, REAL, U64 = 5, 6, 7, 8, 0x1B
+
+
+def objects(layout: str) -> dict[tuple[int, int | None], Object]:
+    contract = Contract.from_layout(parse_layout(layout.encode(), "arm.toml"))
+    return {(each.index, each.subindex): each for each in dictionary(contract, contract.nodes[0])}
+
+
+def told(found: dict[tuple[int, int | None], Object], index: int) -> list[tuple[int, str, float | str | None]]:
+    """Return data type, access and value of each sub-index of an object."""
+    return [(each.data_type, each.access, each.value) for (at, _), each in found.items() if at == index]
+
+
+def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
+    """1007h is 98 % of the period; 2005h: 8 bits, step 1, form 2 (companded), one block."""
+    found = objects(ADAPTIVE)
+    values = {index: found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005, 0x2030, 0x2034, 0x2035)}
+    assert values == {
+        0x1006: 100_000, 0x1007: 98_000, 0x1019: 240, 0x2005: 0x01_02_00_08, 0x2030: 0, 0x2034: 0, 0x2035: 0.0
+    }  # fmt: skip
+    kinds = {index: (found[index, None].data_type, found[index, None].access) for index in (0x2030, 0x2034, 0x2035)}
+    assert kinds == {0x2030: (U8, "rw"), 0x2034: (U32, "rw"), 0x2035: (REAL, "ro")}
+    assert told(found, 0x1800) == [
+        (U8, "const", 6),
+        (U32, "rw", 0x4000_0181),
+        (U8, "const", 254),
+        (U16, "rw", 10),
+        (U16, "const", 0),
+        (U8, "const", 0),
+    ]
+    assert [(kind, access) for kind, access, _ in told(found, 0x2007)] == [(U8, "const")] + 5 * [(REAL, "const")]
+    assert told(found, 0x2007)[5][2] == 62.5e-6
+    rule = (0.15, 4.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
+    wanted = [(REAL if isinstance(value, float) else U32, "rw", value) for value in rule]
+    assert told(found, 0x2031) == [(U8, "const", 13), *wanted]
+    for index in (0x2032, 0x2033):
+        assert told(found, index) == [(U8, "const", 32)] + 32 * [(REAL, "rw", 0.0)]
+    assert told(found, 0x2110) == [(U8, "const", 32)] + 32 * [(U8, "ro", 0)]
+    assert told(found, 0x2111) == [(U8, "const", 4)] + 4 * [(U64, "ro", 0)]
+    assert all(found[index, place].pdo for index in (0x2110, 0x2111) for place in (1, 4))
+
+
+def test_names_count_from_one_and_taxels_from_zero() -> None:
+    found = objects(ADAPTIVE)
+    names = [
+        (found[index, 1].name, found[index, most].name) for index, most in ((0x2032, 32), (0x2033, 32), (0x2111, 4))
+    ]
+    assert names == [
+        ("Noise of Haar coefficient 1", "Noise of Haar coefficient 32"),
+        ("Noise of the taxel at place 0", "Noise of the taxel at place 31"),
+        ("Fine code of group 1", "Fine code of group 4"),
+    ]
+
+
+def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
+    """Windows are 99 % of 40 ms and of 5 ms. 2005h: 12 bits, steps of 32, form 0, one block."""
+    found = objects(RECOGNITION)
+    assert [found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005)] == [
+        40_000,
+        39_600,
+        0,
+        0x01_00_05_0C,
+    ]
+    assert told(found, 0x1400) == [(U8, "const", 2), (U32, "const", 0x0FF), (U8, "const", 1)]
+    assert told(found, 0x1600) == [(U8, "const", 1), (U32, "const", 0x2008_01_08)]
+    assert [place for at, place in found if at in {0x1400, 0x1600, 0x2008}] == [0, 1, 2, 0, 1, 0, 1, 2]
+    assert told(found, 0x2008) == [(U8, "const", 2), (U8, "rw", 0), (U32, "const", 4_950)]
+    assert [(state.name, state.value) for state in SkinState] == [("RECOGNITION", 0), ("IMAGES", 1)]
+    assert [found[0x2008, place].pdo for place in (0, 1, 2)] == [False, True, False]
+    for index, cob_id in ((0x1800, 0x181), (0x1801, 0x281)):
+        rest = [(U8, "rw", 1), (U16, "rw", 0), (U16, "rw", 0), (U8, "rw", 0)]
+        assert told(found, index) == [(U8, "const", 6), (U32, "rw", 0x4000_0000 | cob_id), *rest]
+    mapped = [(index, each.value) for (index, _), each in found.items() if index in {0x1A00, 0x1A01} and each.value]
+    of_images = [(0x1A00, 5), *((0x1A00, 0x2100_00_0C | place << 8) for place in range(1, 6))]
+    assert mapped == [*of_images, (0x1A01, 2), (0x1A01, 0x2100_01_0C), (0x1A01, 0x2100_05_0C)]
+
+
+@pytest.mark.parametrize(
+    ("bits", "offset", "kind"),
+    [(16, "false", 3), (16, "true", 6), (12, "false", 3), (12, "true", 6), (8, "false", 2), (8, "true", 5)],
+)
+def test_sums_have_the_type_of_their_width_and_sign(bits: int, offset: str, kind: int) -> None:
+    encoding = f"encoding = {{ sum_bits = {bits}, offset_binary = {offset} }}"
+    found = objects(RECOGNITION.replace("encoding = { sum_bits = 12 }", encoding))
+    assert [each[0] for each in told(found, 0x2100)] == [U8] + 5 * [kind]

@@ -1,0 +1,40 @@
+"""The collector: SYNCs of others, SYNCs that ask for nothing, and what is known of the instant of a SYNC."""
+
+import numpy as np
+
+from dbc.canopen import SYNC_COB_ID
+from tests.bus.harness import frame
+from tests.gateway.test_collector import burst, echo, new_collector, whole_cycle
+
+
+def test_foreign_syncs_are_counted_from_the_last_question_on() -> None:
+    collector = new_collector()
+    assert [collector.take_foreign_syncs(bus) for bus in range(4)] == [0, 0, 0, 0]
+    collector.take(2, np.concatenate([frame(SYNC_COB_ID, b"\1")] * 3), 0)
+    assert [collector.take_foreign_syncs(bus) for bus in (1, 2, 2)] == [0, 3, 0]
+
+
+def error_ns(stamp_error_ns: int | None) -> int:
+    """Return the bound of an echo 0.7 ms after the SYNC was sent, with answers 0.9 ms and 1 ms after that."""
+    collector = new_collector()
+    collector.open(1, 10_000_000, 10_000_000)
+    start, sent = echo(1), burst(0, 1)[:2]
+    start["time_ns"] = 10_700_000
+    sent["time_ns"] = 10_900_000, 11_000_000
+    collector.take(0, np.concatenate((start, sent)), stamp_error_ns)
+    return collector.close(1).times.error_ns
+
+
+def test_the_first_answer_bounds_the_instant_where_there_are_no_time_stamps() -> None:
+    assert 0 < error_ns(1_000) < 701_000
+    assert error_ns(None) - error_ns(1_000) == 900_000 - (700_000 + 1_000)
+
+
+def test_frames_after_a_sync_that_asks_for_none_are_late() -> None:
+    collector = new_collector()
+    whole_cycle(collector, 1)
+    whole_cycle(collector, 2)
+    collector.open(3)
+    collector.rest(3, 0, None)
+    collector.take(0, np.concatenate((echo(3), burst(0, 3))), 0)
+    assert (collector.counts.accepted, collector.counts.late) == (512, 64)
