@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
+from scipy.special import ndtr
 
-from dbc.adaptive_filter import make_models
+from dbc import adaptive_filter
+from dbc.adaptive_filter import make_models, unclip_table
 
 #: Gains of the averages and memories of the g-h filters, as docs/adaptive.md has them.
 GAINS = (1.0, 1 / 64, 1 / 256)
@@ -34,3 +36,49 @@ def test_variances_of_the_models_are_those_of_their_errors(horizon: float) -> No
     np.testing.assert_allclose(models.half_precision, 1 / (2 * innovation), rtol=1e-6)
     np.testing.assert_allclose(models.log_spread, np.log(innovation) / 2, rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(models.variance, [*averages, *(each for _, each in trends)], rtol=1e-6)
+
+
+def reading(force: np.ndarray) -> np.ndarray:
+    """Return the mean reading of taxels, m(x) = x Φ(x) + φ(x), in units of their noise."""
+    return force * ndtr(force) + np.exp(-(force**2) / 2) / np.sqrt(2 * np.pi)
+
+
+def test_readings_are_turned_back_into_forces() -> None:
+    """1024 values from the reading 0 to that of six deviations; what reads less than at -2 is taken for -2."""
+    table = unclip_table()
+    assert table.dtype == np.float32
+    lowest, highest = reading(np.array([-2.0, 6.0]))
+    readings = np.linspace(0, highest, 1024)
+    is_below = readings < lowest
+    assert is_below.sum() == 2
+    assert (table[is_below] == -2).all()
+    np.testing.assert_allclose(reading(table[~is_below].astype(np.float64)), readings[~is_below], atol=1e-6)
+
+
+def test_logarithms_and_powers_of_two_are_exact_enough() -> None:
+    """log2(x) = e + r (c0 + r² (c1 + …)) with r = (m - 1) / (m + 1); 2^f is a polynomial of degree five on 0 to 1."""
+    mantissa = np.linspace(0.5**0.5, 2**0.5, 1001)
+    ratio = (mantissa - 1) / (mantissa + 1)
+    series = sum(each * ratio ** (2 * place + 1) for place, each in enumerate(adaptive_filter.LOG2_SERIES))
+    np.testing.assert_allclose(series, np.log2(mantissa), atol=1e-14)
+    assert adaptive_filter.LOG2_SERIES[8] == pytest.approx(2 / np.log(2) / 17, rel=1e-15)
+    assert len(adaptive_filter.LOG2_SERIES) == 9
+    part = np.linspace(0, 1, 1001)
+    power = sum(float(each) * part**place for place, each in enumerate(adaptive_filter.POWER))
+    np.testing.assert_allclose(power, 2**part, atol=2e-7)
+    assert float(adaptive_filter.LOG2_E) == pytest.approx(1 / np.log(2), rel=6e-8)
+    assert float(adaptive_filter.ROOT_HALF) == pytest.approx(np.sqrt(0.5), rel=6e-8)
+
+
+def test_the_figures_are_those_of_the_documentation() -> None:
+    """docs/adaptive.md, "Power-up" to "Noise while running", and the models before; samples come every millisecond."""
+    told = adaptive_filter
+    assert (told.SAMPLE_NS, told.IDLE_SAMPLES, told.SETTLING_SAMPLES, told.SPANS) == (1_000_000, 2000, 300, (1, 4, 16))
+    assert (told.AVERAGES, told.TRENDS) == ((0, 6, 8), (2, 3, 4, 5, 6))
+    assert (told.JUMP_VARIANCE, told.SWITCHING, told.LEAST_WEIGHT, told.HORIZON) == (8, 0.001, 1e-9, 4)
+    assert float(told.LEAST_EXPONENT) == -120
+    assert (told.DEAD_RATIO, told.UNCLIP_REACH, told.UNCLIP_POINTS, told.LEAST_NOISE_N) == (0.4, 6, 1024, 2e-5)
+    assert pytest.approx((1e-9, 1000)) == told.GIVEN_NOISE_N
+    assert (told.OFFSET_RATIO, told.OFFSET_COUNTS, told.FOLLOWING, told.RATE_N) == (1.6, 3, 1 / 128, 3e-6)
+    assert (told.QUIET_RATIO, told.LOWEST_RATIO, told.NOTE_SAMPLES, told.WINDOW) == (0.6, -1.5, 128, 256)
+    assert (told.IDLE_RATIOS, told.IDLE_PART) == ((0.5, 0.9), 0.5)

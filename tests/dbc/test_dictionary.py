@@ -108,3 +108,13 @@ def test_sums_have_the_type_of_their_width_and_sign(bits: int, offset: str, kind
     encoding = f"encoding = {{ sum_bits = {bits}, offset_binary = {offset} }}"
     found = objects(RECOGNITION.replace("encoding = { sum_bits = 12 }", encoding))
     assert [each[0] for each in told(found, 0x2100)] == [U8] + 5 * [kind]
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "period_us", "window_us"),
+    [(0.1, 10_000_000, 9_900_000), (3.0, 333_333, 330_000), (2000.0, 500, 495)],
+)
+def test_period_and_window_are_microseconds(rate_hz: float, period_us: int, window_us: int) -> None:
+    """1006h and 1007h from the slowest to the fastest layout: the window is 99 % of the period."""
+    found = objects(f"taxels = {{ rows = 8, columns = 8 }}\nsync = {{ rate_hz = {rate_hz} }}\n")
+    assert (found[0x1006, None].value, found[0x1007, None].value) == (period_us, window_us)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frames, frames
-from dbc.frame_bits import frame_time_ns, padded_length, wire_bits
+from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns, padded_length, wire_bits
 
 
 def frame(can_id: int, data: bytes = b"", flags: int = 0, length: int | None = None) -> Frames:
@@ -187,3 +187,8 @@ def test_the_kernel_reads_the_fields_where_the_record_has_them() -> None:
     places = {name: place[1] - first for name, place in fields.items() if place[1] >= first}
     assert places == {"can_id": 0, "length": 4, "flags": 5, "port": 6, "data": 8}
     assert frames(0).dtype.itemsize - first == 72
+
+
+def test_the_intermission_of_iso_11898_is_three_bits() -> None:
+    assert INTERMISSION_BITS == 3
+    assert [nominal_ns(bits, 300_000) for bits in (1, 3)] == [3333, 10_000]

@@ -69,6 +69,22 @@ def test_the_scale_of_analogue_sums_is_the_step_of_their_converter_or_a_multiple
     assert pack.usable(inner[2:]) == b""
 
 
+@pytest.mark.parametrize(("bits", "adc_bits", "scale"), [(8, 10, 256), (12, 10, 32), (12, 12, 64), (16, 16, 64)])
+def test_offset_binary_leaves_a_third_of_the_codes_to_analogue_sums_below_zero(
+    bits: int, adc_bits: int, scale: int
+) -> None:
+    """-16384 counts are -64 steps of 256, of the 85 below zero; of 128 counts they would be -128. A converter of 12
+    bits has -2048 codes of 32 counts below zero, and 12 bits 1365 steps.
+    """
+    pack = packing(layout_with(bits, True, adc_bits, frontend="analogue"))
+    assert (pack.scale, pack.offset) == (scale, (2**bits - 1) // 3)
+    ends = np.array([-(1 << adc_bits - 1), (1 << adc_bits - 1) - 1]) * 32
+    assert pack.raw(ends).min() >= 0
+    assert pack.raw(ends).max() < 2**bits
+    back = pack.counts(pack.raw(ends))
+    assert np.abs(back - ends).max() <= scale // 2 == pack.rounding_counts
+
+
 @given(st.sampled_from(ENCODINGS), st.integers(1, 16), st.sampled_from([2, 4, 8, 16, 32, 64, 128]))
 def test_no_sum_of_any_touch_saturates(encoding: tuple[int, bool], adc_bits: int, block_size: int) -> None:
     layout = layout_with(*encoding, adc_bits, block_size)

@@ -1,0 +1,257 @@
+"""Every value of a board's table, each computed here from the layout and from CiA 301."""
+
+import msgspec
+import pytest
+
+from dbc.board import Board, MappedObject, board, board_text, json_text
+from dbc.contract import Contract
+from skin.layout import parse_layout
+
+#: Two sums from the second block of the second board: rows 1 and 31, an odd number of bits each.
+FEW = """
+name = "palm"
+[taxels]
+rows = 8
+columns = 16
+force_max_n = 0.1023
+[measurement]
+block_size = 32
+seed = 3
+rows = [[0, 0], [2, 1], [2, 31]]
+[sync]
+rate_hz = 50.0
+[sampling]
+rate_hz = 200.0
+[encoding]
+sum_bits = 12
+offset_binary = true
+[device]
+vendor_id = 42
+product_code = 7
+first_serial = 100
+[[bus]]
+name = "left"
+nodes = 1
+bitrate = 500_000
+[[bus]]
+name = "right"
+nodes = 1
+blocks_per_node = 2
+bitrate = 250_000
+[[bus]]
+name = "end"
+nodes = 1
+bitrate = 500_000
+"""
+FAST = """
+taxels = { rows = 8, columns = 8 }
+measurement = { sums = 16 }
+sync = { rate_hz = 25.0, identity = "alternating" }
+bus = [{ name = "arm", nodes = 1, blocks_per_node = 2, fd = true, data_bitrate = 2_000_000 }]
+"""
+ADAPTIVE = """
+sending = "adaptive"
+taxels = { rows = 8, columns = 8 }
+measurement = { wiring = "board" }
+sync = { rate_hz = 10.0 }
+bus = [{ name = "arm", nodes = 2 }]
+"""
+ANALOGUE = """
+taxels = { rows = 8, columns = 8, frontend = "analogue" }
+measurement = { sums = 16 }
+bus = [{ name = "arm", nodes = 2 }]
+"""
+RECOGNITION = """
+taxels = { rows = 8, columns = 8 }
+measurement = { sums = 5, block_size = 64 }
+sync = { rate_hz = 25.0 }
+recognition = { sums = 2, rate_hz = 200.0 }
+bus = [{ name = "arm", nodes = 1 }]
+"""
+
+
+def table_of(layout: str, place: int = -1) -> tuple[Contract, Board]:
+    contract = Contract.from_layout(parse_layout(layout.encode(), "palm.toml"))
+    return contract, board(contract, contract.nodes[place])
+
+
+def test_a_table_names_every_constant_of_the_board() -> None:
+    """1006h is 20 ms, 1007h 99 % of it; 2005h: 12 bits, steps of 2^4, form 1 (offset binary), two blocks."""
+    contract, table = table_of(FEW, 1)
+    told = msgspec.to_builtins(table)
+    assert len(told.pop("phi_fingerprint")) == 16
+    assert isinstance(told.pop("signature"), int)
+    assert told == {
+        "skin": "palm",
+        "bus": "right",
+        "node_id": 1,
+        "bitrate": 250_000,
+        "is_fd": False,
+        "vendor_id": 42,
+        "product_code": 7,
+        "revision": 0x0001_0002,
+        "serial": 101,
+        "sync_identity": "window",
+        "sync_cob_id": 0x80,
+        "sync_period_us": 20_000,
+        "sync_window_us": 19_800,
+        "sync_overflow": 0,
+        "emcy_cob_id": 0x81,
+        "sdo_request_cob_id": 0x601,
+        "sdo_response_cob_id": 0x581,
+        "heartbeat_cob_id": 0x701,
+        "heartbeat_ms": 1000,
+        "sending": "synchronous",
+        "adc_bits": 10,
+        "count_max": 1023,
+        "newton_per_count": pytest.approx(1e-4),
+        "samples_per_sync": 4,
+        "encoding": 0x02_01_04_0C,
+        "packing": {"bits": 12, "step_counts": 16, "zero": 0x555, "raw_min": 0, "raw_max": 4095},
+        "phi_seed": 3,
+        "tpdos": [
+            {
+                "number": 1,
+                "cob_id": 0x181,
+                "transmission_type": 1,
+                "sync_start_value": 0,
+                "inhibit_100us": 0,
+                "event_timer_ms": 0,
+                "length": 3,
+                "mapping": [
+                    {"index": 0x2300, "subindex": 1, "bits": 12},
+                    {"index": 0x2300, "subindex": 2, "bits": 12},
+                ],
+            }
+        ],
+        "blocks": [
+            {
+                "block": 1,
+                "first_sum": 0,
+                "taxels": contract.phi.order[32:64].tolist(),
+                "rows": [],
+                "signs": [],
+                "gain": [1.0] * 32,
+                "offset_counts": [0] * 32,
+            },
+            {
+                "block": 2,
+                "first_sum": 0,
+                "taxels": contract.phi.order[64:96].tolist(),
+                "rows": [1, 31],
+                "signs": ["+-" * 16, "+--+-++--++-+--+-++-+--++--+-++-"],
+                "gain": [1.0] * 32,
+                "offset_counts": [0] * 32,
+            },
+        ],
+    }
+
+
+def test_a_board_without_sums_has_no_tpdos() -> None:
+    _, table = table_of(FEW)
+    assert (table.tpdos, [(each.block, each.rows, each.first_sum) for each in table.blocks]) == ([], [(3, [], 0)])
+
+
+def test_boards_of_two_phases_have_a_start_value_for_each() -> None:
+    """Type 2: every second SYNC, counted from 1 and from 2 on. The window is 98 % of 40 ms where it is not stock."""
+    _, table = table_of(FAST)
+    assert (table.is_fd, table.data_bitrate, table.bitrate) == (True, 2_000_000, 1_000_000)
+    assert (table.sync_identity, table.sync_overflow, table.sync_window_us) == ("alternating", 240, 39_200)
+    assert [(each.first_sum, len(each.rows)) for each in table.blocks] == [(0, 8), (8, 8)]
+    mapped = [MappedObject(index=index, subindex=place, bits=16) for index in (0x2100, 0x2300) for place in range(1, 9)]
+    for number, (tpdo, cob_id) in enumerate(zip(table.tpdos, (0x181, 0x281), strict=True), 1):
+        assert (tpdo.number, tpdo.cob_id, tpdo.length) == (number, cob_id, 32)
+        assert (tpdo.transmission_type, tpdo.sync_start_value) == (2, number)
+        assert tpdo.mapping == mapped
+        assert (tpdo.level, tpdo.group, tpdo.is_fine, tpdo.state) == (None, None, None, None)
+
+
+def test_adaptive_boards_have_urgencies_a_code_and_no_packing() -> None:
+    """32 node-IDs a TPDO: six levels of coarse frames of four groups, then two of fine ones."""
+    _, table = table_of(ADAPTIVE)
+    assert (table.sending, table.packing, table.frontend, table.samples_per_sync) == ("adaptive", None, None, 100)
+    assert [each.cob_id for each in table.tpdos] == [0x182 + 32 * place for place in range(32)]
+    assert [each.number for each in table.tpdos] == list(range(1, 33))
+    coarse = [(level, group, False) for level in (5, 4, 3, 2, 1, 0) for group in range(4)]
+    fine = [(level, group, True) for level in (1, 0) for group in range(4)]
+    assert [(each.level, each.group, each.is_fine) for each in table.tpdos] == coarse + fine
+    assert {(each.transmission_type, each.inhibit_100us, each.event_timer_ms) for each in table.tpdos} == {(254, 10, 0)}
+    assert {each.length for each in table.tpdos} == {8}
+    assert [each.subindex for each in table.tpdos[1].mapping] == list(range(9, 17))
+    assert {(each.index, each.bits) for each in table.tpdos[1].mapping} == {(0x2110, 8)}
+    assert table.tpdos[31].mapping == [MappedObject(index=0x2111, subindex=4, bits=64)]
+    assert table.companding is not None
+    assert table.companding[4] == 62.5e-6
+    assert table.sending_rule == (0.15, 4.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
+    assert table.grouped_rows is not None
+    assert table.grouped_rows[:2] == [[0, 4, 6, 2, 16, 20, 22, 18], [3, 7, 5, 1, 19, 23, 21, 17]]
+    assert sorted(row for rows in table.grouped_rows for row in rows) == list(range(32))
+
+
+def test_analogue_boards_have_no_calibration_of_taxels() -> None:
+    """2005h: 16 bits, steps of 2^5, form 4, one block."""
+    _, table = table_of(ANALOGUE)
+    assert (table.frontend, table.encoding, table.node_id, table.serial) == ("analogue", 0x01_04_05_10, 2, 2)
+    assert [(each.block, each.gain, each.offset_counts) for each in table.blocks] == [(1, [], [])]
+    assert (table.emcy_cob_id, table.sdo_request_cob_id, table.sdo_response_cob_id) == (0x82, 0x602, 0x582)
+    assert (table.heartbeat_cob_id, table.companding, table.sending_rule, table.grouped_rows) == (
+        0x702, None, None, None
+    )  # fmt: skip
+
+
+def test_boards_with_two_states_tell_the_state_of_each_tpdo() -> None:
+    """Value of 2008h:1: 1 while images are wanted, 0 for the few sums of recognition, which come last."""
+    _, table = table_of(RECOGNITION)
+    assert [(each.number, each.cob_id, each.length, each.state) for each in table.tpdos] == [
+        (1, 0x181, 8, 1),
+        (2, 0x281, 2, 1),
+        (3, 0x381, 4, 0),
+    ]
+    assert [each.subindex for each in table.tpdos[2].mapping] == [1, 5]
+
+
+def test_a_text_has_a_line_for_each_value_and_each_table_of_a_list() -> None:
+    value = {
+        "number": 1,
+        "plain": [1, 2.5],
+        "none": [],
+        "part": {"a": 1, "b": "two"},
+        "tables": [{"x": 1, "y": None}, {"x": 2, "deep": [3]}],
+        "lists": [[1, 2], [3]],
+    }
+    assert json_text(value) == (
+        "{\n"
+        '  "number": 1,\n'
+        '  "plain": [1, 2.5],\n'
+        '  "none": [],\n'
+        '  "part": {"a": 1, "b": "two"},\n'
+        '  "tables": [\n'
+        '    {"x": 1, "y": null},\n'
+        "    {\n"
+        '      "x": 2,\n'
+        '      "deep": [3]\n'
+        "    }\n"
+        "  ],\n"
+        '  "lists": [\n'
+        "    [1, 2],\n"
+        "    [3]\n"
+        "  ]\n"
+        "}\n"
+    )
+    assert json_text([1, 2]) == "[1, 2]"
+
+
+def test_keys_without_a_value_are_left_out_of_the_text() -> None:
+    text = board_text(table_of(FEW)[1])
+    assert text.startswith('{\n  "skin": "palm",\n  "bus": "end",\n')
+    assert not {"data_bitrate", "frontend", "companding", "level", "state"} & set(text.replace('"', " ").split())
+
+
+def test_a_table_stays_as_it_was_made() -> None:
+    _, table = table_of(FEW, 0)
+    for part, name in ((table, "skin"), (table.blocks[0], "block"), (table.tpdos[0], "number")):
+        with pytest.raises(AttributeError, match="immutable"):
+            setattr(part, name, 5)
+    for other, name in ((table.packing, "bits"), (table.tpdos[0].mapping[0], "bits")):
+        with pytest.raises(AttributeError, match="immutable"):
+            setattr(other, name, 5)
