@@ -94,7 +94,7 @@ class WindowMeans:
         self._begin_ns = self._end_ns = 0
         self._total, self._difference = np.zeros((2, sums))
         self._last, self._newest = np.zeros((2, sums))
-        self._count, self._differences = np.zeros((2, sums), np.int64)
+        self._count = np.zeros(sums, np.int64)
         self._was_valid = np.zeros(sums, np.bool_)
         self._valid_since_ns = np.zeros(sums, np.int64)
 
@@ -118,12 +118,10 @@ class WindowMeans:
         self._valid_since_ns[newly] = time_ns
         settled = valid & (time_ns - self._valid_since_ns >= SETTLE_S * 1e9)
         self._total += np.where(settled, counts, 0)
-        both = settled & self._was_valid
         np.subtract(counts, self._last, out=self._newest)
-        self._newest[~both] = 0
+        self._newest[~settled] = 0  # what has settled was valid in the cycle before, too
         self._difference += np.abs(self._newest)
         self._count += settled
-        self._differences += both
         self._last[:] = counts
         self._was_valid[:] = valid
         return ended
@@ -134,13 +132,13 @@ class WindowMeans:
 
     def _begin(self, time_ns: int) -> None:
         self._begin_ns, self._end_ns = time_ns, time_ns + self.length_ns
-        for each in (self._total, self._difference, self._count, self._differences):
+        for each in (self._total, self._difference, self._count):
             each[...] = 0
 
     def _close(self) -> Window:
-        known = (self._count >= LEAST_PART * self._cycles) & (self._differences > 0)
-        count, differences = (np.maximum(each, 1) for each in (self._count, self._differences))
+        known = self._count >= LEAST_PART * self._cycles
+        count = np.maximum(self._count, 1)
         mean_n = np.where(known, self._total / count, 0) * self._newton_per_count
-        noise_n = np.where(known, self._difference / differences, 0) * self._newton_per_count / _SIZE_OF_DIFFERENCE
+        noise_n = np.where(known, self._difference / count, 0) * self._newton_per_count / _SIZE_OF_DIFFERENCE
         newest_n = self._newest * self._newton_per_count
         return Window((self._begin_ns + self._end_ns) // 2, mean_n, noise_n, newest_n, known)

@@ -1,13 +1,15 @@
 """Means and noise of the sums over windows."""
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
-from calibration.windows import SETTLE_S, Window, WindowMeans
+from calibration.windows import SETTLE_S, Window, WindowMeans, change, rms, tare_s, typical, window_s
 from skin.measurement import sbhe
 
 PHI = sbhe(64, 16, block_size=16)
 PERIOD_NS = 10_000_000
+MS = 1_000_000
 
 
 def windows_of(counts: np.ndarray, valid: np.ndarray) -> list[Window]:
@@ -45,3 +47,99 @@ def test_a_gap_begins_a_new_window() -> None:
     for k in range(120):
         means.take((k + 1) * PERIOD_NS, ones, valid)
     assert means.take(10**12, 5 * ones, valid) is None
+
+
+class Collected:
+    """Windows of some sums that all have the same counts, which become valid at different times."""
+
+    def __init__(self, valid_from_ms: tuple[int, ...], period_s: float = 0.01) -> None:
+        self.means = WindowMeans(len(valid_from_ms), period_s, 0.5)
+        self._from_ns = np.array(valid_from_ms) * MS
+
+    def take(self, time_ms: float, count: int = 0) -> Window | None:
+        counts = np.full(self._from_ns.size, count, np.int32)
+        return self.means.take(round(time_ms * MS), counts, round(time_ms * MS) >= self._from_ns)
+
+    def take_all(self, times_ms: range) -> list[Window]:
+        """Take the square of the number of each cycle; return the windows that ended."""
+        found = [self.take(time_ms, (time_ms // 10) ** 2) for time_ms in times_ms]
+        return [window for window in found if window is not None]
+
+
+def test_a_window_holds_the_cycles_of_a_quarter_of_a_second_that_have_been_valid_for_half_a_second() -> None:
+    """Valid from 10 ms on, sums count from 510 ms on; from 130 ms on, 13 cycles of the third window do, half of it."""
+    made = Collected((10, 130, 140, 5000))
+    found = made.take_all(range(10, 770, 10))
+    assert [window.centre_ns for window in found] == [135 * MS, 385 * MS, 635 * MS]
+    assert not any(window.known.any() or window.mean_n.any() or window.noise_n.any() for window in found[:2])
+    last = found[2]
+    assert last.known.tolist() == [True, True, False, False]
+    cycles = np.arange(51, 76)
+    late = cycles[12:]
+    assert last.mean_n == pytest.approx([0.5 * (cycles**2).mean(), 0.5 * (late**2).mean(), 0, 0])
+    # k² - (k - 1)² = 2 k - 1; of two normal numbers the mean difference is 2 / √π of their deviation.
+    noise_n = [0.5 * (2 * each - 1).mean() * np.pi**0.5 / 2 for each in (cycles, late)]
+    assert last.noise_n == pytest.approx([*noise_n, 0, 0])
+    assert last.difference_n.tolist() == [0.5 * (2 * 75 - 1)] * 3 + [0]
+
+
+def test_half_of_a_window_s_cycles_are_enough() -> None:
+    """Cycles 50 ms apart: eight in a window."""
+    made = Collected((0, 900, 950), period_s=0.05)
+    (found,) = [made.take(time_ms) for time_ms in range(0, 1650, 50)][32:]
+    assert found is not None
+    assert found.centre_ns == 1400 * MS
+    assert found.known.tolist() == [True, True, False]
+
+
+def test_a_sum_that_was_missing_for_a_cycle_has_to_settle_again() -> None:
+    made = Collected((10,))
+    made.take_all(range(10, 700, 10))
+    made.means.take(700 * MS, np.zeros(1, np.int32), np.zeros(1, np.bool_))
+    found = made.take_all(range(710, 1520, 10))
+    assert [window.known.tolist() for window in found] == [[True], [False], [False], [True]]
+    # 510 to 690 ms, and from 1260 ms on: 500 ms after 710 ms it has settled.
+    assert found[0].mean_n == pytest.approx([0.5 * (np.arange(51, 70) ** 2).mean()])
+    assert found[3].mean_n == pytest.approx([0.5 * (np.arange(126, 151) ** 2).mean()])
+
+
+@pytest.mark.parametrize(("time_ms", "comes"), [(259.9, False), (260, True), (509.9, True), (510, False)])
+def test_a_window_ends_with_the_first_cycle_after_it_unless_that_is_a_window_late(time_ms: float, comes: bool) -> None:
+    made = Collected((10,))
+    assert not made.take_all(range(10, 250, 10))
+    assert (made.take(time_ms) is not None) == comes
+
+
+def test_a_restart_drops_the_cycles_of_the_window() -> None:
+    made = Collected((10,))
+    made.take_all(range(10, 110, 10))
+    made.means.restart()
+    found = made.take_all(range(110, 870, 10))
+    assert [window.centre_ns for window in found] == [235 * MS, 485 * MS, 735 * MS]
+    assert found[2].mean_n == pytest.approx([0.5 * (np.arange(61, 86) ** 2).mean()])
+
+
+def test_windows_and_zeros_take_as_long_as_the_guide_says() -> None:
+    """A quarter of a second, or 8 cycles; eight of them for a zero: 2 s, or 64 cycles."""
+    assert [window_s(period_s) for period_s in (0.001, 0.01, 0.05, 1.0)] == [0.25, 0.25, 0.4, 8.0]
+    assert [tare_s(period_s) for period_s in (0.01, 0.05)] == [2.0, 3.2]
+
+
+def test_change_is_from_the_first_to_the_second_half() -> None:
+    means_n: npt.NDArray[np.float64] = np.array([[1.0, 0], [3, 0], [10, 1], [20, 2]])
+    assert change(means_n).tolist() == [13.0, 1.5]
+    assert change(np.array([[1.0], [3], [10], [20], [60]])).tolist() == [28.0]
+
+
+def test_a_typical_deviation_is_not_that_of_a_few_large_ones() -> None:
+    # At most nine times the median of the squares, ...
+    assert typical(np.array([1.0, 1, 1, 1, 5])) == pytest.approx(((4 + 9) / 5) ** 0.5)
+    # ... or their mean, where that is more.
+    assert typical(np.array([1.0] * 9 + [100.0])) == pytest.approx(((9 + 1000.9) / 10) ** 0.5)
+    assert typical(np.array([3.0, 4.0])) == pytest.approx(12.5**0.5)
+
+
+def test_root_mean_square() -> None:
+    assert rms(np.array([3.0, -4.0])) == pytest.approx(12.5**0.5)
+    assert rms(np.array([7.0])) == 7.0
+    assert rms(np.zeros(0)) == 0.0
