@@ -200,7 +200,6 @@ class SdoDialogue:
         self._go_on(lambda: self._steps.throw(error), now_s)
 
     def _go_on(self, step: Callable[[], Transfer], now_s: float) -> None:
-        self._due_s = float("inf")
         try:
             self._transfer = step()
         except StopIteration as end:

@@ -5,8 +5,7 @@ from collections.abc import Generator
 import pytest
 
 from dbc.canopen import Abort
-from dbc.contract import LONGEST_VALUE
-from gateway.sdo import ATTEMPTS, TIMEOUT_S, Read, SdoAbortedError, SdoDialogue, SdoTimeoutError, Transfer, Write
+from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoTimeoutError, Transfer, Write
 
 
 class Far:
@@ -44,6 +43,7 @@ def answer(dialogue: SdoDialogue, text: str, now_s: float = 0.0) -> None:
         ("4b171000e8030000", b"\xe8\3"),
         ("4317100001020304", b"\1\2\3\4"),
         ("4217100001020304", b"\1\2\3\4"),
+        ("4e17100001020304", b"\1\2\3\4"),  # without a size, its number of unused bytes means nothing
     ],
 )
 def test_expedited_upload(came: str, value: bytes) -> None:
@@ -104,26 +104,130 @@ def test_abort_of_the_transfer_begins_it_again() -> None:
 
 
 def test_silence_is_asked_again_and_then_an_error() -> None:
+    """Three attempts of 0.3 s each."""
     dialogue, far = begin(Read(0x1017))
-    now_s = 0.0
-    for _ in range(ATTEMPTS):
-        dialogue.tick(now_s + 0.9 * TIMEOUT_S)
-        now_s += TIMEOUT_S
-        dialogue.tick(now_s)
+    asked = ["4017100000000000"]
+    assert dialogue.asked_s == 0.0
+    for again_s in (0.3, 0.6):
+        dialogue.tick(again_s - 0.001)
+        assert far.take() == asked
+        dialogue.tick(again_s)
+        assert dialogue.asked_s == again_s
+        asked = ["8017100000000405", "4017100000000000"]
+    assert not dialogue.done
+    dialogue.tick(0.9)
+    assert far.take() == [*asked, "8017100000000405"]
+    assert dialogue.done
     assert isinstance(dialogue.error, SdoTimeoutError)
-    assert far.take() == ["4017100000000000", "8017100000000405"] * ATTEMPTS
+    assert str(dialogue.error) == "no answer to object 1017h:0"
     answer(dialogue, "4f17100005000000")  # too late
+    dialogue.tick(2.0)
     assert dialogue.result is None
+    assert far.take() == []
+
+
+def test_each_transfer_of_a_dialogue_has_all_its_attempts() -> None:
+    def steps() -> Generator[Transfer, bytes, bytes]:
+        return (yield Read(0x2000)) + (yield Read(0x2001, 2))
+
+    far = Far()
+    dialogue = SdoDialogue(5, steps(), far, 0.0, attempts=2)
+    dialogue.tick(0.3)
+    answer(dialogue, "4f00200007000000", 0.4)
+    assert dialogue.asked_s == 0.4
+    far.take()
+    dialogue.tick(0.69)
+    assert far.take() == []
+    dialogue.tick(0.7)
+    assert far.take() == ["8001200200000405", "4001200200000000"]
+    answer(dialogue, "4f01200208000000", 0.9)
+    assert dialogue.result == b"\7\x08"
+
+
+def test_a_segment_that_does_not_come_begins_the_upload_anew() -> None:
+    dialogue, far = begin(Read(0x2002))
+    answer(dialogue, "410220000a000000", 0.1)
+    answer(dialogue, "0061626364656667", 0.2)
+    far.take()
+    dialogue.tick(0.49)
+    assert far.take() == []
+    dialogue.tick(0.5)  # 0.3 s after the second segment was asked for
+    assert far.take() == ["8002200000000405", "4002200000000000"]
+    answer(dialogue, "1968696a00000000", 0.5)  # no upload has begun again
+    assert not dialogue.done
+    answer(dialogue, "4102200003000000", 0.5)
+    answer(dialogue, "0978797a00000000", 0.5)
+    assert far.take() == ["6000000000000000"]
+    assert dialogue.result == b"xyz"
+
+
+def test_a_dialogue_of_one_attempt_ends_at_the_first_silence_and_at_the_first_abort_of_a_transfer() -> None:
+    for end in (lambda each: each.tick(0.3), lambda each: answer(each, "8017100001000405", 0.1)):
+        dialogue = SdoDialogue(5, one(Read(0x1017)), Far(), 0.0, attempts=1)
+        end(dialogue)
+        assert isinstance(dialogue.error, SdoTimeoutError)
+
+
+def test_a_dialogue_without_transfers_is_done_at_once() -> None:
+    def steps() -> Generator[Transfer, bytes, int]:
+        return 3
+        yield Read(0x1017)
+
+    far = Far()
+    dialogue = SdoDialogue(5, steps(), far, 0.0)
+    assert (dialogue.done, dialogue.result, dialogue.error) == (True, 3, None)
+    dialogue.tick(9.0)
+    assert far.take() == []
 
 
 def test_transfer_without_end_is_left() -> None:
     dialogue, far = begin(Read(0x1008))
     answer(dialogue, "4108100000000000")
-    for place in range(LONGEST_VALUE):
+    for place in range(36):
         answer(dialogue, f"{(place & 1) << 4:02x}" + "00" * 7)
+    assert not dialogue.done  # 252 bytes
+    answer(dialogue, "00" * 8)
     assert dialogue.done
     assert isinstance(dialogue.error, SdoAbortedError)
+    assert dialogue.error.code == 0x0504_0005
+    assert str(dialogue.error) == "object 1008h:0: abort 05040005h, memory"
     assert far.take()[-1] == "8008100005000405"
+
+
+def test_the_longest_value_has_256_bytes() -> None:
+    dialogue, _ = begin(Read(0x1008))
+    answer(dialogue, "4108100000000000")
+    for place in range(36):
+        answer(dialogue, f"{(place & 1) << 4:02x}" + "61" * 7)
+    answer(dialogue, "06" + "62" * 4 + "00" * 3)  # four bytes more, and no word of the end
+    assert not dialogue.done
+    answer(dialogue, "1f" + "00" * 7)  # the end, without a byte
+    assert dialogue.result == b"a" * 252 + b"b" * 4
+
+
+@pytest.mark.parametrize("code", ["00000006", "ffffffff"])
+def test_codes_from_0600_0000h_on_are_of_the_object(code: str) -> None:
+    dialogue, far = begin(Read(0x1017))
+    answer(dialogue, "80171000" + code)
+    assert isinstance(dialogue.error, SdoAbortedError)
+    named = int.from_bytes(bytes.fromhex(code), "little")
+    assert str(dialogue.error) == f"object 1017h:0: abort {named:08X}h"
+    assert dialogue.error.code == named
+    assert far.take() == ["4017100000000000"]
+
+
+def test_an_abort_that_names_no_object_is_of_the_open_transfer() -> None:
+    dialogue, _ = begin(Write(0x1017, 0, b"\1"))
+    answer(dialogue, "8000000022000008")
+    assert isinstance(dialogue.error, SdoAbortedError)
+    assert dialogue.error.code == Abort.STATE
+
+
+def test_only_answers_of_eight_bytes_count() -> None:
+    dialogue, _ = begin(Read(0x1017))
+    answer(dialogue, "4f1710000500000000")
+    answer(dialogue, "4f171000050000")
+    assert not dialogue.done
 
 
 def test_a_dialogue_may_live_with_an_abort() -> None:
