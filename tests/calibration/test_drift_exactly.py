@@ -223,6 +223,17 @@ def test_a_block_begins_anew_with_the_line_it_is_given() -> None:
     fresh.take(after, ALL, np.array([True, False, True]))
     # The ninth point of a line: 2 (2 n - 1) / (n (n + 1)) of the difference.
     assert fresh.level_n[mine] == pytest.approx(0.501 + 34 / 90 * (0.5011 - 0.501))
+    # No gap lies between its line and this point, whose noise is learned: one point ahead, a line of 8 has the variance
+    # 30 / 72 + 12 / 72 + 12 / 504 of a point.
+    assert fresh.noise_n == pytest.approx(1e-4 * (1 + 0.05 * (1 / (1 + 42 / 72 + 12 / 504) - 1)) ** 0.5)
+
+
+def test_of_the_second_window_little_is_foreseen() -> None:
+    """The difference from the first has twice the variance of a window, and as much again for a drift, twice over."""
+    nothing = np.zeros(SUMS)
+    made = DriftFollower(BLOCK_OF_SUM, BLOCKS, nothing, nothing, ALL, age=1, noise_n=1e-3, least_noise_n=1e-6)
+    made.take(np.full(SUMS, 1.5e-3), ALL, FREE)
+    assert made.noise_n == pytest.approx(1e-3 * (1 + 0.05 * (1.5**2 / 6 - 1)) ** 0.5)
 
 
 def test_one_sum_that_jumps_tells_of_six_times_the_noise_at_most() -> None:
