@@ -149,6 +149,11 @@ def test_no_switch_begins_within_a_quarter_of_a_period_of_recognition_before_syn
     assert skin.tick(1.1, 1.1026) == on_both(IMAGES)
 
 
+def test_a_switch_may_begin_a_quarter_of_a_period_of_recognition_before_sync(skin: Skin) -> None:
+    skin.switch.ask_images(10.0)
+    assert skin.tick(0.0, 0.0025) == on_both(IMAGES)
+
+
 def test_images_end_when_the_longest_request_has_ended(skin: Skin) -> None:
     skin.to_images(1.25, hold_s=0.5)
     skin.switch.ask_images(0.25)
