@@ -265,7 +265,7 @@ class SkinNode:
             state = _ON_ERROR[self.local.unsigned(OD_ERROR_BEHAVIOUR, 1)]
             if self.state is NmtState.OPERATIONAL and state is not None:
                 self.state = state
-        elif before and not lost:
+        elif not lost:  # heard again, or watched no longer
             self.emcy.gone(Emergency.HEARTBEAT_LOST)
 
     def heard(self, node_id: int, now_s: float) -> None:

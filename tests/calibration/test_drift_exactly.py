@@ -229,7 +229,7 @@ def test_a_block_begins_anew_with_the_line_it_is_given() -> None:
 
 
 def test_of_the_second_window_little_is_foreseen() -> None:
-    """The difference from the first has twice the variance of a window, and as much again for a drift, twice over."""
+    """Its distance from the first is expected to have six times the variance of a window: there may be a drift."""
     nothing = np.zeros(SUMS)
     made = DriftFollower(BLOCK_OF_SUM, BLOCKS, nothing, nothing, ALL, age=1, noise_n=1e-3, least_noise_n=1e-6)
     made.take(np.full(SUMS, 1.5e-3), ALL, FREE)

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canskin.errors import InputError
-from dbc.contract import Contract
+from canskin.errors import InputError, LayoutError
+from dbc.contract import Contract, NodeContract
 from nodes import command
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.command import choose_nodes
-from nodes.sampler import Sampler
+from nodes.sampler import CountSampler, Sampler
 from skin.service import StopSignal
 
 
@@ -155,9 +155,86 @@ def test_adaptive_boards_are_those_of_the_chosen_nodes(parts: Parts) -> None:
         ({"noise_n": float("inf")}, "expected 0 or more.*--noise-n inf"),
         ({"rate": 50.0}, "--rate is for a recording"),
         ({"input": Path("mat.npz"), "rest": 1.0}, "--rest is for objects"),
+        ({"input": Path("mat.npz"), "stroke": "press"}, "--stroke is for objects"),
+        ({"firmware": True, "store": Path("flash")}, "--store is for nodes in Python"),
+        ({"defect": ["mismatch=0.1"]}, "mismatch"),  # of boards that make sums in hardware
         ({"store": Path("/proc/none")}, "--store /proc/none: expected a folder that can be written"),
     ],
 )
 def test_bad_options_are_one_clear_error(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         command.nodes(**options)
+
+
+def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
+    parts.run(only=["bus0:1"], seed=0, noise_n=0.0, stroke="press", objects="cup")
+
+
+def test_boards_in_c_are_those_of_the_chosen_nodes(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[tuple[Contract, list[tuple[int, int]]]] = []
+
+    def firmware(contract: Contract, nodes: list[NodeContract]) -> str:
+        compiled.append((contract, [(node.bus, node.node_id) for node in nodes]))
+        return "compiled"
+
+    monkeypatch.setattr(command, "Firmware", firmware)
+    boards = parts.run(only=["bus1:2-3", "bus3:1"], firmware=True, noise_n=0.0, objects="cup")
+    assert isinstance(boards, CountSampler)
+    assert compiled == [(parts.service[0], [(1, 2), (1, 3), (3, 1)])]
+    assert parts.named == {"store": None, "firmware": "compiled"}
+    # The default skin samples ten times in each period of 10 ms.
+    assert boards.sample(1, 0).shape == (10, 4096)
+
+
+def test_adaptive_boards_in_c_get_the_same_options_as_those_in_python(
+    parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[tuple[Any, dict[str, Any]]] = []
+
+    def patches(*arguments: Any, **named: Any) -> str:
+        given.append((arguments, named))
+        return "patches"
+
+    monkeypatch.setattr(command, "Firmware", lambda *_: "compiled")
+    monkeypatch.setattr(command, "FirmwarePatches", patches)
+    options = {"layout": Path("adaptive"), "only": ["bus0:3"], "noise_n": 0.002, "seed": 4, "defect": ["dead=0.5"]}
+    assert parts.run(firmware=True, **options) == "patches"
+    ((contract, blocks, _, compiled), named) = given[0]
+    assert blocks == [node.block for node in contract.nodes if (node.bus, node.node_id) == (0, 3)]
+    assert compiled == "compiled"
+    assert (named["noise_n"], named["seed"], list(named["defects"])) == (0.002, 4, ["dead"])
+
+
+def test_boards_of_two_states_are_not_there_in_c(parts: Parts) -> None:
+    with pytest.raises(LayoutError, match="the firmware in C does not know recognition"):
+        command.nodes(layout=Path("recognise-first"), firmware=True)
+
+
+def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) -> None:
+    played = np.zeros((5, 64, 64))
+    played[1:] = np.arange(1, 5)[:, None, None]
+    np.savez(tmp_path / "two.npz", other=np.zeros((5, 64, 64)), mine=played)
+    options = {"only": ["bus0:1"], "input": tmp_path / "two.npz", "array": ["mine"], "full_scale": 8.0}
+    each_cycle = parts.run(**options)
+    # A step of the recording is an eighth of the largest force, 0.02 N.
+    forces_n = []
+    for counter in (1, 2, 3):
+        each_cycle.sample(counter, counter * 10**7)
+        truth = each_cycle.take_truth()
+        forces_n.append(float(np.frombuffer(truth.true, "<f4").max()))
+    assert forces_n == pytest.approx([0.0, 0.0025, 0.005])
+    slow = parts.run(**options, rate=50.0)  # frames of 20 ms, cycles of 10 ms
+    for counter in (1, 2, 3):
+        slow.sample(counter, counter * 10**7)
+        truth = slow.take_truth()
+    assert float(np.frombuffer(truth.true, "<f4").max()) == pytest.approx(0.0025)
+
+
+def test_defects_and_seed_reach_the_taxels(parts: Parts) -> None:
+    np_sums = [
+        parts.run(only=["bus0:1"], objects="cup", seed=seed, defect=defect).sample(1, 0)
+        for seed, defect in ((1, None), (1, None), (2, None), (1, ["saturated=1"]))
+    ]
+    np.testing.assert_array_equal(np_sums[0], np_sums[1])
+    assert not np.array_equal(np_sums[0], np_sums[2])
+    assert np_sums[3].max() == 32 * 1023

@@ -88,6 +88,12 @@ def test_heartbeats_are_sent_when_they_are_due_within_five_milliseconds(segment:
     assert beats(segment, link, 1.3) == [1, 2, 3, 4]
 
 
+def test_the_last_of_four_beats_after_four_parts_of_128(segment: Segment, link: ArrayLink) -> None:
+    assert beats(segment, link, 3 / 128) == [1, 2, 3]
+    assert beats(segment, link, 0.0312) == []
+    assert beats(segment, link, 0.0365) == [4]
+
+
 def test_beat_at_the_very_time_it_is_due(segment: Segment, link: ArrayLink) -> None:
     assert beats(segment, link, 0.001) == []
     assert beats(segment, link, 0.0078125) == [1]
@@ -122,6 +128,16 @@ def test_emergency_comes_when_a_heartbeat_is_lost_and_goes_when_it_is_back(segme
     give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=2e3)
     assert read(segment, link, 1, 0x1001) == 0
     assert emergencies(segment, link, 2e3 + 0.05) == [0]
+
+
+def test_emergency_goes_when_the_lost_node_is_watched_no_longer(segment: Segment, link: ArrayLink) -> None:
+    lose_heartbeat(segment, link)
+    assert read(segment, link, 1, 0x1001) == 0x11
+    assert write(segment, link, 0x1016, 1, 0, 4) == 0
+    assert emergencies(segment, link, 2e3) == [0]
+    assert read(segment, link, 1, 0x1001) == 0
+    lose_heartbeat(segment, link, 3e3)
+    assert EMCY_1 in link.take_sent()["can_id"]
 
 
 def test_stopped_node_keeps_its_emergency_until_it_may_speak(segment: Segment, link: ArrayLink) -> None:

@@ -1,8 +1,10 @@
 """The nodes' turn of input and output, with a clock that the test moves."""
 
+import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -13,9 +15,12 @@ from canskin.messages import NodesStatus, Topic, Truth
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.indices import OD_REFRESH
+from firmware.library import Firmware
+from nodes import service
 from nodes.adaptive.boards import AdaptiveBoards
+from nodes.adaptive.firmware import FirmwarePatches
 from nodes.electronics import Electronics
-from nodes.sampler import Sampler
+from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout
 from tests.bus.harness import frame
@@ -204,3 +209,101 @@ def test_on_a_single_bus_the_next_cycle_is_sampled_ahead_at_once(
     links[0].put(sync(1))
     service.turn()
     assert prepared[-1] is sampler.sums is not before  # after the answer
+
+
+def test_before_it_is_known_which_cycle_comes_next_nothing_is_sampled_ahead(links: dict[int, ReadyLink]) -> None:
+    """Of nodes that recognise first, the next step depends on the state."""
+    contract = Contract.from_layout(load_layout(Path("recognise-first")))
+    now_s, prepared = 100.0, list[float]()
+    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
+    service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
+    service.segments[0].boot(now_s)
+    service.segments[0].take(frame(0, bytes((START, 0))), now_s)
+    links[0].put(sync(1))
+    for _ in range(3):
+        service.turn()
+        now_s += 1.0
+    assert service.segments[0].syncs_seen == 1
+    assert not prepared
+
+
+def test_each_kind_of_boards_gets_its_kind_of_segment(
+    contract: Contract, links: dict[int, ReadyLink], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    made: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+
+    def stand_in(name: str) -> Any:
+        def build(*given: Any, **named: Any) -> str:
+            made.append((name, given, named))
+            return name
+
+        return build
+
+    for name in ("FirmwareSegment", "AdaptiveFirmwareSegment", "AdaptiveSegment", "SynchronousSegment"):
+        monkeypatch.setattr(service, name, stand_in(name))
+
+    class Patches(FirmwarePatches):
+        def __init__(self) -> None:
+            """Compile nothing."""
+
+    class Adaptive(AdaptiveBoards):
+        def __init__(self) -> None:
+            """Learn nothing."""
+
+    firmware = cast("Firmware", "compiled")
+    electronics = Electronics(contract.layout.taxels, noise_n=0.0)
+    counts = CountSampler(contract.phi, Still(contract), electronics)
+    sums = Sampler(contract.phi, Still(contract), electronics)
+    for boards, compiled, kind in (
+        (counts, firmware, "FirmwareSegment"),
+        (Patches(), firmware, "AdaptiveFirmwareSegment"),
+        (Adaptive(), None, "AdaptiveSegment"),
+        (sums, None, "SynchronousSegment"),
+        (counts, None, "SynchronousSegment"),
+    ):
+        made.clear()
+        built = NodesService(contract, links, {0: {1}, 1: {2}}, boards, store=tmp_path, firmware=compiled)
+        assert built.segments == {0: kind, 1: kind}
+        for bus, (_, given, named) in enumerate(made):
+            assert given[:2] == (contract, bus)
+            assert links[bus].send in given
+            assert boards in given
+            assert ({bus + 1} in given) == (compiled is None)
+            assert named.get("store") == (tmp_path if compiled is None else None)
+
+
+def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, ReadyLink]) -> None:
+    now_s, published = 100.0, Published()
+    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    made = NodesService(contract, links, {0: {1, 2}, 1: {2}}, sampler, published, clock=lambda: now_s)
+    for segment in made.segments.values():
+        segment.boot(now_s)
+        segment.take(frame(0, bytes((START, 0))), now_s)
+    links[0].room = 3
+    for each in (links[0], links[0], links[1]):
+        each.put(sync(1))
+        made.turn()
+    made.publish_status()
+    newest = published.statuses[-1]
+    assert (newest.frames_sent, newest.frames_dropped, newest.syncs_seen) == (2 * 3 + 2, 2 * 1, 2)
+    assert newest.process == str(os.getpid())
+
+
+def test_statuses_come_every_fifth_of_a_second(contract: Contract, links: dict[int, ReadyLink]) -> None:
+    now_s, published = 100.0, Published()
+    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    made = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, published, clock=lambda: now_s)
+    counts = []
+    for after_s in (0.0, 0.19, 0.2, 0.39, 0.4):
+        now_s = 100.0 + after_s
+        made._publish(now_s)
+        counts.append(len(published.statuses))
+    assert counts == [1, 1, 2, 2, 3]
+
+
+def test_without_a_fabric_nothing_is_published(contract: Contract, links: dict[int, ReadyLink]) -> None:
+    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    made = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: 100.0)
+    made.run(StopAfter(2))  # type: ignore[arg-type]
+    assert links[0].take_sent()["can_id"].tolist()[0] == 0x701

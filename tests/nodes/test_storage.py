@@ -1,5 +1,6 @@
 """Reset, store and restore: dictionary and electronics go together, and a folder outlives the process."""
 
+import json
 import struct
 from pathlib import Path
 
@@ -167,3 +168,64 @@ def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tm
     assert board.read(0x1029, 1) == 0
     give(board.segment, board.link, frame(0, bytes((1, 1))))
     assert {can_id for can_id, _ in give(board.segment, board.link, sync(1))} == set()  # both are mapped wrongly
+
+
+def test_defaults_may_be_asked_for_when_nothing_is_stored(contract: Contract, tmp_path: Path) -> None:
+    board = Board(contract, tmp_path)
+    board.write(OD_OFFSET, 3, 100, 2)
+    assert board.write(OD_RESTORE, 1, LOAD, 4) == 0
+    board.reset()
+    assert board.offset == 0.0
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_loses_its_file_in_vain_is_an_abort(
+    contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = Board(contract, tmp_path)
+    board.write(OD_OFFSET, 3, 100, 2)
+    board.write(OD_STORE, 1, SAVE, 4)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    assert board.write(OD_RESTORE, 1, LOAD, 4) == Abort.HARDWARE
+    board.reset()
+    assert board.offset == 100.0
+
+
+def test_the_file_names_each_object_in_hexadecimal(tmp_path: Path) -> None:
+    path = tmp_path / "bus0-1.json"
+    parameters = {0x1017: {0: b"\x90\1"}, 0x2010: {1: b"\0\0\x80\x3f", 0x1F: b"\0\0\0\x40"}, 0x2011: {0xA: b""}}
+    Storage("abc", path).save(parameters)
+    assert json.loads(path.read_text()) == {
+        "phi": "abc",
+        "parameters": {"1017:00": "9001", "2010:01": "0000803f", "2010:1F": "00000040", "2011:0A": ""},
+    }
+    assert Storage("abc", path).parameters == parameters
+
+
+def test_parameters_stay_in_memory_without_a_folder() -> None:
+    storage = Storage("abc")
+    assert storage.parameters == {}
+    storage.save({0x1017: {0: b"\1\0"}})
+    assert storage.parameters == {0x1017: {0: b"\1\0"}}
+    storage.clear()
+    assert storage.parameters == {}
+
+
+def test_a_file_that_cannot_be_read_is_named_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "bus0-1.json").mkdir()
+    with pytest.raises(InputError, match=r"bus0-1\.json: cannot read the stored parameters: Is a directory"):
+        Storage("abc", tmp_path / "bus0-1.json")
+
+
+def test_a_reset_of_communication_brings_stored_communication_back_alone(board: Board) -> None:
+    board.write(OD_HEARTBEAT_MS, 0, 400, 2)
+    board.write(OD_OFFSET, 3, 100, 2)
+    board.write(OD_STORE, 1, SAVE, 4)
+    board.write(OD_HEARTBEAT_MS, 0, 700, 2)
+    board.write(OD_OFFSET, 3, 7, 2)
+    board.reset(RESET_COMMUNICATION)
+    assert (board.read(OD_HEARTBEAT_MS), board.read(OD_OFFSET, 3), board.offset) == (400, 7, 7.0)

@@ -179,6 +179,7 @@ def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
         (0x8000_0181, (0x2100_0110,)),  # switched off
         (0x181, ()),
         (0x181, (0x2100_0108,)),  # half a sum
+        (0x181, (0x2100_0111,)),  # a bit more than a sum
         (0x181, (0x2100_0110, 0x1018_0120)),  # no object for PDOs
         (0x181, (0x2100_0110,) * 4 + (0x1001_0008,)),  # nine bytes
     ],

@@ -1,0 +1,200 @@
+"""What ``skin calibration`` prints of a file, and asks a gateway for, without a gateway."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from calibration import command
+from calibration.command import calibration, tare
+from calibration.stored import StoredCalibration, encoded, save_calibration, store
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
+from canskin.errors import InputError, RunError
+from skin.defects import SumGains
+from tests.calibration.skins import LAYOUT, PHI
+
+SUMS, TAXELS = PHI.shape
+
+
+class Gateway:
+    """Answers in place of a fabric, and keeps what it was asked."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.asked: list[tuple[str, CalibrationRequest, float]] = []
+        self.opened: list[tuple[Any, ...]] = []
+        self.closed = 0
+        self.stored = store(LAYOUT)
+        self.is_done = True
+        self.status: CalibrationStatus | None = CalibrationStatus(
+            state=CalibrationState.TOUCHED, drift_rms_n_per_s=0.0123, noise_n=0.00456, held_blocks=7
+        )
+        gateway = self
+
+        class Fabric:
+            def __init__(self, *given: Any, **named: Any) -> None:
+                gateway.opened.append((*given, named))
+
+            def ask(self, question: Any, request: CalibrationRequest, timeout_s: float) -> CalibrationReply:
+                gateway.asked.append((question.name, request, timeout_s))
+                content = encoded(gateway.stored)
+                return CalibrationReply(is_done=gateway.is_done, text="words", status=gateway.status, content=content)
+
+            def close(self) -> None:
+                gateway.closed += 1
+
+        monkeypatch.setattr(command, "Fabric", Fabric)
+
+
+@pytest.fixture
+def gateway(monkeypatch: pytest.MonkeyPatch) -> Gateway:
+    return Gateway(monkeypatch)
+
+
+def shown(capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
+    """Return the printed table: each line is a name and a value, two blanks or more apart."""
+    lines = capsys.readouterr().out.splitlines()
+    return {name.strip(): value.strip() for name, value in (line.split("  ", 1) for line in lines)}
+
+
+def of_all() -> StoredCalibration:
+    """Return a calibration with two offsets and all kinds of gains."""
+    offsets_n = np.full(SUMS, np.nan)
+    offsets_n[[3, 5]] = 0.007, -0.001
+    gains = np.linspace(0.9, 1.1, TAXELS)
+    of_sums = SumGains(np.linspace(0.95, 1.05, SUMS), np.linspace(-0.02, 0.03, SUMS))
+    return store(LAYOUT, offsets_n=offsets_n, gains=gains, sum_gains=of_sums, defects=["sum 3 is stuck", "taxel 7"])
+
+
+def test_a_file_is_shown_in_millinewtons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_calibration(tmp_path / "it.json", of_all())
+    calibration("show", tmp_path / "it.json")
+    text = capsys.readouterr().out
+    for name, value in (
+        ("skin", f"{LAYOUT.name}, Φ {PHI.fingerprint}"),
+        ("sums with an offset", "2 of 1024"),
+        # √((49 + 1) / 2) = 5
+        ("offsets", "5.00 mN rms, -1.00 to 7.00 mN"),
+        ("gains of taxels", "0.900 to 1.100"),
+        ("gains of sums", "differential 0.950 to 1.050, common mode -0.020 to 0.030"),
+        ("defect", "sum 3 is stuck"),
+        ("defect", "taxel 7"),
+    ):
+        assert any(line.split() == [*name.split(), *value.split()] for line in text.splitlines()), name
+    assert "zero" not in text
+
+
+def test_a_file_without_gains_or_offsets_shows_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_calibration(tmp_path / "it.json", store(LAYOUT))
+    calibration("show", tmp_path / "it.json")
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["skin", "saved"]
+
+
+def test_a_gateway_tells_of_its_zero_too(gateway: Gateway, capsys: pytest.CaptureFixture[str]) -> None:
+    calibration("show", connect="tcp/far:1")
+    text = shown(capsys)
+    assert text["zero"] == "touched"
+    assert text["drift"] == "12.300 mN/s rms"
+    assert text["noise of a sum"] == "4.56 mN"
+    assert text["blocks under a touch"] == "7"
+    ((name, request, timeout_s),) = gateway.asked
+    assert (name, request.action, timeout_s) == ("calibration", "show", 15.0)
+    ((skin, service, connect, named),) = gateway.opened
+    assert (skin, service, connect) == (LAYOUT.name, "calibration", "tcp/far:1")
+    assert named == {"fingerprint": PHI.fingerprint, "patience_s": 5.0}
+    assert gateway.closed == 1
+
+
+def test_json_holds_calibration_and_status(
+    gateway: Gateway, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gateway.stored = of_all()
+    calibration("show", json=True)
+    document = json.loads(capsys.readouterr().out)
+    assert document["calibration"] == msgspec.to_builtins(gateway.stored)
+    assert document["status"]["held_blocks"] == 7
+    save_calibration(tmp_path / "it.json", of_all())
+    calibration("show", tmp_path / "it.json", json=True)
+    assert json.loads(capsys.readouterr().out)["status"] is None
+
+
+@pytest.mark.parametrize(("is_done", "code"), [(True, 0), (False, 1)])
+def test_tare_ends_with_1_without_a_new_zero(
+    gateway: Gateway, is_done: bool, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gateway.is_done = is_done
+    assert tare() == code
+    assert tare(force=True, json=True) == code
+    assert [(request.action, request.force, timeout_s) for _, request, timeout_s in gateway.asked] == [
+        ("tare", False, 15.0),
+        ("tare", True, 15.0),
+    ]
+    text, document = capsys.readouterr().out.split("\n", 1)
+    assert text == "words"
+    found = json.loads(document)
+    assert (found["is_done"], found["text"], found["status"]["noise_n"]) == (is_done, "words", 0.00456)
+
+
+@pytest.mark.parametrize(
+    ("stored", "words"),
+    [
+        (of_all(), "offsets of 2 of 1024 sums, gains of 4096 taxels, gains of 1024 sums"),
+        (store(LAYOUT, gains=np.ones(TAXELS)), "gains of 4096 taxels"),
+        (store(LAYOUT, offsets_n=np.zeros(SUMS)), "offsets of 1024 of 1024 sums"),
+    ],
+)
+def test_what_is_saved_is_said(
+    gateway: Gateway, tmp_path: Path, stored: StoredCalibration, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gateway.stored = stored
+    calibration("save", tmp_path / "it.json")
+    assert capsys.readouterr().err == f"calibration: {tmp_path / 'it.json'}: {words}\n"
+    assert (tmp_path / "it.json").read_bytes() == encoded(stored)
+
+
+def test_a_gateway_without_status_that_has_nothing_is_asked_for_patience(gateway: Gateway, tmp_path: Path) -> None:
+    gateway.status = None
+    with pytest.raises(RunError, match=r"no calibration yet: is the skin untouched\? See 'skin calibration show'"):
+        calibration("save", tmp_path / "it.json")
+
+
+@pytest.mark.parametrize(("to_nodes", "action", "patience_s"), [(False, "load", 15.0), (True, "write", 300.0)])
+def test_writing_to_nodes_may_take_minutes(
+    gateway: Gateway,
+    tmp_path: Path,
+    to_nodes: bool,
+    action: str,
+    patience_s: float,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stored = of_all()
+    save_calibration(tmp_path / "it.json", stored)
+    calibration("load", tmp_path / "it.json", to_nodes=to_nodes)
+    assert capsys.readouterr().err == "calibration: words\n"
+    ((_, request, timeout_s),) = gateway.asked
+    assert (request.action, timeout_s, request.content) == (action, patience_s, encoded(stored))
+    gateway.is_done = False
+    with pytest.raises(RunError, match="words"):
+        calibration("load", tmp_path / "it.json", to_nodes=to_nodes)
+
+
+@pytest.mark.parametrize("given", [{"force_n": 0.0}, {"before": Path("a.json")}, {"out": Path("a.json")}])
+def test_options_of_gain_are_for_gain_alone(gateway: Gateway, given: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="are for 'skin calibration gain'"):
+        calibration("show", **given)
+    with pytest.raises(InputError, match="--to-nodes is for 'skin calibration load'"):
+        calibration("save", Path("it.json"), to_nodes=True)
+    assert not gateway.asked
+
+
+def test_a_table_of_gains_becomes_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savetxt(tmp_path / "gains.csv", np.full((64, 64), 1.25), delimiter=",")
+    calibration("gain", tmp_path / "gains.csv", out=tmp_path / "it.json")
+    assert capsys.readouterr().err == f"calibration: {tmp_path / 'it.json'}: gains of 4096 taxels\n"
+    for option in ({"force_n": 1.0}, {"before": tmp_path / "it.json"}):
+        with pytest.raises(InputError, match=r"a \.csv holds the gains themselves"):
+            calibration("gain", tmp_path / "gains.csv", out=tmp_path / "it.json", **option)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="expected a file: skin calibration gain FILE"):
+        calibration("gain", out=tmp_path / "it.json")
