@@ -52,13 +52,12 @@ demo: .venv/.demo
 figures: setup
 	@$(BIN)/python -m docs.figures $(ARGS)
 
-# On all cores. One worker begins with all files that compile kernels (tests/conftest.py); the others follow by name.
-ON_ALL_CORES := --numprocesses auto --dist loadfile --no-loadscope-reorder
+# On several cores. One worker compiles the kernels, then runs whole chains (tests/conftest.py); others go by file.
+BY_FILE := --dist loadfile --no-loadscope-reorder
 
-# Whole chains need the machine for themselves; all other tests share its cores.
+# One worker more than cores: whole chains wait more than they compute.
 test: check
-	$(BIN)/pytest -q -m "not chain" $(ON_ALL_CORES)
-	$(BIN)/pytest -m chain
+	$(BIN)/pytest -q --numprocesses $$(($$(nproc) + 1)) $(BY_FILE)
 
 test-vcan: setup
 	tests/vcan/run
@@ -68,7 +67,7 @@ mutants: .venv/.mutants
 
 # The quick loop while working: no heavy tests and no slow ones; it names the longest: those that compile, or have become heavy.
 loop: setup
-	$(BIN)/pytest -q -m "not heavy and not slow" --durations 5 $(ON_ALL_CORES)
+	$(BIN)/pytest -q -m "not heavy and not slow" --durations 5 --numprocesses auto $(BY_FILE)
 
 check: setup
 	$(BIN)/ruff check .

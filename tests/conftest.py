@@ -1,6 +1,8 @@
-"""What the tests of several folders need."""
+"""What the tests of several folders need, and who runs which on several cores."""
 
+import os
 from pathlib import Path
+from typing import Final
 
 import pytest
 from xdist.scheduler import LoadFileScheduling
@@ -8,25 +10,42 @@ from xdist.scheduler import LoadFileScheduling
 from tests.processes import free_endpoint
 
 #: The folder whose tests compile most of the kernels.
-KERNELS = "tests/reconstructor/"
+KERNELS: Final = "tests/reconstructor/"
+#: Whole chains: their services keep time, so they run one after the other and before other tests.
+CHAINS: Final = ("tests/system/", "tests/deploy/test_compose.py", "tests/viewer/test_browser.py")
+#: Other tests get a quarter of a core that a chain wants, too.
+NICE: Final = 5
 
 
-class KernelsOnce(LoadFileScheduling):
-    """Gives each worker a file after the other, and one worker all that compiles kernels: the others find them made."""
+class ChainsInTurn(LoadFileScheduling):
+    """Gives each worker a file after the other.
+
+    The first worker compiles the kernels, which the others find made. Then it runs the chains, one after the other.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
-        return KERNELS if nodeid.startswith(KERNELS) else super()._split_scope(nodeid)
+        return KERNELS if _is_first(nodeid) else super()._split_scope(nodeid)
+
+
+def _is_first(nodeid: str) -> bool:
+    return nodeid.startswith((KERNELS, *CHAINS))
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> KernelsOnce | None:
-    return KernelsOnce(config, log) if config.getvalue("dist") == "loadfile" else None
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ChainsInTurn | None:
+    return ChainsInTurn(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the kernels."""
-    items.sort(key=lambda item: not item.nodeid.startswith(KERNELS))
+    """Begin with the kernels, go on with the chains."""
+    items.sort(key=lambda item: (not item.nodeid.startswith(KERNELS), not item.nodeid.startswith(CHAINS)))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """On several cores, make way for the first worker."""
+    if hasattr(item.config, "workerinput") and not _is_first(item.nodeid):
+        os.nice(max(NICE - os.nice(0), 0))
 
 
 @pytest.fixture

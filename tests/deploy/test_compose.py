@@ -131,7 +131,6 @@ def running(services: dict[str, Service], outside: Outside) -> Iterator[Processe
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 def test_the_commands_as_written_give_measurements_images_and_health(
     services: dict[str, Service], outside: Outside, running: Processes
 ) -> None:

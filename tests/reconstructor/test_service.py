@@ -232,7 +232,6 @@ def test_options_of_the_solver_are_refused_for_adaptive_sums() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_verb_is_ready_and_ends_quietly(hub: Fabric, endpoint: str, golf: Scene, number: signal.Signals) -> None:
     verb = [sys.executable, "-m", "skin", "reconstruct", "--connect", endpoint, "--iterations", "5"]

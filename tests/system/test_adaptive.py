@@ -17,42 +17,31 @@ rows = 16
 columns = 32
 [measurement]
 wiring = "board"
+[[bus]]
+name = "bus0"
+nodes = 16
+fd = true
+data_bitrate = 5_000_000
 """
 
 
 @pytest.mark.slow
-@pytest.mark.chain
-def test_golf_ball(tmp_path: Path) -> None:
+def test_golf_ball_on_can_fd(tmp_path: Path) -> None:
     path = tmp_path / "small.toml"
     path.write_text(LAYOUT)
     options = ("--layout", str(path), "--objects", "golf-ball", "--seconds", "5", "--json", "--no-view")
     figures = report(skin("demo", *options, cwd=tmp_path))
     assert figures["sending"] == "adaptive"
-    assert figures["frames_sent"] > 200
+    assert figures["frames_sent"] > 80
     # Images come late on a slow machine, and a ball that slides has moved by then: simulated buses have 53 dB.
     assert figures["psnr_image_db"] > figures["psnr_sensor_db"] + 6
     assert figures["label_accuracy"] >= 0.8
-    assert figures["bus_load"][0] < 0.3
+    assert 0 < figures["bus_load"][0] < 0.2
     assert (tmp_path / figures["picture"]).read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-@pytest.mark.chain
-def test_golf_ball_on_can_fd(tmp_path: Path) -> None:
-    path = tmp_path / "small.toml"
-    path.write_text(LAYOUT + '[[bus]]\nname = "bus0"\nnodes = 16\nfd = true\ndata_bitrate = 5_000_000\n')
-    options = ("--layout", str(path), "--objects", "golf-ball", "--seconds", "5", "--json", "--no-view")
-    figures = report(skin("demo", *options, cwd=tmp_path))
-    assert figures["sending"] == "adaptive"
-    assert figures["frames_sent"] > 80
-    assert figures["psnr_image_db"] > figures["psnr_sensor_db"] + 6
-    assert figures["label_accuracy"] >= 0.8
-    assert figures["bus_load"][0] < 0.2
 
 
 @needs_compiler
 @pytest.mark.slow
-@pytest.mark.chain
 def test_boards_in_c_show_a_touch_that_rests(tmp_path: Path) -> None:
     with resting_skin(tmp_path) as started:
         started.start_bus()

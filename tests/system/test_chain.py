@@ -13,7 +13,7 @@ import pytest
 from tests.processes import free_port
 from tests.system.conftest import Chain, invalid_blocks
 
-pytestmark = [pytest.mark.slow, pytest.mark.chain]
+pytestmark = pytest.mark.slow
 
 
 class Skin(Chain):

@@ -44,7 +44,6 @@ def check_frames(figures: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 def test_recognition_first_and_images_on_demand(tmp_path: Path) -> None:
     """The demo asks for images now and then; labels come all the time, and both states have their load."""
     text = files("skin.layouts").joinpath("recognise-first.toml").read_text()
@@ -65,7 +64,6 @@ def test_recognition_first_and_images_on_demand(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 def test_golf_ball(slow_layout: Path, tmp_path: Path) -> None:
     options = ("--layout", str(slow_layout), "--objects", "golf-ball", "--seconds", "6", "--json", "--no-view")
     figures = report(skin("demo", *options, cwd=tmp_path))
@@ -85,7 +83,6 @@ def test_golf_ball(slow_layout: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 def test_recording(slow_layout: Path, tmp_path: Path) -> None:
     """A 64 x 32 recording in counts, on the 64 x 64 skin."""
     rows, columns = np.mgrid[0:64, 0:32]
@@ -101,7 +98,6 @@ def test_recording(slow_layout: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 def test_recordings_given_from_outside(slow_layout: Path, tmp_path: Path) -> None:
     """Real recordings, when ``SKIN_DATA`` names the folder that holds ``pressure-mat``."""
     folder = os.environ.get("SKIN_DATA")

@@ -7,7 +7,7 @@ from canskin.messages import TRUTH, Measurement, Truth
 from skin.ground_truth import of_one_cycle
 from tests.system.conftest import Chain, invalid_blocks
 
-pytestmark = [pytest.mark.slow, pytest.mark.chain]
+pytestmark = pytest.mark.slow
 
 CYCLES = 120
 #: SYNC comes every 50 ms; the delay carries frames across one.

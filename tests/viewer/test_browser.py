@@ -19,7 +19,6 @@ from viewer.feed import Feed
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.chain,
     pytest.mark.skipif(CHROMIUM is None, reason="NO CHROMIUM ON PATH: the page is not tested in any browser"),
 ]
 

@@ -85,7 +85,6 @@ def test_a_cluster_without_dask_is_explained(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.slow
-@pytest.mark.chain
 def test_a_cluster_makes_the_same_files(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     plain = tmp_path / "plain"
