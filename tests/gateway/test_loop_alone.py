@@ -311,3 +311,5 @@ def test_loads_are_added_up_in_turn_after_measurements(alone: Alone, monkeypatch
             assert alone.loop.measurements(100 + now_ms[0] / 1000, 9) == made
     assert added == [(100, "bus1"), (121, "bus0"), (141, "bus1"), (161, "bus0"), (300, "bus1")]
     assert alone.told.calls[0] == "measure at 100.005, 9"
+    alone.loop.measurements(101.0)
+    assert alone.told.calls[-1] == "measure at 101, 0"

@@ -19,8 +19,9 @@ def timed(contract: Contract, time_s: float | None) -> World:
     return world
 
 
-def test_time_follows_a_sync_on_every_bus_at_its_period(small: Contract) -> None:
-    world = timed(small, 3.2 * PERIOD_S)
+@pytest.mark.parametrize(("periods", "nearest"), [(3.2, 3), (3.6, 4)])
+def test_time_follows_a_sync_on_every_bus_at_its_period(small: Contract, periods: float, nearest: int) -> None:
+    world = timed(small, periods * PERIOD_S)
     for wire in world.wires:
         wire.log.clear()
     came = world.run(30 * PERIOD_S)
@@ -30,8 +31,8 @@ def test_time_follows_a_sync_on_every_bus_at_its_period(small: Contract) -> None
         times = [place for place, can_id in enumerate(ids) if can_id == TIME_COB_ID]
         assert all(ids[place - 1] == SYNC_COB_ID for place in times)
         syncs = np.cumsum([can_id == SYNC_COB_ID for can_id in ids])
-        assert set(np.diff(syncs[times]).tolist()) == {3}
-        assert len(times) == pytest.approx(10, abs=1)
+        assert set(np.diff(syncs[times]).tolist()) == {nearest}
+        assert len(times) == pytest.approx(30 / nearest, abs=1)
 
 
 def test_no_time_without_the_key(small: Contract) -> None:
@@ -48,3 +49,13 @@ def test_time_is_the_wall_clock(small: Contract) -> None:
     loop.send_sync(7.001, 1_750_000_000_000_000_000)
     (found,) = {each["data"][0, :6].tobytes() for each in sent if each["can_id"][0] == TIME_COB_ID}
     assert found == time_of_day(1_750_000_007_001_000_000)
+
+
+def test_the_first_sync_may_have_its_time_at_once(small: Contract) -> None:
+    sent: list[int] = []
+    layout = msgspec.structs.replace(small.layout, sync=msgspec.structs.replace(small.layout.sync, time_s=1.0))
+    sends = {bus: lambda burst: sent.append(int(burst["can_id"][0])) or 1 for bus in (0, 1)}
+    loop = GatewayLoop(Contract.from_layout(layout), sends, 5.0, say=str, complain=str)
+    loop.sync.start(5.0)
+    loop.send_sync(5.0)
+    assert sent == [SYNC_COB_ID] * 2 + [TIME_COB_ID] * 2
