@@ -173,7 +173,6 @@ class PythonCanLink:
             self._lost = True
             if self._descriptor >= 0:  # else the descriptor would stay readable
                 self._epoll.unregister(self._descriptor)
-                self._descriptor = -1
             return None
 
     def _put(self, frame: Frames) -> None:
