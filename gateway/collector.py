@@ -183,7 +183,6 @@ class Collector:
             begin = int(place)
             if arrived["flags"][place] & ECHO:
                 self._begin(bus, int(arrived["data"][place, 0]), time_ns)
-                begin += 1
             else:
                 # A foreign SYNC: nodes answer it outside the gateway's cycles.
                 self._foreign_syncs[bus] += 1

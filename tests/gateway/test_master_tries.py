@@ -1,6 +1,7 @@
 """Tries and pauses before a node is in use again, its proofs, and the errands with a node in use."""
 
 from collections.abc import Generator
+from itertools import pairwise
 
 import pytest
 
@@ -19,6 +20,7 @@ from tests.gateway.test_master_records import (
     Listening,
     skin,
 )
+from tests.gateway.world import small_contract
 
 __all__ = ["skin"]
 
@@ -134,6 +136,35 @@ def test_a_proof_holds_from_its_oldest_read(small: Contract) -> None:
     assert skin.node(2).proven_s == skin.node(2).began_s < skin.asked_s[2][-1]
 
 
+def alone() -> Listening:
+    """Return the only node of a bus, proven, whose proofs begin every 2 s."""
+    built = Listening(small_contract(bus="nodes = 1\nblocks_per_node = 2"))
+    built.run(0.5)
+    assert built.trusted() == [1]
+    return built
+
+
+def test_after_a_long_proof_the_bus_is_left_to_others_for_as_many_turns_as_it_had_transfers() -> None:
+    skin = alone()
+    skin.node(1).cost = 2
+    skin.asked_s.clear()
+    skin.run(11.0)
+    pauses_s = [later - sooner for sooner, later in pairwise(skin.asked_s[1])]
+    assert pauses_s == pytest.approx([4.0, 2.0, 2.0], abs=0.03)
+
+
+def test_another_master_puts_a_proof_off_by_one_round_at_most() -> None:
+    skin = alone()
+    skin.asked_s.clear()
+    for _ in range(220):
+        skin.hear(REQUEST + 1, request(0x40, 0x1000))
+        skin.run(0.04)
+    proven_s = [100.01, *skin.asked_s[1], skin.now_s]
+    assert all(later - sooner < 4.1 for sooner, later in pairwise(proven_s))
+    assert proven_s[1] > 104.0  # it would have been 102.0
+    assert skin.trusted() == [1]
+
+
 def test_nodes_are_awaited_until_they_are_proven_or_refused(small: Contract) -> None:
     skin = Listening(small)
     skin.mute.add(1)
@@ -174,6 +205,14 @@ def test_an_answer_ends_an_errand(skin: Listening) -> None:
     assert not found.done
     skin.hear(ANSWER + 1, bytes.fromhex("4335200001020304"))
     assert (found.result, skin.node(1).errand) == (b"\1\2\3\4", None)
+
+
+def test_a_boot_ends_the_open_dialogue(skin: Listening) -> None:
+    skin.mute.add(1)
+    while skin.node(1).dialogue is None:
+        skin.run(0.01)
+    skin.beat(1, BOOTED)
+    assert skin.node(1).dialogue is None
 
 
 def test_no_errand_begins_with_a_node_that_is_doubted_proven_or_in_use_by_others(skin: Listening) -> None:

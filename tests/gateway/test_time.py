@@ -6,6 +6,7 @@ import pytest
 
 from dbc.canopen import SYNC_COB_ID, TIME_COB_ID
 from dbc.contract import Contract
+from dbc.frame import Frames
 from dbc.time_of_day import time_of_day
 from gateway.loop import GatewayLoop
 from tests.gateway.world import PERIOD_S, World, valid
@@ -53,9 +54,13 @@ def test_time_is_the_wall_clock(small: Contract) -> None:
 
 def test_the_first_sync_may_have_its_time_at_once(small: Contract) -> None:
     sent: list[int] = []
+
+    def send(burst: Frames) -> int:
+        sent.append(int(burst["can_id"][0]))
+        return len(burst)
+
     layout = msgspec.structs.replace(small.layout, sync=msgspec.structs.replace(small.layout.sync, time_s=1.0))
-    sends = {bus: lambda burst: sent.append(int(burst["can_id"][0])) or 1 for bus in (0, 1)}
-    loop = GatewayLoop(Contract.from_layout(layout), sends, 5.0, say=str, complain=str)
+    loop = GatewayLoop(Contract.from_layout(layout), {0: send, 1: send}, 5.0, say=print, complain=print)
     loop.sync.start(5.0)
     loop.send_sync(5.0)
     assert sent == [SYNC_COB_ID] * 2 + [TIME_COB_ID] * 2
