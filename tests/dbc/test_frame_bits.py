@@ -192,3 +192,41 @@ def test_the_kernel_reads_the_fields_where_the_record_has_them() -> None:
 def test_the_intermission_of_iso_11898_is_three_bits() -> None:
     assert INTERMISSION_BITS == 3
     assert [nominal_ns(bits, 300_000) for bits in (1, 3)] == [3333, 10_000]
+
+
+@pytest.mark.parametrize("kind", [FD, FD | BRS, FD | ESI, FD | BRS | ESI])
+def test_the_worst_frame_of_can_fd_without_data_is_that_of_one_identifier(kind: int) -> None:
+    """Of all 2048 identifiers; ESI is recessive, and so breaks the run of dominant bits before a DLC of 0."""
+    every = frames(2048)
+    every["can_id"], every["flags"] = np.arange(2048), kind
+    exact = list(zip(*(bits.tolist() for bits in wire_bits(every)), strict=True))
+    assert [tuple(int(bits[0]) for bits in wire_bits(every[:1], "worst"))] == [max(exact)]
+
+
+@pytest.mark.parametrize(
+    ("length", "kind", "stuff"),
+    [(0, 0, 1), (0, BRS, 0), (0, ESI, 0), (8, 0, 16), (48, 0, 95), (48, ESI, 95), (48, BRS | ESI, 97), (64, 0, 128)],
+)
+def test_an_extended_identifier_has_seven_stuff_bits_at_most_with_can_fd(length: int, kind: int, stuff: int) -> None:
+    """19 bits more than 29 at the nominal rate; the data phase has its stuff bits whatever comes before."""
+    one = frame(0x123, bytes(length), FD | EXTENDED | kind)
+    least, most = (sum(int(bits[0]) for bits in wire_bits(one, how)) for how in ("none", "worst"))
+    assert most - least == 7 + stuff
+    if kind & BRS:
+        assert wire_bits(one, "worst")[0][0] - wire_bits(one, "none")[0][0] == 7
+        assert wire_bits(one, "none")[0][0] == 29 + 19
+
+
+def test_a_classic_frame_has_eight_bytes_at_most_whatever_its_length_says() -> None:
+    one = frame(5, bytes(8), length=15)
+    assert wire_bits(one, "none")[0][0] == 47 + 64
+    assert wire_bits(one, "worst")[0][0] == 55 + 80
+
+
+def test_times_are_exact_at_any_rate() -> None:
+    one = frame(0x123, bytes(8), FD | BRS)
+    nominal, data = (int(bits[0]) for bits in wire_bits(one))
+    assert frame_time_ns(one, 1)[0] == (nominal + data) * 10**9
+    assert frame_time_ns(one, 4, 8)[0] == nominal * 250_000_000 + data * 125_000_000
+    assert nominal_ns(7, 1) == 7_000_000_000
+    assert frame_time_ns(one, 1, stuffing="none")[0] == (29 + 97) * 10**9
