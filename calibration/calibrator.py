@@ -275,7 +275,8 @@ class Calibrator:
         mean_n = window.mean_n - self._bias_n
         known = window.known & follower.known & self._defects.usable
         touch = self._finder.look(mean_n - follower.predicted_n(1.0), known, follower.noise_n)
-        follower.take(mean_n, window.known, touch.blocks)
+        # Below zero, the zero is wrong and not adrift: a line that followed would go on and look like a touch.
+        follower.take(mean_n, window.known, touch.blocks | touch.is_negative)
         self._begin_late(follower, window._replace(mean_n=mean_n), touch.blocks)
         self._look_for_defects(window, touch.blocks)
         self._centre_ns = window.centre_ns

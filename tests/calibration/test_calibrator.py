@@ -94,6 +94,16 @@ def test_a_zero_measured_under_a_touch_is_measured_again_when_the_touch_ends() -
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
 
 
+def test_a_zero_forced_under_a_hand_is_measured_again_when_the_hand_is_gone() -> None:
+    """The offsets do not run after the hand, past the true zero."""
+    skin, hand = Skin(Calibrator(LAYOUT)), pressed(10, 20, 20, 0.005)
+    skin.calibrator.tare(force=True)
+    assert error_n(skin.run(4.0, still(OFFSETS + hand)), ZERO) < 1.2 * SUM_NOISE_N
+    last = skin.run(4.5, still(OFFSETS))
+    assert skin.calibrator.state is CalibrationState.FOLLOWING
+    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
+
+
 @pytest.mark.heavy
 def test_a_wrong_zero_under_a_hand_that_moves_is_told_ever_more_rarely() -> None:
     said: list[str] = []

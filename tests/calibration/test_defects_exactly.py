@@ -69,6 +69,8 @@ def test_sums_are_stuck_while_three_quarters_of_the_others_of_their_block_move(
     assert named(found) == told
     assert np.flatnonzero(~found.usable).tolist() == list(still[: len(told)])
     assert named(finder.take(1, np.ones(SUMS))) == []  # they have moved
+    assert named(finder.take(11, moving)) == []
+    assert named(finder.take(1, moving)) == told
 
 
 def test_windows_in_which_others_rest_tell_nothing_of_a_stuck_sum() -> None:
@@ -203,6 +205,57 @@ def test_blocks_without_or_with_a_single_sum_are_left_in_peace() -> None:
     assert found.words == []
     (text,) = finder.take(window, np.zeros(4, np.bool_)).words
     assert subject_of(text) == f"block {phi.block_of_sum[1]}"
+
+
+def test_a_sum_whose_only_other_moves_is_stuck_too() -> None:
+    phi = sbhe(64, 8, block_size=16)
+    finder = DefectFinder(phi, 8, LEAST_N)
+    nothing, ones = np.zeros(8), np.ones(8, np.bool_)
+    window = Window(0, nothing, np.array([0.0, 1, 1, 1, 1, 1, 1, 1]), nothing, ones)
+    for _ in range(12):
+        found = finder.take(window, np.zeros(4, np.bool_))
+    assert np.flatnonzero(~found.usable).tolist() == [0]
+
+
+def test_noise_of_a_block_is_that_of_each_of_its_sums() -> None:
+    """Blocks of one to several sums: that of one sum has 0.45 times the noise of the others, which is no defect."""
+    phi = next(
+        each
+        for each in (sbhe(64, 9, block_size=16, selection="uniform", seed=seed) for seed in range(100))
+        if sorted(np.diff(each.starts).tolist())[:2] == [1, 2]
+    )
+    finder = DefectFinder(phi, 8, LEAST_N)
+    nothing, single = np.zeros(9), np.diff(phi.starts)[phi.block_of_sum] == 1
+    window = Window(0, nothing, NOISE_N * np.where(single, 0.45, 1.0), nothing, np.ones(9, np.bool_))
+    for _ in range(45):
+        found = finder.take(window, np.zeros(4, np.bool_))
+    assert single.sum() == 1
+    assert found.words == []
+
+
+def test_at_the_very_limit_nothing_is_a_defect() -> None:
+    times = of_blocks({5: 1.75})
+    times[100] = 4.0
+    finder = DefectFinder(PHI, COLUMNS, LEAST_N)
+    nothing = np.zeros(SUMS)
+    window = Window(0, nothing, times, nothing, np.ones(SUMS, np.bool_))  # of 1 N: squares are whole numbers of 1/16 N²
+    for _ in range(40):
+        found = finder.take(window, NO_TOUCH)
+    assert found.usable.all()
+    assert not any("block 5" in text for text in found.words)
+
+
+def test_what_a_sum_that_is_not_known_shows_names_no_taxel() -> None:
+    first, _ = apart()
+    missing = 5 * 8 + 2
+    one_n = np.zeros(PHI.shape[1])
+    one_n[first] = NOISE_N
+    difference_n = np.asarray(PHI.forward(one_n), np.float64)
+    difference_n[missing] = 1e3
+    found = Finder().take(40, of_blocks({5: 3.0}), known=all_but(missing), difference_n=difference_n)
+    row, column = divmod(first, 64)
+    (text,) = (each for each in found.words if each.startswith("block 5"))
+    assert text.endswith(f"most likely of the taxel at row {row}, column {column}")
 
 
 def test_a_defect_is_told_once_by_its_first_two_words() -> None:

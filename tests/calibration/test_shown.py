@@ -62,7 +62,7 @@ def shown(capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
 def of_all() -> StoredCalibration:
     """Return a calibration with two offsets and all kinds of gains."""
     offsets_n = np.full(SUMS, np.nan)
-    offsets_n[[3, 5]] = 0.007, -0.001
+    offsets_n[[3, 5]] = 0.07, -0.01
     gains = np.linspace(0.9, 1.1, TAXELS)
     of_sums = SumGains(np.linspace(0.95, 1.05, SUMS), np.linspace(-0.02, 0.03, SUMS))
     return store(LAYOUT, offsets_n=offsets_n, gains=gains, sum_gains=of_sums, defects=["sum 3 is stuck", "taxel 7"])
@@ -75,8 +75,8 @@ def test_a_file_is_shown_in_millinewtons(tmp_path: Path, capsys: pytest.CaptureF
     for name, value in (
         ("skin", f"{LAYOUT.name}, Φ {PHI.fingerprint}"),
         ("sums with an offset", "2 of 1024"),
-        # √((49 + 1) / 2) = 5
-        ("offsets", "5.00 mN rms, -1.00 to 7.00 mN"),
+        # √((70² + 10²) / 2) = 50
+        ("offsets", "50.00 mN rms, -10.00 to 70.00 mN"),
         ("gains of taxels", "0.900 to 1.100"),
         ("gains of sums", "differential 0.950 to 1.050, common mode -0.020 to 0.030"),
         ("defect", "sum 3 is stuck"),

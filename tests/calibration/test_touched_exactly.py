@@ -132,6 +132,16 @@ def test_sums_that_are_not_known_have_no_part_in_the_picture() -> None:
     assert with_others.max() == 1e3  # the caller's sums are as they were
 
 
+def test_blocks_are_held_above_the_limit_and_not_at_it() -> None:
+    """The noise is such that the score is 7, as near as numbers can tell."""
+    finder, known = TouchFinder(NARROW, 5, 16), np.ones(NARROW.shape[0], np.bool_)
+    sums_n = narrow(1, 6, 3, 1.0)
+    score = finder.look(sums_n, known, 1e3).score
+    exact = finder.look(sums_n, known, 1e3 * score / 7).score
+    held = finder.look(sums_n, known, 1e3 * score / 7).blocks.any()
+    assert held == (exact > 7)
+
+
 @pytest.mark.parametrize(
     ("score", "release", "told"),
     [
