@@ -105,7 +105,8 @@ def test_what_is_said_of_a_zero() -> None:
     rms_mn = 1e3 * NPC * np.sqrt(np.mean(OFFSETS.astype(np.float64) ** 2))
     largest_mn = 1e3 * NPC * np.abs(OFFSETS).max()
     noise_mn = 1e3 * 6 * NPC * np.pi**0.5 / 2
-    words = f"zero of {SUMS} of {SUMS} sums: offsets {rms_mn:.2f} mN rms, up to {largest_mn:.2f} mN; noise {noise_mn:.2f} mN"
+    words = f"zero of {SUMS} of {SUMS} sums: offsets {rms_mn:.2f} mN rms, up to {largest_mn:.2f} mN"
+    words += f"; noise {noise_mn:.2f} mN"
     assert skin.said == [words]
     assert skin.made.result is not None
     assert (skin.made.result.is_done, skin.made.result.text) == (True, words)
