@@ -7,6 +7,7 @@ import pytest
 
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from bus.simulated_bus import SimulatedBus
+from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import frames
 from skin.layout import load_layout, parse_layout
@@ -91,3 +92,90 @@ def released(streams: Traffic, random: np.random.Generator, time_ns: int, *, fir
     for frame in burst:
         frame["data"][: frame["length"]] = random.integers(0, 256, int(frame["length"]))
     return burst[np.argsort(burst["time_ns"], kind="stable")]
+
+
+#: Three nodes of two TPDOs with 8 bytes, TIME every minute.
+SMALL = b"""
+taxels = { rows = 8, columns = 16 }
+measurement = { sums = 32 }
+sync = { rate_hz = 20.0, time_s = 60.0 }
+bus = [{ name = "arm", nodes = 3 }, { name = "hand", nodes = 1 }]
+"""
+
+
+def small(allowed: Disturbance | None = None) -> Traffic:
+    return traffic(Contract.from_layout(parse_layout(SMALL, "small")), 0, allowed=allowed)
+
+
+def test_each_stream_has_its_sender_its_period_and_its_jitter() -> None:
+    """SDO transfers are those with the last node, 20 a second; heartbeats come once a second."""
+    streams = small()
+    tpdos = [0x181, 0x182, 0x183, 0x281, 0x282, 0x283]
+    assert streams.frames["can_id"].tolist() == [0x80, 0x100, *tpdos, 0x583, 0x603, 0x701, 0x702, 0x703]
+    assert streams.frames["length"].tolist() == [0, 6, *[8] * 6, 8, 8, 1, 1, 1]
+    assert streams.frames["data"][-3:, 0].tolist() == [5, 5, 5]
+    assert streams.node.tolist() == [0, 0, 1, 2, 3, 1, 2, 3, 3, 0, 1, 2, 3]
+    assert streams.period_s.tolist() == [0.05, 60, *[0.05] * 6, 0.05, 0.05, 1, 1, 1]
+    assert streams.jitter_s.tolist() == [0, 0, *[1e-3] * 6, 0, 0, 0, 0, 0]
+    for name, true in (
+        ("is_cyclic", [0, *range(2, 8)]),
+        ("is_tpdo", range(2, 8)),
+        ("is_heartbeat", range(10, 13)),
+        ("has_own_period", [1, *range(10, 13)]),
+        ("is_sdo_response", [8]),
+    ):
+        assert np.flatnonzero(getattr(streams, name)).tolist() == list(true), name
+    assert streams.worst_ns.tolist() == [x * 1000 for x in (55, 115, *[135] * 8, 65, 65, 65)]
+
+
+def test_without_sdo_transfers_there_are_none() -> None:
+    calm = small(Disturbance(sdo_per_s=0.0))
+    assert calm.frames["can_id"].tolist()[-4:] == [0x283, 0x701, 0x702, 0x703]
+    assert calm.node.tolist() == [0, 0, 1, 2, 3, 1, 2, 3, 1, 2, 3]
+    assert small(Disturbance(sdo_per_s=4.0)).period_s.tolist()[8:10] == [0.25, 0.25]
+
+
+def test_the_response_to_the_last_node_id_is_an_sdo_response() -> None:
+    """0x580 + 1 is the first of all nodes, 0x580 + 127 the last."""
+    for nodes, can_id in ((1, 0x581), (127, 0x5FF)):
+        text = skin([nodes, 128 - nodes], 1.0, 16).decode().replace("alternating", "window")
+        streams = traffic(Contract.from_layout(parse_layout(text.encode(), "table")), 0)
+        assert streams.frames["can_id"][streams.is_sdo_response].tolist() == [can_id]
+
+
+def test_a_response_waits_for_what_is_more_urgent_and_one_frame_on_its_way() -> None:
+    """TPDOs 1 ms after SYNC; a TPDO of the cycle before may be on its way whatever its priority. An error every
+    millisecond costs the longest frame before it and 31 bits.
+    """
+    waits = small(Disturbance(jitter_s=1e-3, sdo_per_s=0.0)).responses_ns()
+    assert waits[0] == 135_000 + 55_000
+    assert waits[1] == 135_000 + 55_000 + 115_000
+    assert waits[2:8].tolist() == [1_000_000 + 135_000 + 55_000 + 115_000 + each * 135_000 for each in range(1, 7)]
+    with_errors = small(Disturbance(jitter_s=1e-3, sdo_per_s=0.0, errors_per_s=100.0)).responses_ns(100.0)
+    assert with_errors[7] - waits[7] == 135_000 + 31_000
+
+
+@pytest.mark.parametrize(("identity", "jitter_s"), [("window", 1e-3), ("alternating", 100e-6)])
+def test_stock_boards_answer_within_a_millisecond_and_others_at_once(identity: str, jitter_s: float) -> None:
+    text = SMALL.decode().replace("rate_hz", f"identity = '{identity}', rate_hz")
+    layout = parse_layout(text.encode(), "small")
+    assert Disturbance().of(layout) == Disturbance(jitter_s=jitter_s, sdo_per_s=20.0, errors_per_s=0.0)
+    given = Disturbance(jitter_s=0.0, errors_per_s=3.0)
+    assert given.of(layout) is given
+
+
+@pytest.mark.parametrize(
+    ("name", "most", "said"),
+    [
+        ("jitter_s", 1.0, "a jitter of 0 to 1 s, got 1.5"),
+        ("sdo_per_s", 20_000.0, "SDO transfers of 0 to 20000 a second, got 20000.5"),
+        ("errors_per_s", 20_000.0, "errors of 0 to 20000 a second, got 20000.5"),
+    ],
+)
+def test_a_disturbance_has_limits(name: str, most: float, said: str) -> None:
+    for allowed in (0.0, most):
+        assert getattr(Disturbance(**{name: allowed}), name) == allowed
+    with pytest.raises(InputError, match=f"expected {said}"):
+        Disturbance(**{name: most + 0.5})
+    with pytest.raises(InputError, match=r"got -0\.5"):
+        Disturbance(**{name: -0.5})
