@@ -153,6 +153,26 @@ def test_after_a_long_proof_the_bus_is_left_to_others_for_as_many_turns_as_it_ha
     assert pauses_s == pytest.approx([4.0, 2.0, 2.0], abs=0.03)
 
 
+def test_the_first_proof_of_a_node_gives_way_to_another_master(small: Contract) -> None:
+    skin = Listening(small)
+    skin.mute.update({1, 2})
+    skin.run(0.1, beating=False)
+    assert skin.node(1).dialogue is not None
+    free_s = skin.now_s + 0.05
+    skin.hear(REQUEST + 1, request(0x40, 0x1000))
+    assert skin.node(1).dialogue is None
+    assert skin.node(1).prove_at_s == pytest.approx(free_s)
+    assert skin.node(1).began_s == float("-inf")
+    assert skin.node(2).dialogue is not None
+
+
+def test_another_master_on_a_node_that_is_not_asked_changes_no_turn(skin: Listening) -> None:
+    before = skin.node(1).began_s, skin.node(1).prove_at_s
+    skin.node(1).proven_s = 1.0
+    skin.hear(REQUEST + 1, request(0x40, 0x1000))
+    assert (skin.node(1).began_s, skin.node(1).prove_at_s) == before
+
+
 def test_another_master_puts_a_proof_off_by_one_round_at_most() -> None:
     skin = alone()
     skin.asked_s.clear()

@@ -18,7 +18,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
-from dbc.frame import ECHO, ERROR
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
 from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS, OD_SIGNATURE
 from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
@@ -383,8 +383,8 @@ def test_highest_node_id_is_proven_started_and_heard() -> None:
     assert master.nmt.tolist() == [SILENT] * 127
 
 
-@pytest.mark.parametrize("flags", [ECHO, ECHO | ERROR, ERROR])
-def test_own_frames_and_error_frames_are_no_heartbeats(small: Contract, flags: int) -> None:
+@pytest.mark.parametrize("flags", [ECHO, ECHO | ERROR, ERROR, EXTENDED, REMOTE])
+def test_own_extended_remote_and_error_frames_are_no_heartbeats(small: Contract, flags: int) -> None:
     master = NmtMaster(small, 0, lambda *_: None, lambda *_: None, lambda _: None)
     master.take(frame(HEARTBEAT_BASE + 1, b"\5", flags), 0.0)
     assert master.nmt.tolist() == [SILENT, SILENT]

@@ -1,0 +1,221 @@
+"""Whom the gateway asks for what, and when; with a master that keeps the questions."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from gateway.errands import Errands
+from gateway.nmt_master import NmtMaster
+from gateway.sdo import Dialogue, Read, SdoDialogue, Transfer, Write
+
+GROUPS = 0x2030
+NOISE = 0x2035
+
+
+class Asking:
+    """A master of six nodes: what it was asked, and the dialogues that are open."""
+
+    def __init__(self) -> None:
+        self.node_ids = [11, 12, 13, 14, 15, 16]
+        self.nodes = {node_id: SimpleNamespace(errand=None) for node_id in self.node_ids}
+        self.busy: set[int] = set()
+        self.asked: list[tuple[int, Transfer]] = []
+
+    def ask(self, node_id: int, steps: Dialogue, _now_s: float) -> SdoDialogue | None:
+        if node_id in self.busy:
+            return None
+        self.asked.append((node_id, next(steps)))
+        dialogue = cast("SdoDialogue", SimpleNamespace(steps=steps))
+        self.nodes[node_id].errand = dialogue
+        return dialogue
+
+    def answer(self, node_id: int, data: bytes = b"") -> None:
+        """Let a node answer, which ends its dialogue."""
+        open_dialogue: Any = self.nodes[node_id].errand
+        self.nodes[node_id].errand = None
+        with pytest.raises(StopIteration):
+            open_dialogue.steps.send(data)
+
+    def taken(self) -> list[tuple[int, Transfer]]:
+        asked, self.asked = self.asked, []
+        return asked
+
+
+class Skin:
+    """Errands, with no groups missing until the test says so."""
+
+    def __init__(self) -> None:
+        self.master = Asking()
+        self.noise: list[tuple[int, float]] = []
+        self.errands = Errands(cast("NmtMaster", self.master), lambda node, noise_n: self.noise.append((node, noise_n)))
+        self.unknown, self.doubtful = np.zeros(6, np.uint8), np.zeros(6, np.uint8)
+
+    def tick(self, now_s: float, *, answered: bool = True) -> list[tuple[int, Transfer]]:
+        self.errands.tick(now_s, self.unknown, self.doubtful)
+        if answered:
+            for node in self.master.nodes.values():
+                node.errand = None
+        return self.master.taken()
+
+    def proven(self, *nodes: int, now_s: float = 0.0) -> None:
+        """Prove nodes, whose noise is known."""
+        for node in nodes:
+            self.errands.proven(node, now_s)
+            self.errands._noise_s[node] = np.inf
+
+
+def groups(node_id: int, bits: int) -> tuple[int, Write]:
+    return node_id, Write(GROUPS, 0, bytes((bits,)))
+
+
+@pytest.fixture
+def skin() -> Skin:
+    return Skin()
+
+
+def test_nothing_is_asked_of_a_node_that_is_not_proven(skin: Skin) -> None:
+    skin.unknown[:], skin.doubtful[:] = 15, 15
+    assert skin.tick(0.0) == []
+    skin.proven(2)
+    assert [node_id for node_id, _ in skin.tick(1.0)] == [13]
+    skin.errands.lost(2)
+    assert skin.tick(100.0) == []
+
+
+def test_doubtful_groups_are_asked_for_at_once_and_unknown_ones_after_the_start(skin: Skin) -> None:
+    """A node that starts sends all groups by itself; 0.3 s are for that."""
+    skin.proven(0, 1)
+    skin.unknown[0], skin.unknown[1], skin.doubtful[1] = 0b1001, 0b0001, 0b0100
+    assert skin.tick(0.0) == [groups(12, 0b0100)]
+    skin.doubtful[1] = 0
+    assert skin.tick(0.25) == []
+    assert skin.tick(0.299) == []
+    assert skin.tick(0.3125) == [groups(11, 0b1001), groups(12, 0b0001)]
+
+
+def test_both_kinds_of_groups_are_asked_for_together(skin: Skin) -> None:
+    skin.proven(5)
+    skin.unknown[5], skin.doubtful[5] = 0b0011, 0b0110
+    assert skin.tick(1.0) == [groups(16, 0b0111)]
+
+
+def test_pauses_grow_up_to_two_seconds(skin: Skin) -> None:
+    skin.proven(0)
+    skin.doubtful[0] = 1
+    asked_s = [now_ms / 1000 for now_ms in range(0, 10_000, 20) if skin.tick(now_ms / 1000)]
+    assert np.diff(asked_s).tolist() == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0, 2.0], abs=0.021)
+
+
+def test_pauses_begin_anew_two_seconds_after_the_last_would_have_ended(skin: Skin) -> None:
+    skin.proven(0)
+    skin.doubtful[0] = 1
+    for now_s in (0.0, 0.125, 0.375):  # the next pause ends at 0.775
+        assert skin.tick(now_s) == [groups(11, 1)]
+    skin.doubtful[0] = 0
+    assert skin.tick(2.7) == []
+    skin.doubtful[0] = 1
+    assert skin.tick(2.75) == [groups(11, 1)]
+    assert skin.tick(3.25) == []  # the pause is 0.8 s
+    assert skin.tick(3.75) == [groups(11, 1)]
+    skin.doubtful[0] = 0
+    skin.tick(8.0)  # 1.6 s and 2 s later
+    skin.doubtful[0] = 1
+    assert skin.tick(8.5) == [groups(11, 1)]
+    assert skin.tick(8.625) == [groups(11, 1)]
+
+
+def test_a_proof_and_the_return_of_the_bus_begin_the_pauses_anew(skin: Skin) -> None:
+    skin.proven(0, 1)
+    skin.doubtful[:2] = 1
+    for now_s in (0.0, 0.125, 0.375):
+        skin.tick(now_s)
+    skin.proven(0, now_s=0.4)
+    assert skin.tick(0.4375) == [groups(11, 1)]
+    assert skin.tick(0.5625) == [groups(11, 1)]
+    skin.errands.again()
+    assert skin.tick(0.59375) == [groups(11, 1), groups(12, 1)]
+    assert skin.tick(0.6) == []
+    assert skin.tick(0.71875) == [groups(11, 1), groups(12, 1)]
+
+
+def test_four_nodes_are_asked_at_a_time_and_who_has_waited_longest_is_next(skin: Skin) -> None:
+    skin.proven(*range(6))
+    skin.doubtful[:] = 1
+    assert [node_id for node_id, _ in skin.tick(0.0, answered=False)] == [11, 12, 13, 14]
+    assert skin.tick(0.0625, answered=False) == []
+    skin.master.answer(13)
+    assert [node_id for node_id, _ in skin.tick(0.125, answered=False)] == [15]
+    skin.master.answer(11)
+    skin.master.answer(12)
+    assert [node_id for node_id, _ in skin.tick(0.25, answered=False)] == [16, 11]
+
+
+def test_a_busy_node_is_asked_as_soon_as_it_is_free(skin: Skin) -> None:
+    skin.proven(0)
+    skin.doubtful[0] = 1
+    skin.master.busy = {11}
+    assert skin.tick(0.0) == skin.tick(0.0156) == []
+    skin.master.busy.clear()
+    assert skin.tick(0.03125) == [groups(11, 1)]
+    assert skin.tick(0.14) == [groups(11, 1)]  # after the first pause
+
+
+def test_ticks_within_ten_milliseconds_are_one(skin: Skin) -> None:
+    skin.proven(0)
+    assert skin.tick(0.0) == []
+    skin.doubtful[0] = 1
+    assert skin.tick(0.0099) == []
+    assert skin.tick(0.0101) == [groups(11, 1)]
+
+
+# Noise
+
+
+def noise(node_id: int) -> tuple[int, Read]:
+    return node_id, Read(NOISE)
+
+
+def test_noise_is_read_after_the_proof_and_every_ten_seconds_one_node_in_a_tick(skin: Skin) -> None:
+    skin.errands.proven(1, 0.0)
+    skin.errands.proven(4, 0.0)
+    assert [skin.tick(now_s) for now_s in (0.0, 0.02, 0.04)] == [[noise(12)], [noise(15)], []]
+    assert skin.tick(9.99) == []
+    assert [skin.tick(now_s) for now_s in (10.0, 10.02, 10.04)] == [[noise(12)], [noise(15)], []]
+
+
+def test_noise_of_a_busy_node_is_tried_again_after_a_second(skin: Skin) -> None:
+    skin.errands.proven(1, 0.0)
+    skin.master.busy = {12}
+    assert skin.tick(0.0) == []
+    skin.master.busy.clear()
+    assert skin.tick(0.99) == []
+    assert skin.tick(1.0) == [noise(12)]
+
+
+@pytest.mark.parametrize(
+    ("data", "noise_n"),
+    [
+        ("0000003f", [0.5]),
+        ("00000000", []),
+        ("000000bf", []),
+        ("0000807f", []),
+        ("0000c07f", []),
+        ("00003f", []),
+        ("0000003f00", []),
+        ("", []),
+    ],
+    ids=["a half", "none", "negative", "infinite", "no number", "three bytes", "five bytes", "nothing"],
+)
+def test_noise_is_a_number_above_zero(skin: Skin, data: str, noise_n: list[float]) -> None:
+    skin.errands.proven(3, 0.0)
+    skin.tick(0.0, answered=False)
+    skin.master.answer(14, bytes.fromhex(data))
+    assert skin.noise == [(3, each) for each in noise_n]
+
+
+def test_a_node_that_is_lost_is_not_asked_for_its_noise(skin: Skin) -> None:
+    skin.errands.proven(3, 0.0)
+    skin.errands.lost(3)
+    assert skin.tick(50.0) == []
