@@ -75,7 +75,8 @@ class Playback:
         self.cycles = 0
         self._calibrator = calibrator
         self._wall_offset_ns = wall_offset_ns
-        self._grace_ns = round((1 + GRACE) * contract.layout.sync.period_s * 1e9)
+        # A microsecond more, for the rounding of times in seconds.
+        self._grace_ns = round((1 + GRACE) * contract.layout.sync.period_s * 1e9) + 1_000
         self._is_counted = contract.sync_overflow > 0
         self._near_ns = round(contract.layout.sync.period_s * 1e9 / 2)
         self._is_adaptive = contract.layout.sending == "adaptive"
