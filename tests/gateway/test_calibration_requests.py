@@ -1,5 +1,7 @@
 """Requests about the calibration that meet others, and what is told after a write."""
 
+from collections.abc import Callable
+
 import msgspec
 import numpy as np
 import pytest
@@ -7,8 +9,11 @@ import pytest
 import gateway.calibration
 from calibration.stored import encoded, parse_calibration, store
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest
+from canskin.errors import InputError
 from dbc.contract import Contract
-from gateway.calibration import GatewayCalibration
+from gateway.calibration import GatewayCalibration, node_values
+from tests.gateway.boards import small_adaptive
+from tests.gateway.world import small_contract
 
 
 class Writing:
@@ -89,3 +94,107 @@ def test_a_zero_that_is_awaited_counts_as_a_request_that_waits(small: Contract) 
     assert len(asked.replies) == 1
     asked.calibration.tick({}, 8.1)
     assert [each.is_done for each in asked.replies] == [False] * 9
+
+
+def test_a_request_may_be_as_long_as_every_number_of_the_skin_needs(small: Contract) -> None:
+    """32 bytes for each of 32 sums and for two numbers of each of 128 taxels, and 64 KiB."""
+    most = 32 * (32 + 2 * 128) + 65_536
+    asked, content = Asked(small), encoded(store(small.layout, offsets_n=np.zeros(32)))
+    asked.ask(CalibrationRequest(action="load", content=content.ljust(most)))
+    asked.ask(CalibrationRequest(action="load", content=content.ljust(most + 1)))
+    assert [(each.is_done, each.text) for each in asked.replies] == [
+        (True, "in use"),
+        (False, f"a calibration of {most + 1} bytes: expected {most} at most for this skin"),
+    ]
+
+
+def test_show_tells_what_is_in_use(small: Contract) -> None:
+    asked = Asked(small)
+    asked.ask(CalibrationRequest(action="show"))
+    ((is_done, text),) = [(each.is_done, each.text) for each in asked.replies]
+    assert (is_done, text) == (True, "the calibration in use")
+    asked = Asked(small_adaptive())
+    asked.ask(CalibrationRequest(action="show"))
+    assert asked.replies[0].is_done
+    assert asked.replies[0].text.startswith("adaptive boards measure their offsets at power-up")
+
+
+def test_show_tells_all_that_was_stored(small: Contract) -> None:
+    known = msgspec.structs.replace(
+        store(small.layout, offsets_n=np.full(32, 0.0078125), gains=np.full(128, 1.25)),
+        taxel_offsets_n=[0.001] * 128,
+    )
+    replies: list[CalibrationReply] = []
+    calibration = GatewayCalibration(small, known, tares=False)
+    calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
+    calibration.tick({}, 0.0)
+    told = parse_calibration(replies[0].content, small.layout, "test")
+    assert (told.gains, told.taxel_offsets_n, told.version) == ([1.25] * 128, [0.001] * 128, known.version)
+    assert told.offsets_n == pytest.approx([0.0078125] * 32)
+    assert replies[0].status is not None
+
+
+def test_requests_are_answered_one_in_a_tick(small: Contract) -> None:
+    calibration, replies = GatewayCalibration(small, tares=False), list[CalibrationReply]()
+    for _ in range(2):
+        calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
+    for count in (1, 2, 2):
+        calibration.tick({}, 0.0)
+        assert len(replies) == count
+
+
+def test_answers_are_given_in_another_thread(small: Contract) -> None:
+    aside: list[Callable[[], None]] = []
+    replies: list[CalibrationReply] = []
+    calibration = GatewayCalibration(small, tares=False, run_aside=aside.append)
+    calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
+    content = encoded(store(small.layout, offsets_n=np.zeros(32)))
+    calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
+    for _ in range(2):
+        calibration.tick({}, 0.0)
+    assert (len(aside), replies) == (2, [])
+    for each in aside:
+        each()
+    assert [each.text for each in replies] == ["the calibration in use", "in use"]
+
+
+# What nodes are given
+
+
+def test_nodes_undo_gain_and_offset_of_a_taxel() -> None:
+    """A taxel reads g f + o; the node takes x / g - o / g, in counts of 1 mN here."""
+    skin = small_contract()
+    known = msgspec.structs.replace(
+        store(skin.layout, gains=np.full(128, 0.5)), taxel_offsets_n=[0.010] * 64 + [-0.020] * 64
+    )
+    gains, offsets = node_values(known, 0.001)
+    assert gains is not None
+    assert offsets is not None
+    assert set(gains.tolist()) == {2.0}
+    assert offsets.tolist() == [-20.0] * 64 + [40.0] * 64
+    gains, offsets = node_values(msgspec.structs.replace(known, gains=[]), 0.001)
+    assert gains is None
+    assert offsets is not None
+    assert offsets.tolist() == [-10.0] * 64 + [20.0] * 64
+    gains, offsets = node_values(msgspec.structs.replace(known, taxel_offsets_n=[]), 0.001)
+    assert gains is not None
+    assert (gains.tolist(), offsets) == ([2.0] * 128, None)
+    assert node_values(store(skin.layout), 0.001) == (None, None)
+
+
+def test_a_node_holds_offsets_of_sixteen_bits(small: Contract) -> None:
+    known = store(small.layout)
+    held = msgspec.structs.replace(known, taxel_offsets_n=[-32767.0, 32768.0] * 64)
+    _, offsets = node_values(held, 1.0)
+    assert offsets is not None
+    assert offsets.tolist()[:2] == [32767.0, -32768.0]
+    for beyond_n, counts in ((-32768.0, "32768"), (32769.0, "-32769")):
+        values = [0.0] * 128
+        values[5] = values[9] = beyond_n
+        values[100] = 70_000.0
+        with pytest.raises(InputError) as refused:
+            node_values(msgspec.structs.replace(known, taxel_offsets_n=values), 1.0)
+        assert str(refused.value) == (
+            "taxel_offsets_n / gains of 3 taxels, first of taxel 5: nodes would add"
+            f" {counts} counts, and can hold -32768 to 32767"
+        )
