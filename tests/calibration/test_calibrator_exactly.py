@@ -255,7 +255,7 @@ def test_a_late_block_gets_its_zero_after_eight_windows_of_its_own() -> None:
 
 @pytest.mark.parametrize(
     ("part", "sampling", "has_bias"),
-    [(1.05, b"", True), (0.95, b"", False), (1.05, b"[sampling]\nrate_hz = 1000.0", False)],
+    [(1.05, b"", True), (0.95, b"", False), (1.05, b"[sampling]\nrate_hz = 80.0", False)],
 )
 def test_the_mean_of_clipped_noise_is_left_in_sums_of_single_samples(
     part: float, sampling: bytes, has_bias: bool
