@@ -8,6 +8,7 @@ import pytest
 from canskin.errors import InputError
 from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
 from dbc.indices import OD_TEST_PATTERN
+from nodes.analogue import AnalogueElectronics
 from nodes.sampler import Sampler, new_sampler
 from skin.defects import parse_defects
 from skin.layout import load_layout
@@ -109,3 +110,28 @@ def test_test_patterns_show_what_the_converters_would_read() -> None:
     full = codes[6]
     assert full.tolist() == [2047 if row == 0 else 0 for row in PHI.rows_of(6)]
     assert sampler.saturated(6) == (0 in PHI.rows_of(6))
+
+
+def test_rows_that_are_read_later_see_the_drift_of_their_taxels() -> None:
+    """Zero moves by 2 N/s at most; what is read a tenth of a period later has moved a tenth as far as in a period."""
+    plain, skewed = boards("drift=2"), boards("drift=2", "skew=1e-3")
+    read = [skewed.sample(counter, counter * PERIOD_NS).astype(np.float64) for counter in (2, 3)]
+    exact = [plain.sample(counter, counter * PERIOD_NS).astype(np.float64) for counter in (2, 3, 4)]
+    place = np.arange(PHI.shape[0]) - PHI.starts[PHI.block_of_sum]
+    inside = np.abs(exact[2]) < 0.9 * np.abs(exact[2]).max()
+    for turn in (0, 1):
+        expected = exact[turn] + place * 0.1 * (exact[turn + 1] - exact[turn])
+        assert np.abs(read[turn] - expected)[inside].max() <= 1.5 * STEP_COUNTS
+    assert np.abs(exact[1] - exact[0]).max() > 20 * STEP_COUNTS
+
+
+def test_an_end_of_the_range_is_counted_for_the_block_it_is_in() -> None:
+    sampler = boards()
+    sampler.adjust(6, OD_TEST_PATTERN, 0, PATTERN_FULL)
+    sampler.sample(1, 0)
+    assert [sampler.saturated(block) for block in (5, 6, 7)] == [0, int(0 in PHI.rows_of(6)), 0]
+
+
+def test_a_digital_front_end_has_no_converters_of_sums() -> None:
+    with pytest.raises(InputError, match=r"taxels\.frontend is 'digital', expected 'analogue'"):
+        AnalogueElectronics(load_layout(), load_layout().phi())

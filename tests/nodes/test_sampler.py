@@ -308,3 +308,13 @@ def test_a_missed_sync_leaves_no_gap_in_what_is_averaged() -> None:
     for cycle in (0, 2, 3, 6, 7):
         sampler.sample(cycle + 1, cycle * PERIOD_NS)
     assert source.asked == [0, 1, 2, 3, 5, 6, 7]
+
+
+def test_boards_that_miss_syncs_get_the_samples_of_the_newest_two_steps(source: Steps) -> None:
+    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, samples=2)
+    for step in (4, 6, 8):
+        electronics.prepare(source.frame(step).force_n, step)
+    # Between two steps the force is half-way.
+    assert [np.unique(each[:, 0]).tolist() for each in electronics.unread] == [[5, 6], [7, 8]]
+    electronics.prepare(source.frame(8).force_n, 8)  # it has been sampled
+    assert len(electronics.unread) == 2
