@@ -364,3 +364,14 @@ def test_wiring_is_read_from_its_first_element_on() -> None:
     asked = [(int.from_bytes(data[1:3], "little"), data[3]) for can_id, data in bench.wire.log if can_id == 0x601]
     assert [subindex for index, subindex in asked if index == 0x2003] == list(range(1, 9))
     assert [subindex for index, subindex in asked if index == 0x2004] == list(range(1, 33))
+
+
+def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:
+    contract, sent = small_contract(), list[tuple[int, bytes]]()
+
+    def send(burst: Frames) -> int:
+        sent.extend((int(each["can_id"]), each["data"][: each["length"]].tobytes()) for each in burst)
+        return len(burst)
+
+    NodeCheck(contract, contract.nodes[1], send, 10.0).give_up()
+    assert sent == [(0, b"\x80\2")]

@@ -1,11 +1,16 @@
 """``skin node check``: its errors and its report."""
 
 import sys
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from canskin.errors import InputError, RunError
+from dbc.frame import frames
+from gateway import node_command
 from gateway.node_check import NodeReport
-from gateway.node_command import _show
+from gateway.node_command import _bus_number, _run, _show
 from skin.command import main
 
 
@@ -53,3 +58,67 @@ def test_differences_are_listed_and_counted(
     assert note == "bus1, node 7: note: slow"
     assert last.startswith(f"bus1, node 7: {verdict}")
     assert last.endswith("(9 objects, 4 TPDOs of 2 cycles, the last 3.1 ms after SYNC)")
+
+
+def test_milliseconds_are_told_of_tpdos_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    _show(NodeReport("bus1", 7, objects=9, frames=1, cycles=2, latest_s=0.25))
+    assert capsys.readouterr().out.endswith("(9 objects, 1 TPDOs of 2 cycles, the last 250.0 ms after SYNC)\n")
+    _show(NodeReport("bus1", 7, objects=9))
+    assert capsys.readouterr().out == "bus1, node 7: keeps the contract (9 objects, 0 TPDOs of 0 cycles)\n"
+
+
+def skin(*names: str) -> Any:
+    return SimpleNamespace(bus=[SimpleNamespace(name=name) for name in names])
+
+
+def test_the_only_bus_needs_no_name() -> None:
+    assert _bus_number(skin("palm"), None) == 0
+    assert _bus_number(skin("palm"), "palm") == 0
+    assert _bus_number(skin("a", "b", "c"), "c") == 2
+    with pytest.raises(InputError, match="expected --bus with one of palm, got 'a'"):
+        _bus_number(skin("palm"), "a")
+    with pytest.raises(InputError, match="expected --bus with one of a, b, got none"):
+        _bus_number(skin("a", "b"), None)
+
+
+class Check:
+    """A check that is done after so many turns."""
+
+    def __init__(self, turns: int, due_s: float) -> None:
+        self.turns, self.due_s = turns, due_s
+        self.told: list[str] = []
+
+    @property
+    def done(self) -> bool:
+        return self.turns == 0
+
+    def take(self, arrived: object, now_s: float) -> None:
+        self.told.append(f"take {arrived} at {now_s:g}")
+
+    def tick(self, now_s: float) -> None:
+        self.turns -= 1
+        self.told.append(f"tick at {now_s:g}")
+
+    def give_up(self) -> None:
+        self.told.append("give up")
+
+
+@pytest.mark.parametrize(("due_s", "timeout_s"), [(49.0, 0.01), (50.0, 0.01), (50.00390625, 0.00390625), (51.0, 0.01)])
+def test_a_check_gets_the_frames_that_come_until_it_is_done(
+    monkeypatch: pytest.MonkeyPatch, due_s: float, timeout_s: float
+) -> None:
+    """A turn waits 10 ms at most; when something is due already, so long for an answer, too."""
+    waited_s: list[float] = []
+    monkeypatch.setattr(node_command, "select", SimpleNamespace(select=lambda *given: waited_s.append(given[3])))
+    monkeypatch.setattr(node_command, "time", SimpleNamespace(monotonic=lambda: 50.0))
+    check, link = Check(2, due_s), SimpleNamespace(receive=lambda: "frames")
+    _run(check, link, SimpleNamespace(is_set=lambda: False))  # type: ignore[arg-type]
+    assert check.told == ["take frames at 50", "tick at 50"] * 2
+    assert waited_s == [timeout_s] * 2
+
+
+def test_a_check_that_is_stopped_leaves_the_board_without_test_patterns() -> None:
+    check, link = Check(2, 0.0), SimpleNamespace(receive=lambda: frames(0))
+    with pytest.raises(RunError, match="stopped before the board was checked"):
+        _run(check, link, SimpleNamespace(is_set=lambda: True))  # type: ignore[arg-type]
+    assert check.told == ["give up"]
