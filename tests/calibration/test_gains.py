@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.gain_files import stored_gains
-from calibration.gains import defects_of, find_gains
+from calibration.gains import Gains, defects_of, find_gains
 from calibration.stored import StoredCalibration, encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
@@ -231,3 +231,38 @@ def test_gains_of_a_table(gains: np.ndarray, tmp_path: Path) -> None:
     np.savetxt(path, gains.reshape(SIDE, SIDE)[1:], delimiter=",")
     with pytest.raises(InputError, match="expected 32 lines of 32 gains"):
         stored_gains(LAYOUT, path, None)
+
+
+def test_a_hundred_cycles_with_the_whole_weight_are_enough(gains: np.ndarray) -> None:
+    sums, images = felt(gains)
+    row, column = (np.tensordot(FORCES, each, 2) / FORCES.sum(axis=(1, 2)) for each in np.mgrid[:SIDE, :SIDE])
+    inner = np.flatnonzero((np.abs(row - 15.5) < 9) & (np.abs(column - 15.5) < 9))[:100]
+    outer = np.flatnonzero(row < 2)[:50]  # part of the weight is beyond the border
+    chosen = np.concatenate([outer, inner])
+    assert find_gains(PHI, sums[chosen], images[chosen], WHOLE_N).cycles == 100
+    with pytest.raises(InputError, match="in 99 cycles, expected 100 or more"):
+        find_gains(PHI, sums[chosen[:-1]], images[chosen[:-1]], WHOLE_N)
+
+
+@pytest.mark.parametrize("force_n", [0.0, float("inf"), float("nan")])
+def test_a_weight_has_a_force(force_n: float) -> None:
+    with pytest.raises(InputError, match="expected the force of the weight, a number of newtons above 0"):
+        find_gains(PHI, np.zeros((1, PHI.shape[0])), np.zeros((1, SIDE, SIDE)), force_n)
+
+
+def test_taxels_and_sums_that_feel_less_than_three_tenths_are_named() -> None:
+    found = np.full(PHI.shape[1], 1.0)
+    found[[3, 33, 70, 71]] = 0.29, -0.2, 0.3, 0.1
+    known = np.arange(PHI.shape[1]) != 71
+    all_ones = int(np.flatnonzero(PHI.row_of_sum == 0)[0])
+    other = int(np.flatnonzero(PHI.row_of_sum > 0)[0])
+    differential, common_mode = np.ones(PHI.shape[0]), np.zeros(PHI.shape[0])
+    differential[[all_ones, other]], common_mode[[all_ones, other]] = 0.5, -0.25
+    words = defects_of(Gains(found, known, 100, SumGains(differential, common_mode)), PHI, SIDE)
+    assert words == [
+        "taxel 3 (row 0, column 3) feels 29%",
+        "taxel 33 (row 1, column 1) feels 0%",
+        # The row of all ones has one path: D + C.
+        f"sum {all_ones} (block {PHI.block_of_sum[all_ones]}, row 0) feels 25% and is not used",
+    ]
+    assert defects_of(Gains(found, known, 100), PHI, SIDE) == words[:2]
