@@ -114,7 +114,7 @@ def plan_adaptive(
     lines = contract.layout.bus
     kinds = [(line.fd, line.bitrate, line.data_bitrate) for line in lines]
     # Neighbouring patches are on different buses, so that one bus stands for all like it: the first.
-    touched = {kind: touched_load(contract, kinds.index(kind)) if is_touched else None for kind in kinds}
+    touched = {kind: touched_load(contract, kinds.index(kind)) if is_touched else None for kind in set(kinds)}
     return [
         _plan_bus(contract, bus, touched[kind], allowed or Disturbance(), budget_bits_per_s)
         for bus, kind in enumerate(kinds)

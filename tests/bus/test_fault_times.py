@@ -119,6 +119,17 @@ def test_a_frame_that_nobody_acknowledges_fails_behind_the_ack_slot() -> None:
     assert listener.controllers[0].receive_errors == 0
 
 
+def test_a_station_that_left_acknowledges_nothing_and_gets_no_power_back() -> None:
+    bus = SimulatedBus()
+    one, two = bus.attach("one"), bus.attach("two")
+    bus.detach(two)
+    bus.set_faults([])
+    bus.submit(one, SENT)
+    assert plain(bus.run_until()) == []
+    assert (bus.counts.transmitted, one.state) == (0, State.PASSIVE)
+    assert not two.off
+
+
 def test_lost_and_delayed_frames_are_counted_and_echoed_at_their_end() -> None:
     bus = SimulatedBus(faults=[Fault(can_id=1, mask=0x7FF, loss_ratio=1.0, delay_ratio=1.0, delay_s=1e-3)])
     one, two = bus.attach("one"), bus.attach("two")

@@ -239,6 +239,11 @@ def test_messages_that_wait_keep_the_bus_readable_and_their_order(opened: Open) 
     assert bus.recv(0.0) is None
 
 
+def test_65536_messages_are_kept_for_a_program_that_does_not_read(opened: Open) -> None:
+    bus, _ = opened()
+    assert bus._messages.maxlen == 65_536
+
+
 def test_a_receiver_waits_until_its_timeout_and_no_longer(opened: Open, clock: Clock) -> None:
     bus, wire = opened()
     waits: list[float | None] = []

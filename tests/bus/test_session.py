@@ -146,6 +146,14 @@ def test_a_filter_compares_the_bits_of_its_mask_and_the_format() -> None:
     assert nothing.client.packets == []
 
 
+def test_own_frames_pass_every_filter_among_those_of_others() -> None:
+    wire, sent = Wire(Filter(0x181, 0x7FF)), burst([0x181, 0x182, 0x183, 0x184])
+    owner = np.array([wire.other.number, wire.other.number, wire.station.number, wire.station.number])
+    wire.session.offer(Batch(Events(sent, owner, np.array([BOTH, BOTH, BOTH, OTHERS], np.uint8), plain=False)), 5)
+    assert wire.client.ids == [0x181, 0x183]
+    assert wire.client.packets[0]["flags"].tolist() == [0, ECHO]
+
+
 def test_what_was_not_read_comes_later_in_order_and_nothing_overtakes_it() -> None:
     wire = Wire()
     wire.client.reads = False
