@@ -338,7 +338,6 @@ class Calibrator:
         self._measured.clear()
         self._still[:] = 0
         self._centre_ns = window.centre_ns
-        self._forced = False
         self._patience = NEGATIVE_WINDOWS
         self._tared_ns = window.centre_ns
         self.revision += 1

@@ -133,3 +133,24 @@ def test_a_defect_is_said_once_and_again_when_it_has_come_back() -> None:
         skin.run(2)
         assert skin.made.status().defects == []
         assert skin.run(0.1).usable == b""
+
+
+def test_a_skin_without_noise_feels_a_count_on_nine_taxels() -> None:
+    """Their picture is a quarter of a count high, 28 times what rounding is taken for."""
+    skin = Cycles(noise=0)
+    skin.run(10.1)
+    skin.run(1.1, OFFSETS + pressed(10, 10, 3, 1))
+    assert 0 < skin.made.status().held_blocks <= PHI.blocks
+
+
+def test_a_zero_that_drifts_like_a_touch_is_foreseen_and_is_none() -> None:
+    """Forced: otherwise something moves on the skin."""
+    skin = Cycles(noise=0)
+    skin.made.tare(force=True)
+    drift = pressed(10, 20, 5, 20)
+    skin.run(10.1, drift=drift)  # type: ignore[arg-type]
+    for _ in range(5):
+        applied = skin.run(1, drift=drift)  # type: ignore[arg-type]
+        assert skin.made.status().held_blocks == 0
+        expected = OFFSETS + drift * (skin.cycle - 1) / 10
+        assert np.abs(np.array(offsets_of(applied)) - expected).max() <= 0.05 * np.abs(drift).max() + 1
