@@ -44,6 +44,12 @@ def idle(noise: float = NOISE) -> SampleFilter:
     return made
 
 
+def test_before_the_first_sample_taxels_read_nothing() -> None:
+    made = new_filter()
+    assert made.counts.tolist() == [0.0] * TAXELS
+    assert made.noise.tolist() == [0.0] * BLOCKS
+
+
 def test_a_constant_goes_through_exactly_from_the_first_sample_on() -> None:
     constant = np.linspace(0, TOP, TAXELS).round().astype(np.float32)
     averages = fed(new_filter(), np.tile(constant, (600, 1)))
