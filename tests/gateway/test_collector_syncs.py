@@ -38,3 +38,25 @@ def test_frames_after_a_sync_that_asks_for_none_are_late() -> None:
     collector.rest(3, 0, None)
     collector.take(0, np.concatenate((echo(3), burst(0, 3))), 0)
     assert (collector.counts.accepted, collector.counts.late) == (512, 64)
+
+
+def swapped_after(cycles: int, *, also_right: bool) -> list[int]:
+    """Return the nodes of swapped phases, when the first node of bus 0 answers so many SYNCs with wrong PDOs."""
+    collector = new_collector()
+    for counter in range(1, cycles + 1):
+        right, wrong = burst(0, counter), burst(0, counter + 1)
+        is_of_node = right["can_id"] & 0x7F == 1
+        sent = [right if also_right else right[~is_of_node], wrong[wrong["can_id"] & 0x7F == 1]]
+        collector.open(counter)
+        collector.take(0, np.concatenate((echo(counter), *sent)), 0)
+        collector.close(counter)
+    found = collector.take_swapped()
+    assert collector.take_swapped() == []
+    return found
+
+
+def test_a_node_that_answers_five_syncs_with_the_other_phase_alone_is_told_once() -> None:
+    assert swapped_after(4, also_right=False) == []
+    assert swapped_after(5, also_right=False) == [0]
+    assert swapped_after(6, also_right=False) == [0]
+    assert swapped_after(6, also_right=True) == []

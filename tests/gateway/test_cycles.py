@@ -75,3 +75,32 @@ def test_two_are_never_close_and_every_period_is_accounted_for(stalls_s: list[fl
     assert all(gap_s >= LATEST * PERIOD_S - 1e-9 for gap_s in gaps_s)
     assert clock.sent == len(sent_s)
     assert clock.sent + clock.skipped == round((clock.due_s - 1.0) / PERIOD_S)
+
+
+def test_the_rate_is_that_of_the_syncs_sent_since_the_start() -> None:
+    assert SyncClock(PERIOD_S).rate_hz(5.0) == 0.0
+    clock = started()
+    assert clock.rate_hz(0.5) == clock.rate_hz(1.0) == 0.0
+    clock.take(1.0)
+    clock.take(1.01)
+    assert clock.rate_hz(3.0) == 1.0
+    clock.stop()
+    assert not clock.runs
+    assert clock.take(1e9) is None
+    assert clock.rate_hz(5.0) == 0.5
+
+
+def test_a_period_that_changes_counts_from_the_next_sync_on() -> None:
+    """A SYNC that was followed by a long period is not followed by another soon."""
+    clock = started()
+    clock.period_s = 0.05
+    assert clock.take(1.0) == 1.0
+    assert clock.due_s == pytest.approx(1.05)
+    clock.period_s = 0.01
+    assert clock.take(1.05) == pytest.approx(1.05)
+    assert clock.due_s == pytest.approx(1.06)
+    clock.start(1.0525)
+    assert clock.take(1.0525) is None  # a quarter of a period after the last
+    assert clock.skipped == 1
+    clock.start(1.056)
+    assert clock.take(1.056) == 1.056

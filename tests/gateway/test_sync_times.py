@@ -103,3 +103,20 @@ def test_a_replay_has_the_times_of_the_frames(times: SyncTimes) -> None:
     times.echo(8, 0, SENT_NS + 1_000, 0)
     times.echo(8, 1, SENT_NS + 3_000, 0)
     assert times.close(8)[:3] == (SENT_NS + 2_000, UNKNOWN_ERROR_NS, 0)
+
+
+def test_the_mean_of_large_times_is_exact(stock_contract: Contract) -> None:
+    """Nanoseconds since 1970 have more digits than a float."""
+    times, now_ns = SyncTimes(stock_contract), 1_700_000_000_123_456_789
+    times.open(7, now_ns, None)
+    for bus, later_ns in enumerate((0, 1, 3, 4)):
+        times.echo(7, bus, now_ns + later_ns, 0)
+    assert times.close(7).mono_ns == now_ns + 2
+
+
+def test_what_comes_of_a_cycle_that_is_not_open_is_passed_over(times: SyncTimes) -> None:
+    times.echo(8, 0, SENT_NS + FRAME_NS, 0)
+    times.answer(8, 0, SENT_NS + FRAME_NS)
+    assert closed(times).bus_ns.tolist() == [0] * BUSES
+    with pytest.raises(KeyError):
+        times.close(7)

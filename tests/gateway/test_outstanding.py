@@ -1,0 +1,139 @@
+"""Which answers to a SYNC may be those to an earlier one, bus by bus and row by row."""
+
+import numpy as np
+import pytest
+
+from dbc.contract import Contract
+from gateway.outstanding import Outstanding
+
+WINDOW_NS = 10_000
+
+
+class Asking:
+    """SYNCs on bus 0 of the small skin, whose rows are 0 to 3: two frames of each of two nodes."""
+
+    def __init__(self, contract: Contract) -> None:
+        self.outstanding = Outstanding(contract)
+        assert np.flatnonzero(contract.table.bus == 0).tolist() == [0, 1, 2, 3]
+        assert contract.table.node[:4].tolist() == [0, 0, 1, 1]
+
+    def ask(self, time_ns: int, window_ns: int = WINDOW_NS) -> list[int]:
+        return [int(row) for row in self.outstanding.ask(0, time_ns, window_ns)]
+
+    def came(self, *rows: int) -> None:
+        self.outstanding.came(np.array(rows, np.intp))
+
+
+@pytest.fixture
+def asking(small: Contract) -> Asking:
+    return Asking(small)
+
+
+def test_what_did_not_come_within_the_window_before_the_next_sync_may_come_after_it(asking: Asking) -> None:
+    assert asking.ask(1_000) == []
+    asking.came(0, 3)
+    assert asking.ask(1_000 + WINDOW_NS - 1) == [1, 2]
+
+
+def test_what_did_not_come_before_the_window_ended_is_doubtful_once(asking: Asking) -> None:
+    asking.ask(1_000)
+    asking.came(0, 3)
+    assert asking.ask(1_000 + WINDOW_NS) == [1, 2]
+    asking.came(0, 1, 2, 3)
+    assert asking.ask(1_000 + 2 * WINDOW_NS) == []
+
+
+def test_two_syncs_within_a_window_ask_for_two_frames(asking: Asking) -> None:
+    asking.ask(1_000)
+    asking.ask(2_000)
+    asking.came(0, 0, 1, 2)
+    assert asking.ask(3_000) == [1, 2, 3]
+    asking.came(1, 1, 0, 2, 2, 3)
+    assert asking.ask(4_000) == [3]
+
+
+def test_the_window_is_that_of_the_sync_before(asking: Asking) -> None:
+    asking.ask(1_000, 500)
+    asking.ask(1_600, 10_000)  # the first window has passed, so one frame is asked for
+    asking.came(0, 1, 2, 3)
+    assert asking.ask(1_700, 500) == []
+
+
+def test_a_sync_of_unknown_time_is_after_the_window(asking: Asking) -> None:
+    asking.ask(1_000)
+    asking.ask(0)
+    asking.came(0, 1, 2, 3)
+    assert asking.ask(2_000) == []
+    asking.came(0, 1, 2, 3)
+    assert asking.ask(3_000) == []
+
+
+def test_a_frame_that_came_twice_is_not_in_advance(asking: Asking) -> None:
+    asking.ask(1_000)
+    asking.came(0, 0, 1, 2, 3)
+    asking.came(0)
+    assert asking.ask(2_000) == []
+    asking.came(1, 2, 3)
+    assert asking.ask(3_000) == [0]
+
+
+def test_buses_are_apart(asking: Asking) -> None:
+    asking.ask(1_000)
+    assert asking.outstanding.ask(1, 1_500, WINDOW_NS).tolist() == []
+    assert asking.outstanding.ask(1, 2_000, WINDOW_NS).tolist() == [4, 5, 6, 7]
+    assert asking.ask(2_500) == [0, 1, 2, 3]
+
+
+# SYNCs that ask for other frames
+
+
+def test_the_first_answers_after_a_rest_are_doubtful_whatever_came(asking: Asking) -> None:
+    asking.ask(100_000)
+    asking.came(0, 1, 2, 3)
+    asking.outstanding.rest(0, 200_000, WINDOW_NS)
+    assert asking.ask(300_000) == [0, 1, 2, 3]
+    asking.came(0, 1, 2, 3)
+    assert asking.ask(400_000) == []
+
+
+def test_a_rest_is_a_sync_whose_window_counts(asking: Asking) -> None:
+    asking.ask(1_000)
+    asking.outstanding.rest(0, 2_000, WINDOW_NS)
+    assert asking.ask(3_000) == [0, 1, 2, 3]
+    asking.came(0, 1)
+    assert asking.ask(4_000) == [2, 3]
+
+
+def test_the_second_answers_of_a_node_that_sent_meanwhile_are_doubtful_too(asking: Asking) -> None:
+    asking.outstanding.rest(0, 100_000, WINDOW_NS)
+    asking.came(2)
+    assert asking.ask(200_000) == [0, 1, 2, 3]
+    asking.came(0, 1, 2, 3)
+    assert asking.ask(300_000) == [2, 3]
+    asking.came(0, 1, 2, 3)
+    assert asking.ask(400_000) == []
+
+
+# Proofs
+
+
+def doubt_and_prove(asking: Asking, *, sends_meanwhile: bool) -> list[int]:
+    """Return the doubtful rows after node 0 was doubted and proven again, and the SYNC before had no answer."""
+    node = np.array([0])
+    asking.outstanding.prove(np.array([0, 1]))
+    asking.ask(1_000)
+    asking.came(0, 1, 2, 3)
+    asking.outstanding.doubt(node)
+    asking.ask(2_000)
+    if sends_meanwhile:
+        asking.came(0)
+    asking.outstanding.prove(node)
+    return asking.ask(3_000)
+
+
+def test_nothing_is_expected_of_a_node_that_sent_nothing_since_its_doubt(asking: Asking) -> None:
+    assert doubt_and_prove(asking, sends_meanwhile=False) == [2, 3]
+
+
+def test_a_node_that_sent_since_its_doubt_may_send_more(asking: Asking) -> None:
+    assert doubt_and_prove(asking, sends_meanwhile=True) == [1, 2, 3]
