@@ -39,3 +39,40 @@ def test_a_node_that_boots_is_not_proven_until_it_runs() -> None:
 @pytest.mark.parametrize("told", [(0x000, b""), (0x000, bytes([STOP, 2, 0])), (0x702, b""), (0x702, bytes(2))])
 def test_a_message_of_another_length_tells_nothing(told: tuple[int, bytes]) -> None:
     assert not list(InferredProofs([1, 2]).changes(seen(told)))
+
+
+def test_a_heartbeat_tells_of_a_node_that_was_doubted_alone() -> None:
+    proofs = InferredProofs([1, 2])
+    assert not list(proofs.changes(seen((0x701, bytes([OPERATIONAL])), (0x000, bytes([START, 1])))))
+    list(proofs.changes(seen((0x000, bytes([STOP, 1])))))
+    told = seen(*((0x701, bytes([state])) for state in (4, 127, BOOT_UP)), (0x701, bytes([0x80 | OPERATIONAL])))
+    assert list(proofs.changes(told)) == [Change(3, 1, True)]
+    assert not list(proofs.changes(told[3:]))
+
+
+def test_other_commands_and_nodes_change_nothing() -> None:
+    proofs = InferredProofs([1, 2])
+    told = seen(
+        *((0x000, bytes([command, 1])) for command in (0x81, 0x82, 0x03)),
+        (0x000, bytes([STOP, 9])),
+        (0x709, bytes([BOOT_UP])),
+        (0x000, bytes([START, 9])),
+        (0x681, bytes([BOOT_UP])),
+        (0x781, bytes([BOOT_UP])),
+    )
+    assert not list(proofs.changes(told))
+
+
+@pytest.mark.parametrize("flags", [0x01, 0x02, 0x04])
+def test_extended_remote_and_error_frames_tell_nothing(flags: int) -> None:
+    told = seen((0x000, bytes([STOP, 1])), (0x701, bytes([BOOT_UP])))
+    told["flags"] = flags
+    proofs = InferredProofs([1])
+    assert not list(proofs.changes(told))
+    told["flags"] = 0x40  # the gateway's own
+    assert list(proofs.changes(told)) == [Change(0, 1, False)]
+
+
+def test_the_highest_node_is_followed() -> None:
+    proofs = InferredProofs([127])
+    assert list(proofs.changes(seen((0x77F, bytes([BOOT_UP]))))) == [Change(0, 127, False)]
