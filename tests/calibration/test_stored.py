@@ -1,13 +1,15 @@
 """Calibrations in files."""
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from calibration.stored import load_calibration, save_calibration, store
+from calibration.stored import encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError
+from skin.defects import SumGains
 from tests.calibration.skins import LAYOUT, PHI
 
 
@@ -62,3 +64,85 @@ def test_what_is_no_calibration_is_refused(content: bytes, tmp_path: Path) -> No
         load_calibration(tmp_path / "it.json", LAYOUT)
     with pytest.raises(InputError, match="cannot read the calibration"):
         load_calibration(tmp_path / "none.json", LAYOUT)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "most"),
+    [
+        ("offsets_n", 1024, 0.64),  # 32 taxels of 20 mN
+        ("taxel_offsets_n", 4096, 0.02),
+        ("gains", 4096, 100.0),
+        ("differential_gains", 1024, 100.0),
+        ("common_mode_gains", 1024, 100.0),
+    ],
+)
+def test_values_up_to_the_largest_that_a_skin_can_have_are_read(
+    name: str, size: int, most: float, tmp_path: Path
+) -> None:
+    path = tmp_path / "it.json"
+    both = {"differential_gains": [1.0] * 1024, "common_mode_gains": [0.0] * 1024}
+    others = both if name in both else {}
+
+    def load(values: list[float]) -> list[float]:
+        path.write_bytes(msgspec.json.encode(msgspec.to_builtins(store(LAYOUT)) | others | {name: values}))
+        return list(getattr(load_calibration(path, LAYOUT), name))
+
+    values = [most] * size
+    assert load(values) == values
+    values[-1] = 1.001 * most
+    with pytest.raises(InputError):
+        load(values)
+    with pytest.raises(InputError, match=f"expected {size} {name}, or none, got {size - 1}"):
+        load([most] * (size - 1))
+    if name.endswith("_n"):
+        assert load([-most] * size) == [-most] * size
+        with pytest.raises(InputError, match=rf"{name} that this skin cannot have: expected -{most:g} to {most:g}"):
+            load([-1.001 * most] * size)
+
+
+def test_gains_are_stored_between_a_hundredth_and_a_hundred() -> None:
+    wide = np.ones(PHI.shape[1])
+    wide[:4] = 0.001, 0.01, 100, 2000
+    of_sums = SumGains(np.linspace(-1, 200, PHI.shape[0]), np.linspace(-300, 300, PHI.shape[0]))
+    made = store(LAYOUT, gains=wide, sum_gains=of_sums)
+    assert made.gains[:5] == [0.01, 0.01, 100, 100, 1]
+    assert (made.differential_gains[0], made.differential_gains[-1]) == (0.01, 100)
+    assert (made.common_mode_gains[0], made.common_mode_gains[-1]) == (-100, 100)
+    assert (made.version, store(LAYOUT, gains=wide).version) == (2, 1)
+    assert (made.skin, made.fingerprint, made.force_max_n) == (LAYOUT.name, PHI.fingerprint, 0.02)
+    assert (made.offsets_n, made.defects, made.taxel_offsets_n) == ([], [], [])
+    found = made.sum_gains()
+    assert found is not None
+    assert found.differential.tolist() == made.differential_gains
+    assert found.common_mode.tolist() == made.common_mode_gains
+
+
+def test_what_is_not_there_is_none_and_a_calibration_without_offsets_says_what_to_do() -> None:
+    empty = store(LAYOUT)
+    assert (empty.sum_gains(), empty.sum_offsets_n()) == (None, None)
+    with pytest.raises(InputError, match=r"^the file: has no offsets of sums: .*'skin calibration load --to-nodes'$"):
+        empty.required_offsets_n("the file")
+    offsets_n = np.full(PHI.shape[0], 0.01)
+    offsets_n[[0, 9]] = np.nan
+    made = store(LAYOUT, offsets_n=offsets_n)
+    assert [place for place, each in enumerate(made.offsets_n) if each is None] == [0, 9]
+    np.testing.assert_array_equal(made.required_offsets_n("the file"), offsets_n)
+
+
+def test_a_calibration_is_stamped_with_the_time_in_utc() -> None:
+    saved = datetime.fromisoformat(store(LAYOUT).saved)
+    assert saved.utcoffset() == timedelta(0)
+    assert saved.microsecond == 0
+
+
+def test_a_file_ends_with_a_line_end() -> None:
+    assert encoded(store(LAYOUT)).endswith(b"}\n")
+
+
+def test_of_long_names_the_first_64_and_32_characters_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "it.json"
+    other = {"skin": "n" * 100, "fingerprint": "f" * 50}
+    path.write_bytes(msgspec.json.encode(msgspec.to_builtins(store(LAYOUT)) | other))
+    told = "'" + "n" * 64 + "' with Φ " + "f" * 32 + " and 0.02 N: expected Φ " + PHI.fingerprint
+    with pytest.raises(InputError, match=told):
+        load_calibration(path, LAYOUT)

@@ -79,6 +79,18 @@ def test_a_lost_heartbeat_is_reported_and_changes_the_state(twins: Twins, behavi
     assert 0x81 in identifiers(twins.answers())
 
 
+def test_an_emergency_goes_when_the_lost_node_is_watched_no_longer(twins: Twins) -> None:
+    write(twins, 0x1029, 1, 1, 1)  # no change of state
+    write(twins, 0x1016, 1, 0x30 << 16 | 200, 4)
+    twins.put(HEARTBEAT_BASE + 0x30, b"\x05")
+    twins.go_on(0.5, STEP_S)
+    twins.answers()
+    write(twins, 0x1016, 1, 0, 4)
+    twins.go_on(2.0, STEP_S)
+    emergencies = [data for can_id, _, data in twins.answers() if can_id == 0x81]
+    assert emergencies == [bytes.fromhex("0000003081000000")]
+
+
 def test_event_driven_pdos_keep_timer_and_inhibit_time(twins: Twins) -> None:
     twins.sync(1)
     twins.answers()

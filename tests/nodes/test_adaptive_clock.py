@@ -1,0 +1,145 @@
+"""The clock of adaptive boards: a sample each millisecond, a truth each 10 ms, and what a late process leaves out."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dbc.contract import Contract
+from nodes.adaptive.patch_boards import PatchBoards
+from skin.layout import load_layout
+from skin.sources import Frame
+from tests.nodes.links import Still
+
+MS = 1_000_000
+
+
+class Ticks(PatchBoards):
+    """Boards of two blocks that count their samples and decisions."""
+
+    def __init__(self, contract: Contract) -> None:
+        super().__init__(contract, [3, 7], Source(contract))
+        self.samples = 0
+        self.decisions: list[tuple[int, int, int]] = []
+        self.begun = 0
+        self.answer = False
+
+    @property
+    def sums(self) -> npt.NDArray[np.int32]:
+        return np.zeros(self._phi.shape[0], np.int32)
+
+    def _begin(self) -> None:
+        self.begun += 1
+
+    def _take(self, sample_n: npt.NDArray[np.float32]) -> None:
+        assert sample_n.shape == (2, 32)
+        self.samples += 1
+
+    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:
+        self.decisions.append((now_ns, passed_ns, skipped))
+        return self.answer
+
+
+class Source(Still):
+    """The same touch for ever, whose label is its step."""
+
+    def frame(self, step: int) -> Frame:
+        return Frame(self.force_n, str(step))
+
+
+@pytest.fixture
+def boards() -> Ticks:
+    return Ticks(Contract.from_layout(load_layout(Path("adaptive"), adaptive=True)))
+
+
+def test_the_first_turn_takes_a_sample_and_the_next_is_a_millisecond_later(boards: Ticks) -> None:
+    assert (boards.due_s, boards.decision, boards.samples_skipped, boards.has_due) == (0, 0, 0, False)
+    boards.advance(100.0)
+    assert (boards.samples, boards.decision, boards.begun) == (1, 1, 1)
+    assert boards.due_s == pytest.approx(100.001)
+    boards.advance(100.0009)
+    assert (boards.samples, boards.decision, boards.begun) == (1, 1, 1)
+    boards.advance(100.001)
+    boards.advance(100.0045)
+    assert (boards.samples, boards.decision, boards.begun) == (1 + 1 + 3, 5, 3)
+    assert boards.due_s == pytest.approx(100.005)
+    assert boards.decisions == [(100_000 * MS, 0, 0), (100_001 * MS, MS, 0), (100_004_500_000, 3_500_000, 0)]
+
+
+@pytest.mark.parametrize(("late", "taken"), [(20, 20), (21, 20), (100, 20)])
+def test_a_late_process_takes_twenty_samples_and_counts_the_others(boards: Ticks, late: int, taken: int) -> None:
+    boards.advance(100.0)
+    boards.advance(100.0 + late / 1000)
+    assert boards.samples == 1 + taken
+    assert boards.samples_skipped == late - taken
+    assert boards.decision == 1 + late
+    assert boards.decisions[1] == ((100_000 + late) * MS, late * MS, late - taken)
+    assert boards.due_s == pytest.approx(100.001 + late / 1000)
+
+
+def test_what_is_decided_holds_until_the_next_decision(boards: Ticks) -> None:
+    boards.answer = True
+    boards.advance(100.0)
+    assert boards.has_due
+    boards.answer = False
+    boards.advance(100.0005)
+    assert boards.has_due
+    boards.advance(100.001)
+    assert not boards.has_due
+
+
+def test_the_pace_of_decisions_is_learned_between_one_and_twenty_milliseconds(boards: Ticks) -> None:
+    """A tenth of the difference each time."""
+    pace = 1e6
+    assert boards.pace_ns == pace
+    now_s = 100.0
+    boards.advance(now_s)
+    assert boards.pace_ns == pace
+    for passed_ms in (3, 1, 19, 20, 21, 300):
+        now_s += passed_ms / 1000
+        boards.advance(now_s)
+        pace += 0.1 * (min(max(passed_ms, 1), 20) * 1e6 - pace)
+        assert boards.pace_ns == pytest.approx(pace)
+
+
+def test_a_truth_comes_with_the_first_sample_of_each_step_of_the_touch(boards: Ticks) -> None:
+    boards.advance(100.0)
+    assert boards.take_truth() is None
+    begin_ns = 100_005 * MS + 400_000
+    boards.touched_from(begin_ns)
+    boards.touched_from(7)  # it has begun
+    for tick in range(1, 27):
+        boards.advance(100.0 + tick / 1000)
+    truths = [boards.take_truth() for _ in range(3)]
+    assert [None if truth is None else (truth.step, truth.sampled_mono_ns, truth.label) for truth in truths] == [
+        (0, begin_ns, "0"),
+        (1, begin_ns + 10 * MS, "1"),
+        (2, begin_ns + 20 * MS, "2"),
+    ]
+    assert boards.take_truth() is None
+    last = truths[2]
+    assert last is not None
+    assert last.sync_counter == 0
+    sensor, true = (np.frombuffer(each, "<f4") for each in (last.sensor, last.true))
+    cells = boards._phi.taxels_of_blocks[[3, 7]]
+    assert not np.delete(sensor, cells.ravel()).any()
+    # Boards of a source with noise of its own add none: half a count of 20 mN / 1023.
+    assert np.abs(sensor - true)[cells].max() <= 0.51 * 0.02 / 1023
+    assert boards.counts(7).tolist() == np.rint(sensor[cells[1]] / np.float32(0.02 / 1023)).tolist()
+
+
+def test_of_the_truths_that_nobody_takes_the_newest_twenty_are_kept(boards: Ticks) -> None:
+    boards.advance(100.0)
+    boards.touched_from(100_001 * MS)
+    for tick in range(1, 302):
+        boards.advance(100.0 + tick / 1000)
+    steps = []
+    while (truth := boards.take_truth()) is not None:
+        steps.append(truth.step)
+    assert steps == list(range(11, 31))
+
+
+def test_preparing_asks_for_nothing(boards: Ticks) -> None:
+    boards.prepare()
+    assert (boards.samples, boards.decisions) == (0, [])
