@@ -48,6 +48,13 @@ def test_sums_are_those_of_phi_within_a_step_of_the_converter() -> None:
     assert sampler.saturated(0) == 0
 
 
+def test_sums_follow_the_touch_from_cycle_to_cycle() -> None:
+    sampler = boards()
+    for counter in (1, 2, 3, 5, 6):
+        sums = sampler.sample(counter, counter * PERIOD_NS)
+        assert np.abs(error_n(sums, counter - 1)).max() <= 0.51 * STEP_N
+
+
 def test_noise_of_taxels_is_added_and_not_clipped() -> None:
     sampler = boards(noise_n=1e-3)
     sums = sampler.sample(1, 0)
