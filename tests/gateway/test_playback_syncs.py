@@ -104,6 +104,7 @@ def test_a_cycle_ends_with_its_last_frame_or_nine_tenths_of_a_period_after_the_n
     assert playback.advance(START_NS + 3 * MS - 1) == []
     (made,) = playback.advance(START_NS + 3 * MS)
     assert made.valid == b"\1" * 4
+    assert made.wall_offset_ns == 0
     playback = playback_of(small, whole[0], [sync(0)])
     assert playback.advance(START_NS + 95 * MS - 1000) == []
     (made,) = playback.advance(START_NS + 95 * MS + 1000)
