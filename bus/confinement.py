@@ -77,7 +77,7 @@ class Confinement:
                 self._queues.pending.park(item)  # no retry until another controller joins
             else:
                 self._queues.pending.add(item, free_ns)
-        self.judge(self._stations.controllers(), ended_ns, free_ns)
+        self.judge(self._stations.controllers(), senders, ended_ns, free_ns)
 
     def frame_ended(self, senders: Collection[Controller], start_ns: int, ended_ns: int, free_ns: int) -> None:
         """Decrease the error counters of the senders and receivers of a good frame."""
@@ -89,7 +89,7 @@ class Confinement:
         for controller in self._recovering:
             if controller.restart_ns <= start_ns:  # the frame contained one of the 128 occurrences
                 controller.recover_ns += free_ns - start_ns - nominal_ns(OCCURRENCE_BITS, self._bitrate)
-        self.judge(list(self._disturbed), ended_ns, free_ns)
+        self.judge(list(self._disturbed), senders, ended_ns, free_ns)
 
     def recover(self) -> None:
         """Recover the controller whose recovery is due first."""
@@ -98,8 +98,10 @@ class Confinement:
         first.reset()
         self._queues.post_report(first, first.recover_ns, state_report(State.ACTIVE, 0, 0, restarted=True))
 
-    def judge(self, controllers: Iterable[Controller], time_ns: int, free_ns: int) -> None:
-        """Compute the states from the counters, and report changed states."""
+    def judge(
+        self, controllers: Iterable[Controller], senders: Collection[Controller], time_ns: int, free_ns: int
+    ) -> None:
+        """Compute the states from the counters, and report changed states; error-passive senders wait."""
         for controller in controllers:
             if not controller.takes_part:
                 continue
@@ -107,7 +109,7 @@ class Confinement:
                 errors = controller.transmit_errors, controller.receive_errors
                 self._stations.by_number[controller.station].refresh()
                 self._queues.post_report(controller, time_ns, state_report(controller.state, *errors))
-            if controller.state is State.PASSIVE:
+            if controller.state is State.PASSIVE and controller in senders:
                 controller.suspended_until_ns = free_ns + nominal_ns(SUSPEND_BITS, self._bitrate)
             if controller.state is State.BUS_OFF:
                 self._go_off(controller, time_ns)

@@ -158,13 +158,14 @@ class PythonCanLink:
 
     def _take(self, timeout_s: float) -> None:
         """Take the messages that wait; wait for the first."""
-        message = self._receive(timeout_s)
-        offset_ns = wall_offset().ns if message is not None else 0
-        for _ in range(FRAMES_PER_CALL):
+        offset_ns = 0
+        for place in range(FRAMES_PER_CALL):
+            message = self._receive(0.0 if place else timeout_s)
             if message is None:
                 return
+            if not place:
+                offset_ns = wall_offset().ns
             self._put(to_frame(message, offset_ns))
-            message = self._receive(0.0)
 
     def _receive(self, timeout_s: float) -> can.Message | None:
         try:

@@ -184,7 +184,7 @@ def test_a_passive_transmitter_lets_others_go_first() -> None:
     bus = SimulatedBus()
     weak, other = bus.attach("weak"), bus.attach("other")
     weak.controllers[0].transmit_errors = 130
-    bus._confinement.judge(weak.controllers.values(), 0, 0)
+    bus._confinement.judge(weak.controllers.values(), (), 0, 0)
     bus.submit(weak, burst([0x001, 0x002]), 0)
     bus.run_until(20_000)  # the first is on the wire
     bus.submit(other, burst([0x7FF]), 20_000)

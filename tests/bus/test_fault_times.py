@@ -253,14 +253,21 @@ def test_counters_that_are_back_at_zero_are_looked_at_no_more(monkeypatch: pytes
     assert not bus._confinement
 
 
-def test_a_passive_transmitter_waits_eight_bits_behind_the_intermission() -> None:
+def test_a_passive_controller_waits_eight_bits_behind_its_own_frames_alone() -> None:
     bus = SimulatedBus()
-    weak, _ = bus.attach("weak"), bus.attach("other")
+    weak, other = bus.attach("weak"), bus.attach("other")
     weak.controllers[0].transmit_errors = 140
-    bus._confinement.judge(weak.controllers.values(), 0, 0)
+    bus._confinement.judge(weak.controllers.values(), (), 0, 0)
     bus.submit(weak, np.concatenate([SENT, SENT, SENT]))
     ends_ns = [end for end, _, _ in plain(bus.run_until())]
     assert np.diff(ends_ns).tolist() == 2 * [lasts_ns() + 8 * BIT_NS]
+
+    begin_ns = bus.now_ns + 1_000_000
+    bus.submit(other, frame(0x155, b"\x55", time_ns=begin_ns))
+    bus.submit(weak, frame(0x2AA, b"\x55", time_ns=begin_ns))
+    (ahead_ns, first, _), (behind_ns, second, _) = plain(bus.run_until())
+    assert (first, second) == (other.number, weak.number)
+    assert behind_ns - ahead_ns == lasts_ns()
 
 
 def test_a_queue_takes_256_frames_by_default_and_refuses_without_a_trace() -> None:
