@@ -233,6 +233,16 @@ def test_conversions_of_a_node_are_those_of_its_taxels_or_of_its_analogue_sums()
     assert wiring(load_layout(Path("analogue"))).conversions_per_s == 8 * 100
 
 
+def test_a_node_converts_the_taxels_of_blocks_that_send() -> None:
+    """Nodes of two blocks of 32 taxels, and a SYNC rate of 100 Hz."""
+    pairs = FEW.replace("nodes = 4", "nodes = 2\nblocks_per_node = 2")
+    rates = [
+        wiring(parse_layout(pairs.replace("[[0, 0], [1, 1]]", rows).encode(), "few")).conversions_per_s
+        for rows in ("[[0, 0]]", "[[0, 0], [2, 2]]", "[[0, 0], [1, 1]]")
+    ]
+    assert rates == [32 * 100, 32 * 100, 64 * 100]
+
+
 def test_blocks_that_send_no_sum_need_no_wires() -> None:
     """Rows of one block and of two: a chain each."""
     one, two = (

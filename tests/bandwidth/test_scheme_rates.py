@@ -2,6 +2,8 @@
 
 import pytest
 
+from bandwidth.mean_bits import mean_wire_bits
+from bandwidth.plan import sync_bits
 from bandwidth.scheme_rates import Scheme, schemes
 from skin.layout import load_layout
 
@@ -84,3 +86,13 @@ def test_fast_table(row: list[str], every: dict[tuple[object, ...], Scheme]) -> 
 def test_node_ids_are_told(every: dict[tuple[object, ...], Scheme]) -> None:
     assert not every["sums", 16, 1, 1, None, 8].fits_node_ids
     assert every["sums", 16, 1, 2, None, 8].fits_node_ids
+
+
+def test_a_rate_is_that_of_a_bus_filled_with_one_sync_frames_and_a_heartbeat_a_second(
+    every: dict[tuple[object, ...], Scheme],
+) -> None:
+    one = every["sums", 12, 1, 1, None, 8]
+    assert (one.nodes, one.payloads) == (128, [8, 4])
+    cycle_bits = 128 * (mean_wire_bits(8)[0] + mean_wire_bits(4)[0]) + sync_bits(1)
+    beat_bits = 128 * mean_wire_bits(1)[0]
+    assert one.max_rate_hz_random == pytest.approx((1e6 - beat_bits) / cycle_bits, rel=1e-9)

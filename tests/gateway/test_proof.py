@@ -19,6 +19,8 @@ from dbc.indices import (
     OD_WINDOW_US,
     SIGNATURE_SAVE,
 )
+from gateway.proof import prove
+from gateway.sdo import Read, SdoAbortedError
 from skin.layout import parse_layout
 from tests.gateway.world import PERIOD_S, SMALL, STEP_S, World, small_contract, valid
 
@@ -278,3 +280,15 @@ def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:
     check(world, 2.0)
     assert valid(world.measured[-1]).all()
     assert world.segments[0].nodes[0].local.unsigned(0x1006) == 50_000
+
+
+def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:
+    node, doubts = small.nodes[0], []
+    steps = prove(configuration(small, node), 0x1234, write=True, doubt=lambda: doubts.append("doubt"))
+    assert next(steps) == Read(OD_SIGNATURE)
+    read = steps.send(little(0))  # it computes no signature
+    assert not doubts
+    with pytest.raises(StopIteration) as ended:
+        steps.throw(SdoAbortedError(read, 0x0800_0020))
+    assert doubts == ["doubt"]
+    assert "abort 08000020h" in ended.value.value.refusal
