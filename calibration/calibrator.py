@@ -106,6 +106,8 @@ class Calibrator:
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._still = np.zeros(self._phi.blocks, np.intp)
         self._forced = False
+        #: The zero was measured whatever touched the skin, and nothing has shown since that it is adrift.
+        self._may_hold_a_touch = False
         self._follower: DriftFollower | None = None
         self._centre_ns = 0
         self._negative = 0
@@ -275,12 +277,13 @@ class Calibrator:
         mean_n = window.mean_n - self._bias_n
         known = window.known & follower.known & self._defects.usable
         touch = self._finder.look(mean_n - follower.predicted_n(1.0), known, follower.noise_n)
-        # Below zero, the zero is wrong and not adrift: a line that followed would go on and look like a touch.
-        follower.take(mean_n, window.known, touch.blocks | touch.is_negative)
+        # Forces below a forced zero are of a touch that has gone. Lines that followed would overshoot the true zero.
+        held = touch.blocks | (self._may_hold_a_touch and touch.is_negative)
+        follower.take(mean_n, window.known, held)
         self._begin_late(follower, window._replace(mean_n=mean_n), touch.blocks)
         self._look_for_defects(window, touch.blocks)
         self._centre_ns = window.centre_ns
-        self._held_blocks = int(touch.blocks.sum())
+        self._held_blocks = int(held.sum())
         self._negative = self._negative + 1 if touch.is_negative else 0
         if self._negative >= self._patience and self.state is CalibrationState.FOLLOWING:
             self._negative = 0
@@ -339,6 +342,7 @@ class Calibrator:
         self._still[:] = 0
         self._centre_ns = window.centre_ns
         self._patience = NEGATIVE_WINDOWS
+        self._may_hold_a_touch = self._forced
         self._tared_ns = window.centre_ns
         self.revision += 1
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
@@ -367,6 +371,7 @@ class Calibrator:
             f" measured when it has been untouched for {self.tare_s:.3g} s"
         )
         if self._tared_ns and self._tares:
+            self._may_hold_a_touch &= touch.is_touched  # forces that go down without a touch are adrift
             self.state = CalibrationState.FOLLOWING
             self._measured.clear()
             self._tell(is_done=False, text=text.split(":", maxsplit=1)[0] + ": the zero stays as it was")

@@ -154,3 +154,16 @@ def test_a_zero_that_drifts_like_a_touch_is_foreseen_and_is_none() -> None:
         assert skin.made.status().held_blocks == 0
         expected = OFFSETS + drift * (skin.cycle - 1) / 10
         assert np.abs(np.array(offsets_of(applied)) - expected).max() <= 0.05 * np.abs(drift).max() + 1
+
+
+def test_a_patch_that_cools_is_followed_below_a_zero_that_nobody_forced() -> None:
+    """Twenty by twenty taxels lose a count in four windows: forces below zero are no touch that has gone."""
+    skin = tared()
+    drift = -0.25 * pressed(10, 10, 20, 1)
+    begins = OFFSETS - drift * skin.cycle / 10
+    skin.run(60, begins, drift=drift)  # type: ignore[arg-type]
+    for _ in range(5):
+        applied = skin.run(1, begins, drift=drift)  # type: ignore[arg-type]
+        assert skin.made.status().held_blocks == 0
+        expected = begins + drift * (skin.cycle - 1) / 10
+        assert np.abs(np.array(offsets_of(applied)) - expected).max() <= np.abs(drift).max()
