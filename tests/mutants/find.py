@@ -14,6 +14,7 @@ import random
 import resource
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -147,9 +148,13 @@ def main() -> int:
     with (FOLDER / "lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return _run(options)
         except BlockingIOError:
             print(f"another `make mutants` is at work in {FOLDER}: wait for its end", file=sys.stderr)
+            return 2
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.default_int_handler)  # they end it as Ctrl-C does
+        try:
+            return _run(options)
         except SkinError as error:
             print(error, file=sys.stderr)
         except KeyboardInterrupt:
@@ -165,7 +170,7 @@ def _run(options: argparse.Namespace) -> int:
     _copy_tree()
     _copy_kernels()
     os.chdir(COPY)
-    os.environ["PYTHONPATH"] = str(COPY)
+    os.environ["PYTHONPATH"] = os.pathsep.join(map(str, (COPY, COPY / "client", *COPY.glob("integrations/*"))))
     OPERATOR_PROVIDERS["canskin"] = {"RemoveStatement": RemoveStatement}
     return _judge(_choose(options))
 
@@ -175,14 +180,29 @@ def _options() -> argparse.Namespace:
         prog="make mutants", description="find faults that no test notices, but for slow tests"
     )
     parser.add_argument("paths", nargs="*", default=PATHS, help="files or folders of code (default: %(default)s)")
-    parser.add_argument("--sample", type=int, metavar="N", help="draw N mutants at random (default: all)")
+    parser.add_argument("--sample", type=_count, metavar="N", help="draw N mutants at random (default: all)")
     parser.add_argument("--seed", type=int, default=0, help="of the draw (default: %(default)s)")
     parser.add_argument("--without", nargs="+", default=(), metavar="PATH", help="leave these files or folders out")
     options = parser.parse_args()
-    for path in (*options.paths, *options.without):
-        if not (ROOT / path).exists():
-            parser.error(f"expected a file or folder from the root of the project on, got {path!r}")
+    options.paths, options.without = (
+        [_ours(parser, path) for path in each] for each in (options.paths, options.without)
+    )
     return options
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"expected a number of mutants from 1 on, got {text}")
+    return number
+
+
+def _ours(parser: argparse.ArgumentParser, path: str) -> str:
+    """Return a path from the root of the project on; only such a path names a file of the copy."""
+    full = (ROOT / path).resolve()
+    if not full.exists() or not full.is_relative_to(ROOT):
+        parser.error(f"expected a file or folder from the root of the project on, got {path!r}")
+    return full.relative_to(ROOT).as_posix()
 
 
 def _files() -> set[str]:
@@ -366,6 +386,8 @@ def _folder(path: str) -> str:
 def _command(path: str) -> str:
     """Return the command that judges a file: the tests of its folder but for slow ones, those that name it first."""
     folder, module = _folder(path), path.removesuffix(".py").replace("/", ".")
+    if not any(Path("tests", folder).rglob("test_*.py")):
+        raise InputError(f"no tests judge {folder}/: tests/{folder} has none; name other files or folders")
     tests = sorted(
         Path("tests", folder).rglob("test_*.py"),
         key=lambda test: (test.stem != f"test_{Path(path).stem}", module not in test.read_text(), test),
