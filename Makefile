@@ -53,7 +53,7 @@ figures: setup
 	@$(BIN)/python -m docs.figures $(ARGS)
 
 # On several cores. One worker compiles the kernels, then runs whole chains (tests/conftest.py); others go by file.
-BY_FILE := --dist loadfile --no-loadscope-reorder
+BY_FILE := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 # One worker more than cores: whole chains wait more than they compute.
 test: check

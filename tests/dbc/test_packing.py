@@ -52,6 +52,12 @@ def test_scale_is_the_smallest_that_fits(
     assert packing(layout_with(bits, offset_binary, adc_bits)) == Packing(bits, scale, offset)
 
 
+def test_a_sum_that_is_one_above_a_signed_byte_needs_a_scale() -> None:
+    """128 taxels of one bit: 0 to 128 for the row of all ones."""
+    assert packing(layout_with(8, False, adc_bits=1, block_size=128)) == Packing(8, 2, 0)
+    assert packing(layout_with(8, False, adc_bits=1, block_size=64)) == Packing(8, 1, 0)
+
+
 @pytest.mark.parametrize(
     ("bits", "adc_bits", "scale"), [(16, 10, 32), (12, 12, 32), (12, 10, 32), (8, 12, 32 << 4), (16, 16, 32)]
 )

@@ -35,7 +35,7 @@ def quality_db(phi: Sbhe, true: np.ndarray, settings: SolverSettings) -> float:
 @pytest.mark.slow
 def test_recordings_gain_over_plain_haar_at_its_best(phi: Sbhe) -> None:
     if "SKIN_DATA" not in os.environ:
-        pytest.skip("SKIN_DATA is not set: images of real recordings are NOT checked")
+        pytest.skip("NOT TESTED: images of real recordings, for want of SKIN_DATA")
     live, haar = [], []
     for posture in POSTURES:
         true = mats(posture)

@@ -102,7 +102,7 @@ def test_recordings_given_from_outside(slow_layout: Path, tmp_path: Path) -> Non
     """Real recordings, when ``SKIN_DATA`` names the folder that holds ``pressure-mat``."""
     folder = os.environ.get("SKIN_DATA")
     if folder is None:
-        pytest.skip("SKIN_DATA IS NOT SET: the real pressure recordings are not tried")
+        pytest.skip("NOT TESTED: real pressure recordings, for want of SKIN_DATA")
     options = ("--input", f"{folder}/pressure-mat/S1.npz", "--array", "posture_01", "--array", "posture_02")
     common = ("--layout", str(slow_layout), "--full-scale", "4095", "--seconds", "3", "--json", "--no-view")
     figures = report(skin("demo", *options, *common, cwd=tmp_path))

@@ -294,7 +294,7 @@ def test_a_damaged_file_is_read_or_refused(
     assert np.isfinite(source.frame(0).force_n).all()
 
 
-@pytest.mark.skipif("SKIN_DATA" not in os.environ, reason="SKIN_DATA names no folder of real recordings")
+@pytest.mark.skipif("SKIN_DATA" not in os.environ, reason="NOT TESTED: a real pressure mat, for want of SKIN_DATA")
 def test_a_real_pressure_mat_fills_the_skin() -> None:
     path = Path(os.environ["SKIN_DATA"]) / "pressure-mat" / "S1.npz"
     source = recording(path, 64, 64, arrays=("posture_01", "posture_02"), full_scale=4095)

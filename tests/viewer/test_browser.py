@@ -19,7 +19,7 @@ from viewer.feed import Feed
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="NO CHROMIUM ON PATH: the page is not tested in any browser"),
+    pytest.mark.skipif(CHROMIUM is None, reason="NOT TESTED: the page in a browser, for want of chromium"),
 ]
 
 
