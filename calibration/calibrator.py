@@ -106,13 +106,11 @@ class Calibrator:
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._still = np.zeros(self._phi.blocks, np.intp)
         self._forced = False
-        #: The zero was measured whatever touched the skin, and nothing has shown since that it is adrift.
-        self._may_hold_a_touch = False
+        self._may_hold_a_touch = False  # the zero was forced, and nothing has shown since that it is adrift
         self._follower: DriftFollower | None = None
         self._centre_ns = 0
-        self._negative = 0
+        self._negative = self._held_blocks = 0
         self._patience = NEGATIVE_WINDOWS
-        self._held_blocks = 0
         self._noise_n = 0.0
         self._tared_ns = 0
         self._valid_ratio = 0.0
