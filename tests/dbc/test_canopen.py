@@ -3,13 +3,14 @@
 import numpy as np
 from canopen import SdoAbortedError
 from canopen.emcy import EmcyError
-from canopen.nmt import NMT_COMMANDS
+from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS
 
 import dbc.canopen
 from dbc.canopen import (
     COB_ID_EXTENDED,
     COB_ID_INVALID,
     COB_ID_NO_RTR,
+    COMMANDED,
     RESTRICTED_COB_IDS,
     Abort,
     Emergency,
@@ -105,3 +106,9 @@ def test_restricted_identifiers_are_those_of_the_standard() -> None:
     """CiA 301, table 38: NMT to the flying master, SDO, dynamic SDO, error control; 80h, 180h, 580h, 600h are free."""
     ends = [(each[0], each[-1]) for each in RESTRICTED_COB_IDS]
     assert ends == [(0x001, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
+
+
+def test_a_command_leads_to_the_state_that_canopen_has() -> None:
+    assert {int(command): int(state) for command, state in COMMANDED.items()} == {
+        command: COMMAND_TO_STATE[command] for command in (1, 2, 128)
+    }

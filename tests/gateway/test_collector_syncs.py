@@ -40,6 +40,12 @@ def test_frames_after_a_sync_that_asks_for_none_are_late() -> None:
     assert (collector.counts.accepted, collector.counts.late) == (512, 64)
 
 
+def test_frames_before_the_first_sync_are_of_no_cycle() -> None:
+    collector = new_collector()
+    collector.take(0, np.concatenate((burst(0, 1), burst(0, 2))), 0)
+    assert (collector.counts.accepted, collector.counts.late) == (0, 128)
+
+
 def swapped_after(cycles: int, *, also_right: bool) -> list[int]:
     """Return the nodes of swapped phases, when the first node of bus 0 answers so many SYNCs with wrong PDOs."""
     collector = new_collector()
