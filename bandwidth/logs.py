@@ -21,7 +21,7 @@ from dbc.stored_frames import from_bytes
 from skin.layout import Layout
 from skin.output import RECORDING_SUFFIX
 
-#: Largest time stamp, seconds since the epoch: the year 2261, the limit of nanoseconds in 64 bits.
+#: Largest time stamp, seconds since the epoch: in 2261, a year before nanoseconds end that 64 bits hold.
 _LATEST_S: Final = 9.2e9
 #: An error frame of SocketCAN in a log of candump: the identifier contains CAN_ERR_FLAG.
 _ERROR_FRAME: Final = re.compile(r"(\s*\(\S+\)\s+\S+\s+)([23][0-9A-Fa-f]{7})(#.*)", re.DOTALL)

@@ -14,16 +14,10 @@ from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from dbc.frame_bits import frame_time_ns
 from skin.layout import parse_layout
+from tests.small_layouts import ADAPTIVE_ARM
 
 MS = 1_000_000
-LAYOUT = """
-sending = "adaptive"
-taxels = { rows = 8, columns = 8 }
-measurement = { wiring = "board" }
-sync = { rate_hz = 10.0 }
-bus = [{ name = "arm", nodes = 2 }]
-"""
-CONTRACT = Contract.from_layout(parse_layout(LAYOUT.encode(), "arm.toml"))
+CONTRACT = Contract.from_layout(parse_layout(ADAPTIVE_ARM.encode(), "arm.toml"))
 #: Of node 1: coarse frames of groups 0 and 1 at the highest level, and of group 0 at the lowest; a fine frame.
 COARSE, OTHER, LOWEST, FINE = 0x181, 0x1A1, 0x401, 0x481
 VALUES = bytes([200] * 8)
@@ -162,7 +156,7 @@ def test_sums_have_1024_identifiers_of_which_a_node_owns_every_32nd() -> None:
 
 
 def test_frames_of_sums_have_the_format_of_their_bus() -> None:
-    fast = LAYOUT.replace("nodes = 2", "nodes = 2, fd = true, data_bitrate = 2_000_000")
+    fast = ADAPTIVE_ARM.replace("nodes = 2", "nodes = 2, fd = true, data_bitrate = 2_000_000")
     on_fd = Contract.from_layout(parse_layout(fast.encode(), "arm.toml"))
     for contract, lengths, flags in ((CONTRACT, (8, 8), 0), (on_fd, (32, 64), FD | BRS)):
         # On CAN FD, coarse identifiers end at 480h, too.

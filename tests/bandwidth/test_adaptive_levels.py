@@ -10,15 +10,9 @@ from dbc.contract import Contract
 from dbc.frame import Frames, one_frame
 from dbc.frame_bits import wire_bits
 from skin.layout import parse_layout
+from tests.small_layouts import ADAPTIVE_ARM
 
-LAYOUT = """
-sending = "adaptive"
-taxels = { rows = 8, columns = 8 }
-measurement = { wiring = "board" }
-sync = { rate_hz = 10.0 }
-bus = [{ name = "arm", nodes = 2 }]
-"""
-CONTRACT = Contract.from_layout(parse_layout(LAYOUT.encode(), "arm.toml"))
+CONTRACT = Contract.from_layout(parse_layout(ADAPTIVE_ARM.encode(), "arm.toml"))
 ONE, OTHER = b"\x55" * 8, b"\x33" * 8
 
 

@@ -16,14 +16,9 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from skin.layout import parse_layout
+from tests.small_layouts import ADAPTIVE_ARM
 
-LAYOUT = """
-sending = "adaptive"
-taxels = { rows = 8, columns = 8 }
-measurement = { wiring = "board" }
-sync = { rate_hz = 10.0 }
-bus = [{ name = "arm", nodes = 1 }, { name = "hand", nodes = 1, bitrate = 250_000 }]
-"""
+LAYOUT = ADAPTIVE_ARM.replace("nodes = 2 }", 'nodes = 1 }, { name = "hand", nodes = 1, bitrate = 250_000 }')
 CONTRACT = Contract.from_layout(parse_layout(LAYOUT.encode(), "arm.toml"))
 
 

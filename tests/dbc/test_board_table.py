@@ -6,6 +6,7 @@ import pytest
 from dbc.board import Board, MappedObject, board, board_text, json_text
 from dbc.contract import Contract
 from skin.layout import parse_layout
+from tests.small_layouts import ADAPTIVE_ARM
 
 #: Two sums from the second block of the second board: rows 1 and 31, an odd number of bits each.
 FEW = """
@@ -48,13 +49,6 @@ taxels = { rows = 8, columns = 8 }
 measurement = { sums = 16 }
 sync = { rate_hz = 25.0, identity = "alternating" }
 bus = [{ name = "arm", nodes = 1, blocks_per_node = 2, fd = true, data_bitrate = 2_000_000 }]
-"""
-ADAPTIVE = """
-sending = "adaptive"
-taxels = { rows = 8, columns = 8 }
-measurement = { wiring = "board" }
-sync = { rate_hz = 10.0 }
-bus = [{ name = "arm", nodes = 2 }]
 """
 ANALOGUE = """
 taxels = { rows = 8, columns = 8, frontend = "analogue" }
@@ -168,7 +162,7 @@ def test_boards_of_two_phases_have_a_start_value_for_each() -> None:
 
 def test_adaptive_boards_have_urgencies_a_code_and_no_packing() -> None:
     """32 node-IDs a TPDO: six levels of coarse frames of four groups, then two of fine ones."""
-    _, table = table_of(ADAPTIVE)
+    _, table = table_of(ADAPTIVE_ARM)
     assert (table.sending, table.packing, table.frontend, table.samples_per_sync) == ("adaptive", None, None, 100)
     assert [each.cob_id for each in table.tpdos] == [0x182 + 32 * place for place in range(32)]
     assert [each.number for each in table.tpdos] == list(range(1, 33))

@@ -6,14 +6,8 @@ from dbc.contract import Contract
 from dbc.dictionary import SkinState, dictionary
 from dbc.objects import Object
 from skin.layout import parse_layout
+from tests.small_layouts import ADAPTIVE_ARM
 
-ADAPTIVE = """
-sending = "adaptive"
-taxels = { rows = 8, columns = 8 }
-measurement = { wiring = "board" }
-sync = { rate_hz = 10.0 }
-bus = [{ name = "arm", nodes = 2 }]
-"""
 RECOGNITION = """
 taxels = { rows = 8, columns = 8 }
 measurement = { sums = 5, block_size = 64 }
@@ -38,7 +32,7 @@ def told(found: dict[tuple[int, int | None], Object], index: int) -> list[tuple[
 
 def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
     """1007h is 98 % of the period; 2005h: 8 bits, step 1, form 2 (companded), one block."""
-    found = objects(ADAPTIVE)
+    found = objects(ADAPTIVE_ARM)
     values = {index: found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005, 0x2030, 0x2034, 0x2035)}
     assert values == {
         0x1006: 100_000, 0x1007: 98_000, 0x1019: 240, 0x2005: 0x01_02_00_08, 0x2030: 0, 0x2034: 0, 0x2035: 0.0
@@ -66,7 +60,7 @@ def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
 
 
 def test_names_count_from_one_and_taxels_from_zero() -> None:
-    found = objects(ADAPTIVE)
+    found = objects(ADAPTIVE_ARM)
     names = [
         (found[index, 1].name, found[index, most].name) for index, most in ((0x2032, 32), (0x2033, 32), (0x2111, 4))
     ]
