@@ -1,4 +1,4 @@
-"""The calibration of a running skin: zero at the start and on request, drift afterwards, held under a touch."""
+"""The calibration of a running skin: zero at the start and on request, then followed, and doubted where it may be wrong."""
 
 from collections import deque
 from collections.abc import Callable
@@ -10,10 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.defects import DefectFinder, Defects, subject_of
-from calibration.drift import LONGEST_GAP, LONGEST_HELD, SHORTEST_MEMORY, DriftFollower, line_through
-from calibration.touched import Touch, TouchFinder
+from calibration.doubt import Doubt
+from calibration.drift import LONGEST_GAP, SHORTEST_MEMORY, DriftFollower, line_through
+from calibration.field import FieldFinder
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, change, rms, tare_s, typical, window_s
-from canskin.calibration_messages import CalibrationState, CalibrationStatus
+from calibration.zero import SEEN_RATIO, Zero
+from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
 from skin.frontend import sum_step_n
@@ -23,17 +25,21 @@ from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
 Tare = Literal["at-start", "never"]
+#: First row, first column, last row, last column of a part of the skin, both ends included.
+Region = tuple[int, int, int, int]
 #: Sums with a zero, part of all, with which the skin counts as tared; the others follow when their blocks are valid.
 LEAST_KNOWN: Final = 0.5
-#: Forces below zero for so many windows: the zero was measured under a touch. Twice as many after every attempt that
-#: found a touch, up to `LONGEST_HELD`.
-NEGATIVE_WINDOWS: Final = 4
 #: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
 LEAST_NOISE_RATIO: Final = 0.3
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
 LEAST_STEP: Final = 0.3
 #: Sums with a noise of so many counts have no defect: averages of an untouched taxel are 0 but for rare cycles.
 QUIET_COUNTS: Final = 3.0
+#: Of a skin without a zero, this part of the taxels may show less than what all others have in common.
+FLOOR_PART: Final = 0.02
+#: A correction below zero is logged from this part of the range on, and again after so much time.
+LOGGED_RATIO: Final = 0.01
+LOGGED_NS: Final = 10_000_000_000
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,7 @@ class TareResult:
 
 
 class Calibrator:
-    """Learns the offsets of the sums of a skin with synchronous sending, and writes them into measurements.
+    """Learns the zero of the sums of a skin with synchronous sending, and writes it into measurements.
 
     `apply` to every measurement, then `take` the one that came; `work` whenever there is a millisecond to spare.
 
@@ -74,7 +80,7 @@ class Calibrator:
     result : TareResult or None
         Of the newest measurement of the zero that has ended.
     revision : int
-        Number of times the zero was measured, loaded or forgotten.
+        Number of times the zero was measured, told, loaded or forgotten.
     """
 
     def __init__(
@@ -85,53 +91,46 @@ class Calibrator:
         tares: bool = True,
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._phi = layout.phi()
+        taxels, self._phi = layout.taxels, layout.phi()
+        self._shape = taxels.rows, taxels.columns
         self._is_on = layout.sending == "synchronous"
-        self._averages = layout.samples_per_sync > 1
         self._tares = tares and self._is_on
         self._say = say
-        self._newton_per_count = layout.taxels.newton_per_count
+        self._newton_per_count, self._force_max_n = taxels.newton_per_count, taxels.force_max_n
         self._period_s = layout.sync.period_s
+        self._clips = layout.samples_per_sync == 1 and not taxels.is_analogue
         self._windows = WindowMeans(self._phi.shape[0], self._period_s, self._newton_per_count)
-        self._finder = TouchFinder(self._phi, layout.taxels.rows, layout.taxels.columns)
-        self._reads_sums = layout.taxels.is_analogue
+        self._finder = FieldFinder(self._phi, *self._shape)
         self._step_n = sum_step_n(layout)
-        least_n = QUIET_COUNTS * self._step_n
         self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
-        self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
+        self._defect_finder = DefectFinder(self._phi, taxels.columns, QUIET_COUNTS * self._step_n)
+        self._doubt = Doubt(taxels.count, taxels.force_max_n, self._windows.length_ns * 1e-9)
+        self._doubtful = b""
         self._waiting: Window | None = None
-        self._newest_ns = 0
-        self._needs_until_ns = 0
+        self._newest_ns = self._needs_until_ns = self._logged_ns = 0
         self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
-        self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
-        self._still = np.zeros(self._phi.blocks, np.intp)
         self._forced = False
-        self._may_hold_a_touch = False  # the zero was forced, and nothing has shown since that it is adrift
-        self._follower: DriftFollower | None = None
-        self._centre_ns = 0
-        self._negative = self._held_blocks = 0
-        self._patience = NEGATIVE_WINDOWS
-        self._noise_n = 0.0
-        self._tared_ns = 0
-        self._valid_ratio = 0.0
+        self._region: Bools | None = None
+        self._zero: Zero | None = None
+        self._support = np.zeros(self._phi.blocks, np.uint8)
+        self._supported_ns = np.zeros(self._phi.blocks, np.int64)
+        self._centre_ns = self._tared_ns = 0
+        self._calm_windows = 0
+        self._noise_n = self._valid_ratio = 0.0
         self._bias_n: Floats | float = 0.0
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
         self.revision = 0
         if offsets_n is not None:
             self.load(offsets_n)
         self.result: TareResult | None = None
+        self._tell_doubt()
 
     @property
     def offsets_n(self) -> Floats | None:
         """Offsets of the sums in newtons, shape (m,), NaN for unknown ones; None without any."""
-        if self._follower is None:
+        if self._zero is None:
             return None
-        return np.where(self._follower.known, self._follower.level_n, np.nan)
-
-    @property
-    def _known(self) -> Bools:
-        """Sums with an offset."""
-        return np.zeros(self._phi.shape[0], np.bool_) if self._follower is None else self._follower.known
+        return np.where(self._zero.follower.known, self._zero.follower.level_n, np.nan)
 
     @property
     def tare_s(self) -> float:
@@ -148,18 +147,24 @@ class Calibrator:
         """Median noise of one cycle's sum, newtons; 0 if unknown."""
         return self._noise_n
 
+    @property
+    def doubtful(self) -> Bools:
+        """Taxels whose force may be an error of the zero, shape (n,)."""
+        return self._doubt.taxels
+
     def load(self, offsets_n: Floats) -> None:
         """Take stored offsets, shape (m,), newtons; NaN for unknown ones."""
         known = np.isfinite(offsets_n)
         self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
-        self._follower = self._new_follower(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 1, 0.0)
+        self._begin(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 1, 0.0, ZeroSupport.STORED)
         if not self._tares:
             self.state = CalibrationState.LOADED
 
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
         self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
-        self._follower = None
+        self._zero = None
+        self._support[:], self._supported_ns[:] = ZeroSupport.NONE, 0
 
     def _start_anew(self, result: TareResult) -> None:
         """Go back to the state of the start; `result` ends a measurement of the zero."""
@@ -167,19 +172,28 @@ class Calibrator:
         self.tare()
         self.revision += 1
         self.result = result if is_measuring else None
-        self._centre_ns = self._tared_ns = self._negative = 0
+        self._centre_ns = self._tared_ns = 0
         if not self._tares:
             self.state = CalibrationState.OFF
 
-    def tare(self, *, force: bool = False) -> None:
+    def tare(self, *, force: bool = False, region: Region | None = None) -> None:
         """Measure the zero anew; `result` has the outcome, None meanwhile.
+
+        What stands still and is doubtful is part of the new zero: who asks for one says that nothing touches the skin.
 
         Parameters
         ----------
         force : bool
             Whatever touches the skin is part of its zero.
+        region : tuple of int, optional
+            Whatever stands in this part of the skin is part of its zero; the rest of the skin keeps its zero.
         """
-        self.result, self._forced = None, force
+        self.result, self._forced, self._region = None, force, None
+        if region is not None:
+            top, left, bottom, right = region
+            chosen = np.zeros(self._shape, np.bool_)
+            chosen[top : bottom + 1, left : right + 1] = True
+            self._region = chosen.ravel()
         self._valid_ratio = 0.0
         self._measured.clear()
         self._waiting = None
@@ -191,16 +205,19 @@ class Calibrator:
 
         `sums` are the places of its sums among those of Φ, if it has only some of them.
         """
-        offsets = self._offsets_at(measurement.sampled_mono_ns)
-        if offsets is None:
-            return measurement
-        offsets, usable = offsets[sums], (self._defects.usable & self._known)[sums]
+        if self._zero is None:
+            return msgspec.structs.replace(measurement, doubtful=self._doubtful) if self._doubtful else measurement
+        ahead = (measurement.sampled_mono_ns - self._centre_ns) / self._windows.length_ns if self._centre_ns else 0.0
+        follower = self._zero.follower
+        offsets = np.rint(follower.predicted_n(ahead)[sums] / self._newton_per_count).astype("<i4")
+        usable = (self._defects.usable & follower.known)[sums]
         if measurement.usable:
             usable &= np.frombuffer(measurement.usable, np.uint8) != 0
         return msgspec.structs.replace(
             measurement,
-            offsets=offsets.astype("<i4").tobytes(),
+            offsets=offsets.tobytes(),
             usable=b"" if usable.all() else usable.astype(np.uint8).tobytes(),
+            doubtful=self._doubtful,
         )
 
     def take(self, measurement: Measurement) -> None:
@@ -214,16 +231,17 @@ class Calibrator:
             self._waiting = window
 
     def work(self) -> None:
-        """Learn from the newest window; takes about a millisecond."""
+        """Learn from the newest window; takes some milliseconds."""
         window, self._waiting = self._waiting, None
         if window is None:
             return
         self._newest_ns = window.centre_ns
         self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
-        if self._follower is not None and self._centre_ns and self._tares:
-            self._follow(self._follower, window)
+        if self._zero is not None and self._tares:
+            self._follow(self._zero, window._replace(mean_n=window.mean_n - self._bias_n))
         if self.state is not CalibrationState.FOLLOWING:
             self._measure(window)
+        self._tell_doubt()
 
     def needs_cycles(self, now_ns: int) -> bool:
         """Tell whether cycles of all sums should come now, where they do not come all the time.
@@ -245,7 +263,7 @@ class Calibrator:
 
     def status(self) -> CalibrationStatus:
         """Return what is known for `canskin.messages.GatewayStatus`."""
-        offsets_n, follower = self.offsets_n, self._follower
+        offsets_n, zero, doubt = self.offsets_n, self._zero, self._doubt
         known_n = np.zeros(0) if offsets_n is None else offsets_n[np.isfinite(offsets_n)]
         per_s = 1e9 / self._windows.length_ns
         return CalibrationStatus(
@@ -253,61 +271,64 @@ class Calibrator:
             tared_mono_ns=self._tared_ns,
             known_sums=known_n.size,
             offset_rms_n=rms(known_n),
-            drift_rms_n_per_s=rms(follower.slope_n) * per_s if follower is not None else 0.0,
+            drift_rms_n_per_s=rms(zero.follower.slope_n) * per_s if zero is not None else 0.0,
             noise_n=self._noise_n,
-            held_blocks=self._held_blocks,
+            held_blocks=int(zero.held.sum()) if zero is not None else 0,
             defects=self._defects.words,
             revision=self.revision,
+            zero_support=self._support.tobytes(),
+            zero_mono_ns=self._supported_ns.astype("<i8").tobytes(),
+            doubtful_taxels=int(doubt.taxels.sum()),
+            doubtful_force_n=doubt.force_n,
+            doubtful_since_mono_ns=doubt.since_ns,
         )
 
-    def _offsets_at(self, time_ns: int) -> npt.NDArray[np.int32] | None:
-        if self._follower is None:
-            return None
-        ahead = (time_ns - self._centre_ns) / self._windows.length_ns if self._centre_ns else 0.0
-        return np.rint(self._follower.predicted_n(ahead) / self._newton_per_count).astype(np.int32)
-
-    def _follow(self, follower: DriftFollower, window: Window) -> None:
-        """Follow the drift of blocks that nothing touches."""
-        skipped = round((window.centre_ns - self._centre_ns) / self._windows.length_ns) - 1
+    def _follow(self, zero: Zero, window: Window) -> None:
+        """Follow the zero, and doubt what stands on the skin."""
+        skipped = round((window.centre_ns - self._centre_ns) / self._windows.length_ns) - 1 if self._centre_ns else 0
         if skipped > 0:
-            follower.skip(skipped)
-            self._still[:] = 0
-        mean_n = window.mean_n - self._bias_n
-        known = window.known & follower.known & self._defects.usable
-        touch = self._finder.look(mean_n - follower.predicted_n(1.0), known, follower.noise_n)
-        # Forces below a forced zero are of a touch that has gone. Lines that followed would overshoot the true zero.
-        held = touch.blocks | (self._may_hold_a_touch and touch.is_negative)
-        follower.take(mean_n, window.known, held)
-        self._begin_late(follower, window._replace(mean_n=mean_n), touch.blocks)
-        self._look_for_defects(window, touch.blocks)
+            zero.skip(skipped)
+        zero.take(window, self._defects.usable)
         self._centre_ns = window.centre_ns
-        self._held_blocks = int(held.sum())
-        self._negative = self._negative + 1 if touch.is_negative else 0
-        if self._negative >= self._patience and self.state is CalibrationState.FOLLOWING:
-            self._negative = 0
-            self._patience = min(2 * self._patience, LONGEST_HELD)
-            self._say("forces below zero: what touched the skin when its zero was measured is gone; measures it anew")
-            self.tare()
+        self._look_for_defects(window, zero.held)
+        self._doubt.move(zero.moved_n)
+        was_doubtful = self._doubt.since_ns
+        self._doubt.take(zero.force_n, window.centre_ns)
+        self._support_zero(zero)
+        self._log(zero, was_doubtful)
 
-    def _begin_late(self, follower: DriftFollower, window: Window, held: Bools) -> None:
-        """Give blocks that came late their zero, by the same test as at the start."""
-        self._recent.append(window)
-        late = ~self._phi.all_of_blocks(follower.known)
-        self._still = np.where(late & ~held & self._phi.all_of_blocks(window.known), self._still + 1, 0)
-        ready = self._still >= TARE_WINDOWS
-        if not ready.any():
-            return
-        means_n = np.stack([each.mean_n for each in self._recent])
-        level_n, slope_n, _ = line_through(means_n)
-        sums = self._phi.sums_of_blocks(ready)
-        known = np.logical_and.reduce([each.known for each in self._recent]) & (follower.known | sums)
-        changed_n = change(means_n)
-        touched = np.zeros_like(ready)
-        for each_n in (np.where(sums, level_n, follower.level_n), changed_n, -changed_n):
-            touched |= self._finder.look(each_n, known, follower.noise_n).blocks
-        free = ready & ~touched
-        if free.any():
-            follower.begin(self._phi.sums_of_blocks(free), level_n, slope_n, TARE_WINDOWS)
+    def _support_zero(self, zero: Zero) -> None:
+        """Note of each block how its zero is supported."""
+        fallen = np.zeros(self._phi.blocks, np.bool_)
+        fallen[self._phi.block_of_taxel[zero.moved_n < 0]] = True
+        self._support[fallen] = ZeroSupport.CORRECTED
+        self._calm_windows = 0 if zero.touched.any() or fallen.any() else self._calm_windows + 1
+        known = self._phi.all_of_blocks(zero.follower.known) & self._phi.has_sums
+        if self._calm_windows >= TARE_WINDOWS:
+            self._support[known & (self._support != ZeroSupport.TOLD)] = ZeroSupport.MEASURED
+        fresh = known & ~zero.held & (self._support == ZeroSupport.MEASURED)
+        self._supported_ns[fresh] = self._centre_ns
+
+    def _log(self, zero: Zero, was_doubtful_ns: int) -> None:
+        """Log what was corrected, and what is doubtful."""
+        fall_n, doubt = -float(zero.moved_n.min()), self._doubt
+        if fall_n > LOGGED_RATIO * self._force_max_n and self._centre_ns > self._logged_ns + LOGGED_NS:
+            self._logged_ns = self._centre_ns
+            self._say(f"forces of up to {1e3 * fall_n:.2g} mN a taxel below zero: the zero is corrected there")
+        if doubt.since_ns and not was_doubtful_ns:
+            row, column = divmod(int(np.argmax(np.where(doubt.taxels, zero.force_n, 0))), self._shape[1])
+            self._say(
+                f"a force around row {row}, column {column} stands still: a still weight, or the zero has risen there;"
+                " marked as doubtful until it moves, ends, or 'skin tare --region' settles it"
+            )
+        elif was_doubtful_ns and not doubt.since_ns:
+            self._say("no force is doubtful any more")
+
+    def _tell_doubt(self) -> None:
+        """Pack the doubtful taxels for measurements: without a zero that is to be measured, all."""
+        all_doubtful = self._tares and self._zero is None
+        taxels = np.ones_like(self._doubt.taxels) if all_doubtful else self._doubt.taxels
+        self._doubtful = np.packbits(taxels).tobytes() if taxels.any() else b""
 
     def _look_for_defects(self, window: Window, held: Bools) -> None:
         """Find defects; log those that are new."""
@@ -326,50 +347,72 @@ class Calibrator:
         if len(self._measured) < TARE_WINDOWS or known.mean() < LEAST_KNOWN:
             return
         means_n = np.stack([each.mean_n for each in self._measured])
+        if self._region is not None:
+            self._settle(means_n.mean(axis=0), known, self._region)
+            return
         level_n, slope_n, deviation_n = line_through(means_n)
         noise_n = typical(deviation_n[known])
-        touch = None if self._forced else self._touch_of(means_n, level_n, known, noise_n)
-        if touch is not None:
-            self._refuse(touch)
+        place = None if self._forced else self._touched_place(means_n, level_n, known, noise_n)
+        if place is not None:
+            self._refuse(*divmod(place, self._shape[1]))
             return
         self._bias_n = self._clip_bias_n()
         level_n -= self._bias_n
         slope_n = slope_n if self._tares else np.zeros_like(slope_n)  # nothing follows the drift then
-        self._follower = self._new_follower(np.where(known, level_n, 0.0), slope_n, known, TARE_WINDOWS, noise_n)
-        self._measured.clear()
-        self._still[:] = 0
-        self._centre_ns = window.centre_ns
-        self._patience = NEGATIVE_WINDOWS
-        self._may_hold_a_touch = self._forced
-        self._tared_ns = window.centre_ns
-        self.revision += 1
-        self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
-        self._tell(
-            is_done=True,
-            text=f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
-            f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise_n:.2f} mN",
+        support = ZeroSupport.TOLD if self._forced else ZeroSupport.MEASURED
+        self._begin(np.where(known, level_n, 0.0), slope_n, known, TARE_WINDOWS, noise_n, support)
+        self._end(
+            f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
+            f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise_n:.2f} mN"
         )
 
-    def _touch_of(self, means_n: Floats, level_n: Floats, known: Bools, noise_n: float) -> Touch | None:
-        """Return what touches the skin or moves on it, None for nothing."""
-        moved = self._finder.look(change(means_n), known, noise_n)
-        if moved.is_touched or moved.is_negative:
-            return moved
-        follower = self._follower
-        if follower is None:
-            still = self._finder.look(level_n, known, noise_n)
-        else:
-            still = self._finder.look(level_n - follower.predicted_n(0.0), known & follower.known, noise_n)
-        return still if still.is_touched else None
+    def _settle(self, mean_n: Floats, known: Bools, region: Bools) -> None:
+        """Take what stands in a part of the skin for its zero."""
+        if self._zero is None:
+            self._tell(is_done=False, text="the skin has no zero yet: measure that of all of the skin first")
+            return
+        self._zero.settle(mean_n - self._bias_n, known, region)
+        self._doubt.move(self._zero.moved_n)
+        blocks = np.unique(self._phi.block_of_taxel[region])
+        self._support[blocks], self._supported_ns[blocks] = ZeroSupport.TOLD, self._newest_ns
+        self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * self._zero.moved_n.max():.2f} mN")
 
-    def _refuse(self, touch: Touch) -> None:
+    def _end(self, text: str) -> None:
+        """End a measurement of the zero that has succeeded."""
+        self._measured.clear()
+        self._centre_ns = self._tared_ns = self._newest_ns
+        self.revision += 1
+        self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
+        self._tell(is_done=True, text=text)
+
+    def _touched_place(self, means_n: Floats, level_n: Floats, known: Bools, noise_n: float) -> int | None:
+        """Return the taxel where the skin is touched most or something moves on it, None for nowhere."""
+        zero = self._zero
+        field, least_n = self._seen(change(means_n), known, noise_n)
+        if np.abs(field).max() > least_n:
+            return int(np.abs(field).argmax())
+        if zero is None:
+            field, least_n = self._seen(level_n, known, noise_n)
+        else:
+            used = known & zero.follower.known
+            field, least_n = self._seen(level_n - zero.follower.predicted_n(0.0), used, noise_n)
+            field[self._doubt.taxels] = 0  # who asks for a zero says that nothing touches
+        if zero is None or not self._tared_ns:  # offsets, or the change of a stored zero, have something in common
+            field -= np.quantile(field, FLOOR_PART)
+        return int(field.argmax()) if field.max() > least_n else None
+
+    def _seen(self, sums_n: Floats, known: Bools, noise_n: float) -> tuple[Floats, float]:
+        """Return the field of sums, and from which force on it is more than noise."""
+        field = self._finder.find(np.where(known, sums_n, 0.0), known, max(noise_n, LEAST_STEP * self._step_n))
+        return field.force_n, SEEN_RATIO * self._finder.picture_gain * field.noise_n
+
+    def _refuse(self, row: int, column: int) -> None:
         """Keep the zero there is; try again with the next window unless there is one."""
         text = (
-            f"something touches the skin or moves on it, around row {touch.row}, column {touch.column}: its zero is"
+            f"something touches the skin or moves on it, around row {row}, column {column}: its zero is"
             f" measured when it has been untouched for {self.tare_s:.3g} s"
         )
         if self._tared_ns and self._tares:
-            self._may_hold_a_touch &= touch.is_touched  # forces that go down without a touch are adrift
             self.state = CalibrationState.FOLLOWING
             self._measured.clear()
             self._tell(is_done=False, text=text.split(":", maxsplit=1)[0] + ": the zero stays as it was")
@@ -388,13 +431,28 @@ class Calibrator:
         Nodes that average undo it themselves; an analogue front end clips no taxel.
         """
         size = self._phi.block_size
-        if self._averages or self._reads_sums or self._noise_n < LEAST_NOISE_RATIO * NOISE_N * size**0.5:
+        if not self._clips or self._noise_n < LEAST_NOISE_RATIO * NOISE_N * size**0.5:
             return 0.0
         return np.where(self._phi.row_of_sum == 0, size * IDLE_MEAN * NOISE_N, 0.0)
 
-    def _new_follower(self, level_n: Floats, slope_n: Floats, known: Bools, age: int, noise_n: float) -> DriftFollower:
-        least_n = LEAST_STEP * self._step_n
+    def _begin(  # noqa: PLR0917
+        self, level_n: Floats, slope_n: Floats, known: Bools, age: int, noise_n: float, support: ZeroSupport
+    ) -> None:
+        """Begin with a zero."""
         phi = self._phi
-        return DriftFollower(
-            phi.block_of_sum, phi.blocks, level_n, slope_n, known, age=age, noise_n=noise_n, least_noise_n=least_n
+        follower = DriftFollower(
+            phi.block_of_sum,
+            phi.blocks,
+            level_n,
+            slope_n,
+            known,
+            age=age,
+            noise_n=noise_n,
+            least_noise_n=LEAST_STEP * self._step_n,
         )
+        self._zero = Zero(phi, *self._shape, self._finder, follower, support=support)
+        of_blocks = phi.all_of_blocks(known) & phi.has_sums
+        self._support = np.where(of_blocks, support, ZeroSupport.NONE).astype(np.uint8)
+        self._supported_ns[:] = np.where(of_blocks & (support > ZeroSupport.STORED), self._newest_ns, 0)
+        self._doubt = Doubt(phi.shape[1], self._force_max_n, self._windows.length_ns * 1e-9)
+        self._calm_windows = 0

@@ -22,6 +22,8 @@ STUCK_PART: Final = 0.75
 MEMORY: Final = 40
 #: A sum is noisy above so many times the median noise of all sums. Such sums are left out.
 SUM_RATIO: Final = 4.0
+#: In one window no sum counts for more than so many times the median noise.
+JUMP_RATIO: Final = 6.0
 #: A block is noisy above so many times the median of all blocks, and quiet below the median over so many.
 LOUD_RATIO: Final = 1.75
 QUIET_RATIO: Final = 3.0
@@ -82,7 +84,9 @@ class DefectFinder:
         self._saturated = np.where(free[phi.block_of_sum] & ~window.known, self._saturated + 1, 0)
         self._windows += free
         gain = (free / np.clip(self._windows, 1, MEMORY))[phi.block_of_sum] * window.known
-        self._square += gain * (window.noise_n**2 - self._square)
+        # One jump of a sum is no noise.
+        usual_n = max(float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0, self._least_n)
+        self._square += gain * (np.minimum(window.noise_n, JUMP_RATIO * usual_n) ** 2 - self._square)
         part = np.asarray(phi.adjoint(np.where(window.known, window.difference_n, 0.0)), np.float64) ** 2
         gains = np.empty(phi.shape[1])
         gains[phi.taxels_of_blocks] = (free / np.clip(self._windows, 1, MEMORY))[:, None]

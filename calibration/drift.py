@@ -13,15 +13,17 @@ MEMORY: Final = 40
 SHORTEST_MEMORY: Final = 4
 #: The drift has changed when the offsets are off by so many times their noise, root mean square over all sums.
 CHANGED: Final = 1.3
-#: Longest time for which offsets go on along their slopes under a touch, windows.
-LONGEST_HELD: Final = 240
+#: Offsets go on along their slopes under a touch or without measurements for at most as many windows as the line was
+#: drawn through: no offset runs further than its drift has been seen to.
 #: Longest time without measurements, windows, where a caller can ask for them.
-LONGEST_GAP: Final = LONGEST_HELD // 4
+LONGEST_GAP: Final = 60
 #: The noise of the means follows them by this part of the difference.
 NOISE_GAIN: Final = 0.05
 
 #: Variance of what the first window foresees of the second, in units of that of one window.
 _SECOND: Final = 5.0
+#: Variance of a level that was moved: what is measured next moves the level, and hardly the slope.
+_MOVED: Final = 10.0
 #: Variance of a slope that nothing is known of, in units of that of one window.
 _ANY_SLOPE: Final = 1e6
 
@@ -82,13 +84,12 @@ class DriftFollower:
         expected = (self.noise_n**2 * self._spread[2, self._block_of_sum])[of_sums].mean()
         # James and Stein's factor: what is left of the slopes when the noise in them is taken off.
         factor = max(0.0, 1.0 - expected / max(float(square[of_sums].mean()), 1e-30))
-        moving = self._held[self._block_of_sum] < LONGEST_HELD
-        return np.where(of_sums & moving, factor * self._slope_n, 0.0)
+        return np.where(of_sums & (self._left > 0), factor * self._slope_n, 0.0)
 
     def predicted_n(self, windows: float) -> Floats:
         """Return the offsets so many windows after the centre of the newest, newtons.
 
-        They stop where a touch would stop them: after `LONGEST_HELD` windows without a measurement.
+        They stop after as many windows without a measurement as the line was drawn through.
         """
         return self.level_n + np.minimum(windows, self._left) * self.slope_n
 
@@ -112,11 +113,22 @@ class DriftFollower:
         self._age[blocks], self._held[blocks], self._is_after_gap[blocks] = age, 0, False
         self._spread[:, blocks] = _spread(self._age[blocks])
 
+    def turn(self, change_n: Floats) -> None:
+        """Add to the slopes, shape (m,), newtons in a window."""
+        self._slope_n = np.where(self.known, self._slope_n + change_n, 0.0)
+
     @property
     def _left(self) -> Ages:
         """Windows for which each sum still goes on along its slope."""
-        left: Ages = np.maximum(LONGEST_HELD - self._held, 0)[self._block_of_sum]
+        left: Ages = np.maximum(self._age - self._held, 0)[self._block_of_sum]
         return left
+
+    def move(self, change_n: Floats) -> None:
+        """Move the offsets at once by what is no drift, shape (m,), newtons; the slopes learn nothing of that."""
+        self.level_n = self.level_n + change_n
+        moved = np.abs(change_n) > self.noise_n
+        blocks = np.unique(self._block_of_sum[moved & self.known])
+        self._spread[0, blocks] += _MOVED
 
     def take(self, mean_n: Floats, known: Bools, held: Bools) -> None:
         """Follow the means of the next window. Sums without an offset wait for `begin`.

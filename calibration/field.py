@@ -1,0 +1,123 @@
+"""The field of forces that explains sums best, forces below zero included.
+
+    x = argmin ½ |W (e - c - Φ x)|² + λ TV(x),   λ = 1.5 σ √(Φᵀ Φ),   σ = 1.48 median |e - c - Φ x|
+
+e are sums less what the zero and noise explain, W their weights of 0 or 1, TV the total variation of neighbouring
+taxels. λ is what the noise σ of the sums needs, so that noise alone, white offsets of taxels included, gives x = 0:
+only what neighbouring taxels share is in x. A board's converter shifts all its taxels alike. Where these are spread
+over the skin, the shift c of the board's total is a cheaper explanation than its taxels one by one.
+"""
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.windows import Bools, Floats
+from reconstructor.kernels.fused import FusedSolver
+from reconstructor.settings import VARIATION
+from skin.measurement import Sbhe
+
+#: λ in deviations of Φᵀ noise: of noise alone no taxel of the field is above a tenth of the noise of the picture.
+PENALTY_RATIO: Final = 1.5
+#: Iterations between two looks at the noise, and with it at λ. The noise begins large, so that the field of a wide touch
+#: appears at once, and the passes end when it falls by less than this part.
+ITERATIONS: Final = 20
+PASSES: Final = 5
+SETTLED: Final = 0.05
+#: Standard deviation of normal numbers over the median of their sizes.
+DEVIATION_OF_MEDIAN: Final = 1.4826
+#: A shift of a board's total costs so many times λ for each newton: more than a touched patch, less than its taxels.
+SHIFT_COST: Final = 2.0
+#: A board is spread over the skin if its taxels have so many edges to taxels of other boards, each.
+SPREAD_EDGES: Final = 3.0
+
+
+class Field(NamedTuple):
+    """What explains sums.
+
+    Attributes
+    ----------
+    force_n : array, shape (n,)
+        Row-major, newtons; below 0 where the zero is too high.
+    noise_n : float
+        Standard deviation of what is not explained, newtons.
+    """
+
+    force_n: Floats
+    noise_n: float
+
+
+class FieldFinder:
+    """Finds fields.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    rows, columns : int
+        Powers of two, 8 to 256.
+    """
+
+    def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
+        settings = replace(
+            VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False
+        )
+        self._solver = FusedSolver(phi, rows, columns, settings)
+        self._phi = phi
+        #: Standard deviation of Φᵀ noise over that of the noise.
+        self._gain = float(np.sqrt(phi.shape[0] / phi.blocks))
+        #: Noise of Φᵀ sums / block size, the picture of the sums, over that of the sums.
+        self.picture_gain: Final = self._gain / phi.block_size
+        self._shifts = (phi.row_of_sum == 0) & _is_spread(phi, rows, columns)[phi.block_of_sum]
+
+    def find(self, sums_n: Floats, known: Bools, least_noise_n: float) -> Field:
+        """Return the field of sums.
+
+        Parameters
+        ----------
+        sums_n : array, shape (m,)
+            Newtons.
+        known : array of bool, shape (m,)
+            Other sums have no part in it.
+        least_noise_n : float
+            Standard deviation of `sums_n` by noise alone.
+        """
+        solver, shifts = self._solver, self._shifts & known
+        solver.reset()
+        estimate, force_n = solver.new_estimate(), np.zeros(self._phi.shape[1])
+        weights, left_n, shift_n = known.astype(np.float32), sums_n, np.zeros_like(sums_n)
+        noise_n = np.inf
+        for turn in range(PASSES):
+            before_n, noise_n = noise_n, max(least_noise_n, _deviation(left_n[known]))
+            if turn > 1 and noise_n > (1 - SETTLED) * before_n:
+                break
+            penalty_n = PENALTY_RATIO * noise_n * self._gain
+            # At first without the totals that may be shifted; what their boards have in common is then the field's.
+            weights[shifts] = turn > 0
+            solver.solve(estimate, (sums_n - shift_n).astype(np.float32), weights, relative_penalty=penalty_n)
+            force_n = solver.image_of(estimate).ravel().astype(np.float64)
+            left_n = sums_n - np.asarray(self._phi.forward(force_n), np.float64)
+            if turn == 0 and shifts.any():
+                common_n = float(np.median(left_n[shifts])) / self._phi.block_size
+                estimate += np.float32(common_n)
+                left_n -= np.where(self._phi.row_of_sum == 0, self._phi.block_size * common_n, 0.0)
+            dear_n = SHIFT_COST * penalty_n
+            shift_n = np.where(shifts, left_n - np.clip(left_n, -dear_n, dear_n), 0.0)
+            left_n = left_n - shift_n
+        return Field(force_n, noise_n)
+
+
+def _deviation(values: Floats) -> float:
+    return DEVIATION_OF_MEDIAN * float(np.median(np.abs(values))) if values.size else 0.0
+
+
+def _is_spread(phi: Sbhe, rows: int, columns: int) -> Bools:
+    """Tell of each block whether its taxels are spread over the skin; shape (blocks,)."""
+    block = phi.block_of_taxel.reshape(rows, columns)
+    edges = np.zeros(phi.blocks)
+    for first, second in ((block[1:], block[:-1]), (block[:, 1:], block[:, :-1])):
+        for side in (first, second):
+            edges += np.bincount(side[first != second], minlength=phi.blocks)
+    return np.asarray(edges >= SPREAD_EDGES * phi.block_size, np.bool_)
+

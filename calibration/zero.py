@@ -1,0 +1,270 @@
+"""The zero of every sum of a skin, and what forces below it and above it say of it.
+
+The sums y of a window are Φ (f + d) + u: forces f, which are never below 0; a field d of offsets that neighbouring
+taxels share; and the rest u, offsets that have no pattern on the skin. With the zero z, `calibration.field` finds the
+field x of y - z.
+
+* x < 0 cannot be a force: z moves by Φ x, at once and there alone. While something touches, x has to stay below 0 for
+  `PROOF_WINDOWS` windows, and below a part of the largest force.
+* x > 0 is a touch. z never follows it.
+* u is followed (`calibration.drift`) in blocks that nothing touches. A touch that grows too slowly to be seen in one
+  window is seen in the way that z has gone since its anchor, and is given back.
+* A fall of a measured zero may come back: z takes forces above 0 back slowly up to what fell before, and at once what
+  fell while something touched.
+"""
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import binary_dilation, binary_opening
+
+from calibration.drift import DriftFollower, line_through
+from calibration.field import Field, FieldFinder
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window
+from canskin.calibration_messages import ZeroSupport
+from skin.measurement import Sbhe
+
+#: The field of noise alone stays below so many deviations of the picture of the sums.
+SEEN_RATIO: Final = 3.0
+#: Windows for which a force below 0 has to last while something touches.
+PROOF_WINDOWS: Final = 3
+#: While something touches, forces below 0 count beyond this part of the largest force: images of a touch err by less.
+LEAST_PART: Final = 0.05
+#: Turns in which a fall is taken off: each field is a little too small.
+TURNS: Final = 3
+#: A touch stands still while no taxel changes by more than this part of the largest force.
+STILL_PART: Final = 0.1
+#: The way of the zero since its anchor is looked at every so many windows; the anchor follows by this part.
+AUDIT_WINDOWS: Final = 4
+ANCHOR_GAIN: Final = 0.002
+#: What fell may come back later, less this part of it each audit.
+CREDIT_LOSS: Final = 0.005
+#: A force that is more than so many times what fell is a touch, and does not come back.
+RETURN_RATIO: Final = 1.5
+#: Noise of an offset over that of a window: a line through ten seconds.
+LEAST_AUDIT: Final = 0.3
+#: Of the taxels, this part may be below what all have risen by: a skin is nowhere untouched only under a press of all.
+FLOOR_PART: Final = 0.02
+#: What all taxels have in common is followed while it rises by less than this part of what is seen in a window:
+#: temperature. What rises faster is a press of all of the skin. Of a stored zero it is followed however large.
+SLOW_RATIO: Final = 1.5
+#: Taxels this far from a touch count as touched, too.
+MARGIN: Final = 2
+#: What falls, or has risen slowly, has at least this shape: the field of noise has single taxels.
+_SQUARE: Final = np.ones((2, 2), np.bool_)
+
+
+class Zero:
+    """The zero of a skin from window to window.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    rows, columns : int
+    finder : FieldFinder
+    follower : DriftFollower
+        With the first offsets.
+    support : ZeroSupport
+        Of the first offsets: what falls below measured ones may come back.
+
+    Attributes
+    ----------
+    follower : DriftFollower
+    force_n : array, shape (n,)
+        What stands above the zero in the newest window, newtons.
+    touched : array of bool, shape (n,)
+        Where that is seen beyond noise.
+    held : array of bool, shape (blocks,)
+        Blocks whose zero is not followed.
+    moved_n : array, shape (n,)
+        Field by which the zero was moved in the newest window besides its drift, newtons.
+    """
+
+    def __init__(
+        self, phi: Sbhe, rows: int, columns: int, finder: FieldFinder, follower: DriftFollower, *, support: ZeroSupport
+    ) -> None:
+        taxels = phi.shape[1]
+        self.follower = follower
+        self.force_n, self.touched = np.zeros(taxels), np.zeros(taxels, np.bool_)
+        self.held = np.zeros(phi.blocks, np.bool_)
+        self.moved_n = np.zeros(taxels)
+        self._phi, self._finder, self._shape = phi, finder, (rows, columns)
+        self._is_measured, self._is_stored = support is ZeroSupport.MEASURED, support is ZeroSupport.STORED
+        self._below_n = np.zeros((PROOF_WINDOWS, taxels))
+        self._anchor_n = follower.level_n.copy()
+        #: What fell while something touches, and before that, newtons of each taxel.
+        self._fallen_now_n, self._fallen_n = np.zeros((2, taxels))
+        self._windows = self._calm = 0
+        self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
+        self._still = np.zeros(phi.blocks, np.intp)
+        self._still_n, self._expected_n = np.zeros(taxels), np.zeros(phi.shape[0])
+        self._still_windows = 0
+
+    def skip(self, windows: int) -> None:
+        """Let the zero go on for so many windows in which nothing was measured."""
+        self.follower.skip(windows)
+        self._below_n[:] = 0
+        self._still[:] = self._still_windows = 0
+
+    def take(self, window: Window, usable: Bools) -> None:
+        """Look at the next window; only `usable` sums, shape (m,), tell anything."""
+        follower = self.follower
+        known = window.known & follower.known & usable
+        self.moved_n = np.zeros_like(self.force_n)
+        left_n = np.where(known, window.mean_n - follower.predicted_n(1.0), 0.0)
+        field = self._find(left_n, known)
+        least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
+        force_n = field.force_n
+        common_n = float(np.quantile(force_n, FLOOR_PART))
+        if 0 < common_n < (np.inf if self._is_stored else SLOW_RATIO * least_n):
+            self._move(np.full_like(force_n, common_n))
+            force_n = force_n - common_n
+        self._look(force_n, least_n)
+        self._is_stored &= bool(self.touched.any()) or not known.any()
+        self._take_off(left_n, known, least_n)
+        left_field_n = field.force_n - self.moved_n
+        if self.touched.any():  # only what has no pattern is followed
+            is_still = self._still_windows >= TARE_WINDOWS
+            pattern_n = self._sums(left_field_n - self._still_n if is_still else left_field_n)
+            held = np.zeros_like(self.held) if is_still else self.held
+            follower.take(window.mean_n - pattern_n - is_still * self._expected_n, window.known, held)
+        else:
+            follower.take(window.mean_n, window.known, self.held)
+        self._begin_late(window)
+        self._windows += 1
+        if self._windows % AUDIT_WINDOWS == 0:
+            self._audit()
+
+    def settle(self, mean_n: Floats, known: Bools, region: Bools) -> None:
+        """Take what stands on the taxels of `region`, shape (n,), for zero.
+
+        Parameters
+        ----------
+        mean_n : array, shape (m,)
+            Of raw sums, newtons.
+        known : array of bool, shape (m,)
+            Sums that have a mean.
+        """
+        used = known & self.follower.known
+        left_n = np.where(used, mean_n - self.follower.level_n, 0.0)
+        settled_n = np.zeros_like(self.force_n)
+        for _ in range(TURNS):
+            field = self._finder.find(left_n - self._sums(settled_n), used, self.follower.noise_n)
+            settled_n += np.where(region, field.force_n, 0.0)
+        self._move(settled_n)
+        self._fallen_n[region] = self._fallen_now_n[region] = 0
+        self.force_n = np.where(region, 0.0, self.force_n)
+
+    def _look(self, force_n: Floats, least_n: float) -> None:
+        """Note what is touched."""
+        self.force_n = np.maximum(force_n, 0)
+        self.touched = force_n > least_n
+        near = binary_dilation(self.touched.reshape(self._shape), iterations=MARGIN) if self.touched.any() else None
+        self.held = np.zeros(self._phi.blocks, np.bool_)
+        if near is not None:
+            self.held[self._phi.block_of_taxel[near.ravel()]] = True
+        self._below_n = np.roll(self._below_n, 1, axis=0)
+        self._below_n[0] = np.minimum(force_n, 0)
+
+    def _take_off(self, left_n: Floats, known: Bools, least_n: float) -> None:
+        """Correct the zero where forces are below it, and where they are those of a fall that has ended."""
+        is_touched = bool(self.touched.any())
+        self._calm = 0 if is_touched else self._calm + 1
+        proven_n = self._below_n.max(axis=0) if is_touched else self._below_n[0]
+        limit_n = max(least_n, LEAST_PART * float(self.force_n.max())) if is_touched else least_n
+        fall_n = np.where(self._opened(proven_n < -limit_n), proven_n, 0.0)
+        if fall_n.any():
+            self._fall(fall_n, left_n, known, is_touched=is_touched)
+        if self._calm == PROOF_WINDOWS:  # what fell meanwhile is right
+            self._fallen_n += self._fallen_now_n
+            self._fallen_now_n[:] = 0
+        back_n = np.minimum(self.force_n, self._fallen_now_n)
+        back_n[(self.force_n > RETURN_RATIO * self._fallen_now_n + least_n) | (self.force_n < least_n)] = 0
+        if back_n.any():
+            self._move(back_n)
+            self._fallen_now_n -= back_n
+
+    def _fall(self, fall_n: Floats, left_n: Floats, known: Bools, *, is_touched: bool) -> None:
+        below = fall_n < 0
+        for _ in range(0 if is_touched else TURNS - 1):  # a field is a little too small
+            field = self._finder.find(left_n - self._sums(fall_n), known, self.follower.noise_n)
+            fall_n = np.where(below, np.minimum(fall_n + field.force_n, 0), 0.0)
+        self._move(fall_n)
+        self._below_n = np.minimum(self._below_n - fall_n, 0)
+        if is_touched:
+            self._fallen_now_n -= fall_n
+        elif self._is_measured:
+            self._fallen_n -= fall_n
+
+    def _find(self, left_n: Floats, known: Bools) -> Field:
+        """Return the field of what is left of the sums.
+
+        While a touch stands still, what its field does not explain of the sums is expected, and what changes is drift.
+        """
+        noise_n = self.follower.noise_n
+        if self._still_windows >= TARE_WINDOWS:
+            field = self._finder.find(np.where(known, left_n - self._expected_n, 0.0), known, noise_n)
+            if np.abs(field.force_n).max() <= STILL_PART * self._still_n.max():
+                return Field(self._still_n + field.force_n, field.noise_n)
+            self._still_windows = 0
+        field = self._finder.find(left_n, known, noise_n)
+        force_n = np.maximum(field.force_n, 0)
+        is_still = force_n.any() and np.abs(force_n - self._still_n).max() <= STILL_PART * force_n.max()
+        if not is_still:
+            self._still_windows = 0
+        if self._still_windows == 0:
+            self._still_n, self._expected_n = field.force_n, np.zeros_like(left_n)
+        self._still_windows += 1
+        self._expected_n = self._expected_n + left_n / TARE_WINDOWS
+        return field
+
+    def _begin_late(self, window: Window) -> None:
+        """Give blocks that came late their zero, when nothing touches them."""
+        self._recent.append(window)
+        late = ~self._phi.all_of_blocks(self.follower.known)
+        self._still = np.where(late & ~self.held & self._phi.all_of_blocks(window.known), self._still + 1, 0)
+        ready = self._still >= TARE_WINDOWS
+        if not ready.any():
+            return
+        level_n, slope_n, _ = line_through(np.stack([each.mean_n for each in self._recent]))
+        sums = self._phi.sums_of_blocks(ready)
+        self.follower.begin(sums, level_n, slope_n, TARE_WINDOWS)
+        self._anchor_n[sums] = level_n[sums]
+
+    def _audit(self) -> None:
+        """Give back what the zero has followed that looks like a touch since its anchor."""
+        follower = self.follower
+        way_n = follower.level_n - self._anchor_n
+        field = self._finder.find(way_n, follower.known, LEAST_AUDIT * follower.noise_n)
+        least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
+        floor_n = max(0.0, float(np.quantile(field.force_n, FLOOR_PART)))
+        risen_n = field.force_n - floor_n
+        back_n = np.minimum(np.maximum(risen_n, 0), self._fallen_n)
+        touch_n = np.where(self._opened(risen_n - back_n > least_n), risen_n - back_n, 0.0)
+        fall_n = np.where(self._opened(risen_n < -least_n), risen_n, 0.0)
+        self._fallen_n = (1 - CREDIT_LOSS) * (self._fallen_n - back_n)
+        if self._is_measured:
+            self._fallen_n -= fall_n
+        self._anchor_n += self._sums(floor_n + back_n + fall_n)
+        if touch_n.any():
+            follower.move(-self._sums(touch_n))
+            self.moved_n -= touch_n
+        self._anchor_n += ANCHOR_GAIN * (follower.level_n - self._anchor_n)
+        # What neighbouring taxels share has no slope: when its drift ends, the zero would run on.
+        slope = self._finder.find(follower.slope_n, follower.known, 0.0).force_n
+        follower.turn(self._sums(np.median(slope) - slope))
+
+    def _opened(self, taxels: Bools) -> Bools:
+        """Return taxels without those that are no square of others."""
+        return np.asarray(binary_opening(taxels.reshape(self._shape), _SQUARE).ravel(), np.bool_)
+
+    def _move(self, change_n: Floats) -> None:
+        """Move zero and anchor by a field, shape (n,), newtons."""
+        sums_n = self._sums(change_n)
+        self.follower.move(sums_n)
+        self._anchor_n += sums_n
+        self.moved_n += change_n
+
+    def _sums(self, force_n: Floats) -> Floats:
+        return np.asarray(self._phi.forward(force_n), np.float64)
