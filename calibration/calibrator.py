@@ -171,7 +171,7 @@ class Calibrator:
         if not self._tares:
             self.state = CalibrationState.OFF
 
-    def tare(self, *, force: bool = False) -> None:
+    def tare(self, *, force: bool = False, region: tuple[int, int, int, int] | None = None) -> None:  # noqa: ARG002
         """Measure the zero anew; `result` has the outcome, None meanwhile.
 
         Parameters
