@@ -7,7 +7,14 @@ import msgspec
 from cyclopts import Parameter
 
 from calibration.gain_files import stored_gains
-from calibration.stored import StoredCalibration, encoded, load_calibration, parse_calibration, save_calibration
+from calibration.stored import (
+    StoredCalibration,
+    encoded,
+    load_calibration,
+    most_offset_n,
+    parse_calibration,
+    save_calibration,
+)
 from canskin.calibration_messages import (
     ANSWER_S,
     CALIBRATION,
@@ -15,6 +22,7 @@ from canskin.calibration_messages import (
     CalibrationRequest,
     CalibrationState,
     CalibrationStatus,
+    tare_request,
 )
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
@@ -36,6 +44,7 @@ def tare(
     layout: Path | None = None,
     connect: str = DEFAULT_ENDPOINT,
     force: Annotated[bool, Parameter(negative=())] = False,
+    region: str | None = None,
     json: Json = False,
 ) -> int:
     """Have a running gateway measure the zero of its skin anew; nothing may touch the skin for 2 s, or 64 cycles.
@@ -50,6 +59,9 @@ def tare(
         Endpoint of the fabric's hub.
     force
         Whatever touches the skin now becomes part of its zero.
+    region
+        First row, first column, last row, last column, from 0: whatever stands there now becomes part of its
+        zero, and the rest of the skin keeps its zero. The page names the region of a doubtful contact.
     json
         Print one JSON object.
 
@@ -57,9 +69,12 @@ def tare(
     --------
     skin tare
     skin tare --force
+    skin tare --region 12,20,19,31
     """
     skin = load_layout(layout, adaptive=True)
-    reply = _ask(skin, connect, CalibrationRequest(action="tare", force=force), ANSWER_S)
+    named = None if region is None else region.split(",")
+    request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
+    reply = _ask(skin, connect, request, ANSWER_S)
     if json:
         print_json({"is_done": reply.is_done, "text": reply.text, "status": msgspec.to_builtins(reply.status)})
     else:
@@ -125,7 +140,7 @@ def calibration(
         if out is None:
             raise InputError("expected a file for the gains: --out FILE")
         check_output_path(out, "calibration")
-        _save(out, stored_gains(skin, path, force_n, before))
+        _save(skin, out, stored_gains(skin, path, force_n, before))
     elif action == "save":
         check_output_path(path, "calibration")
         stored, status = _gateways(skin, connect)
@@ -133,7 +148,7 @@ def calibration(
             is_off = status is not None and status.state is CalibrationState.OFF
             why = "and measures none: start it with --tare at-start." if is_off else "yet: is the skin untouched?"
             raise RunError(f"the gateway has no calibration {why} See 'skin calibration show'")
-        _save(path, stored)
+        _save(skin, path, stored)
     else:
         content = encoded(load_calibration(path, skin))
         request = CalibrationRequest(action="write" if to_nodes else "load", content=content)
@@ -146,12 +161,21 @@ def calibration(
 def _gateways(skin: Layout, connect: str) -> tuple[StoredCalibration, CalibrationStatus | None]:
     """Return the calibration of the gateway, and its status."""
     reply = _ask(skin, connect, CalibrationRequest(action="show"), ANSWER_S)
-    return parse_calibration(reply.content, skin, "the gateway"), reply.status
+    return parse_calibration(reply.content, skin, "the gateway", is_shown=True), reply.status
 
 
-def _save(path: Path, stored: StoredCalibration) -> None:
+def _save(skin: Layout, path: Path, stored: StoredCalibration) -> None:
     save_calibration(path, stored)
-    say("calibration", f"{path}: {_words(stored)}")
+    say("calibration", ": ".join(filter(None, (str(path), _words(stored), _beyond(skin, stored)))))
+
+
+def _beyond(skin: Layout, stored: StoredCalibration) -> str:
+    """Say how many offsets the skin cannot have; empty if it can have all."""
+    most_n = most_offset_n(skin)
+    places = [place for place, each in enumerate(stored.offsets_n) if each is not None and abs(each) > most_n]
+    if not places:
+        return ""
+    return f"{len(places)} offsets beyond ±{1e3 * most_n:g} mN, first of sum {places[0]}: no gateway loads them"
 
 
 def _ask(skin: Layout, connect: str, request: CalibrationRequest, timeout_s: float) -> CalibrationReply:
@@ -173,7 +197,11 @@ def _words(stored: StoredCalibration) -> str:
 
 def _show(skin: Layout, connect: str, path: Path | None, *, as_json: bool) -> None:
     """Print the calibration of a file, or of the gateway."""
-    stored, status = _gateways(skin, connect) if path is None else (load_calibration(path, skin), None)
+    status = None
+    if path is None:
+        stored, status = _gateways(skin, connect)
+    else:
+        stored = load_calibration(path, skin, is_shown=True)
     if as_json:
         print_json({"calibration": msgspec.to_builtins(stored), "status": msgspec.to_builtins(status)})
         return
@@ -185,6 +213,8 @@ def _show(skin: Layout, connect: str, path: Path | None, *, as_json: bool) -> No
             ("sums with an offset", f"{len(known)} of {len(stored.offsets_n)}"),
             ("offsets", f"{1e3 * rms_n:.2f} mN rms, {1e3 * min(known):.2f} to {1e3 * max(known):.2f} mN"),
         ]
+    if beyond := _beyond(skin, stored):
+        rows.append(("out of range", beyond))
     if stored.gains:
         rows.append(("gains of taxels", f"{min(stored.gains):.3f} to {max(stored.gains):.3f}"))
     if stored.differential_gains:
@@ -197,6 +227,8 @@ def _show(skin: Layout, connect: str, path: Path | None, *, as_json: bool) -> No
             ("drift", f"{1e3 * status.drift_rms_n_per_s:.3f} mN/s rms"),
             ("noise of a sum", f"{1e3 * status.noise_n:.2f} mN"),
             ("blocks under a touch", str(status.held_blocks)),
+            *([("zero of the blocks", status.zero_words)] if status.zero_words else []),
+            ("doubtful taxels", status.doubtful_words or "none"),
         ]
     rows += [("defect", text) for text in stored.defects]
     print_table((), rows)

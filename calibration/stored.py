@@ -139,8 +139,13 @@ def save_calibration(path: Path, stored: StoredCalibration) -> None:
     write_file(path, encoded(stored))
 
 
-def load_calibration(path: Path, layout: Layout) -> StoredCalibration:
-    """Read a file, or the calibration of a recording.
+def most_offset_n(layout: Layout) -> float:
+    """Return the largest offset that a sum can have, newtons."""
+    return layout.phi().block_size * layout.taxels.force_max_n
+
+
+def load_calibration(path: Path, layout: Layout, *, is_shown: bool = False) -> StoredCalibration:
+    """Read a file, or the calibration of a recording; to be shown, with offsets beyond `most_offset_n`, too.
 
     Raises
     ------
@@ -148,15 +153,15 @@ def load_calibration(path: Path, layout: Layout) -> StoredCalibration:
         If the file cannot be read, or belongs to another skin.
     """
     if path.suffix.lower() == RECORDING_SUFFIX:
-        return _recorded(path, layout)
+        return _recorded(path, layout, is_shown=is_shown)
     try:
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot read the calibration: {error.strerror or error}") from error
-    return parse_calibration(content, layout, str(path))
+    return parse_calibration(content, layout, str(path), is_shown=is_shown)
 
 
-def _recorded(path: Path, layout: Layout) -> StoredCalibration:
+def _recorded(path: Path, layout: Layout, *, is_shown: bool) -> StoredCalibration:
     """Return the calibration that is attached to a recording, with the newest offsets of its measurements.
 
     Raises
@@ -165,7 +170,7 @@ def _recorded(path: Path, layout: Layout) -> StoredCalibration:
         If there is neither.
     """
     content = newest_file(path, CALIBRATION_FILE)
-    attached = None if content is None else parse_calibration(content, layout, str(path))
+    attached = None if content is None else parse_calibration(content, layout, str(path), is_shown=is_shown)
     newest: Measurement | None = None
     decode = message_decoder(path, MEASUREMENT)
     for entry in read_entries(path, lambda line: say("calibration", line)):
@@ -180,8 +185,10 @@ def _recorded(path: Path, layout: Layout) -> StoredCalibration:
     return found if attached is None else msgspec.structs.replace(attached, offsets_n=found.offsets_n)
 
 
-def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCalibration:
+def parse_calibration(content: bytes, layout: Layout, origin: str, *, is_shown: bool = False) -> StoredCalibration:
     """Decode and check the content of a file; `origin` names the file in messages.
+
+    What is only shown or saved may have offsets of sums beyond `most_offset_n`.
 
     Raises
     ------
@@ -204,18 +211,18 @@ def parse_calibration(content: bytes, layout: Layout, origin: str) -> StoredCali
             f"{origin}: the calibration of another layout, '{stored.skin[:64]}' with Φ {stored.fingerprint[:32]} and"
             f" {stored.force_max_n:g} N: expected Φ {mine[0]} and {mine[1]:g} N"
         )
-    most_n = layout.taxels.force_max_n
     for name, found, wanted, most in (
-        ("offsets_n", stored.offsets_n, phi.shape[0], phi.block_size * most_n),
+        ("offsets_n", stored.offsets_n, phi.shape[0], np.inf if is_shown else most_offset_n(layout)),
         ("gains", stored.gains, phi.shape[1], MOST_GAIN),
-        ("taxel_offsets_n", stored.taxel_offsets_n, phi.shape[1], most_n),
+        ("taxel_offsets_n", stored.taxel_offsets_n, phi.shape[1], layout.taxels.force_max_n),
         ("differential_gains", stored.differential_gains, phi.shape[0], MOST_GAIN),
         ("common_mode_gains", stored.common_mode_gains, phi.shape[0], MOST_GAIN),
     ):
         if found and len(found) != wanted:
             raise InputError(f"{origin}: expected {wanted} {name}, or none, got {len(found)}")
-        if (np.abs(np.array(found, np.float64)) > most).any():  # None becomes NaN, which JSON does not have
-            raise InputError(f"{origin}: {name} that this skin cannot have: expected -{most:g} to {most:g}")
+        beyond = np.count_nonzero(np.abs(np.array(found, np.float64)) > most)  # None becomes NaN: JSON has none
+        if beyond:
+            raise InputError(f"{origin}: {beyond} {name} that this skin cannot have: expected -{most:g} to {most:g}")
     if len(stored.differential_gains) != len(stored.common_mode_gains):
         raise InputError(f"{origin}: expected differential_gains and common_mode_gains, or neither")
     return stored

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
+from canskin.calibration_messages import Region
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.frame import Frame, FrameBuilder
@@ -124,9 +125,9 @@ class SimulatedSkin(Skin):
             self._reconstructor.take(measurement)
             return [frame for message in self._messages.kept for frame in self._builder.take(message)][-1]
 
-    def tare(self, *, force: bool = False) -> str:
+    def tare(self, *, force: bool = False, region: Region | None = None) -> str:
         """Do nothing: simulated sums have no offsets."""
-        del force
+        del force, region
         return "a simulated skin has no offsets"
 
     @property

@@ -2,21 +2,31 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from calibration.calibrator import Calibrator
-from calibration.stored import StoredCalibration, encoded, parse_calibration, store
+from calibration.stored import (
+    StoredCalibration,
+    encoded,
+    load_calibration,
+    most_offset_n,
+    parse_calibration,
+    save_calibration,
+    store,
+)
 from calibration.windows import Floats
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, tare_request
 from canskin.errors import InputError
 from canskin.fabric import Reply
 from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
+from skin.layout import Layout
 from skin.service import say
 
 #: Answer to what makes no sense for boards that look after themselves.
@@ -26,6 +36,8 @@ _ADAPTIVE: Final = (
 _TOO_FEW: Final = "fewer than half of the sums are valid: the zero is measured when they are"
 #: A measurement of the zero that takes longer is answered with the reason; it goes on.
 PATIENCE_S: Final = 8.0
+#: The zero is kept in a file so often.
+KEEP_S: Final = 60.0
 #: Requests that wait for an answer; more are refused.
 MOST_REQUESTS: Final = 8
 #: Longest content of a request: so many bytes for each sum and taxel, and some.
@@ -51,6 +63,8 @@ class GatewayCalibration:
         Measure the zero at the start, and follow it.
     run_aside : callable
         Calls what it is given, soon, in another thread: answers take milliseconds. By default at once.
+    keeps : pathlib.Path, optional
+        File for the zero, see `kept_zero`.
     """
 
     def __init__(
@@ -60,10 +74,13 @@ class GatewayCalibration:
         *,
         tares: bool = True,
         run_aside: Callable[[Callable[[], None]], object] = lambda function: function(),
+        keeps: Path | None = None,
     ) -> None:
         self._contract = contract
         self._run_aside, self._tares = run_aside, tares
         self._stored = stored or store(contract.layout)
+        self._keeps, self._keep_at_s, self._could_not_keep = keeps, float("-inf"), False
+        self._kept_n, self._now_s = self._stored.sum_offsets_n(), 0.0
         self._calibrator = Calibrator(
             contract.layout,
             offsets_n=self._stored.sum_offsets_n(),
@@ -88,13 +105,15 @@ class GatewayCalibration:
         Raises
         ------
         InputError
-            If it cannot be used, or too many requests wait.
+            If it cannot be used, too many requests wait, or the region of a tare is not on the skin.
         """
         if len(self._requests) + len(self._taring) >= MOST_REQUESTS:
             raise InputError(f"{MOST_REQUESTS} requests wait for an answer: ask again later")
+        layout = self._contract.layout
+        if request.action == "tare":
+            tare_request(layout.taxels.rows, layout.taxels.columns, force=request.force, region=request.region)
         if request.action not in {"load", "write"}:
             return None
-        layout = self._contract.layout
         most = _NUMBER_BYTES * (self._contract.phi.shape[0] + 2 * layout.taxels.count) + _OTHER_BYTES
         if len(request.content) > most:
             raise InputError(f"a calibration of {len(request.content)} bytes: expected {most} at most for this skin")
@@ -120,10 +139,35 @@ class GatewayCalibration:
 
     def status(self) -> CalibrationStatus:
         """Return what is known, for `canskin.messages.GatewayStatus`."""
-        return self._calibrator.status()
+        return msgspec.structs.replace(self._calibrator.status(), told_mono_ns=round(self._now_s * 1e9))
+
+    def keep_zero(self) -> None:
+        """Write the zero, if there is a new one, to its file, in the other thread; an error is said once."""
+        path, offsets_n = self._keeps, self._calibrator.offsets_n
+        if path is None or offsets_n is None:
+            return
+        usable_n = np.where(np.abs(offsets_n) <= most_offset_n(self._contract.layout), offsets_n, np.nan)
+        if self._kept_n is not None and np.array_equal(usable_n, self._kept_n, equal_nan=True):
+            return
+        self._kept_n = usable_n
+
+        def write() -> None:
+            try:
+                save_calibration(path, store(self._contract.layout, offsets_n=usable_n))
+                self._could_not_keep = False
+            except OSError as error:
+                if not self._could_not_keep:
+                    say("gateway", f"{path}: cannot keep the zero there: {error.strerror or error}")
+                self._could_not_keep = True
+
+        self._run_aside(write)
 
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Answer a request, write to nodes; call it many times a second."""
+        self._now_s = now_s
+        if self._keeps is not None and now_s >= self._keep_at_s and self._calibrator.offsets_n is not None:
+            self._keep_at_s = now_s + KEEP_S
+            self.keep_zero()
         if self._requests:
             self._take(*self._requests.popleft(), masters, now_s)
         result = self._calibrator.result
@@ -154,7 +198,7 @@ class GatewayCalibration:
                 self._load(stored, reply)
             elif request.action == "tare":
                 self._require_synchronous()
-                self._calibrator.tare(force=request.force)
+                self._calibrator.tare(force=request.force, region=request.region)
                 self._taring.append(reply)
                 self._tare_until_s = now_s + PATIENCE_S
             else:
@@ -246,6 +290,29 @@ class GatewayCalibration:
             reply(CalibrationReply(is_done=True, text=text, status=status, content=encoded(whole)))
 
         self._run_aside(tell)
+
+
+def kept_zero(path: Path, layout: Layout, stored: StoredCalibration | None) -> StoredCalibration | None:
+    """Return a calibration with the zero that an earlier run has kept: the first guess of this run.
+
+    A file that is damaged, or of another layout, is said; the gateway starts without it.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    layout : Layout
+    stored : StoredCalibration or None
+        What is used without a zero from before; its gains are used with one, too.
+    """
+    try:
+        found = load_calibration(path, layout)
+        found.required_offsets_n(str(path))
+    except InputError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):  # as before the first run
+            say("gateway", f"starts without the zero of an earlier run: {error}")
+        return stored
+    say("gateway", f"begins with the zero of {found.saved}, from {path}")
+    return found if stored is None else msgspec.structs.replace(stored, offsets_n=found.offsets_n)
 
 
 def node_values(stored: StoredCalibration, newton_per_count: float) -> tuple[Floats | None, Floats | None]:

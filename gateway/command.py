@@ -16,7 +16,7 @@ from canskin.session import DEFAULT_ENDPOINT
 from canskin.state_messages import IMAGES
 from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
-from gateway.calibration import GatewayCalibration
+from gateway.calibration import GatewayCalibration, kept_zero
 from gateway.service import GatewayService
 from skin.description import Describing
 from skin.layout import Layout, load_layout
@@ -33,6 +33,7 @@ def gateway(
     min_rate: float | None = None,
     calibration: Path | None = None,
     tare: Tare = "at-start",
+    keep_zero: Path | None = None,
 ) -> None:
     """Boot the nodes, produce SYNC, and publish the sums: those of each cycle, or the newest of adaptive nodes.
 
@@ -57,6 +58,9 @@ def gateway(
         64 cycles, and follow them;
         ``never``: those of ``--calibration`` stay as they are, and no defects are found. Adaptive boards
         measure their own.
+    keep_zero
+        File (.json) for the zero: the gateway begins with the zero of its last run, and writes its zero once a
+        minute and at the end.
 
     Examples
     --------
@@ -64,6 +68,7 @@ def gateway(
     skin gateway --layout adaptive --max-rate 200
     skin gateway -i socketcan -c can0 --layout palm.toml
     skin gateway --calibration palm.json --tare never
+    skin gateway --keep-zero /var/lib/canskin/palm.json
     """
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
@@ -71,16 +76,23 @@ def gateway(
     if skin.sending != "adaptive" and (max_rate, min_rate) != (None, None):
         raise InputError("--max-rate and --min-rate are for adaptive sending: this layout has a measurement per cycle")
     contract = Contract.from_layout(skin)
-    if calibration is not None and skin.sending == "adaptive":
-        raise InputError("--calibration is for synchronous sending: adaptive boards measure their own offsets")
+    if (calibration or keep_zero) is not None and skin.sending == "adaptive":
+        option = "--calibration" if calibration is not None else "--keep-zero"
+        raise InputError(f"{option} is for synchronous sending: adaptive boards measure their own offsets")
+    if keep_zero is not None and keep_zero.suffix != ".json":
+        raise InputError(f"{keep_zero}: expected a file for the zero that ends in .json: it is written over")
     stored = None if calibration is None else load_calibration(calibration, skin)
     if stored is not None:
         stored.required_offsets_n(str(calibration))
+    if keep_zero is not None:
+        stored = kept_zero(keep_zero, skin, stored)
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     require_order(skin, links)
     answers = ThreadPoolExecutor(1, "calibration")
     answers.submit(int)  # the thread starts before the gateway's loop asks for real time, which threads inherit
-    calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", run_aside=answers.submit)
+    calibrates = GatewayCalibration(
+        contract, stored, tares=tare == "at-start", run_aside=answers.submit, keeps=keep_zero
+    )
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     fabric.answer(CALIBRATION, calibrates.ask)
@@ -94,6 +106,7 @@ def gateway(
     finally:
         for link in links.values():
             link.close()
+        calibrates.keep_zero()
         answers.shutdown()
         fabric.close()
 

@@ -78,6 +78,7 @@ class _Track:
     identity: int
     onset_ns: int
     seen_ns: int = 0
+    doubtful_ns: int = 0
     row: float = 0.0
     column: float = 0.0
     #: The contact that it has joined.
@@ -153,7 +154,11 @@ class ContactTracker:
         self._now_ns = 0
 
     def take(
-        self, image: npt.NDArray[np.floating], now_ns: int, valid: npt.NDArray[np.bool_] | None = None
+        self,
+        image: npt.NDArray[np.floating],
+        now_ns: int,
+        valid: npt.NDArray[np.bool_] | None = None,
+        doubtful: npt.NDArray[np.bool_] | None = None,
     ) -> tuple[list[Contact], list[EndedContact]]:
         """Return the contacts of the next image, the strongest first, and the contacts that have ended.
 
@@ -165,6 +170,8 @@ class ContactTracker:
             Time of the image, nanoseconds; never earlier than that of the image before.
         valid : array of bool, shape (rows, columns), optional
             Which taxels were measured; without it, all.
+        doubtful : array of bool, shape (n,), optional
+            Taxels whose force may be an error of the zero, row-major; without it, none.
 
         Raises
         ------
@@ -182,7 +189,7 @@ class ContactTracker:
         self._assign(parts)
         kept = self._join(parts)
         kept.sort(key=attrgetter("force_n"), reverse=True)
-        contacts = self._follow(kept, len(parts), valid)
+        contacts = self._follow(kept, len(parts), image, valid, doubtful)
         self._forget()
         return contacts, self._ended
 
@@ -276,7 +283,14 @@ class ContactTracker:
             track.host = host.track
             self._joined.append(track)
 
-    def _follow(self, parts: list[_Part], count: int, valid: npt.NDArray[np.bool_] | None) -> list[Contact]:
+    def _follow(
+        self,
+        parts: list[_Part],
+        count: int,
+        image: npt.NDArray[np.floating],
+        valid: npt.NDArray[np.bool_] | None,
+        doubtful: npt.NDArray[np.bool_] | None,
+    ) -> list[Contact]:
         """Note where each contact is now, and return the contacts.
 
         Parameters
@@ -290,11 +304,17 @@ class ContactTracker:
         np.take(owner_of_part, self._parts, out=self._owners)
         unmeasured = self._owners[~valid] if valid is not None else np.zeros(0, np.int32)
         invalid = np.bincount(unmeasured, minlength=len(parts) + 1)[1:].tolist()
+        doubtful_n = [0.0] * len(parts)
+        if doubtful is not None:
+            places = np.flatnonzero(doubtful)
+            owners, forces_n = self._owners.ravel()[places], image.ravel()[places]
+            doubtful_n = np.bincount(owners, forces_n, len(parts) + 1)[1:].tolist()
         contacts = []
         self._tracks = []
-        for part, invalid_taxels in zip(parts, invalid, strict=True):
+        for part, invalid_taxels, of_it_n in zip(parts, invalid, doubtful_n, strict=True):
             track = part.track or self._new()
             track.seen_ns, track.row, track.column = self._now_ns, part.row, part.column
+            track.doubtful_ns = (track.doubtful_ns or self._now_ns) if 2 * of_it_n >= part.force_n else 0
             self._tracks.append(track)
             contacts.append(
                 Contact(
@@ -310,6 +330,7 @@ class ContactTracker:
                     right=int(part.right),
                     onset_mono_ns=track.onset_ns,
                     invalid_taxels=invalid_taxels,
+                    doubtful_since_mono_ns=track.doubtful_ns,
                 )
             )
         return contacts

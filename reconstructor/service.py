@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from canskin.fabric import Exchange
 from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
+from canskin.sums import doubtful_taxels
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
 from reconstructor.engine import Reconstructor
@@ -112,6 +113,7 @@ class ReconstructorService:
             valid_sums=valid_sums,
             solve_s=solve_s,
             number=self.images,
+            doubtful=measurement.doubtful,
         )
         self._fabric.publish(IMAGE, message)
         self._fabric.publish(CONTACTS, self._contacts(message, image))
@@ -121,7 +123,8 @@ class ReconstructorService:
         started_s = time.perf_counter()
         is_blind = message.valid_sums == 0
         valid = np.frombuffer(message.valid, np.bool_)[self._phi.block_of_taxel].reshape(image.shape)
-        found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid)
+        doubtful = doubtful_taxels(message, image.size)
+        found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid, doubtful)
         return Contacts(
             cycle=message.cycle,
             sync_counter=message.sync_counter,

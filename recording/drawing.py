@@ -100,7 +100,8 @@ class Drawing:
         for each in contacts:
             x, y = self._mark(pen, each)
             spot = x + self.cell, y - self.cell // 2
-            pen.text(spot, str(each.identity), "white", font, anchor="ls", stroke_width=2, stroke_fill="black")
+            words = f"{each.identity}{'?' * each.doubtful}"
+            pen.text(spot, words, "white", font, anchor="ls", stroke_width=2, stroke_fill="black")
         pen.text((LINE // 4, self.height - LINE // 2), text, "white", font, anchor="lm")
         return np.asarray(picture)
 

@@ -367,6 +367,7 @@ class _Recorded:
             # Blocks with a sum that is not used are never valid in an image.
             is_told = used_blocks(msgspec.structs.replace(header, valid=b"\1" * phi.blocks), phi)
             valid = np.where(is_told, np.frombuffer(step.image.valid, np.uint8), valid)
+            header = msgspec.structs.replace(header, doubtful=step.image.doubtful)
         return msgspec.structs.replace(
             header,
             sampled_mono_ns=answer.sampled_mono_ns,

@@ -26,11 +26,12 @@ TAXEL_POINT: Final = np.dtype(
         "itemsize": 20,
     }
 )
-#: Points of a cloud of contacts: newtons, metres, seconds, numbers of taxels.
+#: Points of a cloud of contacts: newtons, metres, seconds, numbers of taxels; `doubtful` is 1 for what may be an error
+#: of the zero, else 0.
 CONTACT_POINT: Final = np.dtype(
     [
         *((name, "<f4") for name in ("x", "y", "z", "force", "peak", "age")),
-        *((name, "<u4") for name in ("identity", "taxels", "invalid_taxels")),
+        *((name, "<u4") for name in ("identity", "taxels", "invalid_taxels", "doubtful")),
     ]
 )
 
@@ -67,13 +68,13 @@ def contact_cloud(head: Any, taxels: Taxels, contacts: Sequence[Contact], sample
     points["age"] = [(sampled_mono_ns - each.onset_mono_ns) * 1e-9 for each in contacts]
     points["force"] = [each.force_n for each in contacts]
     points["peak"] = [each.peak_n for each in contacts]
-    for name in ("identity", "taxels", "invalid_taxels"):
+    for name in ("identity", "taxels", "invalid_taxels", "doubtful"):
         points[name] = [getattr(each, name) for each in contacts]
     return _cloud(head, points)
 
 
 def contact_markers(head: Any, taxels: Taxels, contacts: Sequence[Contact]) -> Any:
-    """Return what RViz draws: a disc of each contact's area, and its force in words.
+    """Return what RViz draws: a disc of each contact's area, and its force in words, with a "?" where it is doubtful.
 
     Markers drawn before go; without new ones all go after `viewer.state.FRESH_S`.
     """
@@ -87,7 +88,7 @@ def contact_markers(head: Any, taxels: Taxels, contacts: Sequence[Contact]) -> A
         disc = (width_m, width_m, taxels.pitch_m / 4)
         made.append(_marker(head, "contacts", number, kind=3, place=(x_m, y_m, 0.0), size=disc, colour=colour))
         above, height = (x_m, y_m, -4 * taxels.pitch_m), (0.0, 0.0, 4 * taxels.pitch_m)
-        words = f"{1e3 * each.force_n:.1f} mN"
+        words = f"{1e3 * each.force_n:.1f} mN{'?' * each.doubtful}"
         made.append(_marker(head, "forces", number, kind=9, place=above, size=height, text=words))
     return message(MARKERS, markers=made)
 

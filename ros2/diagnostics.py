@@ -21,6 +21,7 @@ def diagnostics(head: Any, state: Snapshot) -> Any:
 
 def _statuses(state: Snapshot) -> Iterator[Any]:
     figures, label, gateway = state.figures, state.label, state.gateway
+    calibration = gateway.calibration if gateway else None
     level = max((_LEVELS[notice.level] for notice in state.notices), default=OK)
     values: dict[str, Any] = {
         "images per second": f"{figures.images_hz:.1f}",
@@ -32,7 +33,11 @@ def _statuses(state: Snapshot) -> Iterator[Any]:
         "label confidence": label.confidence if label and not label.stale else None,
         "cycles": gateway.cycles if gateway else None,
         "complete cycles": gateway.cycles_complete if gateway else None,
-        "calibration": gateway.calibration.state.value if gateway and gateway.calibration else None,
+        "calibration": calibration.state.value if calibration else None,
+        "zero of the blocks": (calibration.zero_words or None) if calibration else None,
+        "oldest zero s": calibration.oldest_zero_s if calibration else None,
+        "doubtful taxels": calibration.doubtful_taxels if calibration else None,
+        "doubtful force N": calibration.doubtful_force_n if calibration else None,
         **{f"notice {number}": notice.text for number, notice in enumerate(state.notices, 1)},
     }
     words = state.notices[0].text if state.notices else "measures"

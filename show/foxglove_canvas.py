@@ -102,8 +102,16 @@ class FoxgloveCanvas:
         )
 
     def contacts(self, time_ns: int, _cycle: int | None, contacts: Sequence[Contact]) -> None:
-        """Draw a disc of each contact's area, and its force in words; all vanish after `viewer.state.FRESH_S`."""
+        """Draw a disc of each contact's area, and its force in words; orange and with a "?" where it is doubtful.
+
+        All vanish after `viewer.state.FRESH_S`.
+        """
         messages, taxels = self._messages, self._taxels
+
+        def colour(contact: Contact, alpha: float) -> Any:
+            red, green, blue = (1.0, 0.63, 0.0) if contact.doubtful else (1.0, 1.0, 1.0)
+            return messages.Color(r=red, g=green, b=blue, a=alpha)
+
         entity = messages.SceneEntity(
             timestamp=self._stamp(time_ns),
             frame_id=self._frame,
@@ -117,7 +125,7 @@ class FoxgloveCanvas:
                     ),
                     bottom_scale=1.0,
                     top_scale=1.0,
-                    color=messages.Color(r=1.0, g=1.0, b=1.0, a=0.3),
+                    color=colour(each, 0.3),
                 )
                 for each in contacts
             ],
@@ -127,8 +135,8 @@ class FoxgloveCanvas:
                     billboard=True,
                     font_size=4 * taxels.pitch_m,
                     scale_invariant=False,
-                    color=messages.Color(r=1.0, g=1.0, b=1.0, a=1.0),
-                    text=f"{each.identity}: {1e3 * each.force_n:.1f} mN",
+                    color=colour(each, 1.0),
+                    text=f"{each.identity}: {1e3 * each.force_n:.1f} mN{'?' * each.doubtful}",
                 )
                 for each in contacts
             ],

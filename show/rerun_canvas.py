@@ -79,7 +79,7 @@ class RerunCanvas:
         self._stream.log(TAXELS, self._rr.Boxes3D.from_fields(colors=colours.reshape(-1, 3)))
 
     def contacts(self, time_ns: int, cycle: int | None, contacts: Sequence[Contact]) -> None:
-        """Draw a ring of each contact's area, with its force in words."""
+        """Draw a ring of each contact's area, with its force in words; orange and with a "?" where it is doubtful."""
         self._at(time_ns, cycle)
         taxels = self._taxels
         above_m = -taxels.pitch_m / 2
@@ -88,8 +88,8 @@ class RerunCanvas:
             self._rr.Ellipsoids3D(
                 centers=[(*place_m(taxels, each.row, each.column), above_m) for each in contacts],
                 half_sizes=[(radius_m(taxels, each.taxels),) * 2 + (taxels.pitch_m / 20,) for each in contacts],
-                labels=[f"{each.identity}: {1e3 * each.force_n:.1f} mN" for each in contacts],
-                colors=[(255, 255, 255)] * len(contacts),
+                labels=[f"{each.identity}: {1e3 * each.force_n:.1f} mN{'?' * each.doubtful}" for each in contacts],
+                colors=[(255, 160, 0) if each.doubtful else (255, 255, 255) for each in contacts],
                 fill_mode="majorwireframe",
                 show_labels=True,
             ),

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import BlockState, Measurement
-from canskin.sums import corrected_counts
+from canskin.sums import corrected_counts, doubtful_taxels
 from skin.measurement import Sbhe
 from skin.service import say
 
@@ -186,6 +186,7 @@ def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
     ):
         if found and len(found) != wanted:
             raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
+    doubtful_taxels(measurement, phi.shape[1])
 
 
 def check_fingerprint(fingerprint: str, phi: Sbhe) -> None:

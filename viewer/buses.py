@@ -14,7 +14,9 @@ DEAD_LINKS: Final = ("lost", "bus_off")
 def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:
     """Return the gateway's counters as the page shows them."""
     buses = list(map(_bus_view, status.buses))
-    return GatewayState(**{**msgspec.structs.asdict(status), "age_s": age_s, "stale": stale, "buses": buses})
+    zero = status.calibration.zero_words if status.calibration else ""
+    more = {"age_s": age_s, "stale": stale, "buses": buses, "zero": zero}
+    return GatewayState(**{**msgspec.structs.asdict(status), **more})
 
 
 def nodes_state(status: NodesStatus, age_s: float, *, stale: bool) -> NodesState:

@@ -26,7 +26,7 @@ LINKS: Final = {
     "bus_off": "dead: the gateway's controller is bus-off",
     "passive": "troubled: the gateway's controller is error passive",
 }
-#: Most node-IDs named in one notice, where tiles show the others, and most defects.
+#: Most node-IDs named in one notice, where tiles show the others, and most defects and contacts in doubt.
 NAMED: Final = 8
 
 
@@ -49,7 +49,7 @@ def notices(state: Snapshot, own: str) -> Snapshot:
             *_nodes(state),
             *_buses(state),
         ]
-        found += _calibration(state)
+        found += [*_calibration(state), *_doubts(state)]
     found += _ignored(state)
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
@@ -145,6 +145,24 @@ def _calibration(state: Snapshot) -> Iterator[Notice]:
     if len(calibration.defects) > NAMED:
         text = f"{len(calibration.defects) - NAMED} more defects: skin calibration show"
         yield Notice(level="warning", text=text, kind="more defects")
+
+
+def _doubts(state: Snapshot) -> Iterator[Notice]:
+    """Name contacts that may be errors of the zero, and what a person can do."""
+    known = state.contacts
+    if known is None or known.stale or known.blind:
+        return
+    doubtful = [each for each in known.contacts if each.doubtful]
+    for each in doubtful[:NAMED]:
+        force = f"a force of {each.force_n:.3g} N around row {each.row:.0f}, column {each.column:.0f}"
+        lasts_s = (known.sampled_mono_ns - each.doubtful_since_mono_ns) * 1e-9
+        region = f"{each.top},{each.left},{each.bottom},{each.right}"
+        why = "a still weight, or an error of the zero, as of a warm patch; if nothing touches there"
+        text = f"{force} has been in doubt for {lasts_s:.0f} s: {why}: skin tare --region {region}"
+        yield Notice(level="warning", text=text, kind=f"doubtful contact {each.identity}")
+    if len(doubtful) > NAMED:
+        text = f"{len(doubtful) - NAMED} more contacts are in doubt"
+        yield Notice(level="warning", text=text, kind="more doubtful contacts")
 
 
 def _off_duty(bus: BusView) -> Iterator[Notice]:

@@ -90,13 +90,14 @@ class ContactsState(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    cycle : int
+    cycle, sampled_mono_ns : int
         Of their image.
     blind : bool
         No sum was valid: nothing is known of contacts.
     """
 
     cycle: int
+    sampled_mono_ns: int
     contacts: list[Contact]
     blind: bool
     age_s: float
@@ -166,10 +167,17 @@ class BusView(BusState, frozen=True, kw_only=True):
 
 
 class GatewayState(GatewayStatus, frozen=True, kw_only=True):
-    """The gateway's newest counters, and their age."""
+    """The gateway's newest counters, and their age.
+
+    Attributes
+    ----------
+    zero : str
+        What the zero of the blocks rests on, and its age, in words; empty if unknown.
+    """
 
     age_s: float
     stale: bool
+    zero: str
     buses: list[BusView]  # type: ignore[assignment]  # with more fields than `BusState`
 
 

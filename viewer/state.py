@@ -221,6 +221,7 @@ class ViewState:
         contacts, at_s = self._contacts
         return ContactsState(
             cycle=contacts.cycle,
+            sampled_mono_ns=contacts.sampled_mono_ns,
             contacts=contacts.contacts,
             blind=contacts.blind,
             age_s=now_s - at_s,

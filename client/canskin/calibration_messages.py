@@ -1,11 +1,18 @@
 """What the gateway tells of the zero of its skin, and what it can be asked for."""
 
-from enum import Enum
+from collections import Counter
+from collections.abc import Sequence
+from enum import Enum, IntEnum
 from typing import Final, Literal
 
 import msgspec
+import numpy as np
 
+from canskin.errors import InputError
 from canskin.question import Question
+
+#: First row, first column, last row and last column of a part of the skin; both last ones belong to it.
+Region = tuple[int, int, int, int]
 
 
 class CalibrationState(str, Enum):
@@ -25,6 +32,21 @@ class CalibrationState(str, Enum):
     LOADED = "loaded"
 
 
+class ZeroSupport(IntEnum):
+    """What the zero of a block rests on, the weakest first."""
+
+    #: No zero is known: sums come as they are.
+    NONE = 0
+    #: It is of an earlier run or a file, and was not confirmed since.
+    STORED = 1
+    #: It has moved since because of forces below zero, and was not confirmed by an untouched stretch.
+    CORRECTED = 2
+    #: A person said so: ``skin tare --force`` or ``--region``.
+    TOLD = 3
+    #: It was measured in an untouched stretch.
+    MEASURED = 4
+
+
 class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
     """Offsets and noise of the sums.
 
@@ -42,6 +64,18 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
         Defective sums, taxels and blocks in words.
     revision : int
         Number of zeros measured, calibrations loaded and writings to nodes since the start of the gateway.
+    zero_support : bytes
+        uint8, shape (blocks,): `ZeroSupport`. Empty if unknown.
+    zero_mono_ns : bytes
+        int64, shape (blocks,): when the zero of the block was last measured or told; 0 for never.
+    doubtful_taxels : int
+        Taxels whose force may be an error of the zero, see `canskin.messages.Measurement.doubtful`.
+    doubtful_force_n : float
+        Force on them.
+    doubtful_since_mono_ns : int
+        Since when there are such taxels; 0: there are none.
+    told_mono_ns : int
+        When the gateway told this; 0 for unknown.
     """
 
     state: CalibrationState
@@ -53,6 +87,35 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
     held_blocks: int = 0
     defects: list[str] = []
     revision: int = 0
+    zero_support: bytes = b""
+    zero_mono_ns: bytes = b""
+    doubtful_taxels: int = 0
+    doubtful_force_n: float = 0.0
+    doubtful_since_mono_ns: int = 0
+    told_mono_ns: int = 0
+
+    @property
+    def oldest_zero_s(self) -> float | None:
+        """Age of the oldest zero that was measured or told, seconds; None if unknown."""
+        times_ns = np.frombuffer(self.zero_mono_ns[: len(self.zero_mono_ns) // 8 * 8], "<i8")
+        times_ns = times_ns[times_ns > 0]
+        return (self.told_mono_ns - int(times_ns.min())) * 1e-9 if times_ns.size and self.told_mono_ns else None
+
+    @property
+    def zero_words(self) -> str:
+        """How many blocks have a zero of which support, and the age of the oldest; empty if unknown."""
+        counts, oldest_s = Counter(self.zero_support), self.oldest_zero_s
+        words = ", ".join(f"{counts[each]} {each.name.lower()}" for each in reversed(ZeroSupport) if counts[each])
+        return words if not words or oldest_s is None else f"{words}; oldest {oldest_s:.0f} s"
+
+    @property
+    def doubtful_words(self) -> str:
+        """How many taxels are doubtful, with how much force, for how long; empty without any."""
+        if not self.doubtful_taxels:
+            return ""
+        since_s = (self.told_mono_ns - self.doubtful_since_mono_ns) * 1e-9
+        for_s = f" for {since_s:.0f} s" if self.told_mono_ns and self.doubtful_since_mono_ns else ""
+        return f"{self.doubtful_taxels}, with {self.doubtful_force_n:.3g} N{for_s}"
 
 
 class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
@@ -64,12 +127,16 @@ class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
         ``tare``: measure the zero; ``show``: tell it; ``load``: use another; ``write``: write it to the nodes.
     force : bool
         Of ``tare``: whatever touches the skin is part of its zero.
+    region : tuple of int, optional
+        Of ``tare``: first row, first column, last row, last column, both included. Whatever stands there now is part of
+        its zero; the rest of the skin keeps its zero.
     content : bytes
         Of ``load`` and ``write``: a file of `calibration.stored`.
     """
 
     action: Literal["tare", "show", "load", "write"]
     force: bool = False
+    region: Region | None = None
     content: bytes = b""
 
 
@@ -96,3 +163,36 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
 CALIBRATION: Final = Question("calibration", CalibrationRequest, CalibrationReply)
 #: Longest wait for an answer, but for that to ``write``: a zero takes seconds.
 ANSWER_S: Final = 15.0
+
+
+def tare_request(
+    rows: int, columns: int, *, force: bool = False, region: Sequence[object] | None = None
+) -> CalibrationRequest:
+    """Return a request for a new zero of a skin of so many rows and columns of taxels.
+
+    Parameters
+    ----------
+    rows, columns : int
+    force : bool
+    region : sequence of int or str, optional
+        See `CalibrationRequest`; numbers or their texts.
+
+    Raises
+    ------
+    InputError
+        If the region is not on the skin, or has no four whole numbers, or is named together with `force`.
+    """
+    if region is None:
+        return CalibrationRequest(action="tare", force=force)
+    if force:
+        raise InputError("a tare of a region, and by force: expected one of both")
+    try:
+        top, left, bottom, right = (int(str(each)) for each in region)
+    except ValueError:
+        top, left, bottom, right = -1, -1, -1, -1
+    if not (0 <= top <= bottom < rows and 0 <= left <= right < columns):
+        raise InputError(
+            f"region {','.join(map(str, region))[:64]}: expected first row, first column, last row and last column,"
+            f" rows of 0 to {rows - 1} and columns of 0 to {columns - 1}"
+        )
+    return CalibrationRequest(action="tare", region=(top, left, bottom, right))

@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 import zenoh
 
-from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, Region, tare_request
 from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.errors import BusError, InputError, RunError, SkinError
 from canskin.fabric import Fabric
@@ -122,11 +122,11 @@ class ConnectedSkin(Skin):
         """See `Skin.latest`."""
         return self._hub.latest(max_age_s)
 
-    def tare(self, *, force: bool = False) -> str:
+    def tare(self, *, force: bool = False, region: Region | None = None) -> str:
         """See `Skin.tare`."""
         if self._hub.is_closed:
             raise BusError(CLOSED)
-        request = CalibrationRequest(action="tare", force=force)
+        request = tare_request(self.layout.rows, self.layout.columns, force=force, region=region)
         reply: CalibrationReply = self._fabric.ask(CALIBRATION, request, ANSWER_S)
         if not reply.is_done:
             raise RunError(reply.text)

@@ -13,7 +13,7 @@ from canskin.description import Description, boot_id
 from canskin.errors import InputError
 from canskin.labels import is_measured
 from canskin.messages import UNKNOWN_ERROR_NS, Contact, Contacts, EndedContact, Image, Label, Measurement
-from canskin.sums import corrected_counts
+from canskin.sums import corrected_counts, doubtful_taxels
 
 #: Measurements, contacts and labels that wait for the image of their cycle.
 _KEPT: Final = 32
@@ -36,11 +36,14 @@ class Frame:
         Newtons: `image`, with the solver's estimate from the neighbours where blocks are not valid.
     valid : array of bool, shape (rows, columns)
         True where the taxel's block was measured.
+    doubtful : array of bool, shape (rows, columns)
+        True where the force may be an error of the zero, for example of a warm patch, and no touch.
     sums : array of int32, shape (m,)
         Counts less offsets, block by block; 0 where not in `valid_sums`. Empty if the measurement did not come.
     valid_sums : array of bool, shape (m,)
     contacts : tuple of Contact
-        The strongest first. Empty without contact, and where `is_blind`.
+        The strongest first. Empty without contact, and where `is_blind`. `Contact.doubtful` tells which may be errors
+        of the zero, `Contact.doubtful_since_mono_ns` since when.
     ended : tuple of EndedContact
         Contacts that ended since the frame before.
     is_blind : bool
@@ -63,6 +66,7 @@ class Frame:
     image: npt.NDArray[np.float32]
     estimate: npt.NDArray[np.float32]
     valid: npt.NDArray[np.bool_]
+    doubtful: npt.NDArray[np.bool_]
     sums: npt.NDArray[np.int32]
     valid_sums: npt.NDArray[np.bool_]
     contacts: tuple[Contact, ...]
@@ -147,12 +151,19 @@ class FrameBuilder:
         if self._is_outdated or len(image.pixels) != 4 * about.rows * about.columns or len(image.valid) != about.blocks:
             self.refused += 1
             return []
+        try:
+            doubtful = doubtful_taxels(image, about.rows * about.columns)
+        except InputError:
+            self.refused += 1
+            return []
+        if doubtful is None:
+            doubtful = np.zeros(about.rows * about.columns, np.bool_)
         estimate = np.frombuffer(image.pixels, "<f4").reshape(about.rows, about.columns)
         valid = (np.frombuffer(image.valid, np.uint8) != 0)[self._blocks]
         shown = np.where(valid, estimate, np.float32(np.nan))
         measurement = self._measurements.get(_key(image))
         sums, valid_sums = self._sums(measurement)
-        for array in (valid, shown, sums, valid_sums):
+        for array in (valid, shown, doubtful, sums, valid_sums):
             array.flags.writeable = False
         label = self._label(image)
         offset_ns = self._wall_offset_ns
@@ -161,6 +172,7 @@ class FrameBuilder:
                 image=shown,
                 estimate=estimate,
                 valid=valid,
+                doubtful=doubtful.reshape(about.rows, about.columns),
                 sums=sums,
                 valid_sums=valid_sums,
                 contacts=tuple(contacts.contacts) if contacts is not None else (),

@@ -82,6 +82,9 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown, and with adaptive sending.
     usable : bytes
         uint8, shape (m,): 0 for sums that are defective, or have no offset while others have. Empty if all are 1.
+    doubtful : bytes
+        Bits of `numpy.packbits`, row-major, shape (ceil(n / 8),): 1 for taxels whose force may be an error of the zero,
+        for example of a warm patch. Empty if no taxel is doubtful. `canskin.sums.doubtful_taxels` decodes them.
     """
 
     cycle: int
@@ -96,6 +99,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     noise_n: float = 0.0
     offsets: bytes = b""
     usable: bytes = b""
+    doubtful: bytes = b""
     sampled_error_ns: int = UNKNOWN_ERROR_NS
     sent_mono_ns: int = 0
     wall_offset_ns: int = 0
@@ -124,6 +128,8 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
         When the image was published.
     number : int
         Number of the image since the reconstructor's start, from 1: images depend on those before. 0 if unknown.
+    doubtful : bytes
+        Of the measurement.
     """
 
     cycle: int
@@ -136,6 +142,7 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     solve_s: float
     number: int = 0
     sampled_error_ns: int = UNKNOWN_ERROR_NS
+    doubtful: bytes = b""
 
 
 class Contact(msgspec.Struct, frozen=True, kw_only=True):
@@ -158,6 +165,9 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True):
         Time of the first image with this contact.
     invalid_taxels : int
         Number of its taxels whose block is not valid: their forces are estimates from their neighbours.
+    doubtful_since_mono_ns : int
+        Since when it may be an error of the zero, for example a warm patch, and no touch: at least half of its force is
+        on doubtful taxels. 0: it is not doubtful.
     """
 
     identity: int
@@ -172,6 +182,12 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True):
     right: int
     onset_mono_ns: int
     invalid_taxels: int = 0
+    doubtful_since_mono_ns: int = 0
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it may be an error of the zero."""
+        return self.doubtful_since_mono_ns != 0
 
 
 class EndedContact(msgspec.Struct, frozen=True):

@@ -14,6 +14,7 @@ from typing import Final
 
 import msgspec
 
+from canskin.calibration_messages import Region
 from canskin.description import Description
 from canskin.errors import BusError
 from canskin.frame import Frame
@@ -174,13 +175,16 @@ class Skin(ABC):
         """
 
     @abstractmethod
-    def tare(self, *, force: bool = False) -> str:
+    def tare(self, *, force: bool = False, region: Region | None = None) -> str:
         """Measure the zero of the skin anew; return the gateway's report. Nothing may touch the skin for 2 s.
 
-        With `force`, whatever touches the skin becomes part of its zero.
+        With `force`, whatever touches the skin becomes part of its zero. With `region` (first row, first column, last
+        row, last column), whatever stands there now does, and the rest of the skin keeps its zero.
 
         Raises
         ------
+        InputError
+            If the region is not on the skin, or is named together with `force`.
         RunError
             If there is no new zero, because something touches the skin or moves on it.
         BusError

@@ -1,4 +1,4 @@
-"""The sums in a measurement."""
+"""The sums in a measurement, and the taxels that are in doubt."""
 
 from typing import Final
 
@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from canskin.messages import Measurement
+from canskin.messages import Image, Measurement
 
 _MOST_COUNTS: Final = np.iinfo(np.int32).max
 
@@ -28,3 +28,18 @@ def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]
     corrected = np.where(valid_sums, counts, np.int32(0))
     corrected.flags.writeable = False
     return corrected
+
+
+def doubtful_taxels(message: Measurement | Image, taxels: int) -> npt.NDArray[np.bool_] | None:
+    """Return the taxels whose force may be an error of the zero, row-major, shape (n,); None if no taxel is doubtful.
+
+    Raises
+    ------
+    InputError
+        If the message is of another number of taxels.
+    """
+    if not message.doubtful:
+        return None
+    if len(message.doubtful) != (taxels + 7) // 8:
+        raise InputError(f"doubtful of {len(message.doubtful)} bytes, expected {(taxels + 7) // 8}, or none")
+    return np.unpackbits(np.frombuffer(message.doubtful, np.uint8), count=taxels).view(np.bool_)

@@ -53,9 +53,11 @@ def test_tare_tells_what_was_found(gateway: Gateway, endpoint: str, capsys: pyte
     gateway.is_done = False
     assert tare(connect=endpoint, force=True, json=True) == 1
     text, document = capsys.readouterr().out.split("\n", 1)
+    tare(connect=endpoint, region="0,1,62,63")
     assert text == "words"
     assert json.loads(document)["status"]["state"] == "following"
-    assert [each.force for each in gateway.requests] == [False, True]
+    assert [each.force for each in gateway.requests] == [False, True, False]
+    assert [each.region for each in gateway.requests] == [None, None, (0, 1, 62, 63)]
 
 
 def test_the_calibration_of_a_gateway_is_shown_saved_and_loaded(
@@ -101,6 +103,12 @@ def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        (
+            ["tare", "--region", "0,0,64,3"],
+            "region 0,0,64,3: expected first row, first column, last row and",
+        ),
+        (["tare", "--region", "palm"], "rows of 0 to 63 and columns of 0 to 63"),
+        (["tare", "--region", "0,0,1,1", "--force"], "a tare of a region, and by force: expected one of both"),
         (["calibration", "save"], "expected a file: skin calibration save FILE"),
         (["calibration", "show", "--to-nodes"], "--to-nodes is for 'skin calibration load'"),
         (["calibration", "load", "none.json"], "none.json: cannot read the calibration"),

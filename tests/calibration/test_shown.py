@@ -11,7 +11,13 @@ import pytest
 from calibration import command
 from calibration.command import calibration, tare
 from calibration.stored import StoredCalibration, encoded, save_calibration, store
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
+from canskin.calibration_messages import (
+    CalibrationReply,
+    CalibrationRequest,
+    CalibrationState,
+    CalibrationStatus,
+    ZeroSupport,
+)
 from canskin.errors import InputError, RunError
 from skin.defects import SumGains
 from tests.calibration.skins import LAYOUT, PHI
@@ -105,6 +111,46 @@ def test_a_gateway_tells_of_its_zero_too(gateway: Gateway, capsys: pytest.Captur
     assert (skin, service, connect) == (LAYOUT.name, "calibration", "tcp/far:1")
     assert named == {"fingerprint": PHI.fingerprint, "patience_s": 5.0}
     assert gateway.closed == 1
+
+
+def test_the_support_of_the_zero_and_doubtful_taxels_are_shown(
+    gateway: Gateway, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration("show")
+    text = shown(capsys)
+    assert "zero of the blocks" not in text
+    assert text["doubtful taxels"] == "none"
+    gateway.status = CalibrationStatus(
+        state=CalibrationState.FOLLOWING,
+        zero_support=bytes([ZeroSupport.MEASURED] * 120 + [ZeroSupport.STORED] * 8),
+        zero_mono_ns=np.array([5_000_000_000] * 120 + [0] * 8, "<i8").tobytes(),
+        doubtful_taxels=3,
+        doubtful_force_n=0.02,
+        doubtful_since_mono_ns=20_000_000_000,
+        told_mono_ns=40_000_000_000,
+    )
+    calibration("show")
+    text = shown(capsys)
+    assert text["zero of the blocks"] == "120 measured, 8 stored; oldest 35 s"
+    assert text["doubtful taxels"] == "3, with 0.02 N for 20 s"
+
+
+def test_offsets_that_no_sum_can_have_are_shown_saved_and_named_but_not_loaded(
+    gateway: Gateway, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    offsets_n = np.full(SUMS, np.nan)
+    offsets_n[[2, 7, 9]] = 0.64, 0.65, -7.0
+    gateway.stored, path = store(LAYOUT, offsets_n=offsets_n), tmp_path / "it.json"
+    named = "2 offsets beyond ±640 mN, first of sum 7: no gateway loads them"
+    calibration("show")
+    assert shown(capsys)["out of range"] == named
+    calibration("save", path)
+    assert capsys.readouterr().err == f"calibration: {path}: offsets of 3 of 1024 sums: {named}\n"
+    assert path.read_bytes() == encoded(gateway.stored)
+    calibration("show", path)
+    assert shown(capsys)["out of range"] == named
+    with pytest.raises(InputError, match=r"it.json: 2 offsets_n that this skin cannot have: expected -0.64 to 0.64"):
+        calibration("load", path)
 
 
 def test_json_holds_calibration_and_status(

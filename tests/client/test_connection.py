@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 import canskin
-from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, Region
 from canskin.description import DESCRIPTION, DescriptionRequest
 from canskin.fabric import Fabric, Reply
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, FrameCounts, GatewayStatus
@@ -29,14 +29,15 @@ class Chain:
         self.gateway.answer(CALIBRATION, self._calibrate)
         self._stop = threading.Event()
         self._sending: threading.Thread | None = None
-        self.tares: list[bool] = []
+        self.tares: list[bool | Region] = []
 
     def _describe(self, _request: DescriptionRequest, reply: Reply) -> None:
         reply(msgspec.structs.replace(description(), fingerprint=self.fingerprint))
 
     def _calibrate(self, request: CalibrationRequest, reply: Reply) -> None:
-        self.tares.append(request.force)
-        reply(CalibrationReply(is_done=request.force, text="zero measured" if request.force else "it is touched"))
+        self.tares.append(request.region or request.force)
+        is_done = request.force or request.region is not None
+        reply(CalibrationReply(is_done=is_done, text="zero measured" if is_done else "it is touched"))
 
     def start(self) -> None:
         """Send cycle after cycle until the end."""
@@ -149,7 +150,10 @@ def test_tare_tells_success_and_raises_otherwise(chain: Chain) -> None:
         with pytest.raises(canskin.RunError, match="it is touched"):
             skin.tare()
         assert skin.tare(force=True) == "zero measured"
-    assert chain.tares == [False, True]
+        assert skin.tare(region=(0, 1, 2, 3)) == "zero measured"
+        with pytest.raises(canskin.InputError, match=r"region 0,0,4,3: expected .* rows of 0 to 3"):
+            skin.tare(region=(0, 0, 4, 3))
+    assert chain.tares == [False, True, (0, 1, 2, 3)]
 
 
 @pytest.mark.heavy

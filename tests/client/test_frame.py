@@ -46,6 +46,23 @@ def test_taxels_of_a_block_that_is_not_valid_are_nan_and_their_estimates_stay(bu
     assert frame.valid_sums.tolist() == [True, True, False, False]
 
 
+def test_doubtful_taxels_and_contacts_are_told(builder: FrameBuilder) -> None:
+    builder.take(image(1))
+    (frame,) = builder.take(contacts(1))
+    assert not frame.doubtful.any()
+    assert frame.doubtful.shape == frame.image.shape
+    assert not frame.contacts[0].doubtful
+    builder.take(msgspec.structs.replace(image(2), doubtful=np.packbits(EVEN).tobytes()))
+    found = contacts(2)
+    marked = msgspec.structs.replace(found.contacts[0], doubtful_since_mono_ns=5)
+    (frame,) = builder.take(msgspec.structs.replace(found, contacts=[marked]))
+    np.testing.assert_array_equal(frame.doubtful, EVEN)
+    assert (frame.contacts[0].doubtful, frame.contacts[0].doubtful_since_mono_ns) == (True, 5)
+    builder.take(msgspec.structs.replace(image(3), doubtful=bytes(3)))
+    assert not builder.take(contacts(3))
+    assert builder.refused == 1
+
+
 def test_offsets_are_taken_off_and_defective_sums_are_not_valid(builder: FrameBuilder) -> None:
     offsets = np.array((1, 2, 3, 4), "<i4").tobytes()
     builder.take(measurement(1, offsets=offsets, usable=bytes((1, 0, 1, 1))))
@@ -163,7 +180,7 @@ def test_arrays_are_read_only(builder: FrameBuilder) -> None:
     builder.take(measurement(1))
     builder.take(image(1))
     (frame,) = builder.take(contacts(1))
-    for array in (frame.image, frame.estimate, frame.valid, frame.sums, frame.valid_sums):
+    for array in (frame.image, frame.estimate, frame.valid, frame.doubtful, frame.sums, frame.valid_sums):
         assert not array.flags.writeable
 
 

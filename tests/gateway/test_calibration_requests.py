@@ -134,6 +134,23 @@ def test_show_tells_all_that_was_stored(small: Contract) -> None:
     assert replies[0].status is not None
 
 
+def test_a_region_on_the_skin_reaches_the_calibrator(small: Contract, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, taken = Asked(small), list[dict[str, object]]()
+    monkeypatch.setattr(asked.calibration._calibrator, "tare", lambda **given: taken.append(given))
+    taxels = small.layout.taxels
+    last = (taxels.rows - 1, taxels.columns - 1)
+    asked.ask(CalibrationRequest(action="tare", region=(0, 0, *last)))
+    asked.ask(CalibrationRequest(action="tare", force=True))
+    assert taken == [{"force": False, "region": (0, 0, *last)}, {"force": True, "region": None}]
+    assert asked.replies == []
+    asked.ask(CalibrationRequest(action="tare", region=(0, 0, taxels.rows, 0)))
+    asked.ask(CalibrationRequest(action="tare", region=(0, 0, 1, 1), force=True))
+    assert [each.is_done for each in asked.replies] == [False, False]
+    assert asked.replies[0].text.startswith(f"region 0,0,{taxels.rows},0: expected first row, first column")
+    assert asked.replies[1].text == "a tare of a region, and by force: expected one of both"
+    assert len(taken) == 2
+
+
 def test_requests_are_answered_one_in_a_tick(small: Contract) -> None:
     calibration, replies = GatewayCalibration(small, tares=False), list[CalibrationReply]()
     for _ in range(2):

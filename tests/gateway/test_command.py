@@ -105,4 +105,26 @@ def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(
         command.gateway(calibration=path)
     with pytest.raises(InputError, match="adaptive boards measure their own offsets"):
         command.gateway(layout=Path("adaptive"), calibration=path)
+    with pytest.raises(InputError, match="--keep-zero is for synchronous sending"):
+        command.gateway(layout=Path("adaptive"), keep_zero=path)
+    with pytest.raises(InputError, match=r"run\.mcap: expected a file for the zero that ends in \.json"):
+        command.gateway(keep_zero=tmp_path / "run.mcap")
     assert not parts.calls
+
+
+def test_the_zero_of_an_earlier_run_is_used_and_that_of_this_run_is_kept_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts, path, skin = Parts(monkeypatch), tmp_path / "zero.json", load_layout()
+    save_calibration(path, store(skin, offsets_n=np.full(1024, 0.01)))
+    kept = path.stat().st_ino
+    with pytest.raises(KeyboardInterrupt):
+        command.gateway(keep_zero=path)
+    assert "begins with the zero of" in capsys.readouterr().err
+    assert path.stat().st_ino == kept  # there is no newer one
+    calibration = parts.calls[2][2]["calibration"]
+    assert calibration._calibrator.offsets_n.tolist() == [0.01] * 1024
+    monkeypatch.setattr(type(calibration), "keep_zero", lambda _: parts.closed.append("kept"))
+    with pytest.raises(KeyboardInterrupt):
+        command.gateway(keep_zero=path)
+    assert "kept" in parts.closed

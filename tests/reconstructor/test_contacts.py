@@ -179,6 +179,29 @@ def test_taxels_that_were_not_measured_are_counted() -> None:
     assert [(each.taxels, each.invalid_taxels) for each in contacts] == [(3, 2), (1, 0)]
 
 
+def test_a_contact_is_doubtful_while_half_of_its_force_is_on_doubtful_taxels() -> None:
+    tracker, image = ContactTracker(ROWS, COLUMNS), NOTHING.copy()
+    image[4, 7:10] = 0.004, 0.002, 0.002
+    image[20, 30] = 0.006
+    doubtful = np.zeros_like(image, np.bool_)
+    doubtful[4, 7] = True
+    none = np.zeros_like(doubtful)
+
+    def since(now_ns: int, places: np.ndarray | None) -> list[int]:
+        contacts, _ = tracker.take(image, now_ns, None, None if places is None else places.ravel())
+        assert [each.doubtful for each in contacts] == [each.doubtful_since_mono_ns > 0 for each in contacts]
+        return [each.doubtful_since_mono_ns for each in contacts]
+
+    assert since(10, None) == [0, 0]
+    assert since(20, doubtful) == since(30, doubtful) == [20, 0]
+    image[4, 8] = 0.0021
+    assert since(40, doubtful) == [0, 0]  # a little less than half
+    image[4, 8] = 0.002
+    assert since(50, doubtful) == [50, 0]  # from now on
+    assert since(60, none) == since(70, None) == [0, 0]
+    assert since(80, ~doubtful) == [80, 80]
+
+
 @pytest.mark.parametrize(
     "wrong", [{"edge_n": 0.003}, {"onset_n": 0.0001}, {"edge_n": -1.0}, {"join_s": -1.0}, {"reach": float("nan")}]
 )

@@ -158,6 +158,18 @@ def test_contacts_come_with_every_image_and_a_blind_image_says_nothing_of_them(
     assert not blind.ended
 
 
+def test_doubtful_taxels_come_with_the_image_and_make_their_contact_doubtful(
+    hub: Fabric, service: ReconstructorService, golf: Scene
+) -> None:
+    found: queue.Queue[Contacts] = queue.Queue()
+    hub.subscribe(CONTACTS, found.put)
+    doubtful = np.packbits(golf.true[30] > 0).tobytes()
+    image = Exchange(hub).image_of(msgspec.structs.replace(measurement(5, golf.true[30]), doubtful=doubtful))
+    assert image.doubtful == doubtful
+    contacts = next(each for each in iter(lambda: found.get(timeout=30), None) if each.cycle == 5)
+    assert [each.doubtful_since_mono_ns for each in contacts.contacts] == [5000]
+
+
 def test_what_does_not_fit_is_refused_and_told_once(
     hub: Fabric, service: ReconstructorService, golf: Scene, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,6 +76,7 @@ def as_published(contract: Contract, made: Measurement) -> Measurement:
         made,
         offsets=(np.arange(sums.size) % 7 * 10 + made.cycle // 4).astype("<i4").tobytes(),
         usable=usable.tobytes(),
+        doubtful=np.packbits(np.arange(256) < 128).tobytes() if made.cycle % 6 > 2 else b"",
         cycle=FIRST + made.cycle,
         sampled_mono_ns=made.sampled_mono_ns - 123_456,
         sampled_error_ns=150_000,
@@ -155,6 +156,10 @@ def test_all_is_as_live(run: Path, replayed: Callable[..., tuple[Replay, Path]],
     assert list(map(same, messages(out, IMAGE))) == list(map(same, messages(run, IMAGE)))
     assert len(messages(out, CONTACTS)) == len(messages(run, CONTACTS)) == len(sums) - len(SKIPPED)
     assert messages(run, CONTACTS)[-1].contacts == messages(out, CONTACTS)[-1].contacts != []
+    found = {each.cycle: each for each in messages(out, CONTACTS)}
+    for each in messages(run, CONTACTS):
+        assert found[each.cycle].contacts == each.contacts
+    assert len({bool(each.doubtful) for each in messages(out, IMAGE)}) == 2
     report = replay.report
     assert (report.measurements.made, report.measurements.equal) == (len(sums), len(sums))
     assert report.images.equal == report.images.compared == len(sums) - len(SKIPPED)

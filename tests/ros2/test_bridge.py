@@ -172,6 +172,10 @@ def test_contacts_have_places_forces_and_identities(setup: Setup) -> None:
     assert (point["identity"], point["taxels"], point["invalid_taxels"]) == (7, 113, 4)
     assert (point["x"], point["y"]) == (np.float32((3.5 - 7.5) * pitch_m), np.float32((2.25 - 7.5) * pitch_m))
     assert point["force"] == np.float32(contact.force_n)
+    assert point["doubtful"] == 0
+    doubtful = msgspec.structs.replace(contact, doubtful_since_mono_ns=5)
+    setup.publish(CONTACTS, msgspec.structs.replace(contacts, contacts=[doubtful]))
+    assert points_of(clouds.next()[0])["doubtful"].tolist() == [[1]]
     setup.publish(CONTACTS, msgspec.structs.replace(contacts, contacts=[]))
     assert points_of(clouds.next()[0]).size == 0
 

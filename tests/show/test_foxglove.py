@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import websockets
@@ -78,6 +79,15 @@ def test_contacts_curves_and_log(run: Path) -> None:
     assert (position.x, position.y) == (pytest.approx((2.5 - 7.5) * 0.004), pytest.approx((1.5 - 7.5) * 0.004))
     assert [value["value"] for _, _, value in messages_of(path, "/figures/valid_share")] == [0.0, 1.0, 1.0, 1.0]
     assert "waiting for the gateway" in [line.message for _, _, line in messages_of(path, "/log")]
+
+
+def test_doubtful_contacts_have_another_colour_and_a_question_mark(messages: Messages, tmp_path: Path) -> None:
+    canvas, contact = FoxgloveCanvas(messages.layout, tmp_path / "it.mcap"), messages.contacts().contacts[0]
+    canvas.contacts(1, 1, [contact, msgspec.structs.replace(contact, doubtful_since_mono_ns=5)])
+    canvas.close()
+    ((_, _, scene),) = messages_of(tmp_path / "it.mcap", "/contacts")
+    assert [each.text for each in scene.entities[0].texts] == ["7: 376.6 mN", "7: 376.6 mN?"]
+    assert [each.color.b for each in scene.entities[0].cylinders] == [1.0, 0.0]
 
 
 def test_the_app_gets_the_images_of_a_live_skin(hub: Fabric, endpoint: str, messages: Messages) -> None:

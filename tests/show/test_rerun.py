@@ -6,6 +6,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
@@ -114,6 +115,15 @@ def test_a_live_skin_is_drawn_with_contacts_curves_and_log(
     assert rows_of(path, "skin/figures/valid_share")[0]["Scalars:scalars"] == [1.0]
     assert rows_of(path, "skin/figures/label_confidence")[0]["Scalars:scalars"] == [0.93]
     assert ["touched by: ring"] in [row["TextLog:text"] for row in rows_of(path, "skin/log")]
+
+
+def test_doubtful_contacts_have_another_colour_and_a_question_mark(messages: Messages, tmp_path: Path) -> None:
+    canvas, contact = RerunCanvas(messages.layout, tmp_path / "it.rrd"), messages.contacts().contacts[0]
+    canvas.contacts(1, 1, [contact, msgspec.structs.replace(contact, doubtful_since_mono_ns=5)])
+    canvas.close()
+    (row,) = rows_of(tmp_path / "it.rrd", "skin/space/contacts")
+    assert row["Ellipsoids3D:labels"] == ["7: 376.6 mN", "7: 376.6 mN?"]
+    assert len(set(row["Ellipsoids3D:colors"])) == 2
 
 
 def test_frames_alone_leave_no_file(tmp_path: Path, out: Path, contract: Any) -> None:

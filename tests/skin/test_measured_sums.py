@@ -6,6 +6,7 @@ import pytest
 
 from canskin.errors import InputError
 from canskin.messages import BlockState, Measurement
+from canskin.sums import doubtful_taxels
 from skin import measured_sums
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, part_of_measurement
 from skin.measurement import part_of, places, sbhe
@@ -37,6 +38,7 @@ BAD = (
     ({"offsets": b"\0"}, "offsets of 1 bytes, expected 64, or none"),
     ({"offsets": np.full(16, -(2**31), "<i4").tobytes()}, "sums less offsets beyond 2147483647 counts"),
     ({"usable": b"\0"}, "usable of 1 bytes, expected 16, or none"),
+    ({"doubtful": b"\0"}, "doubtful of 1 bytes, expected 8, or none"),
 )
 
 
@@ -66,6 +68,21 @@ def test_a_defective_sum_is_left_out_and_its_block_is_not_valid() -> None:
     assert valid.sum() == 6
 
 
+def test_doubtful_taxels_are_bits_row_by_row() -> None:
+    assert doubtful_taxels(GOOD, 64) is None
+    bits = np.arange(11) % 3 == 0
+    marked = msgspec.structs.replace(GOOD, doubtful=np.packbits(bits).tobytes())
+    found = doubtful_taxels(marked, 11)
+    assert found is not None
+    assert found.dtype == np.bool_
+    np.testing.assert_array_equal(found, bits)
+    with pytest.raises(InputError, match="doubtful of 2 bytes, expected 3, or none"):
+        doubtful_taxels(marked, 17)
+    whole = msgspec.structs.replace(GOOD, doubtful=bytes(8))
+    decode_measurement(whole, PHI)
+    decode_adaptive(msgspec.structs.replace(ADAPTIVE, doubtful=bytes(8)), PHI)
+
+
 @pytest.mark.parametrize(("changed", "says"), BAD)
 def test_what_does_not_fit_is_refused(changed: dict[str, object], says: str) -> None:
     with pytest.raises(InputError, match=says) as caught:
@@ -86,6 +103,7 @@ BAD_ADAPTIVE = (
     ({"noise_n": float("nan")}, "noise_n of nan, expected a number of 0 or more"),
     ({"noise_n": -1e-3}, "noise_n of -0.001"),
     ({"valid": bytes([1, 1, *[1] * 6])}, "a block is valid, but not all its sums are known"),
+    ({"doubtful": bytes(9)}, "doubtful of 9 bytes, expected 8, or none"),
 )
 
 

@@ -78,11 +78,14 @@ class Messages:
             label="golf-ball",
         )
 
-    def contacts(self, cycle: int = 1, *, blind: bool = False, row: float = 7.5, column: float = 6.0) -> Contacts:
+    def contacts(
+        self, cycle: int = 1, *, blind: bool = False, row: float = 7.5, column: float = 6.0, doubtful: bool = False
+    ) -> Contacts:
         force_n = float(self.grid().sum())
         contact = Contact(
             identity=7, row=row, column=column, force_n=force_n, peak_n=0.01, taxels=113,
             top=2, bottom=13, left=0, right=11, onset_mono_ns=0, invalid_taxels=4,
+            doubtful_since_mono_ns=int(doubtful),
         )  # fmt: skip
         return Contacts(
             cycle=cycle, sync_counter=1, sampled_mono_ns=0, contacts=[contact], ended=[], find_s=1e-4, blind=blind

@@ -27,7 +27,7 @@ class Chain:
     """Stands for the services: publishes a small skin's messages 50 times a second."""
 
     def __init__(self, messages: Any, hub: Fabric, endpoint: str) -> None:
-        self.images, self.truths, self.contacts = True, True, False
+        self.images, self.truths, self.contacts, self.doubtful = True, True, False, False
         self.invalid: tuple[int, ...] = ()
         self.gateway: dict[str, Any] = {}
         self.label: dict[str, Any] = {}
@@ -47,7 +47,7 @@ class Chain:
                 image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid)
                 self._hub.publish(IMAGE, image)
             if self.contacts:
-                self._hub.publish(CONTACTS, self._messages.contacts(cycle))
+                self._hub.publish(CONTACTS, self._messages.contacts(cycle, doubtful=self.doubtful))
             self._hub.publish(LABEL, self._messages.label(**self.label))
             self._hub.publish(GATEWAY, self._messages.gateway(cycles=cycle, **self.gateway))
             if self._stop.wait(0.02):
@@ -156,6 +156,9 @@ def test_contacts_are_marked_and_described_while_they_come(page: Browser, chain:
     assert "at row 7.5, column 6.0, 113 taxels, 4 not measured" in page.text("#readout")
     marked = np.flatnonzero((pixels(page, "image") != pixels(page, "true")).any(axis=2).any(axis=0))
     assert set(marked.tolist()) & {5, 6, 7}
+    chain.doubtful = True
+    page.until(lambda: "4 not measured, in doubt" in page.text("#readout"), "no doubt was told")
+    assert "in doubt for" in page.text("#notices")
     chain.contacts = False
     page.until(lambda: "contact" not in page.text("#readout"), "an old contact is still described")
     np.testing.assert_array_equal(pixels(page, "image"), pixels(page, "true"))

@@ -61,16 +61,21 @@ export class Heatmap {
     if (taxel !== null) this.outline(brush, [taxel], "#ffffff", 2);
   }
 
-  /** Draw a cross and the identity at the centre of force of each contact. */
+  /** Draw a cross and the identity at the centre of force of each contact; those in doubt get a dashed box. */
   markContacts(contacts) {
     const brush = this.canvas.getContext("2d", { alpha: false });
     const arm = Math.max(4 * devicePixelRatio, this.cell);
     brush.font = `600 ${Math.round(12 * devicePixelRatio)}px system-ui, "DejaVu Sans", sans-serif`;
-    for (const { identity, row, column } of contacts) {
+    for (const { identity, row, column, top, bottom, left, right, doubtful_since_mono_ns } of contacts) {
       const [x, y] = [(column + 0.5) * this.cell, (row + 0.5) * this.cell];
       for (const [style, width] of [["#000000c0", 3], ["#ffffff", 1]]) {
         brush.strokeStyle = style;
         brush.lineWidth = width * devicePixelRatio;
+        if (doubtful_since_mono_ns) {
+          brush.setLineDash([arm, arm]);
+          brush.strokeRect(left * this.cell, top * this.cell, (right - left + 1) * this.cell, (bottom - top + 1) * this.cell);
+          brush.setLineDash([]);
+        }
         brush.beginPath();
         brush.moveTo(x - arm, y);
         brush.lineTo(x + arm, y);

@@ -22,8 +22,8 @@ const bound = (error_ns) => (error_ns < 0 ? "" : `, sampled within ${(error_ns /
 
 /** Text of the strongest contacts. */
 function described(contacts) {
-  const each = contacts.slice(0, MOST_DESCRIBED).map(({ identity, force_n, row, column, taxels, invalid_taxels }) => {
-    const guessed = invalid_taxels ? `, ${invalid_taxels} not measured` : "";
+  const each = contacts.slice(0, MOST_DESCRIBED).map(({ identity, force_n, row, column, taxels, invalid_taxels, doubtful_since_mono_ns }) => {
+    const guessed = (invalid_taxels ? `, ${invalid_taxels} not measured` : "") + (doubtful_since_mono_ns ? ", in doubt" : "");
     return `${identity}: ${(1000 * force_n).toFixed(0)} mN at row ${row.toFixed(1)}, column ${column.toFixed(1)}, ${taxels} taxels${guessed}`;
   });
   const more = contacts.length > MOST_DESCRIBED ? [`${contacts.length - MOST_DESCRIBED} more`] : [];

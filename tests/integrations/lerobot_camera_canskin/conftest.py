@@ -98,7 +98,7 @@ class ClockedSkin(Skin):
     def latest(self, max_age_s: float = 1.0) -> Frame:
         return self.hub.latest(max_age_s)
 
-    def tare(self, *, force: bool = False) -> str:
+    def tare(self, *, force: bool = False, region: tuple[int, int, int, int] | None = None) -> str:
         raise NotImplementedError
 
     def close(self) -> None:
@@ -121,6 +121,7 @@ def frame(cycle: int, sampled_ns: int = 0) -> Frame:
         image=np.where(is_valid, estimate, np.float32(np.nan)),
         estimate=estimate,
         valid=is_valid,
+        doubtful=np.zeros_like(is_valid),
         sums=np.zeros(0, np.int32),
         valid_sums=np.zeros(0, np.bool_),
         contacts=(),
