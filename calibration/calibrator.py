@@ -100,20 +100,16 @@ class Calibrator:
         self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
         self._defect_finder = DefectFinder(self._phi, layout.taxels.columns, least_n)
         self._waiting: Window | None = None
-        self._newest_ns = 0
-        self._needs_until_ns = 0
-        self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
-        self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
+        self._newest_ns = self._needs_until_ns = self._centre_ns = self._tared_ns = 0
+        self._measured, self._recent = (deque[Window](maxlen=TARE_WINDOWS) for _ in range(2))
         self._still = np.zeros(self._phi.blocks, np.intp)
         self._forced = False
         self._may_hold_a_touch = False  # the zero was forced, and nothing has shown since that it is adrift
         self._follower: DriftFollower | None = None
-        self._centre_ns = 0
         self._negative = self._held_blocks = 0
         self._patience = NEGATIVE_WINDOWS
-        self._noise_n = 0.0
-        self._tared_ns = 0
-        self._valid_ratio = 0.0
+        self._noise_n = self._valid_ratio = 0.0
+        self.temperatures_k: Floats = np.full(self._phi.blocks, np.nan)
         self._bias_n: Floats | float = 0.0
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
         self.revision = 0
@@ -155,6 +151,10 @@ class Calibrator:
         self._follower = self._new_follower(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 1, 0.0)
         if not self._tares:
             self.state = CalibrationState.LOADED
+
+    def take_temperatures(self, kelvin: Floats) -> None:
+        """Keep the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown."""
+        self.temperatures_k = kelvin
 
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""

@@ -17,6 +17,7 @@ from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
+from gateway.temperatures import Temperatures
 from skin.service import say
 
 #: Answer to what makes no sense for boards that look after themselves.
@@ -70,6 +71,8 @@ class GatewayCalibration:
             tares=tares,
             say=lambda text: say("gateway", text),
         )
+        has_thermometers = contract.layout.taxels.has_thermometers
+        self._temperatures = Temperatures(contract, self.take_temperatures) if has_thermometers else None
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
         self._tare_until_s = 0.0
@@ -114,6 +117,10 @@ class GatewayCalibration:
         if measurement.fingerprint == self._contract.phi.fingerprint:
             self._calibrator.take(measurement)
 
+    def take_temperatures(self, kelvin: Floats) -> None:
+        """Take the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown."""
+        self._calibrator.take_temperatures(kelvin)
+
     def work(self) -> None:
         """Learn from what was taken; takes about a millisecond."""
         self._calibrator.work()
@@ -123,7 +130,9 @@ class GatewayCalibration:
         return self._calibrator.status()
 
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
-        """Answer a request, write to nodes; call it many times a second."""
+        """Answer a request, write to nodes, read temperatures; call it many times a second."""
+        if self._temperatures is not None:
+            self._temperatures.tick(masters, now_s)
         if self._requests:
             self._take(*self._requests.popleft(), masters, now_s)
         result = self._calibrator.result

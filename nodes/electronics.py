@@ -108,6 +108,10 @@ class Electronics(Calibration):
         """Whether samples are averaged: then every step has to be read, or prepared, after the one before."""
         return self._filter is not None
 
+    def drifted_n(self, step: int) -> npt.NDArray[np.float32]:
+        """Return how far the zeros of the taxels have drifted by place at `step`, newtons, shape (rows, columns)."""
+        return self._model.drifted_n((self.taxels.rows, self.taxels.columns), self.period_s * max(0, step))
+
     def prepare(self, force_n: npt.NDArray[np.float32], step: int) -> None:
         """Sample the forces at `step` before they are asked for: noise and average take most of the time."""
         if step == self.sampled_ahead:

@@ -227,6 +227,11 @@ class TaxelModel:
                 force_n = np.add(force_n, drift.offsets_n(taxels, time_s))
         return force_n
 
+    def drifted_n(self, taxels: tuple[int, ...], time_s: float) -> Force:
+        """Return how far the zeros of an array of shape `taxels` have drifted by place at a time, newtons."""
+        at = np.array([time_s])
+        return sum((each.offsets_n(taxels, at)[0] for each in self.zero_drifts), np.zeros(taxels, np.float32))
+
     def noise_of(self, taxels: tuple[int, ...]) -> float | Force:
         """Return the standard deviation of the noise of an array of shape `taxels`, newtons, for all or for each."""
         if self.noisy is None:

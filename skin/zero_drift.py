@@ -29,6 +29,9 @@ _COURSES: Final[dict[str, Callable[[_Floats, float], _Floats]]] = {
 }
 #: Default duration, seconds.
 _DURATIONS_S: Final = {"step": 0.0, "ramp": 60.0, "exponential": 60.0, "daily": 86_400.0}
+#: A simulated board's temperature explains its drift: kelvin without drift, and drift per kelvin.
+REST_K: Final = 298.15
+DRIFT_N_PER_K: Final = 5e-4
 #: Time constants of creep.
 RISE_S: Final = 60.0
 RECOVERY_S: Final = 30.0

@@ -97,6 +97,11 @@ class PatchSensors:
         self._gain, self._offset = calibration.gain[cells], calibration.offset[cells]
         self._pattern = calibration.pattern[cells].astype(np.float32)
 
+    def drifted_n(self, tick_ns: int) -> Floats:
+        """Return how far the zeros of the taxels have drifted by place, newtons, shape (rows, columns)."""
+        since_ns = 0 if self.touch_from_ns is None else max(0, tick_ns - self.touch_from_ns)
+        return self._model.drifted_n(self._shape, since_ns * 1e-9)
+
     def sample(self, tick_ns: int) -> Floats:
         """Sample every taxel for a tick; the samples are up to 1 ms old then. Newtons, shape (boards, taxels)."""
         since = 0.0

@@ -11,7 +11,7 @@ from skin.defects import Damper, Dead, Drift, Offset, Saturated
 from skin.layout import load_layout
 from skin.sources import Frame, TaxelSource
 from skin.taxel import NOISE_N, to_newtons
-from skin.zero_drift import Creep
+from skin.zero_drift import Creep, ZeroDrift
 
 LAYOUT = load_layout()
 PHI = LAYOUT.phi()
@@ -259,6 +259,19 @@ def test_creep_follows_the_steps_of_the_touch_whatever_is_left_out() -> None:
         assert low * LAYOUT.taxels.newton_per_count == pytest.approx(-0.2 * 0.01, abs=1e-4)
         later = (board.read(zero, 430).astype(int) - start)[start > 110]
         assert later * LAYOUT.taxels.newton_per_count == pytest.approx(-0.2 * 0.01 * np.exp(-1), abs=1e-4)
+
+
+def test_the_temperature_of_a_board_explains_its_drift() -> None:
+    cells = tuple(PHI.taxels_of_blocks[7].tolist())
+    drifts = (ZeroDrift("cells", "ramp", 0.002, 1.0, 1.0, cells=cells), ZeroDrift("whole", "step", -0.001))
+    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"zero_drifts": drifts}, period_s=0.01)
+    sampler = Sampler(PHI, Steps(), electronics)
+    seen = []
+    for counter in (0, 1, 151, 231):
+        if counter:
+            sampler.sample(counter, counter * PERIOD_NS)
+        seen.append([sampler.temperature_k(range(*blocks)) - 298.15 for blocks in ((7, 8), (8, 9), (7, 9))])
+    assert np.array(seen) == pytest.approx(np.array([[-2, -2, -2], [-2, -2, -2], [0, -2, -1], [2, -2, 0]]), abs=1e-4)
 
 
 def averaging(source: TaxelSource, noise_n: float = NOISE_N) -> tuple[Sampler, Electronics]:
