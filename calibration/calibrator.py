@@ -118,6 +118,7 @@ class Calibrator:
         self._calm_windows = 0
         self._noise_n = self._valid_ratio = 0.0
         self._bias_n: Floats | float = 0.0
+        self.temperatures_k: Floats = np.full(self._phi.blocks, np.nan)
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
         self.revision = 0
         if offsets_n is not None:
@@ -159,6 +160,10 @@ class Calibrator:
         self._begin(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 1, 0.0, ZeroSupport.STORED)
         if not self._tares:
             self.state = CalibrationState.LOADED
+
+    def take_temperatures(self, kelvin: Floats) -> None:
+        """Take the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown."""
+        self.temperatures_k = kelvin
 
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.windows import Bools, Floats
 from reconstructor.kernels.fused import FusedSolver
@@ -60,9 +59,7 @@ class FieldFinder:
     """
 
     def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
-        settings = replace(
-            VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False
-        )
+        settings = replace(VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False)
         self._solver = FusedSolver(phi, rows, columns, settings)
         self._phi = phi
         #: Standard deviation of Φᵀ noise over that of the noise.
@@ -120,4 +117,3 @@ def _is_spread(phi: Sbhe, rows: int, columns: int) -> Bools:
         for side in (first, second):
             edges += np.bincount(side[first != second], minlength=phi.blocks)
     return np.asarray(edges >= SPREAD_EDGES * phi.block_size, np.bool_)
-

@@ -64,6 +64,7 @@ from dbc.indices import (
     OD_SYNC_OVERFLOW,
     OD_TAXEL_NOISE,
     OD_TAXELS,
+    OD_TEMPERATURE,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
     OD_WINDOW_US,
@@ -112,6 +113,8 @@ INHIBIT_100US: Final = 10
 ERRORS_KEPT: Final = 8
 #: Most heartbeats that a node can watch.
 HEARTBEATS_WATCHED: Final = 4
+#: Value of 2036h, temperature, of a board that does not know its own.
+TEMPERATURE_UNKNOWN: Final = 0x7FFF
 #: Bit 0 of 1010h and 1011h: the device stores or restores on command (CiA 301, 7.5.2.13).
 ON_COMMAND: Final = 1
 
@@ -321,6 +324,8 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
     whole += _state(contract)
     if node.adaptive_tpdos:
         whole += _adaptive_objects(contract)
+    if contract.layout.taxels.has_thermometers:
+        whole.append(Object(OD_TEMPERATURE, None, "Temperature in 0.1 K", INTEGER16, "ro", TEMPERATURE_UNKNOWN))
     blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]
     return sorted(whole + blocks, key=lambda each: each.index)
 

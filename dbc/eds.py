@@ -43,6 +43,7 @@ from dbc.indices import (
     OD_SIGNATURE,
     OD_STORE,
     OD_TAXELS,
+    OD_TEMPERATURE,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
     OD_TPDO_MAPPING,
@@ -85,6 +86,7 @@ _OF_RUN: Final = (
     OD_TEST_PATTERN,
     OD_REFRESH,
     OD_NODE_NOISE,
+    OD_TEMPERATURE,
 )
 
 

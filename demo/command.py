@@ -23,6 +23,7 @@ def demo(
     objects: list[str] | None = None,
     stroke: StrokeKind = "slide",
     defect: list[str] | None = None,
+    drift: list[str] | None = None,
     seed: int = 0,
     view: bool = True,
     port: int | None = None,
@@ -56,8 +57,11 @@ def demo(
         ``slide`` or ``press``, see ``skin nodes``; the classifier is trained on the same touches.
     defect
         Defects of the taxels, each KIND or KIND=AMOUNT, see ``skin nodes``: dead, stuck, saturated, noisy, gain-spread,
-        offset, cross-talk, drift, damper; analogue front end: mismatch, sum-offset, sum-noise, skew. With an offset or
-        drift the touches begin when the zero has been measured.
+        offset, cross-talk, drift, damper, creep; analogue front end: mismatch, sum-offset, sum-noise, skew. With an
+        offset or drift the touches begin when the zero has been measured.
+    drift
+        Drifts of zero at a place, each PLACE:COURSE:AMOUNT_N[:START_S[:DURATION_S]], see ``skin nodes``; START_S counts
+        from the first SYNC. The touches begin when the zero has been measured.
     seed
         Seed of the touches, of the sensor noise, and of the choice of defective taxels.
     view
@@ -78,6 +82,7 @@ def demo(
     skin demo --seconds 10 --objects golf-ball
     skin demo --seconds 60 --objects paper
     skin demo --defect dead=0.05 stuck=0.02
+    skin demo --drift patch12:ramp:0.003:10:60
     skin demo --input S1.npz --array posture_01 posture_02 --full-scale 4095 --json
     """
     stop = StopSignal().install()
@@ -97,6 +102,7 @@ def demo(
         objects=object_names(objects or ()),
         stroke=stroke,
         defects=tuple(defect or ()),
+        drifts=tuple(drift or ()),
         seed=seed,
         view=view,
         port=port,

@@ -11,6 +11,7 @@ from skin.defects import parse_defects
 from skin.layout import Layout, require_one_state
 from skin.output import check_picture_path
 from skin.sources import StrokeKind, load_source, step_rate_hz
+from skin.zero_drift import parse_drifts
 from touch.objects import checked_names
 
 #: Defects with which an untouched skin has sums.
@@ -36,12 +37,13 @@ class DemoOptions:
     picture: Path
     firmware: bool = False
     stroke: StrokeKind = "slide"
+    drifts: tuple[str, ...] = ()
 
     @property
     def has_zero_errors(self) -> bool:
         """Whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
         defects = parse_defects(self.defects, self.seed, is_analogue=True)
-        return self.recording is not None or not defects.keys().isdisjoint(_ZERO_DEFECTS)
+        return self.recording is not None or bool(self.drifts) or not defects.keys().isdisjoint(_ZERO_DEFECTS)
 
     def check(self, layout: Layout) -> None:
         """Check that a run with these options is possible.
@@ -63,6 +65,7 @@ class DemoOptions:
             _check_port(self.port)
         check_picture_path(self.picture)
         parse_defects(self.defects, self.seed, is_analogue=layout.taxels.is_analogue)
+        parse_drifts(self.drifts, self.seed, layout)
         self._check_touch(layout)
 
     def _check_touch(self, layout: Layout) -> None:

@@ -139,6 +139,7 @@ class Run:
         elif options.has_zero_errors:
             touch += ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
         touch += [part for defect in options.defects for part in ("--defect", defect)]
+        touch += [f"--drift={drift}" for drift in options.drifts]
         touch += ["--firmware"] * options.firmware
         start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)
         start("reconstructor", "reconstruct", *common, restart=True)

@@ -26,6 +26,7 @@ from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
+from gateway.temperatures import Temperatures
 from skin.layout import Layout
 from skin.service import say
 
@@ -87,6 +88,8 @@ class GatewayCalibration:
             tares=tares,
             say=lambda text: say("gateway", text),
         )
+        has_thermometers = contract.layout.taxels.has_thermometers
+        self._temperatures = Temperatures(contract, self.take_temperatures) if has_thermometers else None
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
         self._tare_until_s = 0.0
@@ -133,6 +136,10 @@ class GatewayCalibration:
         if measurement.fingerprint == self._contract.phi.fingerprint:
             self._calibrator.take(measurement)
 
+    def take_temperatures(self, kelvin: Floats) -> None:
+        """Take the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown."""
+        self._calibrator.take_temperatures(kelvin)
+
     def work(self) -> None:
         """Learn from what was taken; takes about a millisecond."""
         self._calibrator.work()
@@ -163,11 +170,13 @@ class GatewayCalibration:
         self._run_aside(write)
 
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
-        """Answer a request, write to nodes; call it many times a second."""
+        """Answer a request, write to nodes, read temperatures; call it many times a second."""
         self._now_s = now_s
         if self._keeps is not None and now_s >= self._keep_at_s and self._calibrator.offsets_n is not None:
             self._keep_at_s = now_s + KEEP_S
             self.keep_zero()
+        if self._temperatures is not None:
+            self._temperatures.tick(masters, now_s)
         if self._requests:
             self._take(*self._requests.popleft(), masters, now_s)
         result = self._calibrator.result

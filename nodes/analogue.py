@@ -32,7 +32,7 @@ class AnalogueElectronics(Electronics):
     seed : int
         Same seed, same noise.
     defects : mapping
-        Defects of taxels and of sums, as `skin.defects.parse_defects` returns them.
+        Defects of taxels and of sums, as `skin.defects.parse_defects` and `skin.zero_drift.parse_drifts` return them.
 
     Raises
     ------
@@ -94,7 +94,9 @@ class AnalogueElectronics(Electronics):
         self.sampled_ahead = -1
         change_n_per_s = None if later_n is None else self._change_n_per_s(force_n, later_n, step)
         phi = self._phi
-        sums_n = self._sum_model.sums_n(phi, self._signal_n, self._random, change_n_per_s=change_n_per_s)
+        sums_n = self._sum_model.sums_n(
+            phi, self._signal_n, self._random, change_n_per_s=change_n_per_s, time_s=self.period_s * step
+        )
         counts = self.converter.counts(sums_n)
         shown = self.pattern[phi.taxels_of_blocks]
         if (shown >= 0).any():
@@ -107,6 +109,8 @@ class AnalogueElectronics(Electronics):
         model = self._model
         if model.damper is not None:
             later_n = model.damper(np.stack([force_n, later_n]), self.period_s)[1]
+        if model.creep is not None:
+            later_n = model.creep(later_n[None], self._memory_n, self.period_s)[0][0]
         felt_n = model.felt_n(np.stack([self._moment_n, later_n]), self.period_s * np.array([step, step + 1]))
         change_n_per_s: Force = (felt_n[1] - felt_n[0]).ravel() / np.float32(self.period_s)
         fixed_n = model.fixed_n(force_n.shape)

@@ -10,6 +10,7 @@ from dbc.board_sums import PATTERN_OFF
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Calibration
 from skin.measurement import Sbhe
+from skin.zero_drift import DRIFT_N_PER_K, REST_K
 
 #: When a synchronous node has to do something by itself: never.
 NEVER_S = float("inf")
@@ -86,6 +87,14 @@ class Boards(ABC):
     def saturated(self, block: int) -> int:
         """Count the taxels of `block` at the top of their range."""
         return int((self.counts(block) >= self._calibration.taxels.count_max).sum())
+
+    def _drifted_n(self) -> npt.NDArray[np.float32]:
+        """Return how far the zeros of the taxels have drifted by place, newtons, shape (rows, columns) or (n,)."""
+        return np.zeros(self._phi.order.size, np.float32)
+
+    def temperature_k(self, blocks: range) -> float:
+        """Return the simulated temperature of the board of some blocks, kelvin: that which explains their drift."""
+        return REST_K + float(self._drifted_n().flat[self._phi.taxels_of_blocks[blocks]].mean()) / DRIFT_N_PER_K
 
     def _chain(self, block: int) -> npt.NDArray[np.intp]:
         """Return the taxels of a block in chain order."""

@@ -24,6 +24,7 @@ from skin.layout import Layout, load_layout, require_one_state
 from skin.service import StopSignal, say
 from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, object_names, step_rate_hz
 from skin.taxel import NOISE_N
+from skin.zero_drift import parse_drifts
 
 
 def nodes(
@@ -43,6 +44,7 @@ def nodes(
     rest: float = 0.0,
     noise_n: float = NOISE_N,
     defect: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    drift: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
     seed: int = 0,
     store: Path | None = None,
     firmware: Annotated[bool, Parameter(negative=())] = False,
@@ -86,11 +88,17 @@ def nodes(
         Defects of the taxels, each KIND or KIND=AMOUNT (default amount in brackets). Fraction of the taxels: dead,
         stuck, saturated, noisy (0.01). Standard deviation of the gains: gain-spread (0.1). Largest
         offset / range: offset (0.13). Fraction of each neighbour's force: cross-talk (0.1). Drift of zero, N/s: drift
-        (0.0001). Damping, N s/m: damper (0.01). Of sums that are made in hardware (taxels.frontend = "analogue"):
+        (0.0001). Damping, N s/m: damper (0.01). Part of a force by which its reading creeps up, and the zero is low
+        after it: creep (0.05). Of sums that are made in hardware (taxels.frontend = "analogue"):
         standard deviation of the gains of their two paths: mismatch (0.01); of their offsets, N: sum-offset (0.01); of
         the noise behind the addition, N: sum-noise (0.001); time between two sums of a block, s: skew (0.0001).
+    drift
+        Drifts of zero at a place, each PLACE:COURSE:AMOUNT_N[:START_S[:DURATION_S]]. PLACE: whole, half (the left one),
+        gradient (from 0 to the amount across the columns), patchSIDE or patchSIDE@ROW,COLUMN (a square of taxels),
+        boardBLOCK (the taxels of a block), converterBLOCK. COURSE: step, ramp (60 s), exponential (time constant 60 s),
+        daily (a sine, 24 h).
     seed
-        Seed of the touches, of the noise, and of the choice of defective taxels.
+        Seed of the touches, of the noise, and of the choice of defective taxels and of patches that drift.
     store
         Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board.
     firmware
@@ -101,6 +109,7 @@ def nodes(
     --------
     skin nodes --objects golf-ball
     skin nodes --defect dead=0.02 cross-talk drift
+    skin nodes --drift patch12:ramp:0.003:10:60 whole:step:-0.002:5
     skin nodes -i socketcan -c vcan0 --only bus0:1-16
     """
     if seed < 0 or not 0 <= noise_n < math.inf:
@@ -121,6 +130,7 @@ def nodes(
     stop = StopSignal().install()
     skin = load_layout(layout, adaptive=True)
     defects = parse_defects(defect or (), seed, is_analogue=skin.taxels.is_analogue)
+    defects |= parse_drifts(drift or (), seed, skin)
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = (

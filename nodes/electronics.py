@@ -54,9 +54,9 @@ class Electronics(Calibration):
     seed : int
         Same seed, same noise.
     defects : mapping
-        Defects of the taxels, as `skin.defects.parse_defects` returns them.
+        Defects of the taxels, as `skin.defects.parse_defects` and `skin.zero_drift.parse_drifts` return them.
     period_s : float
-        Time between two steps of the touch, the period of SYNC; drift, damper and SYNCs without counter need it.
+        Time between two steps of the touch, the period of SYNC; drift, damper, creep and SYNCs without counter need it.
     samples : int
         Samples of every taxel in one step, the last one at the step's instant. Between two steps the force is
         interpolated. More than one are averaged (`nodes.averaging`).
@@ -90,6 +90,8 @@ class Electronics(Calibration):
         self._random = np.random.Generator(np.random.SFC64(seed))
         self.period_s = period_s
         self._last: tuple[int, npt.NDArray[np.float32]] | None = None
+        #: What `skin.zero_drift.Creep` keeps of the forces so far.
+        self._memory_n: npt.NDArray[np.float32] | float = 0.0
         self._samples = samples
         self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
         self._felt = np.zeros(taxels.count, np.int32)
@@ -105,6 +107,10 @@ class Electronics(Calibration):
     def averages(self) -> bool:
         """Whether samples are averaged: then every step has to be read, or prepared, after the one before."""
         return self._filter is not None
+
+    def drifted_n(self, step: int) -> npt.NDArray[np.float32]:
+        """Return how far the zeros of the taxels have drifted by place at `step`, newtons, shape (rows, columns)."""
+        return self._model.drifted_n((self.taxels.rows, self.taxels.columns), self.period_s * max(0, step))
 
     def prepare(self, force_n: npt.NDArray[np.float32], step: int) -> None:
         """Sample the forces at `step` before they are asked for: noise and average take most of the time."""
@@ -144,14 +150,17 @@ class Electronics(Calibration):
         return corrected(counts, self.gain, self.offset, self.taxels)
 
     def _moments_n(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float32]:
-        """Return the forces of the samples up to `step`, with the damper's part: the speed is that since the last."""
+        """Return the forces of the samples up to `step`, with damper and creep: the speed is that since the last."""
         last_step, last_n = self._last or (step, force_n)
         self._last = step, force_n
         if step <= last_step:
             last_step, last_n = step - 1, force_n
         parts = (np.arange(1, self._samples, dtype=np.float32) / self._samples)[:, None, None]
         moments_n = np.concatenate([last_n[None], last_n + parts * (force_n - last_n), force_n[None]])
+        period_s = (step - last_step) * self.period_s / self._samples
         if self._model.damper is not None:
-            moments_n = self._model.damper(moments_n, (step - last_step) * self.period_s / self._samples)
+            moments_n = self._model.damper(moments_n, period_s)
         felt_n: npt.NDArray[np.float32] = moments_n[1:]
+        if self._model.creep is not None:
+            felt_n, self._memory_n = self._model.creep(felt_n, self._memory_n, period_s)
         return felt_n

@@ -41,6 +41,7 @@ from dbc.indices import (
     OD_STATE,
     OD_STORE,
     OD_SUMS,
+    OD_TEMPERATURE,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
     OD_TPDO_MAPPING,
@@ -119,11 +120,13 @@ class SkinNode:
         self._has_events = False
         self._emcy_cob_id = 0
         self._emcy_inhibit_s = 0.0
+        first = contract.block
         self._live: dict[int, Callable[[int], float | None]] = {
             OD_ERROR_REGISTER: lambda _: self.emcy.register,
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,
             OD_SIGNATURE: lambda _: self._read_signature(),
+            OD_TEMPERATURE: lambda _: round(10 * boards.temperature_k(range(first, first + contract.blocks))),
             OD_STATE: lambda subindex: self._wanted if subindex == 1 else None,
             **{
                 of_block(OD_SUMS, place): partial(self._read_sum, contract.block + place)

@@ -167,6 +167,9 @@ class Sampler(Boards):
             self._ahead = _Ahead(step, frame, sums, self._electronics.sampled)
             self._electronics.sampled = sampled  # until then
 
+    def _drifted_n(self) -> npt.NDArray[np.float32]:
+        return self._electronics.drifted_n(self._step)
+
     def _drop_answer(self) -> None:
         """Make the next answer anew, from the same samples of the taxels."""
         if self._ahead is not None:

@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from skin.ranges import require_number
+from skin.zero_drift import Creep
 
 #: Spring of one taxel: force in newtons = STIFFNESS_N_PER_M x compression in metres (section V).
 STIFFNESS_N_PER_M: Final = 1.0
@@ -38,7 +40,7 @@ class Damper:
     damping_n_s_per_m: float
 
     def __post_init__(self) -> None:
-        _need_ratio("damping_n_s_per_m", self.damping_n_s_per_m, math.inf)
+        require_number("damping_n_s_per_m", self.damping_n_s_per_m)
 
     def __call__(self, force_n: Force, period_s: float) -> Force:
         """Return forces (steps, ...) plus the force of the damper; the speed at the first step is 0."""
@@ -54,7 +56,7 @@ class CrossTalk:
     ratio: float
 
     def __post_init__(self) -> None:
-        _need_ratio("ratio", self.ratio, 1.0)
+        require_number("ratio", self.ratio, 1.0)
 
     def __call__(self, force_n: Force) -> Force:
         """Return forces (..., rows, columns) with cross-talk."""
@@ -75,7 +77,7 @@ class GainSpread:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _need_ratio("deviation", self.deviation, 1.0)
+        require_number("deviation", self.deviation, 1.0)
 
     def gains(self, taxels: tuple[int, ...]) -> Force:
         """Return the gain of each taxel of an array of shape `taxels`, read-only."""
@@ -90,7 +92,7 @@ class Offset:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _need_ratio("ratio", self.ratio, 1.0)
+        require_number("ratio", self.ratio, 1.0)
 
     def offsets_n(self, taxels: tuple[int, ...], force_max_n: float) -> Force:
         """Return the offset of each taxel of an array of shape `taxels`, newtons, read-only."""
@@ -105,7 +107,7 @@ class Drift:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _need_ratio("deviation_n_per_s", self.deviation_n_per_s, math.inf)
+        require_number("deviation_n_per_s", self.deviation_n_per_s)
 
     def offsets_n(self, taxels: tuple[int, ...], time_s: npt.NDArray[np.float64]) -> Force:
         """Return offsets of shape (times, *taxels), newtons."""
@@ -120,7 +122,7 @@ class _PartOfTaxels:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _need_ratio("ratio", self.ratio, 1.0)
+        require_number("ratio", self.ratio, 1.0)
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,7 @@ class Mismatch:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _need_ratio("deviation", self.deviation, 1.0)
+        require_number("deviation", self.deviation, 1.0)
 
     def gains(self, sums: int) -> SumGains:
         """Return the gains of so many sums, read-only."""
@@ -201,7 +203,7 @@ class SumOffset:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _need_ratio("deviation_n", self.deviation_n, math.inf)
+        require_number("deviation_n", self.deviation_n)
 
     def offsets_n(self, sums: int) -> Force:
         """Return the offset of each of so many sums, newtons, read-only."""
@@ -215,7 +217,7 @@ class SumNoise:
     deviation_n: float
 
     def __post_init__(self) -> None:
-        _need_ratio("deviation_n", self.deviation_n, math.inf)
+        require_number("deviation_n", self.deviation_n)
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,7 @@ class Skew:
     row_s: float
 
     def __post_init__(self) -> None:
-        _need_ratio("row_s", self.row_s, math.inf)
+        require_number("row_s", self.row_s)
 
 
 class DefectKind(NamedTuple):
@@ -254,6 +256,7 @@ KINDS: Final = {
     "stuck": DefectKind(Stuck, 0.01),
     "saturated": DefectKind(Saturated, 0.01),
     "dead": DefectKind(Dead, 0.01),
+    "creep": DefectKind(lambda amount, _seed: Creep(amount), 0.05),
 }
 #: Kind by attribute name of `skin.frontend.SumModel`: defects of the sums of an analogue front end.
 SUM_KINDS: Final = {
@@ -327,15 +330,9 @@ def parse_defects(texts: Iterable[str], seed: int, *, is_analogue: bool = False)
 
 
 def of_sums(defects: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Divide defects into those of taxels and those of sums."""
-    sums = {name: each for name, each in defects.items() if name in SUM_KINDS}
+    """Divide defects, with the drifts of `skin.zero_drift.parse_drifts`, into those of taxels and those of sums."""
+    sums = {name: each for name, each in defects.items() if name in {*SUM_KINDS, "sum_drifts"}}
     return {name: each for name, each in defects.items() if name not in sums}, sums
-
-
-def _need_ratio(name: str, value: float, most: float) -> None:
-    if not (math.isfinite(value) and 0 <= value <= most):
-        expected = "a number of 0 or more" if most == math.inf else f"a number from 0 to {most:g}"
-        raise InputError(f"{name} needs {expected}: got {value}")
 
 
 def _stream(seed: int, defect: int) -> np.random.Generator:

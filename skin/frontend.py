@@ -19,6 +19,7 @@ import numpy.typing as npt
 from skin.defects import Force, Mismatch, Skew, SumGains, SumNoise, SumOffset
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.zero_drift import ZeroDrift
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,13 @@ def sum_step_n(layout: Layout) -> float:
 
 @dataclass(frozen=True)
 class SumModel:
-    """Gains, offset, noise and skew of the sums of one skin; None for a perfect front end."""
+    """Gains, offset, noise, skew and drifts of the sums of one skin; without them a perfect front end."""
 
     mismatch: Mismatch | None = None
     sum_offset: SumOffset | None = None
     sum_noise: SumNoise | None = None
     skew: Skew | None = None
+    sum_drifts: tuple[ZeroDrift, ...] = ()
 
     def sums_n(
         self,
@@ -90,6 +92,7 @@ class SumModel:
         rng: np.random.Generator,
         *,
         change_n_per_s: Force | None = None,
+        time_s: float = 0.0,
     ) -> Force:
         """Return what the converters get.
 
@@ -102,6 +105,8 @@ class SumModel:
             Source of the noise of sums.
         change_n_per_s : array of float32, shape (..., n), optional
             How fast the forces change after SYNC; `skew` needs it.
+        time_s : float
+            Time of the SYNC; drifts need it.
 
         Returns
         -------
@@ -112,6 +117,8 @@ class SumModel:
             sums_n += self._added(phi, change_n_per_s) * row_times_s(phi, self.skew)
         if self.sum_offset is not None:
             sums_n += self.sum_offset.offsets_n(phi.shape[0])
+        for drift in self.sum_drifts:
+            sums_n += drift.offsets_n(phi.shape[:1], np.array([time_s]))[0]
         if self.sum_noise is not None:
             noise = rng.standard_normal(sums_n.shape, np.float32)
             sums_n += np.float32(self.sum_noise.deviation_n) * noise

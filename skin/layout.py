@@ -56,7 +56,8 @@ class Taxels(_Table, frozen=True, kw_only=True):
     """The grid of taxels: `rows` x `columns`, `pitch_m` apart; forces from 0 to `force_max_n` in `adc_bits`.
 
     `frontend` tells where a sum is made: each taxel has a converter and the node adds numbers (``digital``), or
-    currents are added before one converter for each sum (``analogue``, `skin.frontend`).
+    currents are added before one converter for each sum (``analogue``, `skin.frontend`). `untouchable` are the taxels
+    that nothing can touch, row-major. `has_thermometers` tells that the boards measure their temperature (2036h).
     """
 
     rows: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
@@ -65,6 +66,8 @@ class Taxels(_Table, frozen=True, kw_only=True):
     force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
     frontend: Literal["digital", "analogue"] = "digital"
+    untouchable: tuple[int, ...] | None = None
+    has_thermometers: bool = False
 
     @property
     def is_analogue(self) -> bool:

@@ -42,6 +42,7 @@ def check(layout: "Layout") -> None:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
         raise LayoutError(f"{limit}, got {sampled_hz:g} - at `$.sampling.rate_hz`")
     _check_frontend(layout)
+    _check_untouchable(layout)
     _check_buses(layout)
     if layout.device.first_serial + layout.blocks - 1 > IDENTITY_MAX:
         highest = IDENTITY_MAX - layout.blocks + 1
@@ -104,6 +105,16 @@ def _check_frontend(layout: "Layout") -> None:
     if layout.taxels.adc_bits < ANALOGUE_BITS:
         limits = f"an analogue front end expects {ANALOGUE_BITS} or more"
         raise LayoutError(f"{limits}, got {layout.taxels.adc_bits} - at `$.taxels.adc_bits`")
+
+
+def _check_untouchable(layout: "Layout") -> None:
+    taxels, count = layout.taxels.untouchable or (), layout.taxels.count
+    outside = [taxel for taxel in taxels if not 0 <= taxel < count]
+    twice = [taxel for place, taxel in enumerate(taxels) if taxel in taxels[:place]]
+    if outside or twice or len(taxels) == count:
+        wrong = f"{outside[0]}" if outside else f"{twice[0]} twice" if twice else "all taxels"
+        limit = f"expected some of the taxels 0 to {count - 1}, each once and not all"
+        raise LayoutError(f"{limit}, got {wrong} - at `$.taxels.untouchable`")
 
 
 def _check_recognition(layout: "Layout", state: "Recognition") -> None:

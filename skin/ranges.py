@@ -1,7 +1,10 @@
-"""Ascending numbers as text."""
+"""Ranges of numbers: as text, and checked."""
 
+import math
 from collections.abc import Iterable
 from itertools import groupby
+
+from canskin.errors import InputError
 
 
 def ranges_text(numbers: Iterable[int]) -> str:
@@ -9,3 +12,16 @@ def ranges_text(numbers: Iterable[int]) -> str:
     ordered = sorted(set(numbers))
     runs = [[number for _, number in run] for _, run in groupby(enumerate(ordered), key=lambda pair: pair[1] - pair[0])]
     return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
+
+
+def require_number(name: str, value: float, most: float = math.inf) -> None:
+    """Check a number from 0 to `most`.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not (math.isfinite(value) and 0 <= value <= most):
+        expected = "a number of 0 or more" if most == math.inf else f"a number from 0 to {most:g}"
+        raise InputError(f"{name} needs {expected}: got {value}")

@@ -95,7 +95,7 @@ def load_source(name: str, **options: Any) -> TaxelSource:
 
 
 def load_objects(layout: Layout, **options: Any) -> TaxelSource:
-    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`.
+    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`; untouchable taxels feel nothing.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def load_objects(layout: Layout, **options: Any) -> TaxelSource:
         If no installed package offers objects, or an option does not fit them.
     """
     taxels = layout.taxels
-    return load_source(
+    source = load_source(
         "objects",
         rows=taxels.rows,
         columns=taxels.columns,
@@ -111,6 +111,27 @@ def load_objects(layout: Layout, **options: Any) -> TaxelSource:
         rate_hz=step_rate_hz(layout),
         **options,
     )
+    return _Sheltered(source, layout) if taxels.untouchable else source
+
+
+class _Sheltered:
+    """A source without force on the taxels that nothing can touch."""
+
+    def __init__(self, source: TaxelSource, layout: Layout) -> None:
+        self.has_noise = source.has_noise
+        self._source, self._layout = source, layout
+
+    def frame(self, step: int) -> Frame:
+        """Return the touch at `step`."""
+        frame = self._source.frame(step)
+        return frame._replace(force_n=_sheltered(frame.force_n, self._layout))
+
+
+def _sheltered(force_n: npt.NDArray[np.float32], layout: Layout) -> npt.NDArray[np.float32]:
+    """Return forces (..., rows, columns) without those on taxels that nothing can touch."""
+    force_n = np.array(force_n, np.float32)
+    force_n.reshape(-1, layout.taxels.count)[:, list(layout.taxels.untouchable or ())] = 0
+    return force_n
 
 
 def object_names(given: Iterable[str]) -> tuple[str, ...]:
@@ -178,7 +199,7 @@ def load_touches(
         skip_unfelt=tuple(names) == DEFAULT_OBJECTS,
         **({} if stroke == "slide" else {"stroke": stroke}),
     )
-    return LabelledTouches(np.asarray(force_n, np.float32), np.asarray(labels, np.str_))
+    return LabelledTouches(_sheltered(force_n, layout), np.asarray(labels, np.str_))
 
 
 def _load(group: str, name: str) -> Callable[..., Any]:

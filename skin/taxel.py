@@ -2,8 +2,8 @@
 
 Nodes, simulators, training and comparisons use this model of noise, range, resolution and defects::
 
-    force ─▶ damper, cross-talk, gain, zero ─▶ noise  ─▶ range ─▶ stuck, saturated, dead ─▶ ADC
-             └──────────────────── TaxelModel.signal ──────────────────────────────────┘  to_counts
+    force ─▶ damper, creep, cross-talk, gain, zero ─▶ noise  ─▶ range ─▶ stuck, saturated, dead ─▶ ADC
+             └─────────────────────── TaxelModel.signal ──────────────────────────────────────┘  to_counts
 
 The paper adds normal noise of 1 mN and clips to 0 to 20 mN (section V): this is `sense`.
 """
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from skin.defects import CrossTalk, Damper, Dead, Drift, Force, GainSpread, Noisy, Offset, Saturated, Stuck
 from skin.layout import Taxels
+from skin.zero_drift import Creep, ZeroDrift
 
 #: Standard deviation of the sensor noise, as in the paper.
 NOISE_N: Final = 1e-3
@@ -111,15 +112,18 @@ def to_newtons(counts: npt.NDArray[np.integer], taxels: Taxels) -> Force:
 class TaxelModel:
     """Noise, range and defects of the taxels of one array.
 
-    Damper, cross-talk, gain spread, offset and drift act on the force, in this order. Noise and clipping follow. Stuck,
-    saturated and dead taxels come last, in this order: a taxel that is both stuck and dead reads 0.
+    Damper, creep, cross-talk, gain spread, offset, drift and the drifts of places act on the force, in this order.
+    Noise and clipping follow. Stuck, saturated and dead taxels come last, in this order: a taxel that is both stuck and
+    dead reads 0.
 
     Attributes
     ----------
     noise_n, force_max_n : float
         As for `sense`.
-    damper, cross_talk, gain_spread, offset, drift, noisy, stuck, saturated, dead
+    damper, creep, cross_talk, gain_spread, offset, drift, noisy, stuck, saturated, dead
         See `skin.defects`; None for no defect.
+    zero_drifts
+        See `skin.zero_drift`.
 
     Raises
     ------
@@ -130,6 +134,7 @@ class TaxelModel:
     noise_n: float = NOISE_N
     force_max_n: float = FORCE_MAX_N
     damper: Damper | None = None
+    creep: Creep | None = None
     cross_talk: CrossTalk | None = None
     gain_spread: GainSpread | None = None
     offset: Offset | None = None
@@ -138,6 +143,7 @@ class TaxelModel:
     stuck: Stuck | None = None
     saturated: Saturated | None = None
     dead: Dead | None = None
+    zero_drifts: tuple[ZeroDrift, ...] = ()
 
     def __post_init__(self) -> None:
         _check(self.noise_n, self.force_max_n)
@@ -159,7 +165,7 @@ class TaxelModel:
         Returns
         -------
         numpy.ndarray
-            float32, the same shape. The damper takes a speed of 0 at the first step.
+            float32, the same shape. The damper takes a speed of 0 at the first step, and the skin has rested before.
 
         Raises
         ------
@@ -172,12 +178,14 @@ class TaxelModel:
             raise InputError(f"period_s needs a number above 0: got {period_s}")
         if self.damper is not None:
             force_n = self.damper(force_n, period_s)
+        if self.creep is not None:
+            force_n, _ = self.creep(force_n, 0.0, period_s)
         return self.signal_of_moments(force_n, rng, start_s + period_s * np.arange(len(force_n), dtype=np.float64))
 
     def signal_of_moments(
         self, force_n: Force, rng: np.random.Generator, time_s: npt.NDArray[np.float64], *, clips: bool = True
     ) -> Force:
-        """Return the sensor signal of single moments, without the damper.
+        """Return the sensor signal of single moments, without damper and creep.
 
         Parameters
         ----------
@@ -213,9 +221,16 @@ class TaxelModel:
             force_n = force_n * self.gain_spread.gains(taxels)
         if self.offset is not None:
             force_n = np.add(force_n, self.offset.offsets_n(taxels, self.force_max_n))
-        if self.drift is not None:
-            force_n = np.add(force_n, self.drift.offsets_n(taxels, time_s))
+        drifts: tuple[Drift | ZeroDrift | None, ...] = (self.drift, *self.zero_drifts)
+        for drift in drifts:
+            if drift is not None:
+                force_n = np.add(force_n, drift.offsets_n(taxels, time_s))
         return force_n
+
+    def drifted_n(self, taxels: tuple[int, ...], time_s: float) -> Force:
+        """Return how far the zeros of an array of shape `taxels` have drifted by place at a time, newtons."""
+        at = np.array([time_s])
+        return sum((each.offsets_n(taxels, at)[0] for each in self.zero_drifts), np.zeros(taxels, np.float32))
 
     def noise_of(self, taxels: tuple[int, ...]) -> float | Force:
         """Return the standard deviation of the noise of an array of shape `taxels`, newtons, for all or for each."""

@@ -145,6 +145,9 @@ class PatchBoards(Boards):
             )
         )
 
+    def _drifted_n(self) -> Floats:
+        return self._sensors.drifted_n(self._next_ns)
+
     def take_truth(self) -> Truth | None:
         """Return the oldest truth that was not returned yet."""
         return self._truths.popleft() if self._truths else None

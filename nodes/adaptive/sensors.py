@@ -22,6 +22,7 @@ from skin.taxel import TaxelModel
 
 #: Time between two steps of the touch.
 STEP_NS: Final = round(1e9 / ADAPTIVE_STEP_HZ)
+STEP_S: Final = STEP_NS * 1e-9
 #: Largest error of a board's clock, and standard deviation of its jitter, samples.
 DRIFT_PPM: Final = 100.0
 JITTER: Final = 0.02
@@ -83,6 +84,9 @@ class PatchSensors:
         self._drift = self._random.uniform(-DRIFT_PPM, DRIFT_PPM, len(cells)) * 1e-6
         # Forces at both ends of the intervals from step `_step` on and of the next: shape (2, 2, boards, taxels).
         self._step: int | None = None
+        # What creep keeps of the forces until the newest interval begins, and its step.
+        self._memory_n: Floats | float = 0.0
+        self._memory_step: int | None = None
         self._ends_n = np.zeros((2, 2, *cells.shape), np.float32)
         self._ends_n[:] = self._of_taxels(model.felt_n(np.zeros((1, *self._shape), np.float32), np.zeros(1))[0])
         self.recalibrate()
@@ -92,6 +96,11 @@ class PatchSensors:
         cells, calibration = self._cells, self._calibration
         self._gain, self._offset = calibration.gain[cells], calibration.offset[cells]
         self._pattern = calibration.pattern[cells].astype(np.float32)
+
+    def drifted_n(self, tick_ns: int) -> Floats:
+        """Return how far the zeros of the taxels have drifted by place, newtons, shape (rows, columns)."""
+        since_ns = 0 if self.touch_from_ns is None else max(0, tick_ns - self.touch_from_ns)
+        return self._model.drifted_n(self._shape, since_ns * 1e-9)
 
     def sample(self, tick_ns: int) -> Floats:
         """Sample every taxel for a tick; the samples are up to 1 ms old then. Newtons, shape (boards, taxels)."""
@@ -127,8 +136,13 @@ class PatchSensors:
         if self._model.damper is not None:
             # The speed in the interval is even; the damper takes that since the moment before.
             moments_n = np.stack([2 * begin_n - end_n, begin_n, end_n])
-            moments_n = self._model.damper(moments_n, STEP_NS * 1e-9)[1:]
-        time_s = STEP_NS * 1e-9 * np.maximum(0, np.array([step, step + 1], np.float64))
+            moments_n = self._model.damper(moments_n, STEP_S)[1:]
+        if self._model.creep is not None:
+            since_s = 0.0 if self._memory_step is None else max(0, step - self._memory_step) * STEP_S
+            first_n, self._memory_n = self._model.creep(moments_n[:1], self._memory_n, since_s)
+            moments_n = np.concatenate([first_n, self._model.creep(moments_n[1:], self._memory_n, STEP_S)[0]])
+            self._memory_step = step
+        time_s = STEP_S * np.maximum(0, np.array([step, step + 1], np.float64))
         return self._of_taxels(self._model.felt_n(moments_n, time_s))
 
     def _of_taxels(self, of_skin: Any) -> Floats:

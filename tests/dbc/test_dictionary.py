@@ -71,6 +71,15 @@ def test_names_count_from_one_and_taxels_from_zero() -> None:
     ]
 
 
+def test_a_board_with_a_thermometer_has_a_temperature() -> None:
+    assert (0x2036, None) not in objects(RECOGNITION)
+    for layout in (RECOGNITION, ADAPTIVE_ARM):
+        found = objects(layout.replace("columns = 8", "columns = 8, has_thermometers = true"))
+        assert told(found, 0x2036) == [(3, "ro", 0x7FFF)]
+        manufacturer = [index for index, _ in found if index >= 0x2000]
+        assert manufacturer == sorted(manufacturer)
+
+
 def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
     """Windows are 99 % of 40 ms and of 5 ms. 2005h: 12 bits, steps of 32, form 0, one block."""
     found = objects(RECOGNITION)

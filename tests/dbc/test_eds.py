@@ -34,6 +34,7 @@ SMALL = """
 [taxels]
 rows = 16
 columns = 16
+has_thermometers = true
 [measurement]
 sums = 64
 selection = "uniform"

@@ -66,6 +66,7 @@ OF_THE_SKIN: Final = {
     "OD_TAXEL_NOISE": 0x2033,
     "OD_BUDGET": 0x2034,
     "OD_NODE_NOISE": 0x2035,
+    "OD_TEMPERATURE": 0x2036,
     "OD_SUMS": 0x2100,
     "OD_COARSE": 0x2110,
     "OD_FINE": 0x2111,

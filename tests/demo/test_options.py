@@ -47,6 +47,7 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
         ({"full_scale": 0.0}, "--full-scale is for a recording"),
         ({"rate_hz": 10.0}, "--rate is for a recording"),
         ({"defects": ("dead=0.1", "worn")}, "--defect worn: expected KIND or KIND=AMOUNT"),
+        ({"drifts": ("whole:step",)}, "--drift whole:step: expected PLACE:COURSE:AMOUNT_N"),
         ({"recording": Path("missing.npz")}, "no recording at 'missing.npz'"),
         ({"picture": Path("/proc/x.png")}, "/proc/x.png: cannot write the picture there"),
     ],
@@ -54,6 +55,11 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
 def test_option_that_cannot_be_used_is_told(changes: dict[str, Any], says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=says):
         options(tmp_path, **changes).check(LAYOUT)
+
+
+def test_a_skin_whose_zero_drifts_has_a_zero_to_measure(tmp_path: Path) -> None:
+    assert not options(tmp_path).has_zero_errors
+    assert options(tmp_path, drifts=("whole:ramp:0.001",)).has_zero_errors
 
 
 def test_broken_recording_and_its_options_are_told(tmp_path: Path) -> None:

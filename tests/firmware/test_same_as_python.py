@@ -154,3 +154,13 @@ def test_random_requests_get_the_same_answers(seed: int) -> None:
             counter = counter % 240 + 1
             twins.sync(counter)
         twins.answers()
+
+
+def test_boards_with_thermometers_answer_unknown_until_their_maker_reads_one() -> None:
+    """The temperature of Python nodes is simulated."""
+    twins = Twins(small_contract(taxels="has_thermometers = true"))
+    for wire in twins.wires:
+        wire.take()
+    twins.put(0x601, b"\x40\x36\x20\0\0\0\0\0")
+    python, c = (wire.take()[-1][-1] for wire in twins.wires)
+    assert (python[:6], c[:6]) == (b"\x4b\x36\x20\0\xa6\x0b", b"\x4b\x36\x20\0\xff\x7f")

@@ -64,8 +64,9 @@ STATES = {
 }
 
 
-def small_adaptive(top: str = "", *, fd: bool = False) -> Contract:
+def small_adaptive(top: str = "", *, fd: bool = False, taxels: str = "") -> Contract:
     text = SMALL.replace("nodes = 2", "nodes = 2\nfd = true\ndata_bitrate = 5_000_000") if fd else SMALL
+    text = text.replace("[taxels]", f"[taxels]\n{taxels}")
     return Contract.from_layout(parse_layout((top + text).encode(), "small"))
 
 

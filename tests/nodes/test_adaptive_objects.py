@@ -3,6 +3,7 @@
 import struct
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from dbc.contract import Contract, sum_frame_bits
 from gateway.adaptive_state import new_sums, take
 from skin.layout import load_layout
 from skin.walsh import GROUPS
+from skin.zero_drift import ZeroDrift
 from tests.bus.harness import frame
 from tests.nodes.adaptive_bus import (
     RESET_NODE,
@@ -35,6 +37,22 @@ def test_groups_that_are_asked_for_are_sent_again(bus: Bus) -> None:
     assert sorted(meanings(bus.run(3))) == [(2, 0, 0, False), (2, 0, 2, False)]
     assert bus.read(0x2030, 0, 2) == b"\0"
     assert bus.write(0x2030, 0, b"\x10", 2) == 0x0609_0030
+
+
+def test_a_temperature_is_read_where_the_layout_has_thermometers(bus: Bus, contract: Contract) -> None:
+    assert bus.sdo(1, struct.pack("<BHB", 0x40, 0x2036, 0)) == b"\x80\x36\x20\0" + struct.pack("<I", 0x0602_0000)
+    layout = contract.layout
+    taxels = msgspec.structs.replace(layout.taxels, has_thermometers=True)
+    drift = ZeroDrift("cells", "ramp", 0.005, 1.0, 1.0, cells=tuple(contract.phi.taxels_of_blocks[1].tolist()))
+    warm = Contract.from_layout(msgspec.structs.replace(layout, taxels=taxels))
+    drifting = Bus(warm, defects={"zero_drifts": (drift,)})
+    drifting.start()
+    drifting.sync()
+    for after_ms, second_k in ((1, 298.2), (1500, 303.2), (600, 308.2)):
+        drifting.run(after_ms)
+        assert int.from_bytes(drifting.read(0x2036, 0, 2), "little") / 10 == pytest.approx(second_k, abs=0.11)
+        assert drifting.read(0x2036) in {b"\xa5\x0b", b"\xa6\x0b"}
+    assert drifting.write(0x2036, 0, b"\0\0") == 0x0601_0002
 
 
 def test_a_tpdo_that_does_not_exist_is_not_sent_and_one_elsewhere_is(bus: Bus, contract: Contract) -> None:

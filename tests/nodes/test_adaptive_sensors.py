@@ -14,6 +14,7 @@ from skin.defects import make_defects
 from skin.layout import Taxels
 from skin.sources import Frame
 from skin.taxel import TaxelModel
+from skin.zero_drift import Creep, ZeroDrift
 
 #: Fine enough to see times.
 TAXELS = Taxels(rows=16, columns=16, adc_bits=16)
@@ -108,6 +109,28 @@ def test_a_damper_adds_the_force_of_the_interval() -> None:
     # 10 mN/s, 1 N/m: 10 mm/s; times 0.01 N s/m.
     assert board.sample(BEGIN_NS + 50 * STEP_NS) == pytest.approx(0.005 + 1e-4, abs=2e-5)
     assert board.sample(BEGIN_NS + 150 * STEP_NS) == pytest.approx(0.01, abs=1e-6)
+
+
+@pytest.mark.parametrize("jump", [1, 7])
+def test_creep_follows_the_touch_whatever_is_left_out(jump: int) -> None:
+    creep = Creep(0.2)
+    board = sensors(creep=creep)
+    board.touch_from_ns = BEGIN_NS
+    for step in range(0, 3000, jump):
+        shown = board.sample(BEGIN_NS + step * STEP_NS)
+    expected, _ = creep(np.stack([Ramp().frame(each).force_n[:1, 0] for each in range(step + 1)]), 0.0, 0.01)
+    assert expected[-1] > 0.0107
+    assert shown == pytest.approx(expected[-1, 0], abs=2e-5)
+
+
+def test_drifts_of_places_follow_the_time_of_the_touch() -> None:
+    board = sensors(zero_drifts=(ZeroDrift("cells", "ramp", 0.004, 10.0, 10.0, cells=tuple(CELLS[3])),))
+    assert not board.sample(0).any()
+    board.touch_from_ns = BEGIN_NS
+    for time_s, expected in ((10, 0.01), (15, 0.012), (30, 0.014)):
+        shown = board.sample(BEGIN_NS + time_s * 100 * STEP_NS)
+        assert shown[3] == pytest.approx(expected, abs=1e-5)
+        assert shown[2] == pytest.approx(0.01, abs=1e-5)
 
 
 def test_corrections_and_patterns_take_effect_when_they_are_read() -> None:

@@ -13,6 +13,7 @@ from nodes.sampler import Sampler, new_sampler
 from skin.defects import parse_defects
 from skin.layout import load_layout
 from skin.sources import Frame
+from skin.zero_drift import parse_drifts
 
 LAYOUT = load_layout(Path("analogue"))
 PHI = LAYOUT.phi()
@@ -130,6 +131,28 @@ def test_rows_that_are_read_later_see_the_drift_of_their_taxels() -> None:
         expected = exact[turn] + place * 0.1 * (exact[turn + 1] - exact[turn])
         assert np.abs(read[turn] - expected)[inside].max() <= 1.5 * STEP_COUNTS
     assert np.abs(exact[1] - exact[0]).max() > 20 * STEP_COUNTS
+
+
+def test_drifts_of_a_converter_reach_the_sums_of_its_block() -> None:
+    made = parse_drifts(["converter5:ramp:0.1:0.01:0.02", "board6:step:0.002"], 0, LAYOUT)
+    sampler = new_sampler(LAYOUT, PHI, Rising(), noise_n=0.0, seed=1, defects=made)
+    for step, drifted_n in ((0, 0.0), (2, 0.05), (4, 0.1)):
+        moved_n = error_n(sampler.sample(step + 1, step * PERIOD_NS), step)
+        assert moved_n[PHI.block_of_sum == 5] == pytest.approx(drifted_n, abs=STEP_N)
+        row, of_board = PHI.row_of_sum[PHI.block_of_sum == 6], moved_n[PHI.block_of_sum == 6]
+        assert of_board == pytest.approx(np.where(row == 0, 32 * 0.002, 0), abs=STEP_N)
+        assert np.abs(moved_n[(PHI.block_of_sum != 5) & (PHI.block_of_sum != 6)]).max() < STEP_N
+
+
+def test_rows_that_are_read_later_see_creep() -> None:
+    """The skew shows how the reading moves, and not how far it has crept."""
+    sampler = boards("creep=1", "skew=1e-3")
+    plain = boards("creep=1")
+    for counter in range(1, 5):
+        found, exact = (each.sample(counter, counter * PERIOD_NS).astype(float) for each in (sampler, plain))
+    later = plain.sample(5, 5 * PERIOD_NS)
+    place = np.arange(PHI.shape[0]) - PHI.starts[PHI.block_of_sum]
+    assert np.abs(found - exact - place * 0.1 * (later - exact)).max() <= 2 * STEP_COUNTS
 
 
 def test_an_end_of_the_range_is_counted_for_the_block_it_is_in() -> None:

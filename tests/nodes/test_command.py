@@ -232,9 +232,16 @@ def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) 
 
 def test_defects_and_seed_reach_the_taxels(parts: Parts) -> None:
     np_sums = [
-        parts.run(only=["bus0:1"], objects="cup", seed=seed, defect=defect).sample(1, 0)
-        for seed, defect in ((1, None), (1, None), (2, None), (1, ["saturated=1"]))
+        parts.run(only=["bus0:1"], objects="cup", seed=seed, **options).sample(1, 0)
+        for seed, options in (
+            (1, {}),
+            (1, {}),
+            (2, {}),
+            (1, {"defect": ["saturated=1"]}),
+            (1, {"drift": ["half:step:0.005", "whole:step:0.001"]}),
+        )
     ]
     np.testing.assert_array_equal(np_sums[0], np_sums[1])
     assert not np.array_equal(np_sums[0], np_sums[2])
     assert np_sums[3].max() == 32 * 1023
+    assert not np.array_equal(np_sums[0], np_sums[4])

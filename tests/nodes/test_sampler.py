@@ -7,10 +7,11 @@ from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler
-from skin.defects import Damper, Dead, Drift, Saturated
+from skin.defects import Damper, Dead, Drift, Offset, Saturated
 from skin.layout import load_layout
 from skin.sources import Frame, TaxelSource
 from skin.taxel import NOISE_N, to_newtons
+from skin.zero_drift import Creep, ZeroDrift
 
 LAYOUT = load_layout()
 PHI = LAYOUT.phi()
@@ -242,6 +243,35 @@ def test_drift_and_damper_follow_the_steps_of_the_touch() -> None:
         often.read(force * (1 + step), step)
     felt_n = often.unread[-1][:, 0] * LAYOUT.taxels.newton_per_count
     assert felt_n.round(4).tolist() == [0.0125, 0.015]
+
+
+def test_creep_follows_the_steps_of_the_touch_whatever_is_left_out() -> None:
+    force = np.full((64, 64), 0.01, np.float32)
+    zero = np.zeros_like(force)
+    offset = {"offset": Offset(0.2), "creep": Creep(0.2)}  # the zero may fall below that of the start
+    boards = [Electronics(LAYOUT.taxels, noise_n=0.0, defects=offset, period_s=1.0, samples=each) for each in (1, 4)]
+    for board in boards:
+        start = board.read(zero, 0).astype(int)
+        for step in range(1, 400):
+            board.read(force, step)
+        low = (board.read(zero, 400).astype(int) - start)[start > 110]
+        assert low.size
+        assert low * LAYOUT.taxels.newton_per_count == pytest.approx(-0.2 * 0.01, abs=1e-4)
+        later = (board.read(zero, 430).astype(int) - start)[start > 110]
+        assert later * LAYOUT.taxels.newton_per_count == pytest.approx(-0.2 * 0.01 * np.exp(-1), abs=1e-4)
+
+
+def test_the_temperature_of_a_board_explains_its_drift() -> None:
+    cells = tuple(PHI.taxels_of_blocks[7].tolist())
+    drifts = (ZeroDrift("cells", "ramp", 0.002, 1.0, 1.0, cells=cells), ZeroDrift("whole", "step", -0.001))
+    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"zero_drifts": drifts}, period_s=0.01)
+    sampler = Sampler(PHI, Steps(), electronics)
+    seen = []
+    for counter in (0, 1, 151, 231):
+        if counter:
+            sampler.sample(counter, counter * PERIOD_NS)
+        seen.append([sampler.temperature_k(range(*blocks)) - 298.15 for blocks in ((7, 8), (8, 9), (7, 9))])
+    assert np.array(seen) == pytest.approx(np.array([[-2, -2, -2], [-2, -2, -2], [0, -2, -1], [2, -2, 0]]), abs=1e-4)
 
 
 def averaging(source: TaxelSource, noise_n: float = NOISE_N) -> tuple[Sampler, Electronics]:

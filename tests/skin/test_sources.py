@@ -1,4 +1,7 @@
-from skin.sources import DEFAULT_OBJECTS, OBJECT_GROUPS, known_objects, object_names
+import numpy as np
+
+from skin.layout import parse_layout
+from skin.sources import DEFAULT_OBJECTS, OBJECT_GROUPS, known_objects, load_objects, load_touches, object_names
 
 
 def test_a_group_is_named_among_objects() -> None:
@@ -10,3 +13,23 @@ def test_a_classifier_knows_the_default_objects_but_for_a_whole_group() -> None:
     assert known_objects([]) == DEFAULT_OBJECTS
     assert known_objects(["cup", "ring"]) == (*DEFAULT_OBJECTS, "cup")
     assert known_objects(object_names(["paper"])) == OBJECT_GROUPS["paper"]
+
+
+def test_taxels_that_nothing_can_touch_feel_nothing() -> None:
+    taxels = "rows = 32\ncolumns = 32"
+    free, frame = (
+        parse_layout(f"[taxels]\n{taxels}\n{more}".encode(), "palm")
+        for more in ("", f"untouchable = {list(range(0, 1024, 2))}")
+    )
+    untouchable = np.arange(1024) % 2 == 0
+    felt_n = 0.0
+    for step in range(0, 200, 10):
+        whole, part = (load_objects(each, names=("basketball",), seed=1).frame(step) for each in (free, frame))
+        assert part.label == whole.label
+        np.testing.assert_array_equal(part.force_n.ravel()[~untouchable], whole.force_n.ravel()[~untouchable])
+        assert not part.force_n.ravel()[untouchable].any()
+        felt_n += whole.force_n.ravel()[untouchable].sum()
+    assert felt_n > 0
+    assert load_objects(frame, seed=1).has_noise == load_objects(free, seed=1).has_noise
+    learned, all_n = (load_touches(["basketball"], 20, each, seed=0).force_n for each in (frame, free))
+    np.testing.assert_array_equal(learned.reshape(20, -1), np.where(untouchable, 0, all_n.reshape(20, -1)))

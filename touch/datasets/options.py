@@ -54,7 +54,7 @@ class ClassificationOptions:
 @Parameter(name="*", group=Group("Taxels, each defect off unless given"))
 @dataclass(frozen=True)
 class TaxelOptions:
-    """Model of the sensor; the defects are those of `skin.defects.KINDS`.
+    """Model of the sensor; the defects are those of `skin.defects.KINDS`, but for creep, which takes minutes.
 
     Attributes
     ----------
@@ -102,5 +102,5 @@ class TaxelOptions:
         InputError
             If a number cannot be used.
         """
-        amounts = {kind: amount for kind in KINDS if (amount := getattr(self, kind)) is not None}
+        amounts = {kind: amount for kind in KINDS if (amount := getattr(self, kind, None)) is not None}
         return TaxelModel(self.noise_n, self.force_max_n, **make_defects(amounts, seed))

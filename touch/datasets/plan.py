@@ -22,6 +22,8 @@ from touch.trajectory import ACQUISITION_OBJECTS, PAPER_STEP_S, paper_pose, star
 #: Steps of a trajectory in one chunk: 11 MB per signal.
 CHUNK_STEPS: Final = 700
 SIGNALS: Final = ("true", "sensor")
+#: Fields of the model that data sets do not have.
+_OF_NODES: Final = ("creep", "zero_drifts")
 
 
 @dataclass(frozen=True)
@@ -215,7 +217,7 @@ def _about(
 
 
 def _settings(seed: int, model: TaxelModel) -> dict[str, Any]:
-    return {"seed": seed, **asdict(model)}
+    return {"seed": seed} | {name: each for name, each in asdict(model).items() if name not in _OF_NODES}
 
 
 def _check_seed(seed: int) -> None:
