@@ -1,6 +1,5 @@
-"""The calibration of a running skin: zero at the start and on request, then followed, and doubted where it may be wrong."""
+"""The calibration of a running skin: a zero that is measured, followed, and doubted where it may be wrong."""
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -11,10 +10,11 @@ import numpy.typing as npt
 
 from calibration.defects import DefectFinder, Defects, subject_of
 from calibration.doubt import Doubt
-from calibration.drift import LONGEST_GAP, SHORTEST_MEMORY, DriftFollower, line_through
+from calibration.drift import LONGEST_GAP, SHORTEST_MEMORY, DriftFollower
 from calibration.field import FieldFinder
-from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, change, rms, tare_s, typical, window_s
-from calibration.zero import SEEN_RATIO, Zero
+from calibration.taring import Taring
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms, tare_s, window_s
+from calibration.zero import Zero
 from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
@@ -27,16 +27,12 @@ from skin.taxel import NOISE_N
 Tare = Literal["at-start", "never"]
 #: First row, first column, last row, last column of a part of the skin, both ends included.
 Region = tuple[int, int, int, int]
-#: Sums with a zero, part of all, with which the skin counts as tared; the others follow when their blocks are valid.
-LEAST_KNOWN: Final = 0.5
 #: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
 LEAST_NOISE_RATIO: Final = 0.3
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
 LEAST_STEP: Final = 0.3
 #: Sums with a noise of so many counts have no defect: averages of an untouched taxel are 0 but for rare cycles.
 QUIET_COUNTS: Final = 3.0
-#: Of a skin without a zero, this part of the taxels may show less than what all others have in common.
-FLOOR_PART: Final = 0.02
 #: A correction below zero is logged from this part of the range on, and again after so much time.
 LOGGED_RATIO: Final = 0.01
 LOGGED_NS: Final = 10_000_000_000
@@ -108,15 +104,13 @@ class Calibrator:
         self._doubtful = b""
         self._waiting: Window | None = None
         self._newest_ns = self._needs_until_ns = self._logged_ns = 0
-        self._measured: deque[Window] = deque(maxlen=TARE_WINDOWS)
-        self._forced = False
-        self._region: Bools | None = None
+        self._taring = Taring(self._finder, LEAST_STEP * self._step_n)
         self._zero: Zero | None = None
         self._support = np.zeros(self._phi.blocks, np.uint8)
         self._supported_ns = np.zeros(self._phi.blocks, np.int64)
         self._centre_ns = self._tared_ns = 0
         self._calm_windows = 0
-        self._noise_n = self._valid_ratio = 0.0
+        self._noise_n = 0.0
         self._bias_n: Floats | float = 0.0
         self.temperatures_k: Floats = np.full(self._phi.blocks, np.nan)
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
@@ -141,7 +135,7 @@ class Calibrator:
     @property
     def has_few_sums(self) -> bool:
         """Whether a zero waits for valid sums."""
-        return self._valid_ratio < LEAST_KNOWN
+        return self._taring.has_few_sums
 
     @property
     def noise_n(self) -> float:
@@ -193,14 +187,12 @@ class Calibrator:
         region : tuple of int, optional
             Whatever stands in this part of the skin is part of its zero; the rest of the skin keeps its zero.
         """
-        self.result, self._forced, self._region = None, force, None
+        self.result, chosen = None, None
         if region is not None:
             top, left, bottom, right = region
             chosen = np.zeros(self._shape, np.bool_)
             chosen[top : bottom + 1, left : right + 1] = True
-            self._region = chosen.ravel()
-        self._valid_ratio = 0.0
-        self._measured.clear()
+        self._taring.begin(forced=force, region=None if chosen is None else chosen.ravel())
         self._waiting = None
         self._windows.restart()
         self.state = CalibrationState.MEASURING
@@ -346,26 +338,24 @@ class Calibrator:
 
     def _measure(self, window: Window) -> None:
         """Measure the zero, when the skin has been untouched for long enough."""
-        self._measured.append(window)
-        self._valid_ratio = float(window.known.mean())
-        known = np.logical_and.reduce([each.known for each in self._measured])
-        if len(self._measured) < TARE_WINDOWS or known.mean() < LEAST_KNOWN:
+        zero, region, forced = self._zero, self._taring.region, self._taring.forced
+        before_n = None if zero is None else np.where(zero.follower.known, zero.follower.predicted_n(0.0), np.nan)
+        if before_n is not None:
+            before_n = before_n + self._bias_n
+        found = self._taring.take(window, before_n, self._doubt.taxels, has_common=not self._tared_ns)
+        if found is None:
             return
-        means_n = np.stack([each.mean_n for each in self._measured])
-        if self._region is not None:
-            self._settle(means_n.mean(axis=0), known, self._region)
+        if region is not None:
+            self._settle(found.mean_n, found.known, region)
             return
-        level_n, slope_n, deviation_n = line_through(means_n)
-        noise_n = typical(deviation_n[known])
-        place = None if self._forced else self._touched_place(means_n, level_n, known, noise_n)
-        if place is not None:
-            self._refuse(*divmod(place, self._shape[1]))
+        if found.touched is not None:
+            self._refuse(*divmod(found.touched, self._shape[1]))
             return
         self._bias_n = self._clip_bias_n()
-        level_n -= self._bias_n
-        slope_n = slope_n if self._tares else np.zeros_like(slope_n)  # nothing follows the drift then
-        support = ZeroSupport.TOLD if self._forced else ZeroSupport.MEASURED
-        self._begin(np.where(known, level_n, 0.0), slope_n, known, TARE_WINDOWS, noise_n, support)
+        known, level_n = found.known, found.level_n - self._bias_n
+        slope_n = found.slope_n if self._tares else np.zeros_like(level_n)  # nothing follows the drift then
+        support = ZeroSupport.TOLD if forced else ZeroSupport.MEASURED
+        self._begin(np.where(known, level_n, 0.0), slope_n, known, TARE_WINDOWS, found.noise_n, support)
         self._end(
             f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
             f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise_n:.2f} mN"
@@ -374,42 +364,22 @@ class Calibrator:
     def _settle(self, mean_n: Floats, known: Bools, region: Bools) -> None:
         """Take what stands in a part of the skin for its zero."""
         if self._zero is None:
+            self._taring.begin()
             self._tell(is_done=False, text="the skin has no zero yet: measure that of all of the skin first")
             return
         self._zero.settle(mean_n - self._bias_n, known, region)
         self._doubt.move(self._zero.moved_n)
         blocks = np.unique(self._phi.block_of_taxel[region])
         self._support[blocks], self._supported_ns[blocks] = ZeroSupport.TOLD, self._newest_ns
-        self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * self._zero.moved_n.max():.2f} mN")
+        self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * np.abs(self._zero.moved_n).max():.2f} mN")
 
     def _end(self, text: str) -> None:
         """End a measurement of the zero that has succeeded."""
-        self._measured.clear()
+        self._taring.begin()
         self._centre_ns = self._tared_ns = self._newest_ns
         self.revision += 1
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
         self._tell(is_done=True, text=text)
-
-    def _touched_place(self, means_n: Floats, level_n: Floats, known: Bools, noise_n: float) -> int | None:
-        """Return the taxel where the skin is touched most or something moves on it, None for nowhere."""
-        zero = self._zero
-        field, least_n = self._seen(change(means_n), known, noise_n)
-        if np.abs(field).max() > least_n:
-            return int(np.abs(field).argmax())
-        if zero is None:
-            field, least_n = self._seen(level_n, known, noise_n)
-        else:
-            used = known & zero.follower.known
-            field, least_n = self._seen(level_n - zero.follower.predicted_n(0.0), used, noise_n)
-            field[self._doubt.taxels] = 0  # who asks for a zero says that nothing touches
-        if zero is None or not self._tared_ns:  # offsets, or the change of a stored zero, have something in common
-            field -= np.quantile(field, FLOOR_PART)
-        return int(field.argmax()) if field.max() > least_n else None
-
-    def _seen(self, sums_n: Floats, known: Bools, noise_n: float) -> tuple[Floats, float]:
-        """Return the field of sums, and from which force on it is more than noise."""
-        field = self._finder.find(np.where(known, sums_n, 0.0), known, max(noise_n, LEAST_STEP * self._step_n))
-        return field.force_n, SEEN_RATIO * self._finder.picture_gain * field.noise_n
 
     def _refuse(self, row: int, column: int) -> None:
         """Keep the zero there is; try again with the next window unless there is one."""
@@ -419,7 +389,7 @@ class Calibrator:
         )
         if self._tared_ns and self._tares:
             self.state = CalibrationState.FOLLOWING
-            self._measured.clear()
+            self._taring.begin()
             self._tell(is_done=False, text=text.split(":", maxsplit=1)[0] + ": the zero stays as it was")
             return
         if self.state is not CalibrationState.TOUCHED:

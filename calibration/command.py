@@ -7,14 +7,6 @@ import msgspec
 from cyclopts import Parameter
 
 from calibration.gain_files import stored_gains
-from calibration.stored import (
-    StoredCalibration,
-    encoded,
-    load_calibration,
-    most_offset_n,
-    parse_calibration,
-    save_calibration,
-)
 from canskin.calibration_messages import (
     ANSWER_S,
     CALIBRATION,
@@ -27,6 +19,14 @@ from canskin.calibration_messages import (
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
+from skin.calibration_file import (
+    StoredCalibration,
+    encoded,
+    load_calibration,
+    most_offset_n,
+    parse_calibration,
+    save_calibration,
+)
 from skin.layout import Layout, load_layout
 from skin.output import check_output_path
 from skin.service import say

@@ -20,8 +20,10 @@ from skin.measurement import Sbhe
 
 #: λ in deviations of Φᵀ noise: of noise alone no taxel of the field is above a tenth of the noise of the picture.
 PENALTY_RATIO: Final = 1.5
-#: Iterations between two looks at the noise, and with it at λ. The noise begins large, so that the field of a wide touch
-#: appears at once, and the passes end when it falls by less than this part.
+#: The field of noise alone stays below so many deviations of the picture of the sums.
+SEEN_RATIO: Final = 3.0
+#: Iterations between two looks at the noise, and with it at λ. The noise begins large, so that the field of a wide
+#: touch appears at once, and the passes end when it falls by less than this part.
 ITERATIONS: Final = 20
 PASSES: Final = 5
 SETTLED: Final = 0.05

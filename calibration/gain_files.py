@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calibration.gains import LEAST_FELT, defects_of, find_gains
-from calibration.stored import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, store
+from calibration.gains import defects_of, find_gains
 from calibration.windows import Floats
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
+from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, store
+from skin.frontend import LEAST_FELT
 from skin.layout import Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from calibration.windows import Bools, Floats
 from canskin.errors import InputError
 from skin.defects import SumGains
-from skin.frontend import with_gains
+from skin.frontend import LEAST_FELT, felt_by_sums, with_gains
 from skin.measurement import Sbhe, fast_hadamard
 
 #: A contact is what is above this part of an image's largest force.
@@ -39,8 +39,6 @@ STEPS: Final = 3
 LEAST_RATIO: Final = 25.0
 #: Fewest cycles with the whole weight on the skin.
 LEAST_CYCLES: Final = 100
-#: A taxel or sum that feels less than this part is defective: no gain of the taxel is stored, and the sum is not used.
-LEAST_FELT: Final = 0.3
 #: Cycles that are worked on at the same time.
 _PART: Final = 128
 
@@ -109,19 +107,6 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, i
             continue
         gains, known, of_sums = _solved_with_sums(phi, sums_n[whole], forces_n, gains, of_sums)
     return Gains(gains, known, cycles, of_sums)
-
-
-def felt_by_sums(phi: Sbhe, gains: SumGains) -> Floats:
-    """Return which part of its signal each sum feels, shape (m,).
-
-    This is D, or D + C in the row of all ones, which has one path.
-
-    Parameters
-    ----------
-    phi : Sbhe
-    gains : SumGains
-    """
-    return gains.differential + np.where(phi.row_of_sum == 0, gains.common_mode, 0.0)
 
 
 def defects_of(found: Gains, phi: Sbhe, columns: int) -> list[str]:

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.calibrator import Calibrator, Tare
-from calibration.stored import load_calibration
 from calibration.windows import Bools
 from canskin.errors import InputError
 from canskin.messages import Measurement
+from skin.calibration_file import load_calibration
 from skin.layout import Layout
 from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe

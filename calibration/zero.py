@@ -20,13 +20,12 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening
 
 from calibration.drift import DriftFollower, line_through
-from calibration.field import Field, FieldFinder
+from calibration.field import SEEN_RATIO, Field, FieldFinder
+from calibration.taring import FLOOR_PART
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window
 from canskin.calibration_messages import ZeroSupport
 from skin.measurement import Sbhe
 
-#: The field of noise alone stays below so many deviations of the picture of the sums.
-SEEN_RATIO: Final = 3.0
 #: Windows for which a force below 0 has to last while something touches.
 PROOF_WINDOWS: Final = 3
 #: While something touches, forces below 0 count beyond this part of the largest force: images of a touch err by less.
@@ -44,8 +43,6 @@ CREDIT_LOSS: Final = 0.005
 RETURN_RATIO: Final = 1.5
 #: Noise of an offset over that of a window: a line through ten seconds.
 LEAST_AUDIT: Final = 0.3
-#: Of the taxels, this part may be below what all have risen by: a skin is nowhere untouched only under a press of all.
-FLOOR_PART: Final = 0.02
 #: What all taxels have in common is followed while it rises by less than this part of what is seen in a window:
 #: temperature. What rises faster is a press of all of the skin. Of a stored zero it is followed however large.
 SLOW_RATIO: Final = 1.5
@@ -98,7 +95,7 @@ class Zero:
         self._windows = self._calm = 0
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._still = np.zeros(phi.blocks, np.intp)
-        self._still_n, self._expected_n = np.zeros(taxels), np.zeros(phi.shape[0])
+        self._first_n, self._still_n, self._expected_n = np.zeros(taxels), np.zeros(taxels), np.zeros(phi.shape[0])
         self._still_windows = 0
 
     def skip(self, windows: int) -> None:
@@ -210,12 +207,13 @@ class Zero:
             self._still_windows = 0
         field = self._finder.find(left_n, known, noise_n)
         force_n = np.maximum(field.force_n, 0)
-        is_still = force_n.any() and np.abs(force_n - self._still_n).max() <= STILL_PART * force_n.max()
-        if not is_still:
+        if not force_n.any() or np.abs(force_n - self._first_n).max() > STILL_PART * force_n.max():
             self._still_windows = 0
         if self._still_windows == 0:
-            self._still_n, self._expected_n = field.force_n, np.zeros_like(left_n)
+            self._first_n = force_n
+            self._still_n, self._expected_n = np.zeros_like(force_n), np.zeros_like(left_n)
         self._still_windows += 1
+        self._still_n = self._still_n + field.force_n / TARE_WINDOWS
         self._expected_n = self._expected_n + left_n / TARE_WINDOWS
         return field
 
@@ -252,8 +250,10 @@ class Zero:
             self.moved_n -= touch_n
         self._anchor_n += ANCHOR_GAIN * (follower.level_n - self._anchor_n)
         # What neighbouring taxels share has no slope: when its drift ends, the zero would run on.
-        slope = self._finder.find(follower.slope_n, follower.known, 0.0).force_n
-        follower.turn(self._sums(np.median(slope) - slope))
+        slope = self._finder.find(follower.slope_n, follower.known, 0.0)
+        shared_n = slope.force_n - np.median(slope.force_n)
+        seen = self._opened(np.abs(shared_n) > SEEN_RATIO * self._finder.picture_gain * slope.noise_n)
+        follower.turn(-self._sums(np.where(seen, shared_n, 0.0)))
 
     def _opened(self, taxels: Bools) -> Bools:
         """Return taxels without those that are no square of others."""

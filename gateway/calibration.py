@@ -9,15 +9,6 @@ import msgspec
 import numpy as np
 
 from calibration.calibrator import Calibrator
-from calibration.stored import (
-    StoredCalibration,
-    encoded,
-    load_calibration,
-    most_offset_n,
-    parse_calibration,
-    save_calibration,
-    store,
-)
 from calibration.windows import Floats
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, tare_request
 from canskin.errors import InputError
@@ -27,6 +18,15 @@ from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
 from gateway.temperatures import Temperatures
+from skin.calibration_file import (
+    StoredCalibration,
+    encoded,
+    load_calibration,
+    most_offset_n,
+    parse_calibration,
+    save_calibration,
+    store,
+)
 from skin.layout import Layout
 from skin.service import say
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from bus.link import Link
 from bus.options import BusOptions, open_links
 from calibration.calibrator import Tare
-from calibration.stored import load_calibration
 from canskin.calibration_messages import CALIBRATION
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
@@ -18,6 +17,7 @@ from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration, kept_zero
 from gateway.service import GatewayService
+from skin.calibration_file import load_calibration
 from skin.description import Describing
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say

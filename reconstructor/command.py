@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from calibration.stored import load_calibration
 from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
@@ -16,6 +15,7 @@ from reconstructor.engine import Reconstructor
 from reconstructor.gains import KnownGains
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
+from skin.calibration_file import load_calibration
 from skin.layout import Layout, load_layout
 from skin.service import StopSignal, say
 

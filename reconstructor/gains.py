@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from calibration.gains import LEAST_FELT, felt_by_sums
 from skin.defects import SumGains
+from skin.frontend import LEAST_FELT, felt_by_sums
 from skin.measurement import Sbhe, fast_hadamard
 
 Floats = npt.NDArray[np.float32]

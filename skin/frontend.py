@@ -12,6 +12,7 @@ block is above half of the range. A sum with one of the two end codes is saturat
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,9 @@ from skin.defects import Force, Mismatch, Skew, SumGains, SumNoise, SumOffset
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.zero_drift import ZeroDrift
+
+#: A taxel or sum that feels less than this part is defective: no gain of the taxel is stored, and the sum is not used.
+LEAST_FELT: Final = 0.3
 
 
 @dataclass(frozen=True)
@@ -143,3 +147,16 @@ def row_times_s(phi: Sbhe, skew: Skew) -> Force:
     """Return when each sum is read after SYNC, float32, shape (m,)."""
     place = np.arange(phi.shape[0]) - phi.starts[phi.block_of_sum]
     return (place * skew.row_s).astype(np.float32)
+
+
+def felt_by_sums(phi: Sbhe, gains: SumGains) -> npt.NDArray[np.float64]:
+    """Return which part of its signal each sum feels, shape (m,).
+
+    This is D, or D + C in the row of all ones, which has one path.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    gains : SumGains
+    """
+    return gains.differential + np.where(phi.row_of_sum == 0, gains.common_mode, 0.0)

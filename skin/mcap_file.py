@@ -30,7 +30,7 @@ PROFILE: Final = "canskin"
 #: Name of the metadata record, and of the attachment with the layout.
 METADATA: Final = "canskin"
 LAYOUT_FILE: Final = "layout.toml"
-#: Attachment with the calibration of the gateway (`calibration.stored`), again after each change.
+#: Attachment with the calibration of the gateway (`skin.calibration_file`), again after each change.
 CALIBRATION_FILE: Final = "calibration.json"
 FRAMES: Final = "frames/"
 #: Key of the metadata: wall clock minus CLOCK_MONOTONIC at the beginning, nanoseconds.

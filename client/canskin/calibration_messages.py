@@ -131,7 +131,7 @@ class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
         Of ``tare``: first row, first column, last row, last column, both included. Whatever stands there now is part of
         its zero; the rest of the skin keeps its zero.
     content : bytes
-        Of ``load`` and ``write``: a file of `calibration.stored`.
+        Of ``load`` and ``write``: a file of `skin.calibration_file`.
     """
 
     action: Literal["tare", "show", "load", "write"]
@@ -151,7 +151,7 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
         The result in words.
     status : CalibrationStatus or None
     content : bytes
-        Of ``show``: the calibration as a file of `calibration.stored`.
+        Of ``show``: the calibration as a file of `skin.calibration_file`.
     """
 
     is_done: bool

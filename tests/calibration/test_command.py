@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from calibration.command import calibration, tare
-from calibration.stored import encoded, load_calibration, parse_calibration, save_calibration, store
 from canskin.calibration_messages import (
     CALIBRATION,
     CalibrationReply,
@@ -20,6 +19,7 @@ from canskin.calibration_messages import (
 )
 from canskin.errors import BusError, RunError
 from canskin.fabric import Fabric, Reply
+from skin.calibration_file import encoded, load_calibration, parse_calibration, save_calibration, store
 from skin.command import main
 from tests.calibration.skins import LAYOUT, PHI
 

@@ -8,9 +8,9 @@ import pytest
 
 from calibration.gain_files import stored_gains
 from calibration.gains import Gains, defects_of, find_gains
-from calibration.stored import StoredCalibration, encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from skin.calibration_file import StoredCalibration, encoded, load_calibration, save_calibration, store
 from skin.defects import Mismatch, SumGains
 from skin.frontend import with_gains
 from skin.layout import parse_layout

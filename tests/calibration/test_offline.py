@@ -9,9 +9,9 @@ import pytest
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated_cycles, make_calibrator, measurement_of
 from calibration.recorded import RecordedOffsets
-from calibration.stored import encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT
+from skin.calibration_file import encoded, load_calibration, save_calibration, store
 from skin.layout import load_layout
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from tests.calibration.skins import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed

@@ -10,7 +10,6 @@ import pytest
 
 from calibration import command
 from calibration.command import calibration, tare
-from calibration.stored import StoredCalibration, encoded, save_calibration, store
 from canskin.calibration_messages import (
     CalibrationReply,
     CalibrationRequest,
@@ -19,6 +18,7 @@ from canskin.calibration_messages import (
     ZeroSupport,
 )
 from canskin.errors import InputError, RunError
+from skin.calibration_file import StoredCalibration, encoded, save_calibration, store
 from skin.defects import SumGains
 from tests.calibration.skins import LAYOUT, PHI
 

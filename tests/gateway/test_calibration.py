@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import gateway.calibration
-from calibration.stored import StoredCalibration, encoded, parse_calibration, store
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState
 from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
+from skin.calibration_file import StoredCalibration, encoded, parse_calibration, store
 from tests.calibration.skins import LAYOUT, Skin, offsets_n, pressed
 from tests.gateway.boards import small_adaptive
 from tests.gateway.world import World, small_contract

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import gateway.calibration
-from calibration.stored import encoded, parse_calibration, store
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest
 from canskin.errors import InputError
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, node_values
+from skin.calibration_file import encoded, parse_calibration, store
 from tests.gateway.boards import small_adaptive
 from tests.gateway.world import small_contract
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from bus.options import BusOptions
-from calibration.stored import save_calibration, store
 from canskin.calibration_messages import CALIBRATION, Question
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
+from skin.calibration_file import save_calibration, store
 from skin.layout import load_layout
 from skin.service import StopSignal
 

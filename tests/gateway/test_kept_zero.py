@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from calibration.stored import encoded, load_calibration, save_calibration, store
 from canskin.calibration_messages import CalibrationRequest
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, kept_zero
+from skin.calibration_file import encoded, load_calibration, save_calibration, store
 
 SUMS = 32
 

@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from calibration.stored import store
 from canskin.calibration_messages import CalibrationState
 from canskin.messages import MEASUREMENT, Measurement, Topic
 from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
@@ -22,6 +21,7 @@ from dbc.indices import OD_STATE
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
+from skin.calibration_file import store
 from tests.gateway.world import EndOfWire, World, small_contract, valid
 
 #: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from calibration.stored import save_calibration, store
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, Image, Topic
@@ -15,6 +14,7 @@ from reconstructor.command import load_gains
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.service import ReconstructorService
+from skin.calibration_file import save_calibration, store
 from skin.defects import Mismatch, SumGains
 from skin.frontend import with_gains
 from skin.layout import load_layout

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from calibration.stored import encoded, load_calibration, save_calibration, store
 from canskin.errors import InputError
+from skin.calibration_file import encoded, load_calibration, save_calibration, store
 from skin.defects import SumGains
 from tests.calibration.skins import LAYOUT, PHI
 

@@ -6,8 +6,8 @@ from typing import Annotated, Final
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
-from calibration.windows import Floats
 from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import MEASUREMENT, Measurement
 from skin.defects import SumGains
@@ -22,6 +22,7 @@ LEAST_GAIN, MOST_GAIN = 0.01, 100.0
 #: Of files: 2 can hold gains of sums.
 VERSION: Final = 2
 
+Floats = npt.NDArray[np.float64]
 _Gain = Annotated[float, msgspec.Meta(ge=LEAST_GAIN, le=MOST_GAIN)]
 
 
