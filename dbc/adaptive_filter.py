@@ -65,20 +65,20 @@ SPANS: Final = (1, 4, 16)
 LEAST_NOISE_N: Final = 0.02e-3
 #: Noise that may be given (2032h, 2033h), besides 0 for the learned one, newtons, in REAL32.
 GIVEN_NOISE_N: Final = (float(np.float32(1e-9)), 1000.0)
-#: An idle taxel that reads more than clipped noise explains, by this ratio and so many counts, has an offset.
-OFFSET_RATIO: Final = 1.6
-OFFSET_COUNTS: Final = 3
 
-#: An offset follows this part of what is left in each sample, at most by so much, newtons: 3 mN a second.
+#: An offset follows this part of what is left in each sample, and falls at most by so much, newtons: 3 mN a second.
 FOLLOWING: Final = 1 / 128
 RATE_N: Final = 3e-6
+#: It comes back to that of power-up at most by so much in a sample, newtons, 0.5 mN a second, and rises above that at
+#: most by so much: 0.02 mN a second. What grows more slowly cannot be told from a drift.
+RETURN_N: Final = 5e-7
+RISE_N: Final = 2e-8
+#: No offset rises further above that of power-up, newtons: 5 % of the default full scale.
+HIGHEST_N: Final = 1e-3
 #: An offset is followed while the taxel and its neighbours in the patch show less than this part of their noise.
 QUIET_RATIO: Final = 0.6
 #: An offset that falls so far below 0, in units of the noise, is not followed further: nothing is left to be read.
 LOWEST_RATIO: Final = -1.5
-#: Samples between two notes of the offsets. When a touch begins, what was followed since the last note but one is given
-#: back, because it may have been the touch.
-NOTE_SAMPLES: Final = 128
 #: Samples over which the size of the noise is looked at. It is believed so far: its logarithm moves by a quarter.
 WINDOW: Final = 256
 #: Noise that is clipped at 0 has a mean of 0.68 standard deviations, whatever its size; a taxel outside of these bounds

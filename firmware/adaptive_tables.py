@@ -27,6 +27,7 @@ from dbc.adaptive_filter import (
     DEAD_RATIO,
     FOLLOWING,
     GIVEN_NOISE_N,
+    HIGHEST_N,
     HORIZON,
     IDLE_PART,
     IDLE_RATIOS,
@@ -37,12 +38,11 @@ from dbc.adaptive_filter import (
     LOG2_E,
     LOG2_SERIES,
     LOWEST_RATIO,
-    NOTE_SAMPLES,
-    OFFSET_COUNTS,
-    OFFSET_RATIO,
     POWER,
     QUIET_RATIO,
     RATE_N,
+    RETURN_N,
+    RISE_N,
     ROOT_HALF,
     SAMPLE_NS,
     SETTLING_SAMPLES,
@@ -57,7 +57,7 @@ from dbc.adaptive_filter import (
 )
 from dbc.contract import Contract
 from firmware.c_text import WRITTEN, array, defined, header
-from skin.clipping import IDLE_DEVIATION, IDLE_MEAN
+from skin.clipping import IDLE_DEVIATION
 from skin.walsh import grouped_rows, haar_matrix, walsh_matrix
 
 _MODELS: Final = len(AVERAGES) + len(TRENDS)
@@ -88,8 +88,6 @@ def adaptive_header(contract: Contract) -> str:
         "SKIN_LEAST_GIVEN_N": (_real(GIVEN_NOISE_N[0]), "least noise that may be given, besides 0"),
         "SKIN_MOST_GIVEN_N": (_real(GIVEN_NOISE_N[1]), "and most"),
         "SKIN_LEAST_NOISE_N": (_double(LEAST_NOISE_N), "least noise"),
-        "SKIN_OFFSET_RATIO": (_double(OFFSET_RATIO * IDLE_MEAN), "a mean above this part of the noise"),
-        "SKIN_OFFSET_N": (_double(OFFSET_COUNTS * count_n), "and this is an offset"),
         "SKIN_FILTERS": (_MODELS, "models that run side by side"),
         "SKIN_AVERAGES": (len(AVERAGES), "the first of them: averages, which have no slope"),
         "SKIN_CHANGE": (_real(SWITCHING / (_MODELS - 1)), "chance of a change to a model"),
@@ -105,10 +103,12 @@ def adaptive_header(contract: Contract) -> str:
         "SKIN_UNCLIP_SCALE": (_real((UNCLIP_POINTS - 1) / UNCLIP_REACH), "points per standard deviation"),
         "SKIN_DEAD_RATIO": (_real(DEAD_RATIO), "of the noise: forces below are 0"),
         "SKIN_FOLLOWING": (_real(FOLLOWING), "part of what is left that an offset follows"),
-        "SKIN_RATE_N": (_real(RATE_N), "most that it follows in a sample"),
+        "SKIN_RATE_N": (_real(RATE_N), "most that it falls in a sample"),
+        "SKIN_RETURN_N": (_real(RETURN_N), "most that it rises below that of power-up"),
+        "SKIN_RISE_N": (_real(RISE_N), "most that it rises above"),
+        "SKIN_HIGHEST_N": (_real(HIGHEST_N), "no offset is so much above that of power-up"),
         "SKIN_QUIET_RATIO": (_real(QUIET_RATIO), "of the noise: a taxel is quiet below"),
         "SKIN_LOWEST_RATIO": (_real(LOWEST_RATIO), "of the noise: no offset falls below"),
-        "SKIN_NOTE_SAMPLES": (NOTE_SAMPLES, "between two notes of the offsets"),
         "SKIN_WINDOW": (WINDOW, "samples over which the size of the noise is looked at"),
         "SKIN_IDLE_LOW": (_real(IDLE_RATIOS[0]), "mean over deviation of an idle taxel, least"),
         "SKIN_IDLE_HIGH": (_real(IDLE_RATIOS[1]), "and most"),

@@ -81,7 +81,7 @@ def learned_noise(idle: Counts, cells: Cells) -> Noise:
     statistics = IdleStatistics(*cells.shape)
     for sample in idle:
         statistics.take(_newtons(sample[cells]))
-    return statistics.noise(NEWTON_PER_COUNT)
+    return statistics.noise()
 
 
 def run_adaptive(

@@ -67,7 +67,7 @@ class AdaptiveBoards(PatchBoards):
         statistics = IdleStatistics(*self._cells.shape)
         for _ in range(IDLE_SAMPLES):
             statistics.take(self._sensors.sample(0))
-        return statistics.noise(self._taxels.newton_per_count)
+        return statistics.noise()
 
     # --- time ----------------------------------------------------------------------------------------------
 

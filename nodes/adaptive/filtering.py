@@ -4,15 +4,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from dbc.adaptive_filter import DEAD_RATIO, HORIZON, UNCLIP_REACH, Floats, Models, make_models, unclip_table
-from nodes.adaptive.following import NoiseScale, Offsets, OffsetState, ScaleSums, follow, gather
+from dbc.adaptive_filter import DEAD_RATIO, HORIZON, Floats, Models, make_models, unclip_table
+from nodes.adaptive.following import NoiseScale, OffsetState, ScaleSums, follow, gather, new_offsets
 from nodes.adaptive.models import Tracks, new_tracks, step
-from nodes.adaptive.noise import Noise
+from nodes.adaptive.noise import Noise, unclip
 from nodes.adaptive.transforms import from_haar, to_haar, to_walsh, to_walsh_variance
 from skin.compiled import njit
-from skin.walsh import grouped_rows, haar_matrix, patch_shape, walsh_matrix
+from skin.walsh import grouped_rows, haar_matrix, walsh_matrix
 
 
 class ForceFilter:
@@ -40,7 +39,7 @@ class ForceFilter:
         self._forecast, self._variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._table = unclip_table()
         self._work = np.zeros((2, *shape), np.float32)
-        self._offsets = Offsets(shape[0], *patch_shape(shape[1]))
+        self._offsets = new_offsets(noise.offset_n)
         self._scale = NoiseScale(*shape)
         self.force_n = np.zeros(shape, np.float32)
         self.noise = self._learned = noise
@@ -55,11 +54,10 @@ class ForceFilter:
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
         noise = self.noise
-        known = noise.offset_n, noise.taxel_n, noise.coefficient_n
-        learning = self._scale.sums, self._offsets.state
+        known = noise.taxel_n, noise.coefficient_n
+        learning = self._scale.sums, self._offsets
         models = self._models, self._tracks, self._forecast, self._variance
         _take(sample_n, known, learning, models, np.float32(HORIZON), self._table, self._work, self.force_n)
-        self._offsets.note()
         scale = self._scale.judge(self._learned.taxel_n)
         if scale is not None:
             # The noise is as large as it turns out to be, and what is known of the coefficients is in its units.
@@ -120,7 +118,7 @@ class PatchFilter(ForceFilter):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _take(  # noqa: PLR0917  compiled functions take no keywords
     sample_n: Floats,
-    known: tuple[Floats, Floats, Floats],
+    known: tuple[Floats, Floats],
     learning: tuple[ScaleSums, OffsetState],
     models: tuple[Models, Tracks, Floats, Floats],
     horizon: Any,
@@ -129,14 +127,14 @@ def _take(  # noqa: PLR0917  compiled functions take no keywords
     force_n: Floats,
 ) -> None:
     """Filter one sample, in one call, because calls take long: as `ForceFilter.take`."""
-    offset_n, taxel_n, coefficient_n = known
+    taxel_n, coefficient_n = known
     scale_sums, offsets = learning
     each_model, tracks, forecast, variance = models
     high, wide = offsets.offset.shape[1:]
-    left_n, coefficients = work[0], work[1]
-    _put_difference(sample_n.ravel(), offset_n.ravel(), left_n.ravel())
-    gather(left_n, scale_sums)
-    to_haar(left_n, high, wide, coefficients)
+    work_n, coefficients = work[0], work[1]
+    work_n[:] = sample_n
+    gather(work_n, scale_sums)
+    to_haar(work_n, high, wide, coefficients)
     flat, ahead, of_noise = coefficients.ravel(), forecast.ravel(), coefficient_n.ravel()
     for c in range(flat.size):
         flat[c] /= of_noise[c]
@@ -144,29 +142,10 @@ def _take(  # noqa: PLR0917  compiled functions take no keywords
     for c in range(flat.size):
         flat[c] = ahead[c] * of_noise[c]
     from_haar(coefficients, high, wide, force_n)
-    _unclip(force_n.ravel(), taxel_n.ravel(), table)
+    unclip(force_n.ravel(), taxel_n.ravel(), table)
     shape = offsets.offset.shape
     follow(force_n.reshape(shape), taxel_n.reshape(shape), offsets)
     _silence(force_n.ravel(), taxel_n.ravel())
-
-
-@njit(cache=True, nogil=True)
-def _put_difference(value: Floats, less: Floats, into: Floats) -> None:
-    for c in range(value.size):
-        into[c] = value[c] - less[c]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _unclip(force_n: Floats, noise_n: Floats, table: npt.NDArray[Any]) -> None:
-    """Undo the bias of clipping at 0 in place."""
-    scale, last = np.float32((table.size - 1) / UNCLIP_REACH), np.float32(table.size - 1)
-    for k in range(force_n.size):
-        reading = force_n[k] / noise_n[k]
-        place = max(np.float32(0), min(reading * scale, last))
-        low = np.int32(min(place, last - np.float32(1)))
-        part = place - np.float32(low)
-        unclipped = table[low] + part * (table[low + 1] - table[low])
-        force_n[k] = noise_n[k] * (unclipped if reading * scale < last else reading)
 
 
 @njit(cache=True, nogil=True)

@@ -1,27 +1,29 @@
 """What a running node goes on learning: offsets that drift, and the size of its noise.
 
-Both are learned where nothing touches. A force that grows more slowly than `RATE_N` a sample cannot be told from a
-drift.
+Both are learned where nothing touches. No force is negative: so a zero that reads less is wrong, and is corrected at
+once. What reads more is a touch, unless it grows more slowly than `RISE_N` a sample, or a zero comes back that fell.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from dbc.adaptive_filter import (
     FOLLOWING,
+    HIGHEST_N,
     IDLE_PART,
     IDLE_RATIOS,
     LOWEST_RATIO,
-    NOTE_SAMPLES,
     QUIET_RATIO,
     RATE_N,
+    RETURN_N,
+    RISE_N,
     WINDOW,
     Floats,
 )
 from skin.clipping import IDLE_DEVIATION
 from skin.compiled import njit
+from skin.walsh import patch_shape
 
 
 class OffsetState(NamedTuple):
@@ -29,106 +31,54 @@ class OffsetState(NamedTuple):
 
     Attributes
     ----------
-    offset, noted, older : the offset now, at the newest note, and at the note before
-    was_followed : array of bool
-        Whether the offset was followed in the newest sample.
+    offset : the offset now
+    idle : that of power-up
     """
 
     offset: Floats
-    noted: Floats
-    older: Floats
-    was_followed: npt.NDArray[np.bool_]
+    idle: Floats
 
 
-class Offsets:
-    """Offsets of the taxels of some nodes, which follow drifts.
-
-    Parameters
-    ----------
-    nodes, high, wide : int
-        The nodes, and height and width of each one's patch.
-
-    Attributes
-    ----------
-    state : OffsetState
-    """
-
-    def __init__(self, nodes: int, high: int, wide: int) -> None:
-        shape = (nodes, high, wide)
-        offset, noted, older = np.zeros((3, *shape), np.float32)
-        self.state = OffsetState(offset, noted, older, np.ones(shape, np.bool_))
-        self._samples = 0
-
-    def take(self, force_n: Floats, noise_n: Floats) -> None:
-        """Take the offsets from the forces of one sample, in place, and follow them.
-
-        Parameters
-        ----------
-        force_n, noise_n : arrays of float32, shape (nodes, high · wide)
-            Forces, below 0 too; standard deviation of each taxel's noise.
-        """
-        shape = self.state.offset.shape
-        follow(force_n.reshape(shape), noise_n.reshape(shape), self.state)
-        self.note()
-
-    def note(self) -> None:
-        """Count a sample, and note the offsets when it is time."""
-        self._samples += 1
-        if self._samples % NOTE_SAMPLES == 0:
-            self.state.older[:] = self.state.noted
-            self.state.noted[:] = self.state.offset
+def new_offsets(offset_n: Floats) -> OffsetState:
+    """Return offsets that begin with those of power-up, newtons, shape (nodes, taxels)."""
+    idle = offset_n.reshape(len(offset_n), *patch_shape(offset_n.shape[1]))
+    return OffsetState(idle.copy(), idle)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow(force_n: Floats, noise_n: Floats, state: OffsetState) -> None:
     """Take the offsets from the forces, in place; follow them where a taxel and its neighbours are quiet.
 
-    Where a touch begins, what was new is given back. Arrays have the shape of the state.
+    Arrays have the shape of the state.
     """
-    nodes = force_n.shape[0]
-    size = force_n[0].size
-    offset, noise = state.offset.reshape(nodes, size), noise_n.reshape(nodes, size)
-    force, followed = force_n.reshape(nodes, size), state.was_followed.reshape(nodes, size)
-    rate, part, lowest = np.float32(RATE_N), np.float32(FOLLOWING), np.float32(LOWEST_RATIO)
-    for node in range(nodes):
-        loud = np.float32(0)
-        for c in range(size):
-            left = force[node, c] - offset[node, c]
-            force[node, c] = left
-            loud += np.float32(1) if left >= np.float32(QUIET_RATIO) * noise[node, c] else np.float32(0)
-        if loud > 0:
-            _follow_some(force_n[node], noise_n[node], node, state)
-            continue
-        for c in range(size):
-            change = min(rate, max(-rate, part * force[node, c]))
-            offset[node, c] = max(lowest * noise[node, c], offset[node, c] + change)
-            followed[node, c] = True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _follow_some(force_n: Floats, noise_n: Floats, node: int, state: OffsetState) -> None:
-    """Follow the offsets of a node some of whose taxels are not quiet; arrays of shape (high, wide)."""
-    high, wide = force_n.shape
-    rate, part = np.float32(RATE_N), np.float32(FOLLOWING)
+    nodes, high, wide = force_n.shape
     is_quiet, rows_quiet = np.empty((high, wide), np.bool_), np.empty(wide, np.bool_)
-    offset, noted, older = state.offset[node], state.noted[node], state.older[node]
-    was_followed = state.was_followed[node]
-    for row in range(high):
-        for column in range(wide):
-            is_quiet[row, column] = force_n[row, column] < np.float32(QUIET_RATIO) * noise_n[row, column]
-    for row in range(high):
-        above, below = max(row - 1, 0), min(row + 1, high - 1)
-        for column in range(wide):
-            rows_quiet[column] = is_quiet[above, column] & is_quiet[row, column] & is_quiet[below, column]
-        for column in range(wide):
-            follows = rows_quiet[max(column - 1, 0)] & rows_quiet[column] & rows_quiet[min(column + 1, wide - 1)]
-            if follows:
-                change = min(rate, max(-rate, part * force_n[row, column]))
-                lowest = np.float32(LOWEST_RATIO) * noise_n[row, column]
-                offset[row, column] = max(lowest, offset[row, column] + change)
-            elif was_followed[row, column]:
-                offset[row, column] = noted[row, column] = older[row, column]
-            was_followed[row, column] = follows
+    for node in range(nodes):
+        loud = 0
+        for row in range(high):
+            for column in range(wide):
+                left = force_n[node, row, column] - state.offset[node, row, column]
+                force_n[node, row, column] = left
+                is_quiet[row, column] = left < np.float32(QUIET_RATIO) * noise_n[node, row, column]
+                loud += not is_quiet[row, column]
+        for row in range(high):
+            above, below = max(row - 1, 0), min(row + 1, high - 1)
+            for column in range(wide):
+                rows_quiet[column] = is_quiet[above, column] & is_quiet[row, column] & is_quiet[below, column]
+            for column in range(wide):
+                before, after = max(column - 1, 0), min(column + 1, wide - 1)
+                if loud == 0 or rows_quiet[before] & rows_quiet[column] & rows_quiet[after]:
+                    _follow_one(force_n[node, row, column], noise_n[node, row, column], (node, row, column), state)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _follow_one(left: Any, noise: Any, place: tuple[int, int, int], state: OffsetState) -> None:
+    """Follow the offset of a taxel that shows `left`."""
+    offset, idle = state.offset[place], state.idle[place]
+    most = np.float32(RETURN_N) if offset < idle else np.float32(RISE_N)
+    change = min(most, max(np.float32(-RATE_N), np.float32(FOLLOWING) * left))
+    highest = idle + np.float32(HIGHEST_N)
+    state.offset[place] = max(np.float32(LOWEST_RATIO) * noise, min(highest, offset + change))
 
 
 class ScaleSums(NamedTuple):

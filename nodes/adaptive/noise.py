@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive_filter import LEAST_NOISE_N, OFFSET_COUNTS, OFFSET_RATIO, SPANS, Floats
+from dbc.adaptive_filter import LEAST_NOISE_N, SPANS, UNCLIP_REACH, Floats, unclip_table
 from nodes.adaptive.transforms import to_haar
-from skin.clipping import IDLE_DEVIATION, IDLE_MEAN
+from skin.clipping import IDLE_DEVIATION
 from skin.compiled import njit
 from skin.walsh import patch_shape
 
@@ -19,7 +19,7 @@ class Noise:
     Attributes
     ----------
     offset_n : array of float32, shape (nodes, taxels)
-        What an idle taxel reads besides clipped noise, newtons.
+        What an idle taxel reads, clipping undone, newtons.
     taxel_n : array of float32, shape (nodes, taxels)
         Standard deviation of each taxel's noise before clipping, newtons.
     coefficient_n : array of float32, shape (nodes, taxels)
@@ -85,17 +85,30 @@ class IdleStatistics:
                 self._mean_squares[place] += np.square(partial)
                 partial[:] = 0
 
-    def noise(self, newton_per_count: float) -> Noise:
+    def noise(self) -> Noise:
         """Return what was learned, of at least twice the longest of `SPANS`."""
         mean = self._sum / self._count
         deviation = np.sqrt(np.maximum(self._square / self._count - mean**2, 0))
-        taxel_n = np.maximum(deviation / IDLE_DEVIATION, LEAST_NOISE_N)
-        explained_n = OFFSET_RATIO * IDLE_MEAN * taxel_n + OFFSET_COUNTS * newton_per_count
-        offset_n = np.where(mean > explained_n, mean, 0.0)
+        taxel_n = np.maximum(deviation / IDLE_DEVIATION, LEAST_NOISE_N).astype(np.float32)
+        offset_n = mean.astype(np.float32)
+        unclip(offset_n.ravel(), taxel_n.ravel(), unclip_table())
         variance = np.zeros_like(mean)
         for place, span in enumerate(SPANS):
             count = self._count // span
             of_means = self._mean_squares[place] / count - (self._means[place] / count) ** 2
             variance = np.maximum(variance, span * of_means)
         coefficient_n = np.maximum(np.sqrt(variance) / IDLE_DEVIATION, LEAST_NOISE_N)
-        return Noise(*(each.astype(np.float32) for each in (offset_n, taxel_n, coefficient_n)))
+        return Noise(offset_n, taxel_n, coefficient_n.astype(np.float32))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def unclip(force_n: Floats, noise_n: Floats, table: Floats) -> None:
+    """Undo the bias of clipping at 0 in place."""
+    scale, last = np.float32((table.size - 1) / UNCLIP_REACH), np.float32(table.size - 1)
+    for k in range(force_n.size):
+        reading = force_n[k] / noise_n[k]
+        place = max(np.float32(0), min(reading * scale, last))
+        low = np.int32(min(place, last - np.float32(1)))
+        part = place - np.float32(low)
+        unclipped = table[low] + part * (table[low + 1] - table[low])
+        force_n[k] = noise_n[k] * (unclipped if reading * scale < last else reading)

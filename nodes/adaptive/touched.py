@@ -53,7 +53,7 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
     statistics = IdleStatistics(*cells.shape)
     for _ in range(IDLE_SAMPLES):
         statistics.take(sensors.sample(0))
-    patch_filter = PatchFilter(statistics.noise(contract.layout.taxels.newton_per_count))
+    patch_filter = PatchFilter(statistics.noise())
     for _ in range(SETTLING_SAMPLES):
         patch_filter.take(sensors.sample(0))
     sensors.touch_from_ns = 0

@@ -189,7 +189,7 @@ class _Board:
         statistics = IdleStatistics(1, BLOCK_SUMS)
         for counts in idle[:IDLE_SAMPLES]:
             statistics.take(self._newtons(counts))
-        self._learned: Noise = statistics.noise(self._newton_per_count)
+        self._learned: Noise = statistics.noise()
         self._filter = PatchFilter(self._learned)
         for counts in idle[IDLE_SAMPLES:]:
             self._filter.take(self._newtons(counts))

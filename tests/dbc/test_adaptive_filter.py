@@ -79,6 +79,12 @@ def test_the_figures_are_those_of_the_documentation() -> None:
     assert float(told.LEAST_EXPONENT) == -120
     assert (told.DEAD_RATIO, told.UNCLIP_REACH, told.UNCLIP_POINTS, told.LEAST_NOISE_N) == (0.4, 6, 1024, 2e-5)
     assert pytest.approx((1e-9, 1000)) == told.GIVEN_NOISE_N
-    assert (told.OFFSET_RATIO, told.OFFSET_COUNTS, told.FOLLOWING, told.RATE_N) == (1.6, 3, 1 / 128, 3e-6)
-    assert (told.QUIET_RATIO, told.LOWEST_RATIO, told.NOTE_SAMPLES, told.WINDOW) == (0.6, -1.5, 128, 256)
+    assert (told.FOLLOWING, told.RATE_N, told.RETURN_N, told.RISE_N, told.HIGHEST_N) == (
+        1 / 128,
+        3e-6,
+        5e-7,
+        2e-8,
+        1e-3,
+    )
+    assert (told.QUIET_RATIO, told.LOWEST_RATIO, told.WINDOW) == (0.6, -1.5, 256)
     assert (told.IDLE_RATIOS, told.IDLE_PART) == ((0.5, 0.9), 0.5)

@@ -5,12 +5,12 @@ import pytest
 from scipy.stats import norm
 
 from dbc.adaptive_filter import HORIZON, make_models, unclip_table
-from nodes.adaptive.filtering import ForceFilter, PatchFilter, _silence, _unclip
+from nodes.adaptive.filtering import ForceFilter, PatchFilter, _silence
 from nodes.adaptive.models import new_tracks, step
-from nodes.adaptive.noise import IdleStatistics, Noise
+from nodes.adaptive.noise import IdleStatistics, Noise, unclip
 from skin.walsh import haar_matrix, walsh_matrix
 
-NODES, TAXELS, NOISE_N, COUNT_N = 8, 32, 1e-3, 2e-5
+NODES, TAXELS, NOISE_N = 8, 32, 1e-3
 SHAPE = (NODES, TAXELS)
 
 
@@ -34,10 +34,10 @@ def test_a_node_learns_its_noise_from_clipped_samples() -> None:
     true_n = rng.uniform(0.5e-3, 2e-3, SHAPE)
     for _ in range(2000):
         statistics.take(np.maximum(rng.normal(0, true_n), 0).astype(np.float32))
-    learned = statistics.noise(COUNT_N)
+    learned = statistics.noise()
     np.testing.assert_allclose(learned.taxel_n, true_n, rtol=0.1)
     np.testing.assert_allclose(learned.node_n, np.sqrt(np.mean(true_n**2, axis=1)), rtol=0.1)
-    assert not learned.offset_n.any()
+    np.testing.assert_allclose(learned.offset_n, 0, atol=0.2 * NOISE_N)
 
 
 def test_what_idle_taxels_read_besides_noise_is_an_offset() -> None:
@@ -46,9 +46,9 @@ def test_what_idle_taxels_read_besides_noise_is_an_offset() -> None:
         sample_n = noisy(np.zeros(SHAPE), rng)
         sample_n[2, 5] = 0.013
         statistics.take(sample_n)
-    learned = statistics.noise(COUNT_N)
+    learned = statistics.noise()
     assert learned.offset_n[2, 5] == pytest.approx(0.013)
-    assert np.count_nonzero(learned.offset_n) == 1
+    assert np.count_nonzero(abs(learned.offset_n) > 0.4 * NOISE_N) == 1
 
 
 def test_coloured_noise_counts_as_more_than_independent_noise() -> None:
@@ -56,7 +56,7 @@ def test_coloured_noise_counts_as_more_than_independent_noise() -> None:
     for _ in range(2000):
         value = 0.9 * value + rng.normal(0, NOISE_N * (1 - 0.9**2) ** 0.5, SHAPE)
         statistics.take(np.maximum(value, 0).astype(np.float32))
-    learned = statistics.noise(COUNT_N)
+    learned = statistics.noise()
     np.testing.assert_allclose(learned.taxel_n, NOISE_N, rtol=0.25)
     assert (learned.node_n > 2 * NOISE_N).all()
 
@@ -131,10 +131,10 @@ def test_the_bias_of_clipping_is_undone_and_what_is_left_of_noise_is_shown_as_ze
     noise_n = np.linspace(0.5e-3, 2e-3, 60).astype(np.float32)
     # The mean of N(x, 1) that is clipped at 0.
     shown_n = ((force * norm.cdf(force) + norm.pdf(force)) * noise_n).astype(np.float32)
-    _unclip(shown_n, noise_n, unclip_table())
+    unclip(shown_n, noise_n, unclip_table())
     np.testing.assert_allclose(shown_n / noise_n, force, atol=0.01)
     ends_n = np.array([-1.0, 0.0, 6.5, 9.0], np.float32)
-    _unclip(ends_n, np.ones(4, np.float32), unclip_table())
+    unclip(ends_n, np.ones(4, np.float32), unclip_table())
     np.testing.assert_allclose(ends_n, [-2, -2, 6.5, 9], atol=1e-6)
     left_n = np.array([-1.0, 0.0, 0.79, 0.81, 5.0], np.float32)
     _silence(left_n, np.full(5, 2.0, np.float32))

@@ -7,7 +7,7 @@ import pytest
 
 from dbc.adaptive_filter import WINDOW
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
-from nodes.adaptive.following import NoiseScale, Offsets
+from nodes.adaptive.following import NoiseScale, follow, new_offsets
 from nodes.adaptive.noise import Noise
 
 NODES, TAXELS, NOISE_N = 4, 32, 1e-3
@@ -30,17 +30,47 @@ def after(samples: int, force_n: np.ndarray | float, node_filter: ForceFilter, r
     return np.mean(shown, axis=0)
 
 
-@pytest.mark.parametrize("n_per_s", [-1e-3, 1e-3])
-def test_a_drift_of_an_untouched_taxel_is_followed(n_per_s: float) -> None:
+def ramp(samples: int, n_per_s: float, node_filter: ForceFilter, rng: np.random.Generator, from_n: float) -> None:
+    for tick in range(samples):
+        node_filter.take(noisy(from_n + 1e-3 * n_per_s * tick, rng))
+
+
+def test_a_zero_that_falls_is_followed_at_once() -> None:
     rng, node_filter = np.random.default_rng(0), PatchFilter(KNOWN)
-    drift_n = 0.0
-    for _ in range(1400):
-        drift_n += 1e-3 * n_per_s
-        node_filter.take(noisy(drift_n, rng))
-    assert np.mean(node_filter.force_n) < 0.05 * NOISE_N
+    ramp(1400, -1e-3, node_filter, rng, 0.0)
     # A touch now is shown without the offset, as far as readings of 0 let the node see how far it fell.
-    shown = after(100, 0.008 + drift_n, node_filter, rng)
-    assert np.mean(shown) == pytest.approx(0.008, abs=0.7e-3)
+    assert np.mean(after(100, 0.0066, node_filter, rng)) == pytest.approx(0.008, abs=0.7e-3)
+
+
+def test_a_zero_above_the_range_is_found_wherever_it_falls_and_comes_back_without_a_touch() -> None:
+    """The taxels read 6 mN at power-up: their noise is not clipped."""
+    rng, node_filter = (
+        np.random.default_rng(10),
+        PatchFilter(replace(KNOWN, offset_n=np.full(SHAPE, 0.006, np.float32))),
+    )
+    assert np.mean(after(500, 0.006, node_filter, rng)) < 0.05 * NOISE_N
+    after(2000, 0.002, node_filter, rng)
+    assert np.mean(after(500, 0.007, node_filter, rng)) == pytest.approx(0.005, abs=0.1e-3)
+    ramp(10_000, 0.4e-3, node_filter, rng, 0.002)
+    assert np.mean(after(500, 0.006, node_filter, rng)) < 0.05 * NOISE_N
+    assert np.mean(after(500, 0.011, node_filter, rng)) == pytest.approx(0.005, abs=0.2e-3)
+
+
+@pytest.mark.parametrize("n_per_s", [0.2e-3, 1e-3, 3e-3])
+def test_a_slow_touch_is_no_drift(n_per_s: float) -> None:
+    rng, node_filter = np.random.default_rng(0), PatchFilter(KNOWN)
+    ramp(round(4 / n_per_s), n_per_s, node_filter, rng, 0.0)
+    assert np.mean(after(300, 0.004, node_filter, rng)) == pytest.approx(0.004, abs=0.15e-3)
+
+
+def test_an_offset_rises_slowly_and_not_far() -> None:
+    still, offsets = np.full((1, 32), NOISE_N, np.float32), new_offsets(np.zeros((1, 32), np.float32))
+    for tick in range(60_000):
+        force_n = np.full((1, 4, 8), 0.5e-3 + max(0, min(0.7e-3, 15e-9 * (tick - 20_000))), np.float32)
+        follow(force_n, still.reshape(1, 4, 8), offsets)
+        if tick == 9_999:
+            np.testing.assert_allclose(offsets.offset, 0.2e-3, rtol=0.01)
+    np.testing.assert_allclose(offsets.offset, 1e-3, rtol=1e-6)
 
 
 def test_a_force_that_stays_is_no_offset() -> None:
@@ -50,15 +80,6 @@ def test_a_force_that_stays_is_no_offset() -> None:
     after(300, 0.0, node_filter, rng)
     shown = after(4000, force_n, node_filter, rng)
     np.testing.assert_allclose(shown[0, :16], 0.003, atol=0.25e-3)
-
-
-def test_what_was_followed_while_a_touch_began_is_given_back() -> None:
-    rng, node_filter = np.random.default_rng(2), PatchFilter(KNOWN)
-    after(500, 0.0, node_filter, rng)
-    # 10 mN/s, as the paper's objects.
-    for tick in range(500):
-        node_filter.take(noisy(1e-5 * tick, rng))
-    assert np.mean(after(300, 0.005, node_filter, rng)) == pytest.approx(0.005, abs=0.15e-3)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
@@ -99,49 +120,41 @@ def test_a_touch_that_comes_and_goes_is_no_noise() -> None:
 class SlowOffsets:
     """Offsets of one patch as docs/adaptive.md has them, taxel by taxel."""
 
-    def __init__(self, high: int, wide: int) -> None:
-        self.offset, self.noted, self.older = np.zeros((3, high, wide))
-        self.was_followed = np.ones((high, wide), np.bool_)
-        self.samples = 0
+    def __init__(self, idle: np.ndarray) -> None:
+        self.idle, self.offset = idle, idle.copy()
 
     def take(self, force_n: np.ndarray, noise_n: np.ndarray) -> np.ndarray:
         shown = force_n - self.offset
         quiet = np.pad(shown < 0.6 * noise_n, 1, constant_values=True)
         for row, column in np.ndindex(shown.shape):
             if quiet[row : row + 3, column : column + 3].all():
-                change = np.clip(shown[row, column] / 128, -3e-6, 3e-6)
-                lowest = -1.5 * noise_n[row, column]
-                self.offset[row, column] = max(lowest, self.offset[row, column] + change)
-                self.was_followed[row, column] = True
-            else:
-                if self.was_followed[row, column]:
-                    self.offset[row, column] = self.noted[row, column] = self.older[row, column]
-                self.was_followed[row, column] = False
-        self.samples += 1
-        if self.samples % 128 == 0:
-            self.older, self.noted = self.noted.copy(), self.offset.copy()
+                offset, idle = self.offset[row, column], self.idle[row, column]
+                offset += np.clip(shown[row, column] / 128, -3e-6, 5e-7 if offset < idle else 2e-8)
+                self.offset[row, column] = max(-1.5 * noise_n[row, column], min(idle + 1e-3, offset))
         return shown
 
 
-def test_offsets_are_followed_noted_and_given_back_as_documented() -> None:
-    rng, high, wide = np.random.default_rng(7), 3, 5
+def test_offsets_are_followed_as_documented() -> None:
+    rng, high, wide = np.random.default_rng(7), 2, 4
     noise_n = rng.uniform(0.5e-3, 1.5e-3, (2, high, wide)).astype(np.float32)
-    offsets, slow = Offsets(2, high, wide), [SlowOffsets(high, wide) for _ in range(2)]
-    drift_n = rng.uniform(-6e-6, 2e-6, (2, high, wide))
-    touched, shown, expected = np.zeros((high, wide)), [], []
-    for tick in range(1500):
+    idle_n = rng.uniform(-0.5e-3, 1e-3, (2, high, wide)).astype(np.float32)
+    offsets, slow = new_offsets(idle_n.reshape(2, -1)), [SlowOffsets(each.astype(np.float64)) for each in idle_n]
+    drift_n = rng.uniform(-6e-6, 1e-6, (2, high, wide))
+    touched, shown, expected, lowest = np.zeros((high, wide)), [], [], 0.0
+    for tick in range(3000):
         if tick % 170 == 150 and tick < 700:
             touched[:] = 0
             touched[rng.integers(high), rng.integers(wide)] = 0.01
         elif tick % 170 == 0:
             touched[:] = 0
-        force_n = (tick * drift_n + touched + rng.normal(0, 0.05e-3, drift_n.shape)).astype(np.float32)
-        given = force_n.reshape(2, -1).copy()
-        offsets.take(given, noise_n.reshape(2, -1))
-        shown.append(given.reshape(force_n.shape))
+        moved_n = min(tick, 3000 - tick) * drift_n + touched + rng.normal(0, 0.05e-3, drift_n.shape)
+        force_n = (idle_n + moved_n).astype(np.float32)
+        given = force_n.copy()
+        follow(given, noise_n, offsets)
+        shown.append(given)
         expected.append([slow[node].take(force_n[node].astype(np.float64), noise_n[node]) for node in range(2)])
-    np.testing.assert_allclose(shown, expected, atol=2e-7)
-    lowest = [each.offset / each_n for each, each_n in zip(slow, noise_n, strict=True)]
+        lowest = min(lowest, (offsets.offset / noise_n).min())
+    np.testing.assert_allclose(shown, expected, atol=1e-6)
     assert np.min(lowest) == pytest.approx(-1.5)
 
 

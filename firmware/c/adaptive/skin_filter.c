@@ -176,9 +176,7 @@ static uint8_t is_quiet_around(const uint8_t *is_quiet, uint8_t place)
     return 1;
 }
 
-/* Take the offsets from the forces, in place, and follow them where a taxel and its neighbours are quiet. Where a touch
- * begins, what was new is given back.
- */
+/* Take the offsets from the forces, in place, and follow them where a taxel and its neighbours are quiet. */
 static void follow(skin_filter *filter, float *force_n)
 {
     uint8_t is_quiet[SKIN_PATCH], loud = 0, place;
@@ -189,17 +187,14 @@ static void follow(skin_filter *filter, float *force_n)
         loud = (uint8_t)(loud + !is_quiet[place]);
     }
     for (place = 0; place < SKIN_PATCH; place++) {
-        const uint8_t follows = loud == 0 || is_quiet_around(is_quiet, place);
+        if (loud == 0 || is_quiet_around(is_quiet, place)) {
+            const float offset_n = filter->offset_n[place], idle_n = filter->idle_offset_n[place];
+            const float most_n = offset_n < idle_n ? SKIN_RETURN_N : SKIN_RISE_N;
+            const float change_n = least_of(most_n, most_of(-SKIN_RATE_N, SKIN_FOLLOWING * force_n[place]));
+            const float raised_n = least_of(idle_n + SKIN_HIGHEST_N, offset_n + change_n);
 
-        if (follows != 0) {
-            const float change = least_of(SKIN_RATE_N, most_of(-SKIN_RATE_N, SKIN_FOLLOWING * force_n[place]));
-
-            filter->offset_n[place] =
-                most_of(SKIN_LOWEST_RATIO * filter->taxel_n[place], filter->offset_n[place] + change);
-        } else if (filter->was_followed[place] != 0) {
-            filter->offset_n[place] = filter->noted_n[place] = filter->older_n[place];
+            filter->offset_n[place] = most_of(SKIN_LOWEST_RATIO * filter->taxel_n[place], raised_n);
         }
-        filter->was_followed[place] = follows;
     }
 }
 
@@ -263,7 +258,6 @@ static void use(skin_filter *filter)
 void skin_filter_begin(skin_filter *filter)
 {
     memset(filter, 0, sizeof *filter);
-    memset(filter->was_followed, 1, sizeof filter->was_followed);
 }
 
 /* Go over from learning to filtering. */
@@ -273,6 +267,8 @@ static void begin_tracks(skin_filter *filter)
     uint8_t model, c;
 
     skin_learned_noise(filter);
+    unclip(filter->idle_offset_n, filter->learned_taxel_n);
+    memcpy(filter->offset_n, filter->idle_offset_n, sizeof filter->offset_n);
     memcpy(filter->taxel_n, filter->learned_taxel_n, sizeof filter->taxel_n);
     memcpy(filter->coefficient_n, filter->learned_coefficient_n, sizeof filter->coefficient_n);
     for (c = 0; c < SKIN_PATCH; c++) {
@@ -302,11 +298,11 @@ static void take(skin_filter *filter, float *sample_n)
     uint8_t c;
 
     for (c = 0; c < SKIN_PATCH; c++) {
-        const float left_n = sample_n[c] - filter->idle_offset_n[c], change_n = left_n - filter->last_n[c];
+        const float change_n = sample_n[c] - filter->last_n[c];
 
         filter->square_n2[c] += change_n * change_n;
-        filter->total_n[c] += left_n;
-        filter->last_n[c] = sample_n[c] = left_n;
+        filter->total_n[c] += sample_n[c];
+        filter->last_n[c] = sample_n[c];
     }
     skin_to_haar(sample_n, coefficients);
     for (c = 0; c < SKIN_PATCH; c++) {
@@ -321,11 +317,6 @@ static void take(skin_filter *filter, float *sample_n)
     follow(filter, sample_n);
     for (c = 0; c < SKIN_PATCH; c++) {
         sample_n[c] = sample_n[c] < SKIN_DEAD_RATIO * filter->taxel_n[c] ? 0 : sample_n[c];
-    }
-    if (++filter->since_note == SKIN_NOTE_SAMPLES) {
-        filter->since_note = 0;
-        memcpy(filter->older_n, filter->noted_n, sizeof filter->older_n);
-        memcpy(filter->noted_n, filter->offset_n, sizeof filter->noted_n);
     }
     scale = judge(filter);
     if (scale > 0) {

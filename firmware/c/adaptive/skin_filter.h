@@ -31,14 +31,13 @@ typedef struct {
         skin_tracks tracks;
     } u;
     uint16_t taken; /* samples since power-up, at most SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES */
-    float idle_offset_n[SKIN_PATCH];
+    float idle_offset_n[SKIN_PATCH]; /* of power-up */
     float learned_taxel_n[SKIN_PATCH], learned_coefficient_n[SKIN_PATCH];
     float given_taxel_n[SKIN_PATCH], given_coefficient_n[SKIN_PATCH]; /* 2033h and 2032h as written; 0: learned */
     float taxel_n[SKIN_PATCH], coefficient_n[SKIN_PATCH];             /* in use */
     double noise_n;                                                   /* 2035h: root mean square of coefficient_n */
-    float offset_n[SKIN_PATCH], noted_n[SKIN_PATCH], older_n[SKIN_PATCH];
-    uint8_t was_followed[SKIN_PATCH];
-    uint16_t since_note, in_window;
+    float offset_n[SKIN_PATCH];
+    uint16_t in_window;
     float total_n[SKIN_PATCH], square_n2[SKIN_PATCH], last_n[SKIN_PATCH];
     float variance[SKIN_PATCH]; /* of the forecast of each coefficient, in units of its noise's */
     float sums_n[SKIN_PATCH_SUMS];
@@ -65,7 +64,7 @@ void skin_filter_give(skin_filter *filter);
 /* Write the variance of each sum, newtons squared. */
 void skin_filter_variance(const skin_filter *filter, float *variance_n2);
 
-/* Between the parts of the filter. */
+/* Between the parts of the filter. skin_learned_noise leaves clipping in the offsets. */
 void skin_to_haar(float *value, float *coefficients);
 void skin_from_haar(const float *coefficients, float *value);
 void skin_learn_idle(skin_idle *idle, uint16_t count, const float *sample_n);

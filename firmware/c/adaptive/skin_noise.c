@@ -114,7 +114,7 @@ void skin_learned_noise(skin_filter *filter)
 
             variance = at_least(variance, spans[span] * (idle->mean_square[span][c] / count - mean_of * mean_of));
         }
-        filter->idle_offset_n[c] = (float)(mean > SKIN_OFFSET_RATIO * taxel_n + SKIN_OFFSET_N ? mean : 0);
+        filter->idle_offset_n[c] = (float)mean;
         filter->learned_taxel_n[c] = (float)taxel_n;
         filter->learned_coefficient_n[c] =
             (float)at_least(sqrt(variance) / SKIN_IDLE_DEVIATION, SKIN_LEAST_NOISE_N);
