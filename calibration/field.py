@@ -15,6 +15,8 @@ import numpy as np
 
 from calibration.windows import Bools, Floats
 from reconstructor.kernels.fused import FusedSolver
+from reconstructor.kernels.problem import places_of_sums, taxels_in_block_order
+from reconstructor.kernels.transforms import hadamard
 from reconstructor.settings import VARIATION
 from skin.measurement import Sbhe
 
@@ -64,11 +66,18 @@ class FieldFinder:
         settings = replace(VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False)
         self._solver = FusedSolver(phi, rows, columns, settings)
         self._phi = phi
+        self._taxels, self._places = taxels_in_block_order(phi), places_of_sums(phi)
         #: Standard deviation of Φᵀ noise over that of the noise.
         self._gain = float(np.sqrt(phi.shape[0] / phi.blocks))
         #: Noise of Φᵀ sums / block size, the picture of the sums, over that of the sums.
         self.picture_gain: Final = self._gain / phi.block_size
         self._shifts = (phi.row_of_sum == 0) & _is_spread(phi, rows, columns)[phi.block_of_sum]
+
+    def sums(self, force_n: Floats) -> Floats:
+        """Return Φ x, shape (m,), of a field x, shape (n,)."""
+        work = force_n[self._taxels]
+        hadamard(work, self._phi.blocks)
+        return work[self._places]
 
     def find(self, sums_n: Floats, known: Bools, least_noise_n: float) -> Field:
         """Return the field of sums.
@@ -96,7 +105,7 @@ class FieldFinder:
             weights[shifts] = turn > 0
             solver.solve(estimate, (sums_n - shift_n).astype(np.float32), weights, relative_penalty=penalty_n)
             force_n = solver.image_of(estimate).ravel().astype(np.float64)
-            left_n = sums_n - np.asarray(self._phi.forward(force_n), np.float64)
+            left_n = sums_n - self.sums(force_n)
             if turn == 0 and shifts.any():
                 common_n = float(np.median(left_n[shifts])) / self._phi.block_size
                 estimate += np.float32(common_n)

@@ -36,7 +36,7 @@ TURNS: Final = 3
 STILL_PART: Final = 0.1
 #: The way of the zero since its anchor is looked at every so many windows; the anchor follows by this part.
 AUDIT_WINDOWS: Final = 4
-ANCHOR_GAIN: Final = 0.002
+ANCHOR_GAIN: Final = 0.0005
 #: What fell may come back later, less this part of it each audit.
 CREDIT_LOSS: Final = 0.005
 #: A force that is more than so many times what fell is a touch, and does not come back.
@@ -123,7 +123,7 @@ class Zero:
         left_field_n = field.force_n - self.moved_n
         if self.touched.any():  # only what has no pattern is followed
             is_still = self._still_windows >= TARE_WINDOWS
-            pattern_n = self._sums(left_field_n - self._still_n if is_still else left_field_n)
+            pattern_n = self._finder.sums(left_field_n - self._still_n if is_still else left_field_n)
             held = np.zeros_like(self.held) if is_still else self.held
             follower.take(window.mean_n - pattern_n - is_still * self._expected_n, window.known, held)
         else:
@@ -147,7 +147,7 @@ class Zero:
         left_n = np.where(used, mean_n - self.follower.level_n, 0.0)
         settled_n = np.zeros_like(self.force_n)
         for _ in range(TURNS):
-            field = self._finder.find(left_n - self._sums(settled_n), used, self.follower.noise_n)
+            field = self._finder.find(left_n - self._finder.sums(settled_n), used, self.follower.noise_n)
             settled_n += np.where(region, field.force_n, 0.0)
         self._move(settled_n)
         self._fallen_n[region] = self._fallen_now_n[region] = 0
@@ -185,7 +185,7 @@ class Zero:
     def _fall(self, fall_n: Floats, left_n: Floats, known: Bools, *, is_touched: bool) -> None:
         below = fall_n < 0
         for _ in range(0 if is_touched else TURNS - 1):  # a field is a little too small
-            field = self._finder.find(left_n - self._sums(fall_n), known, self.follower.noise_n)
+            field = self._finder.find(left_n - self._finder.sums(fall_n), known, self.follower.noise_n)
             fall_n = np.where(below, np.minimum(fall_n + field.force_n, 0), 0.0)
         self._move(fall_n)
         self._below_n = np.minimum(self._below_n - fall_n, 0)
@@ -244,16 +244,19 @@ class Zero:
         self._fallen_n = (1 - CREDIT_LOSS) * (self._fallen_n - back_n)
         if self._is_measured:
             self._fallen_n -= fall_n
-        self._anchor_n += self._sums(floor_n + back_n + fall_n)
+        self._anchor_n += self._finder.sums(floor_n + back_n + fall_n)
         if touch_n.any():
-            follower.move(-self._sums(touch_n))
+            for _ in range(TURNS - 1):
+                field = self._finder.find(way_n - self._finder.sums(touch_n), follower.known, field.noise_n)
+                touch_n += np.where(touch_n > 0, np.maximum(field.force_n, -touch_n), 0.0)
+            follower.move(-self._finder.sums(touch_n))
             self.moved_n -= touch_n
         self._anchor_n += ANCHOR_GAIN * (follower.level_n - self._anchor_n)
         # What neighbouring taxels share has no slope: when its drift ends, the zero would run on.
         slope = self._finder.find(follower.slope_n, follower.known, 0.0)
         shared_n = slope.force_n - np.median(slope.force_n)
         seen = self._opened(np.abs(shared_n) > SEEN_RATIO * self._finder.picture_gain * slope.noise_n)
-        follower.turn(-self._sums(np.where(seen, shared_n, 0.0)))
+        follower.turn(-self._finder.sums(np.where(seen, shared_n, 0.0)))
 
     def _opened(self, taxels: Bools) -> Bools:
         """Return taxels without those that are no square of others."""
@@ -261,10 +264,7 @@ class Zero:
 
     def _move(self, change_n: Floats) -> None:
         """Move zero and anchor by a field, shape (n,), newtons."""
-        sums_n = self._sums(change_n)
+        sums_n = self._finder.sums(change_n)
         self.follower.move(sums_n)
         self._anchor_n += sums_n
         self.moved_n += change_n
-
-    def _sums(self, force_n: Floats) -> Floats:
-        return np.asarray(self._phi.forward(force_n), np.float64)
