@@ -113,6 +113,10 @@ class DriftFollower:
         self._age[blocks], self._held[blocks], self._is_after_gap[blocks] = age, 0, False
         self._spread[:, blocks] = _spread(self._age[blocks])
 
+    def add(self, change_n: Floats) -> None:
+        """Add to the offsets, shape (m,), newtons; they are as certain as before."""
+        self.level_n = self.level_n + change_n
+
     def turn(self, change_n: Floats) -> None:
         """Add to the slopes, shape (m,), newtons in a window."""
         self._slope_n = np.where(self.known, self._slope_n + change_n, 0.0)
@@ -125,7 +129,7 @@ class DriftFollower:
 
     def move(self, change_n: Floats) -> None:
         """Move the offsets at once by what is no drift, shape (m,), newtons; the slopes learn nothing of that."""
-        self.level_n = self.level_n + change_n
+        self.add(change_n)
         moved = np.abs(change_n) > self.noise_n
         blocks = np.unique(self._block_of_sum[moved & self.known])
         self._spread[0, blocks] += _MOVED

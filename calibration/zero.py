@@ -34,6 +34,8 @@ LEAST_PART: Final = 0.05
 TURNS: Final = 3
 #: A touch stands still while no taxel changes by more than this part of the largest force.
 STILL_PART: Final = 0.1
+#: Under a touch that stands still, offsets follow what has no pattern by this part of it in each window.
+STILL_GAIN: Final = 0.04
 #: The way of the zero since its anchor is looked at every so many windows; the anchor follows by this part.
 AUDIT_WINDOWS: Final = 4
 ANCHOR_GAIN: Final = 0.0005
@@ -120,12 +122,12 @@ class Zero:
         self._look(force_n, least_n)
         self._is_stored &= bool(self.touched.any()) or not known.any()
         self._take_off(left_n, known, least_n)
-        left_field_n = field.force_n - self.moved_n
         if self.touched.any():  # only what has no pattern is followed
-            is_still = self._still_windows >= TARE_WINDOWS
-            pattern_n = self._finder.sums(left_field_n - self._still_n if is_still else left_field_n)
-            held = np.zeros_like(self.held) if is_still else self.held
-            follower.take(window.mean_n - pattern_n - is_still * self._expected_n, window.known, held)
+            pattern_n = self._finder.sums(field.force_n - self.moved_n)
+            follower.take(window.mean_n - pattern_n, window.known, self.held)
+            if self._still_windows >= TARE_WINDOWS:
+                rest_n = left_n - self._expected_n - self._finder.sums(field.force_n - self._still_n)
+                follower.add(np.where(known & self.held[self._phi.block_of_sum], STILL_GAIN * rest_n, 0.0))
         else:
             follower.take(window.mean_n, window.known, self.held)
         self._begin_late(window)
