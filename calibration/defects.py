@@ -63,6 +63,7 @@ class DefectFinder:
         self._phi, self._columns, self._least_n = phi, columns, least_n
         self._unchanged, self._saturated = np.zeros((2, phi.shape[0]), np.intp)
         self._windows = np.zeros(phi.blocks, np.intp)
+        self._was_held = np.zeros(phi.blocks, np.bool_)
         self._square, self._power = np.zeros(phi.shape[0]), np.zeros(phi.shape[1])
 
     def take(self, window: Window, held: Bools) -> Defects:
@@ -80,7 +81,8 @@ class DefectFinder:
         tells = window.known & (others[phi.block_of_sum] > 0) & (moving >= STUCK_PART * others[phi.block_of_sum])
         self._unchanged = np.where(moves, 0, self._unchanged + tells)
         most_known = phi.total_of_blocks(window.known) >= STUCK_PART * np.diff(phi.starts)
-        free = most_known & phi.has_sums & ~held
+        free = most_known & phi.has_sums & ~held & ~self._was_held  # a release falls into the window after
+        self._was_held = held
         self._saturated = np.where(free[phi.block_of_sum] & ~window.known, self._saturated + 1, 0)
         self._windows += free
         gain = (free / np.clip(self._windows, 1, MEMORY))[phi.block_of_sum] * window.known

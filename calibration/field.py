@@ -25,10 +25,12 @@ PENALTY_RATIO: Final = 1.5
 #: The field of noise alone stays below so many deviations of the picture of the sums.
 SEEN_RATIO: Final = 3.0
 #: Iterations between two looks at the noise, and with it at λ. The noise begins large, so that the field of a wide
-#: touch appears at once, and the passes end when it falls by less than this part.
+#: touch appears at once, and the passes end when it falls by less than `SETTLED` of itself.
 ITERATIONS: Final = 20
-PASSES: Final = 5
+PASSES: Final = 10
 SETTLED: Final = 0.05
+#: While the noise falls to less than this part, most of it is a touch that is not explained yet: λ is halved.
+FALLING: Final = 0.8
 #: Standard deviation of normal numbers over the median of their sizes.
 DEVIATION_OF_MEDIAN: Final = 1.4826
 #: A shift of a board's total costs so many times λ for each newton: more than a touched patch, less than its taxels.
@@ -95,12 +97,13 @@ class FieldFinder:
         solver.reset()
         estimate, force_n = solver.new_estimate(), np.zeros(self._phi.shape[1])
         weights, left_n, shift_n = known.astype(np.float32), sums_n, np.zeros_like(sums_n)
-        noise_n = np.inf
+        noise_n, ratio = np.inf, PENALTY_RATIO
         for turn in range(PASSES):
             before_n, noise_n = noise_n, max(least_noise_n, _deviation(left_n[known]))
-            if turn > 1 and noise_n > (1 - SETTLED) * before_n:
+            if turn > 1 and ratio == PENALTY_RATIO and noise_n > (1 - SETTLED) * before_n:
                 break
-            penalty_n = PENALTY_RATIO * noise_n * self._gain
+            ratio = PENALTY_RATIO * (0.5 if 0 < turn and noise_n < FALLING * before_n else 1.0)
+            penalty_n = ratio * noise_n * self._gain
             # At first without the totals that may be shifted; what their boards have in common is then the field's.
             weights[shifts] = turn > 0
             solver.solve(estimate, (sums_n - shift_n).astype(np.float32), weights, relative_penalty=penalty_n)

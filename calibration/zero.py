@@ -116,7 +116,8 @@ class Zero:
         least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
         force_n = field.force_n
         common_n = float(np.quantile(force_n, FLOOR_PART))
-        if 0 < common_n < (np.inf if self._is_stored else SLOW_RATIO * least_n):
+        slow_n = SLOW_RATIO * SEEN_RATIO * self._finder.picture_gain * follower.noise_n
+        if 0 < common_n < (np.inf if self._is_stored else slow_n):
             self._move(np.full_like(force_n, common_n))
             force_n = force_n - common_n
         self._look(force_n, least_n)
