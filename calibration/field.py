@@ -102,7 +102,7 @@ class FieldFinder:
             before_n, noise_n = noise_n, max(least_noise_n, _deviation(left_n[known]))
             if turn > 1 and ratio == PENALTY_RATIO and noise_n > (1 - SETTLED) * before_n:
                 break
-            ratio = PENALTY_RATIO * (0.5 if 0 < turn and noise_n < FALLING * before_n else 1.0)
+            ratio = PENALTY_RATIO * (0.5 if turn > 0 and noise_n < FALLING * before_n else 1.0)
             penalty_n = ratio * noise_n * self._gain
             # At first without the totals that may be shifted; what their boards have in common is then the field's.
             weights[shifts] = turn > 0

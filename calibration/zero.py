@@ -48,6 +48,9 @@ LEAST_AUDIT: Final = 0.3
 #: What all taxels have in common is followed while it rises by less than this part of what is seen in a window:
 #: temperature. What rises faster is a press of all of the skin. Of a stored zero it is followed however large.
 SLOW_RATIO: Final = 1.5
+#: The zero of all taxels has fallen when this part of those that were untouched, at least `LEAST_REST` of all, is low.
+FALLEN_PART: Final = 0.85
+LEAST_REST: Final = 0.1
 #: Taxels this far from a touch count as touched, too.
 MARGIN: Final = 2
 #: What falls, or has risen slowly, has at least this shape: the field of noise has single taxels.
@@ -86,6 +89,7 @@ class Zero:
         taxels = phi.shape[1]
         self.follower = follower
         self.force_n, self.touched = np.zeros(taxels), np.zeros(taxels, np.bool_)
+        self._near = self.touched
         self.held = np.zeros(phi.blocks, np.bool_)
         self.moved_n = np.zeros(taxels)
         self._phi, self._finder, self._shape = phi, finder, (rows, columns)
@@ -115,9 +119,8 @@ class Zero:
         field = self._find(left_n, known)
         least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
         force_n = field.force_n
-        common_n = float(np.quantile(force_n, FLOOR_PART))
-        slow_n = SLOW_RATIO * SEEN_RATIO * self._finder.picture_gain * follower.noise_n
-        if 0 < common_n < (np.inf if self._is_stored else slow_n):
+        common_n = self._common(force_n)
+        if common_n:
             self._move(np.full_like(force_n, common_n))
             force_n = force_n - common_n
         self._look(force_n, least_n)
@@ -156,14 +159,25 @@ class Zero:
         self._fallen_n[region] = self._fallen_now_n[region] = 0
         self.force_n = np.where(region, 0.0, self.force_n)
 
+    def _common(self, force_n: Floats) -> float:
+        """Return by how much the zero of all taxels has risen slowly, or fallen, newtons; touches keep their force."""
+        rest_n = force_n[~self._near]
+        fallen_n = float(np.quantile(rest_n, FALLEN_PART)) if rest_n.size > LEAST_REST * force_n.size else 0.0
+        if fallen_n < 0:
+            return fallen_n
+        risen_n = float(np.quantile(force_n, FLOOR_PART))
+        slow_n = SLOW_RATIO * SEEN_RATIO * self._finder.picture_gain * self.follower.noise_n
+        return risen_n if 0 < risen_n < (np.inf if self._is_stored else slow_n) else 0.0
+
     def _look(self, force_n: Floats, least_n: float) -> None:
         """Note what is touched."""
         self.force_n = np.maximum(force_n, 0)
         self.touched = force_n > least_n
-        near = binary_dilation(self.touched.reshape(self._shape), iterations=MARGIN) if self.touched.any() else None
+        self._near = self.touched
+        if self.touched.any():
+            self._near = binary_dilation(self.touched.reshape(self._shape), iterations=MARGIN).ravel()
         self.held = np.zeros(self._phi.blocks, np.bool_)
-        if near is not None:
-            self.held[self._phi.block_of_taxel[near.ravel()]] = True
+        self.held[self._phi.block_of_taxel[self._near]] = True
         self._below_n = np.roll(self._below_n, 1, axis=0)
         self._below_n[0] = np.minimum(force_n, 0)
 
