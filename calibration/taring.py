@@ -92,15 +92,15 @@ class Taring:
         noise_n = typical(deviation_n[known])
         touched = None
         if not self.forced and self.region is None:
-            touched = self._moved(means_n, known, noise_n)
+            touched = self._moved(means_n, known, noise_n, has_common=has_common)
             if touched is None:
                 touched = self._touched(level_n, known, noise_n, before_n, settled, has_common=has_common)
         return MeasuredZero(level_n, slope_n, means_n.mean(axis=0), known, noise_n, touched)
 
-    def _moved(self, means_n: Floats, known: Bools, noise_n: float) -> int | None:
+    def _moved(self, means_n: Floats, known: Bools, noise_n: float, *, has_common: bool) -> int | None:
         """Return the taxel where something moves most."""
         force_n, least_n = self._seen(change(means_n), known, noise_n)
-        moved_n = np.abs(force_n)
+        moved_n = np.abs(force_n - np.median(force_n) if has_common else force_n)
         return int(moved_n.argmax()) if moved_n.max() > least_n else None
 
     def _touched(

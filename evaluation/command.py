@@ -28,6 +28,7 @@ Subject = Literal[
     "rates",
     "contacts",
     "calibration",
+    "offsets",
     "wiring",
     "frontend",
     "scaling",
@@ -56,7 +57,8 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "rivals": _Subject("evaluation.schemes.comparison:evaluate"),
     "rates": _Subject("evaluation.schemes.rates:evaluate"),
     "contacts": _Subject("evaluation.schemes.contacts:evaluate"),
-    "calibration": _Subject("evaluation.schemes.calibration:evaluate"),
+    "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
+    "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
     "wiring": _Subject("evaluation.schemes.wiring:evaluate"),
     "frontend": _Subject("evaluation.schemes.frontend:evaluate"),
     "scaling": _Subject("evaluation.schemes.scaling:evaluate"),
@@ -101,12 +103,13 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``noiselets``,
-        ``rivals``, ``rates``, ``contacts``, ``calibration``, ``wiring``, ``frontend`` and ``scaling`` average over
-        none; ``all`` hands them to the others.
+        ``rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``, ``frontend`` and ``scaling``
+        average over none; ``all`` hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes
-        Scenes drawn at random that ``rivals`` measures beside the named ones; none with `quick`.
+        Scenes drawn at random that ``rivals`` measures beside the named ones, and twice as many that ``calibration``
+        does; none with `quick`.
     scene_seed
         Of the scenes drawn at random: a seed that nobody has tried shows scenes that nobody has tuned to.
     basis

@@ -1,4 +1,4 @@
-"""``skin evaluate calibration``: images and labels of a skin with offsets, gains and drift, raw and calibrated."""
+"""``skin evaluate offsets``: images and labels of a skin with offsets, gains and drift, raw and calibrated."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -90,7 +90,7 @@ def evaluate(options: Options) -> Result:
     """
     places = [place for place, case in enumerate(CASES) if not options.quick or case.rest_s < DRIFT_REST_S]
     cells: list[Row] = [{"place": place, **options.shared} for place in places]
-    rows = measure_cells(measure_calibration, cells, options, "calibration")
+    rows = measure_cells(measure_offsets, cells, options, "offsets")
     return Result(
         "Calibration of the default skin: PSNR of a slide of the golf ball, labels",
         [{"skin has": CASES[place].words, **row} for place, row in zip(places, rows, strict=True)],
@@ -99,7 +99,7 @@ def evaluate(options: Options) -> Result:
     )
 
 
-def measure_calibration(place: int, meshes: str | None, seed: int, *, labels: bool = True) -> Row:
+def measure_offsets(place: int, meshes: str | None, seed: int, *, labels: bool = True) -> Row:
     """Return what calibration makes of one of `CASES`.
 
     Returns
