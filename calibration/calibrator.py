@@ -168,7 +168,7 @@ class Calibrator:
     def _start_anew(self, result: TareResult) -> None:
         """Go back to the state of the start; `result` ends a measurement of the zero."""
         is_measuring = self.state in {CalibrationState.MEASURING, CalibrationState.TOUCHED}
-        self.tare()
+        self._tare()
         self.revision += 1
         self.result = result if is_measuring else None
         self._centre_ns = self._tared_ns = 0
@@ -187,12 +187,15 @@ class Calibrator:
         region : tuple of int, optional
             Whatever stands in this part of the skin is part of its zero; the rest of the skin keeps its zero.
         """
+        self._tare(asked=True, force=force, region=region)
+
+    def _tare(self, *, asked: bool = False, force: bool = False, region: Region | None = None) -> None:
         self.result, chosen = None, None
         if region is not None:
             top, left, bottom, right = region
             chosen = np.zeros(self._shape, np.bool_)
             chosen[top : bottom + 1, left : right + 1] = True
-        self._taring.begin(forced=force, region=None if chosen is None else chosen.ravel())
+        self._taring.begin(asked=asked, forced=force, region=None if chosen is None else chosen.ravel())
         self._waiting = None
         self._windows.restart()
         self.state = CalibrationState.MEASURING

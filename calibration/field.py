@@ -48,10 +48,13 @@ class Field(NamedTuple):
         Row-major, newtons; below 0 where the zero is too high.
     noise_n : float
         Standard deviation of what is not explained, newtons.
+    shift_n : array, shape (m,)
+        By which the totals of boards have shifted, newtons.
     """
 
     force_n: Floats
     noise_n: float
+    shift_n: Floats
 
 
 class FieldFinder:
@@ -116,7 +119,7 @@ class FieldFinder:
             dear_n = SHIFT_COST * penalty_n
             shift_n = np.where(shifts, left_n - np.clip(left_n, -dear_n, dear_n), 0.0)
             left_n = left_n - shift_n
-        return Field(force_n, noise_n)
+        return Field(force_n, noise_n, shift_n)
 
 
 def _deviation(values: Floats) -> float:

@@ -54,6 +54,8 @@ class Taring:
         Whatever touches the skin is part of its zero.
     region : array of bool, shape (n,), or None
         Whatever stands on these taxels is part of their zero.
+    is_asked : bool
+        By a person, who says that nothing touches the skin: what stands still and is doubtful counts as zero.
     has_few_sums : bool
         Whether the zero waits for valid sums.
     """
@@ -61,12 +63,12 @@ class Taring:
     def __init__(self, finder: FieldFinder, least_noise_n: float) -> None:
         self._finder, self._least_noise_n = finder, least_noise_n
         self._windows: deque[Window] = deque(maxlen=TARE_WINDOWS)
-        self.forced, self.has_few_sums = False, True
+        self.forced, self.is_asked, self.has_few_sums = False, False, True
         self.region: Bools | None = None
 
-    def begin(self, *, forced: bool = False, region: Bools | None = None) -> None:
+    def begin(self, *, asked: bool = False, forced: bool = False, region: Bools | None = None) -> None:
         """Begin anew."""
-        self.forced, self.region, self.has_few_sums = forced, region, True
+        self.is_asked, self.forced, self.region, self.has_few_sums = asked, forced, region, True
         self._windows.clear()
 
     def take(self, window: Window, before_n: Floats | None, settled: Bools, *, has_common: bool) -> MeasuredZero | None:
@@ -78,7 +80,7 @@ class Taring:
         before_n : array, shape (m,), optional
             The zero up to now, NaN for unknown sums.
         settled : array of bool, shape (n,)
-            Taxels whose force counts as zero.
+            Doubtful taxels.
         has_common : bool
             The zero may have changed for all taxels alike.
         """
@@ -118,7 +120,7 @@ class Taring:
             known = known & np.isfinite(before_n)
             level_n = np.where(known, level_n - before_n, 0.0)
         force_n, least_n = self._seen(level_n, known, noise_n)
-        force_n = np.where(settled, 0.0, force_n)
+        force_n = np.where(settled & self.is_asked, 0.0, force_n)
         if has_common:
             force_n -= np.quantile(force_n, FLOOR_PART)
         return int(force_n.argmax()) if force_n.max() > least_n else None

@@ -119,6 +119,8 @@ class Zero:
         field = self._find(left_n, known)
         least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
         force_n = field.force_n
+        follower.move(field.shift_n)
+        self._anchor_n += field.shift_n
         common_n = self._common(force_n)
         if common_n:
             self._move(np.full_like(force_n, common_n))
@@ -220,7 +222,7 @@ class Zero:
         if self._still_windows >= TARE_WINDOWS:
             field = self._finder.find(np.where(known, left_n - self._expected_n, 0.0), known, noise_n)
             if np.abs(field.force_n).max() <= STILL_PART * self._still_n.max():
-                return Field(self._still_n + field.force_n, field.noise_n)
+                return field._replace(force_n=self._still_n + field.force_n)
             self._still_windows = 0
         field = self._finder.find(left_n, known, noise_n)
         force_n = np.maximum(field.force_n, 0)

@@ -6,7 +6,7 @@ reads at least `PEDESTAL_N` without a touch, so that a zero which falls stays wi
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -117,6 +117,15 @@ class Scene:
     is_stored: bool = False
 
 
+class _Cycle(NamedTuple):
+    """Time, true forces and true zero of the taxels, and the sums of a skin without offsets; newtons."""
+
+    time_s: float
+    truth_n: Floats
+    zero_n: Floats
+    ideal_sums_n: Floats
+
+
 def scenes(layout: Layout, seed: int, drawn: int) -> list[Scene]:
     """Return the named scenes, and some that are drawn."""
     return [*_named(layout), *_drawn(layout, seed, drawn)]
@@ -143,8 +152,8 @@ def evaluate(options: Options) -> Result:
         [{"scene": found[place].words, **row} for place, row in zip(places, rows, strict=True)],
         note="Ghost: largest force that a taxel without touch shows, not marked as doubtful, and for how long above"
         f" {1e3 * GHOST_N:g} mN and {GHOST_PART:.0%} of the largest true force; in doubt: largest that is marked. Felt:"
-        " least mean of a touch over its first and last half, part of its force; missed: touches of which less than"
-        " half is felt. Away: how far an offset moves from the truth beyond what the drift had done. Right again: time"
+        " least mean of a touch over its first and last half, part of what a skin without offsets feels; missed:"
+        " touches of which less than half is felt. Away: how far an offset moves from the truth beyond what the drift had done. Right again: time"
         " from the last event until the zero is right within 0.3 mN; none: it waits for a person.",
     )
 
@@ -156,26 +165,24 @@ def measure_scene(place: int, scene_seed: int, drawn: int, seed: int) -> Row:
     judge = _Judge(layout, scene)
     calibrator = Calibrator(layout, offsets_n=judge.finder.sums(judge.rest_n) if scene.is_stored else None)
     tares = list(scene.tares)
-    for number, (time_s, truth_n, zero_n, measurement) in enumerate(_cycles(layout, scene, judge.rest_n, seed)):
-        while tares and time_s >= tares[0][0]:
+    for number, (cycle, measurement) in enumerate(_cycles(layout, scene, judge.rest_n, seed)):
+        while tares and cycle.time_s >= tares[0][0]:
             region = tares.pop(0)[1]
             calibrator.tare(force=region is None, region=region)
         if number % STEP_CYCLES == 0:
-            judge.take(time_s, truth_n, zero_n, calibrator.apply(measurement))
+            judge.take(cycle, calibrator.apply(measurement))
         calibrator.take(measurement)
         calibrator.work()
     return judge.row()
 
 
-def _cycles(
-    layout: Layout, scene: Scene, rest_n: Floats, seed: int
-) -> Iterator[tuple[float, Floats, Floats, Measurement]]:
-    """Yield time, true forces, true zero (shape (n,), newtons) and measurement of each cycle."""
+def _cycles(layout: Layout, scene: Scene, rest_n: Floats, seed: int) -> Iterator[tuple[_Cycle, Measurement]]:
+    """Yield each cycle and its measurement."""
     phi, taxels, period_s = layout.phi(), layout.taxels, layout.sync.period_s
     shape, random = (taxels.rows, taxels.columns), np.random.default_rng([seed, 7])
     kept = float(np.exp(-period_s / NOISE_MEMORY_S))
     memory_n = np.zeros(shape, np.float32)
-    noise_n, sums_n = np.zeros(phi.shape[0]), np.zeros(phi.shape[0])
+    noise_n = sums_n = ideal_n = np.zeros(phi.shape[0])
     truth_n = zero_n = np.zeros(taxels.count)
     valid, creep = np.ones(layout.blocks, np.bool_), Creep(scene.creep)
     for cycle in range(round(scene.seconds / period_s)):
@@ -190,13 +197,13 @@ def _cycles(
             truth_n = force_n.ravel()
             zero_n = rest_n + drift_n.ravel() + (felt_n[0] - moment[0]).ravel() * (truth_n == 0)
             read_n = np.clip(rest_n + drift_n.ravel() + felt_n[0].ravel(), 0, taxels.force_max_n)
-            sums_n = np.asarray(phi.forward(read_n), np.float64)
+            sums_n, ideal_n = (np.asarray(phi.forward(each), np.float64) for each in (read_n, truth_n))
         noise_n = kept * noise_n + (1 - kept**2) ** 0.5 * random.normal(0, SUM_NOISE_N, noise_n.size)
         counts = np.rint((sums_n + noise_n) / taxels.newton_per_count).astype(np.int32)
         if scene.away:
             valid[: layout.blocks // 4] = not scene.away[0] <= time_s < scene.away[1]
         measurement = measurement_of(layout, phi, cycle, np.where(phi.sums_of_blocks(valid), counts, 0), valid)
-        yield time_s, truth_n, zero_n, measurement
+        yield _Cycle(time_s, truth_n, zero_n, ideal_n + noise_n), measurement
 
 
 class _Judge:
@@ -208,7 +215,9 @@ class _Judge:
         offsets_n = Offset(OFFSET_RATIO, 0).offsets_n(self._shape, taxels.force_max_n)
         self.rest_n: Floats = PEDESTAL_N + offsets_n.ravel().astype(np.float64)
         self._layout, self._scene = layout, scene
-        self._engine = Reconstructor(self.phi, *self._shape, samples=layout.samples_per_sync)
+        self._engine, self._ideal = (
+            Reconstructor(self.phi, *self._shape, samples=layout.samples_per_sync) for _ in range(2)
+        )
         self.finder = FieldFinder(self.phi, *self._shape)
         self._step_s = STEP_CYCLES * layout.sync.period_s
         self._life_s = np.zeros(taxels.count)
@@ -219,14 +228,16 @@ class _Judge:
         self._last_truth_n = np.zeros(taxels.count)
         self._steps = 0
 
-    def take(self, time_s: float, truth_n: Floats, zero_n: Floats, made: Measurement) -> None:
+    def take(self, cycle: _Cycle, made: Measurement) -> None:
         """Judge the measurement of a cycle."""
+        time_s, truth_n, zero_n, ideal_sums_n = cycle
         if not made.offsets:
             return
         npc, forces = self._layout.taxels.newton_per_count, truth_n > 0
         sums = decode_measurement(made, self.phi)
         sums_n = np.multiply(sums.counts, np.float32(npc), dtype=np.float32)
         image_n = self._engine.solve(sums_n, sums.valid_sums).ravel().astype(np.float64)
+        ideal_n = self._ideal.solve(ideal_sums_n.astype(np.float32), np.ones(sums_n.size, np.bool_)).ravel()
         near = binary_dilation(forces.reshape(self._shape), iterations=MARGIN).ravel() if forces.any() else forces
         self._near_s = np.where(near, 0.0, self._near_s + self._step_s)
         free = self._near_s > RELEASE_S
@@ -239,7 +250,7 @@ class _Judge:
         self._ghost_n = max(self._ghost_n, float(ghost_n[~in_doubt].max(initial=0.0)))
         self._doubted_n = max(self._doubted_n, float(ghost_n[in_doubt].max(initial=0.0)))
         if forces.any():
-            self._felt.append((time_s, float(image_n[forces].sum() / truth_n.sum())))
+            self._felt.append((time_s, float(image_n[forces].sum() / max(ideal_n[forces].sum(), 1e-9))))
         self._judge_zero(
             time_s,
             zero_n,
@@ -252,7 +263,7 @@ class _Judge:
 
     def _judge_zero(self, time_s: float, zero_n: Floats, offsets_n: Floats, *, moves: bool) -> None:
         """Judge the zero itself, a few times a second."""
-        drift_n = float(np.abs(zero_n - self.rest_n).max())
+        drift_n = max(float(np.abs(zero_n - self.rest_n).max()), self._scene.creep * float(self._last_truth_n.max()))
         if moves or drift_n > self._moved_n:
             self._event_s = time_s
         self._moved_n = max(self._moved_n, drift_n)
