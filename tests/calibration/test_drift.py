@@ -1,4 +1,4 @@
-"""The offsets of sums followed while they drift: level, slope and noise as a slow computation with matrices has them."""
+"""The offsets of sums, followed while they drift: level, slope and noise are those of a slow computation."""
 
 from collections.abc import Iterator
 
@@ -346,6 +346,18 @@ def test_a_block_begins_anew_with_the_line_it_is_given() -> None:
     # No gap lies between its line and this point, whose noise is learned: one point ahead, a line of 8 has the variance
     # 30 / 72 + 12 / 72 + 12 / 504 of a point.
     assert fresh.noise_n == pytest.approx(1e-4 * (1 + 0.05 * (1 / (1 + 42 / 72 + 12 / 504) - 1)) ** 0.5)
+
+
+def test_the_first_window_after_offsets_of_another_time_is_their_first_point() -> None:
+    """However far they are off, that is no slope: a zero that was stored does not run on under the next touch."""
+    nothing, first_n = np.zeros(FEW), np.full(FEW, 5e-3)
+    made = DriftFollower(
+        BLOCK_OF_FEW, FEW_BLOCKS, nothing, nothing, ALL_FEW, age=0, noise_n=1e-5, least_noise_n=LEAST_N
+    )
+    for _ in range(3):
+        made.take(first_n, ALL_FEW, FREE)
+        assert made.level_n == pytest.approx(first_n)
+        assert not made.slope_n.any()
 
 
 def test_of_the_second_window_little_is_foreseen() -> None:
