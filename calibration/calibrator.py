@@ -151,7 +151,7 @@ class Calibrator:
         """Take stored offsets, shape (m,), newtons; NaN for unknown ones."""
         known = np.isfinite(offsets_n)
         self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
-        self._begin(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 1, 0.0, ZeroSupport.STORED)
+        self._begin(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 0, 0.0, ZeroSupport.STORED)
         if not self._tares:
             self.state = CalibrationState.LOADED
 

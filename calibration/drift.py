@@ -43,7 +43,7 @@ class DriftFollower:
     known : array of bool, shape (m,)
         False for sums without an offset so far.
     age : int
-        Number of windows that the line was drawn through.
+        Number of windows that the line was drawn through; 0 if the offsets are of another time.
     noise_n : float
         Standard deviation of the mean of a window.
     least_noise_n : float
@@ -162,6 +162,7 @@ class DriftFollower:
             self._learn(relative[follows & ~late])
         age = np.minimum(self._age + 1, MEMORY)
         spread = np.maximum(_after_point(_ahead(self._spread, 1)), self._least_spread)
+        spread = np.where(age == 1, _spread(age), spread)  # the first window tells nothing of the slope
         level_gain, slope_gain = spread[:2, self._block_of_sum]
         self.level_n = np.where(follows, ahead + level_gain * residual, ahead)
         self._slope_n = np.where(follows, self._slope_n + slope_gain * residual, self._slope_n)

@@ -1,4 +1,4 @@
-"""Cycles of the default skin, fewer in a second, whose taxels have offsets, for the tests of this folder."""
+"""Cycles of the default skin, fewer in a second, and of a small one without random noise, for tests of calibration."""
 
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
@@ -7,9 +7,11 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from calibration.calibrator import Calibrator
 from calibration.offline import measurement_of
+from canskin.calibration_messages import CalibrationState
 from canskin.messages import Measurement
-from skin.layout import Layout, Sync, load_layout
+from skin.layout import Layout, Sync, load_layout, parse_layout
 
 LAYOUT = msgspec.structs.replace(load_layout(), sync=Sync(rate_hz=40.0))
 PHI = LAYOUT.phi()
@@ -18,6 +20,13 @@ NEWTON_PER_COUNT = LAYOUT.taxels.newton_per_count
 #: Noise of one averaged taxel, newtons.
 NOISE_N = 0.05e-3
 END_CODE = 16000
+#: A small skin whose boards average, so they undo the bias of clipping; its offsets in counts, which are like no touch.
+SMALL_SKIN = b"[taxels]\nrows = 32\ncolumns = 32\n[sync]\nrate_hz = 40.0\n"
+SMALL = parse_layout(SMALL_SKIN + b"[sampling]\nrate_hz = 1000.0", "test")
+SMALL_PHI = SMALL.phi()
+SMALL_SUMS, SMALL_COUNT_N = SMALL_PHI.shape[0], SMALL.taxels.newton_per_count
+Counts = npt.NDArray[np.int32]
+COUNTS: Counts = np.random.default_rng(3).integers(-50, 50, SMALL_SUMS).astype(np.int32)
 Force = Callable[[float], npt.NDArray[np.floating]]
 
 
@@ -25,6 +34,11 @@ def offsets_n(seed: int = 0) -> npt.NDArray[np.float64]:
     """Offsets of 0 to 13 % of the range."""
     taxels = LAYOUT.taxels
     return np.random.default_rng(seed).uniform(0, 0.13 * taxels.force_max_n, taxels.count)
+
+
+def still(force: npt.NDArray[np.floating]) -> Force:
+    """The same force at all times."""
+    return lambda _time_s: force
 
 
 def pressed(row: int, column: int, size: int, force_n: float) -> npt.NDArray[np.float64]:
@@ -99,3 +113,50 @@ def error_n(measurement: Measurement, force: npt.NDArray[np.floating]) -> float:
     """Return the root mean square error of the corrected sums, newtons, for the forces without offsets."""
     sums = np.frombuffer(measurement.sums, "<i4") - np.frombuffer(measurement.offsets, "<i4")
     return float(np.std(sums * NEWTON_PER_COUNT - PHI.forward(force)))
+
+
+def pressed_counts(row: int, column: int, width: int, counts: int) -> Counts:
+    """Return the sums of a square of taxels that all read so many counts."""
+    force = np.zeros((32, 32), np.int32)
+    force[row : row + width, column : column + width] = counts
+    return np.asarray(SMALL_PHI.forward(force.ravel()), np.int32)
+
+
+class Cycles:
+    """Cycles 25 ms apart, ten in a window: the sums change by 2 · `noise` counts from cycle to cycle, up and down."""
+
+    def __init__(self, layout: Layout = SMALL, noise: int | Counts = 3, **options: object) -> None:
+        self.said: list[str] = []
+        self.layout, self.noise = layout, noise
+        self.made = Calibrator(layout, say=self.said.append, **options)  # type: ignore[arg-type]
+        self.cycle = 0
+        self.missing: list[int] = []
+
+    def measured(self, counts: Counts) -> Measurement:
+        valid = np.ones(SMALL_PHI.blocks, np.bool_)
+        valid[self.missing] = False
+        shaken = counts + self.noise * (-1) ** self.cycle * np.where(np.arange(SMALL_SUMS) % 3, 1, -1)
+        return measurement_of(self.layout, SMALL_PHI, self.cycle, shaken, valid)
+
+    def run(self, windows: float, counts: Counts = COUNTS, drift: float | npt.NDArray[np.float64] = 0.0) -> Measurement:
+        """Go on for so many windows, with offsets that grow by `drift` counts in each; return the last as it went."""
+        for _ in range(round(10 * windows)):
+            moved = np.rint(counts + drift * self.cycle / 10).astype(np.int32)
+            came = self.measured(moved)
+            self.cycle += 1
+            applied = self.made.apply(came)
+            self.made.take(came)
+            self.made.work()
+        return applied
+
+
+def offsets_of(measurement: Measurement) -> list[int]:
+    return np.frombuffer(measurement.offsets, "<i4").tolist()
+
+
+def tared(**options: object) -> Cycles:
+    """Return a skin with a zero: two windows to settle, and eight."""
+    skin = Cycles(**options)  # type: ignore[arg-type]
+    skin.run(10.1)
+    assert skin.made.state is CalibrationState.FOLLOWING
+    return skin

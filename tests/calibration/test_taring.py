@@ -1,0 +1,264 @@
+"""When the zero of a skin is measured, what is said of it, and what it is."""
+
+import re
+
+import numpy as np
+import pytest
+
+from calibration.calibrator import Calibrator, TareResult
+from calibration.field import FieldFinder
+from canskin.calibration_messages import CalibrationState
+from tests.calibration.skins import (
+    COLUMNS,
+    COUNTS,
+    LAYOUT,
+    NEWTON_PER_COUNT,
+    NOISE_N,
+    PHI,
+    ROWS,
+    SMALL_COUNT_N,
+    SMALL_SUMS,
+    Cycles,
+    Skin,
+    error_n,
+    offsets_n,
+    offsets_of,
+    pressed,
+    pressed_counts,
+    still,
+    tared,
+)
+
+MS = 1_000_000
+MEASURING, TOUCHED = CalibrationState.MEASURING, CalibrationState.TOUCHED
+FOLLOWING, LOADED, OFF = CalibrationState.FOLLOWING, CalibrationState.LOADED, CalibrationState.OFF
+
+ZERO = np.zeros(LAYOUT.taxels.count)
+OFFSETS = offsets_n()
+#: Noise of one sum.
+SUM_NOISE_N = NOISE_N * LAYOUT.measurement.block_size**0.5
+
+
+def place_of(text: str) -> tuple[int, int]:
+    """Return the row and the column that a line of the log names."""
+    found = re.search(r"around row (\d+), column (\d+)", text)
+    assert found is not None
+    return int(found[1]), int(found[2])
+
+
+def test_a_zero_takes_half_a_second_and_two() -> None:
+    skin = Cycles()
+    assert skin.made.state is MEASURING
+    assert skin.made.tare_s == 2.0
+    assert skin.run(10).offsets == b""
+    assert skin.made.state is MEASURING
+    assert skin.made.result is None
+    assert not skin.said
+    skin.run(0.1)  # the cycle that ends the tenth window
+    assert skin.made.state is FOLLOWING
+    assert offsets_of(skin.run(0.1)) == COUNTS.tolist()
+    status = skin.made.status()
+    # The middle of the window from 2275 to 2525 ms.
+    assert status.tared_mono_ns == 2400 * MS
+    assert (status.known_sums, status.revision, status.held_blocks, status.defects) == (SMALL_SUMS, 1, 0, [])
+    assert status.offset_rms_n == pytest.approx(SMALL_COUNT_N * np.sqrt(np.mean(COUNTS.astype(np.float64) ** 2)))
+    # Consecutive cycles differ by 6 counts: normal numbers of a deviation σ do by 2 σ / √π.
+    assert status.noise_n == skin.made.noise_n == pytest.approx(6 * SMALL_COUNT_N * np.pi**0.5 / 2)
+    assert status.drift_rms_n_per_s == 0
+
+
+def test_what_is_said_of_a_zero() -> None:
+    skin, offsets = Cycles(noise=300), 100 * COUNTS
+    skin.run(10.1, offsets)
+    rms_mn = 1e3 * SMALL_COUNT_N * np.sqrt(np.mean(offsets.astype(np.float64) ** 2))
+    largest_mn = 1e3 * SMALL_COUNT_N * np.abs(offsets).max()
+    noise_mn = 1e3 * 600 * SMALL_COUNT_N * np.pi**0.5 / 2
+    words = f"zero of {SMALL_SUMS} of {SMALL_SUMS} sums: offsets {rms_mn:.2f} mN rms, up to {largest_mn:.2f} mN"
+    words += f"; noise {noise_mn:.2f} mN"
+    assert skin.said == [words]
+    assert skin.made.result is not None
+    assert (skin.made.result.is_done, skin.made.result.text) == (True, words)
+
+
+def test_a_zero_waits_for_half_of_the_sums() -> None:
+    skin = Cycles()
+    skin.missing = list(range(17))
+    skin.run(12)
+    assert skin.made.state is MEASURING
+    assert skin.made.has_few_sums
+    skin = Cycles()
+    skin.missing = list(range(16))
+    skin.run(10.1)
+    assert skin.made.state is FOLLOWING
+    assert skin.said[0].startswith(f"zero of {SMALL_SUMS // 2} of {SMALL_SUMS} sums")
+    assert np.isnan(skin.made.offsets_n).sum() == SMALL_SUMS // 2  # type: ignore[arg-type]
+
+
+def test_has_few_sums_until_a_window_has_them() -> None:
+    skin = Cycles()
+    assert skin.made.has_few_sums
+    skin.run(3)
+    assert skin.made.has_few_sums
+    skin.run(0.1)
+    assert not skin.made.has_few_sums
+    skin.made.tare()
+    assert skin.made.has_few_sums
+
+
+@pytest.mark.parametrize("late", [0, 4])
+def test_an_even_drift_is_found_with_the_zero_and_foreseen(late: int) -> None:
+    """Ten counts in each window of a quarter of a second."""
+    skin = Cycles()
+    skin.run(10.1 + late, drift=10.0)
+    assert skin.made.status().drift_rms_n_per_s == pytest.approx(4 * 10 * SMALL_COUNT_N, rel=0.01)
+    applied = skin.run(0.3, drift=10.0)
+    expected = COUNTS + 10.0 * (skin.cycle - 1) / 10
+    assert np.abs(np.array(offsets_of(applied)) - expected).max() <= 1.5
+
+
+def test_a_touch_at_the_start_is_told_once_with_its_place() -> None:
+    skin = Cycles()
+    hand = COUNTS + pressed_counts(10, 20, 5, 300)
+    skin.run(14, hand)
+    assert skin.made.state is TOUCHED
+    (words,) = skin.said
+    row, column = place_of(words)
+    assert 10 <= row < 15
+    assert 20 <= column < 25
+    assert words.endswith(": its zero is measured when it has been untouched for 2 s")
+    assert skin.made.result == TareResult(is_done=False, text=words)
+    assert skin.made.status().tared_mono_ns == 0
+    skin.run(8.1, COUNTS)
+    assert skin.made.state is FOLLOWING
+
+
+def test_a_touch_during_a_later_zero_leaves_the_old_one() -> None:
+    skin = tared()
+    skin.made.tare()
+    assert skin.made.result is None
+    hand = COUNTS + pressed_counts(10, 20, 5, 300)
+    assert np.abs(np.array(offsets_of(skin.run(8.2, hand))) - COUNTS).max() <= 1
+    assert skin.made.state is FOLLOWING
+    (words,) = skin.said[1:]
+    assert 10 <= place_of(words)[0] < 15
+    assert words.endswith(": the zero stays as it was")
+    assert skin.made.result == TareResult(is_done=False, text=words)
+    assert skin.made.status().revision == 1
+
+
+def test_a_forced_zero_takes_a_touch_for_its_own_once() -> None:
+    skin = tared()
+    hand = COUNTS + pressed_counts(10, 20, 5, 300)
+    skin.made.tare(force=True)
+    skin.run(8.2, hand)
+    assert offsets_of(skin.run(0.1, hand)) == hand.tolist()
+    assert skin.made.status().revision == 2
+    skin.made.tare()
+    skin.run(8.2, hand + pressed_counts(2, 2, 5, 300))
+    assert skin.made.result is not None
+    assert not skin.made.result.is_done  # the next is not forced
+
+
+def test_a_zero_that_is_asked_for_anew_begins_anew() -> None:
+    skin = Cycles()
+    skin.run(7.1, COUNTS + 100)
+    skin.made.tare()
+    skin.run(7.9, COUNTS)
+    assert skin.made.state is MEASURING
+    skin.run(0.2, COUNTS)
+    assert skin.made.state is FOLLOWING
+    assert offsets_of(skin.run(0.1)) == COUNTS.tolist()
+    assert skin.made.status().revision == 1
+
+
+def test_before_its_zero_is_measured_a_skin_has_no_offsets() -> None:
+    assert Skin(Calibrator(LAYOUT)).run(1.0, still(OFFSETS)).offsets == b""
+
+
+def test_a_hand_at_the_start_does_not_become_the_zero() -> None:
+    skin = Skin(Calibrator(LAYOUT))
+    hand = pressed(10, 20, 20, 0.005)
+    assert skin.run(6.0, still(OFFSETS + hand)).offsets == b""
+    assert skin.calibrator.state is CalibrationState.TOUCHED
+    assert skin.calibrator.result is not None
+    assert not skin.calibrator.result.is_done
+    last = skin.run(5.0, still(OFFSETS))
+    assert skin.calibrator.state is CalibrationState.FOLLOWING
+    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
+
+
+def test_a_faint_hand_that_moves_at_the_start_does_not_become_the_zero() -> None:
+    skin = Skin(Calibrator(LAYOUT))
+    skin.run(6.0, lambda time_s: OFFSETS + pressed(10, 10 + int(4 * time_s), 3, 0.001))
+    assert skin.calibrator.state is CalibrationState.TOUCHED
+
+
+def test_stored_offsets_are_used_under_a_hand_and_show_a_faint_touch() -> None:
+    faint = pressed(30, 30, 3, 0.001)
+    skin = Skin(Calibrator(LAYOUT, offsets_n=PHI.forward(OFFSETS)))
+    last = skin.run(5.0, still(OFFSETS + faint))
+    assert skin.calibrator.state is CalibrationState.TOUCHED
+    assert error_n(last, faint) < 1.2 * SUM_NOISE_N
+
+
+def test_wrong_offsets_that_are_loaded_are_used_until_a_zero_is_measured() -> None:
+    skin, hand, wrong_n = Skin(Calibrator(LAYOUT)), pressed(10, 20, 20, 0.005), PHI.forward(offsets_n(seed=1))
+    skin.run(4.0, still(OFFSETS))
+    skin.calibrator.load(wrong_n)
+    assert skin.calibrator.state is MEASURING
+    first = skin.run(0.1, still(OFFSETS + hand))
+    np.testing.assert_allclose(np.frombuffer(first.offsets, "<i4") * NEWTON_PER_COUNT, wrong_n, atol=NEWTON_PER_COUNT)
+    last = skin.run(4.0, still(OFFSETS + hand))
+    assert skin.calibrator.state is TOUCHED
+    counts = np.frombuffer(last.sums, "<i4") - np.frombuffer(last.offsets, "<i4")
+    field = FieldFinder(PHI, ROWS, COLUMNS).find(counts * NEWTON_PER_COUNT, np.ones(PHI.shape[0], np.bool_), 0.0)
+    assert field.force_n.sum() == pytest.approx(hand.sum(), rel=0.15)
+    assert error_n(skin.run(4.0, still(OFFSETS)), ZERO) < 1.2 * SUM_NOISE_N
+
+
+def test_loaded_offsets_hold_at_once_and_end_a_measurement() -> None:
+    skin = Cycles()
+    skin.run(5)
+    known = np.where(np.arange(SMALL_SUMS) == 7, np.nan, COUNTS * SMALL_COUNT_N)
+    skin.made.load(known)
+    assert skin.made.state is MEASURING
+    assert skin.made.result is not None
+    assert (skin.made.result.is_done, skin.made.result.text) == (False, "other offsets were loaded meanwhile")
+    applied = skin.made.apply(skin.measured(COUNTS))
+    assert offsets_of(applied) == np.where(np.arange(SMALL_SUMS) == 7, 0, COUNTS).tolist()
+    assert np.flatnonzero(np.frombuffer(applied.usable, np.uint8) == 0).tolist() == [7]
+    assert skin.made.status().revision == 1
+    status = tared().made
+    status.load(known)
+    assert status.result is None  # nothing was being measured
+    assert (status.status().revision, status.status().tared_mono_ns, status.status().drift_rms_n_per_s) == (2, 0, 0.0)
+
+
+def test_forgotten_offsets_are_measured_as_at_the_start() -> None:
+    skin = tared()
+    skin.made.forget()
+    assert (skin.made.state, skin.made.offsets_n, skin.made.result) == (MEASURING, None, None)
+    assert skin.run(1).offsets == b""
+    skin.made.forget()
+    assert skin.made.result is not None
+    assert (skin.made.result.is_done, skin.made.result.text) == (False, "the nodes were written to meanwhile")
+    assert skin.made.status().revision == 3
+    skin.run(9.2)
+    assert skin.made.status().revision == 4
+
+
+def test_without_taring_nothing_is_learned_unless_it_is_asked_for() -> None:
+    skin = Cycles(tares=False)
+    assert skin.made.state is OFF
+    skin.run(12)
+    assert skin.made.state is OFF
+    assert skin.made.offsets_n is None
+    skin.made.load(COUNTS * SMALL_COUNT_N)
+    assert skin.made.state is LOADED
+    skin.made.forget()
+    assert (skin.made.state, skin.made.offsets_n) == (OFF, None)
+    skin.made.tare()
+    assert skin.made.state is MEASURING
+    skin.run(10.1)
+    assert skin.made.state is LOADED
+    assert offsets_of(skin.run(5, COUNTS + 100)) == COUNTS.tolist()  # nothing is followed
