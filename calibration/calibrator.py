@@ -1,4 +1,8 @@
-"""The calibration of a running skin: a zero that is measured, followed, and doubted where it may be wrong."""
+"""The calibration of a running skin: a zero that is measured, followed, and doubted where it may be wrong.
+
+Boards with adaptive sending measure and follow their own zero: then the zero here begins with 0. It moves when a person
+settles what stands on the skin, and when that has gone.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,6 +35,8 @@ Region = tuple[int, int, int, int]
 LEAST_NOISE_RATIO: Final = 0.3
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
 LEAST_STEP: Final = 0.3
+#: From one look at the newest adaptive sums to the next, seconds: the period of their cycles here.
+LOOK_S: Final = 0.025
 #: Sums with a noise of so many counts have no defect: averages of an untouched taxel are 0 but for rare cycles.
 QUIET_COUNTS: Final = 3.0
 #: A correction below zero is logged from this part of the range on, and again after so much time.
@@ -55,14 +61,14 @@ class TareResult:
 
 
 class Calibrator:
-    """Learns the zero of the sums of a skin with synchronous sending, and writes it into measurements.
+    """Learns the zero of the sums of a skin, and writes it into measurements.
 
-    `apply` to every measurement, then `take` the one that came; `work` whenever there is a millisecond to spare.
+    `apply` to every measurement, then `take` the one that came; `work` whenever there is a millisecond to spare. Of
+    adaptive sums, `take` the newest every `LOOK_S`, with the time of the look.
 
     Parameters
     ----------
     layout : Layout
-        With adaptive sending nothing is done: the nodes follow their offsets themselves.
     offsets_n : array, shape (m,), optional
         Stored offsets, newtons; NaN for unknown ones.
     tares : bool
@@ -89,14 +95,17 @@ class Calibrator:
     ) -> None:
         taxels, self._phi = layout.taxels, layout.phi()
         self._shape = taxels.rows, taxels.columns
-        self._is_on = layout.sending == "synchronous"
-        self._tares = tares and self._is_on
+        #: Whether offsets are measured and followed here, and not by the boards.
+        self._is_own = layout.sending == "synchronous"
+        self._tares = tares
         self._say = say
         self._newton_per_count, self._force_max_n = taxels.newton_per_count, taxels.force_max_n
-        self._period_s = layout.sync.period_s
+        self._period_s = layout.sync.period_s if self._is_own else LOOK_S
         self._clips = layout.samples_per_sync == 1 and not taxels.is_analogue
         self._windows = WindowMeans(self._phi.shape[0], self._period_s, self._newton_per_count)
         self._finder = FieldFinder(self._phi, *self._shape)
+        nothing = np.zeros(self._phi.shape[0])
+        self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
         self._step_n = sum_step_n(layout)
         self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
         self._defect_finder = DefectFinder(self._phi, taxels.columns, QUIET_COUNTS * self._step_n)
@@ -114,6 +123,8 @@ class Calibrator:
         self._bias_n: Floats | float = 0.0
         self.temperatures_k: Floats = np.full(self._phi.blocks, np.nan)
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
+        self._offsets = b""
+        self._begin_at_boards()
         self.revision = 0
         if offsets_n is not None:
             self.load(offsets_n)
@@ -164,6 +175,7 @@ class Calibrator:
         self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
         self._zero = None
         self._support[:], self._supported_ns[:] = ZeroSupport.NONE, 0
+        self._begin_at_boards()
 
     def _start_anew(self, result: TareResult) -> None:
         """Go back to the state of the start; `result` ends a measurement of the zero."""
@@ -205,8 +217,10 @@ class Calibrator:
 
         `sums` are the places of its sums among those of Φ, if it has only some of them.
         """
-        if self._zero is None:
-            return msgspec.structs.replace(measurement, doubtful=self._doubtful) if self._doubtful else measurement
+        if self._zero is None or not self._is_own:
+            if not self._offsets and not self._doubtful:
+                return measurement
+            return msgspec.structs.replace(measurement, offsets=self._offsets, doubtful=self._doubtful)
         ahead = (measurement.sampled_mono_ns - self._centre_ns) / self._windows.length_ns if self._centre_ns else 0.0
         follower = self._zero.follower
         offsets = np.rint(follower.predicted_n(ahead)[sums] / self._newton_per_count).astype("<i4")
@@ -222,7 +236,7 @@ class Calibrator:
 
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement as it came, without saturated sums; most of it is left to `work`."""
-        if not self._is_on or (self.state in {CalibrationState.OFF, CalibrationState.LOADED}):
+        if self.state in {CalibrationState.OFF, CalibrationState.LOADED}:
             return
         counts = np.frombuffer(measurement.sums, "<i4")
         window = self._windows.take(measurement.sampled_mono_ns, counts, used_sums(measurement, self._phi))
@@ -290,7 +304,8 @@ class Calibrator:
             zero.skip(skipped)
         zero.take(window, self._defects.usable)
         self._centre_ns = window.centre_ns
-        self._look_for_defects(window, zero.held)
+        if self._is_own:  # adaptive sums rarely change
+            self._look_for_defects(window, zero.held)
         self._doubt.move(zero.moved_n)
         was_doubtful = self._doubt.since_ns
         self._doubt.take(zero.force_n, window.centre_ns)
@@ -325,7 +340,13 @@ class Calibrator:
             self._say("no force is doubtful any more")
 
     def _tell_doubt(self) -> None:
-        """Pack the doubtful taxels for measurements: without a zero that is to be measured, all."""
+        """Pack the doubtful taxels for measurements: without a zero that is to be measured, all.
+
+        Also the offsets of adaptive sums, which change in some windows only.
+        """
+        if self._zero is not None and not self._is_own:
+            offsets = np.rint(self._zero.follower.level_n / self._newton_per_count).astype("<i4")
+            self._offsets = offsets.tobytes() if offsets.any() else b""
         all_doubtful = self._tares and self._zero is None
         taxels = np.ones_like(self._doubt.taxels) if all_doubtful else self._doubt.taxels
         self._doubtful = np.packbits(taxels).tobytes() if taxels.any() else b""
@@ -348,11 +369,13 @@ class Calibrator:
         found = self._taring.take(window, before_n, self._doubt.taxels, has_common=not self._tared_ns)
         if found is None:
             return
-        if region is not None:
-            self._settle(found.mean_n, found.known, region)
-            return
         if found.touched is not None:
             self._refuse(*divmod(found.touched, self._shape[1]))
+            return
+        if region is None and not self._is_own:
+            region = np.ones(self._doubt.taxels.size, np.bool_)
+        if region is not None:
+            self._settle(found.mean_n, found.known, region)
             return
         self._bias_n = self._clip_bias_n()
         known, level_n = found.known, found.level_n - self._bias_n
@@ -390,7 +413,7 @@ class Calibrator:
             f"something touches the skin or moves on it, around row {row}, column {column}: its zero is"
             f" measured when it has been untouched for {self.tare_s:.3g} s"
         )
-        if self._tared_ns and self._tares:
+        if self._tares and (self._tared_ns or not self._is_own):
             self.state = CalibrationState.FOLLOWING
             self._taring.begin()
             self._tell(is_done=False, text=text.split(":", maxsplit=1)[0] + ": the zero stays as it was")
@@ -413,6 +436,16 @@ class Calibrator:
             return 0.0
         return np.where(self._phi.row_of_sum == 0, size * IDLE_MEAN * NOISE_N, 0.0)
 
+    def _begin_at_boards(self) -> None:
+        """Begin with a zero of 0 where the boards take theirs off."""
+        if self._is_own:
+            return
+        self._offsets = b""
+        zeros = np.zeros(self._phi.shape[0])
+        self._begin(zeros, zeros, np.ones(zeros.size, np.bool_), 1, 0.0, ZeroSupport.STORED)
+        if self._tares:
+            self.state = CalibrationState.FOLLOWING
+
     def _begin(  # noqa: PLR0917
         self, level_n: Floats, slope_n: Floats, known: Bools, age: int, noise_n: float, support: ZeroSupport
     ) -> None:
@@ -428,7 +461,7 @@ class Calibrator:
             noise_n=noise_n,
             least_noise_n=LEAST_STEP * self._step_n,
         )
-        self._zero = Zero(phi, *self._shape, self._finder, follower, support=support)
+        self._zero = Zero(phi, *self._shape, self._finder, follower, support=support, follows=self._is_own)
         of_blocks = phi.all_of_blocks(known) & phi.has_sums
         self._support = np.where(of_blocks, support, ZeroSupport.NONE).astype(np.uint8)
         self._supported_ns[:] = np.where(of_blocks & (support > ZeroSupport.STORED), self._newest_ns, 0)

@@ -9,6 +9,7 @@ field x of y - z.
 * x > 0 is a touch. z never follows it.
 * u is followed (`calibration.drift`) in blocks that nothing touches. A touch that grows too slowly to be seen in one
   window is seen in the way that z has gone since its anchor, and is given back.
+* Of a zero that the boards follow themselves nothing is followed here: what a person has settled can fall again.
 * A fall of a measured zero may come back: z takes forces above 0 back slowly up to what fell before, and at once what
   fell while something touched.
 """
@@ -69,6 +70,8 @@ class Zero:
         With the first offsets.
     support : ZeroSupport
         Of the first offsets: what falls below measured ones may come back.
+    follows : bool
+        False where the boards follow their zero: then it falls no further than it was moved up, and does not drift.
 
     Attributes
     ----------
@@ -84,7 +87,15 @@ class Zero:
     """
 
     def __init__(
-        self, phi: Sbhe, rows: int, columns: int, finder: FieldFinder, follower: DriftFollower, *, support: ZeroSupport
+        self,
+        phi: Sbhe,
+        rows: int,
+        columns: int,
+        finder: FieldFinder,
+        follower: DriftFollower,
+        *,
+        support: ZeroSupport,
+        follows: bool = True,
     ) -> None:
         taxels = phi.shape[1]
         self.follower = follower
@@ -94,6 +105,9 @@ class Zero:
         self.moved_n = np.zeros(taxels)
         self._phi, self._finder, self._shape = phi, finder, (rows, columns)
         self._is_measured, self._is_stored = support is ZeroSupport.MEASURED, support is ZeroSupport.STORED
+        self._follows = follows
+        #: How far the zero of each taxel may fall, newtons.
+        self._room_n = np.full(taxels, np.inf if follows else 0.0)
         self._below_n = np.zeros((PROOF_WINDOWS, taxels))
         self._anchor_n = follower.level_n.copy()
         #: What fell while something touches, and before that, newtons of each taxel.
@@ -121,13 +135,15 @@ class Zero:
         force_n = field.force_n
         follower.move(field.shift_n)
         self._anchor_n += field.shift_n
-        common_n = self._common(force_n)
+        common_n = self._common(force_n) if self._follows else 0.0
         if common_n:
             self._move(np.full_like(force_n, common_n))
             force_n = force_n - common_n
         self._look(force_n, least_n)
         self._is_stored &= bool(self.touched.any()) or not known.any()
         self._take_off(left_n, known, least_n)
+        if not self._follows:
+            return
         if self.touched.any():  # only what has no pattern is followed
             pattern_n = self._finder.sums(field.force_n - self.moved_n)
             follower.take(window.mean_n - pattern_n, window.known, self.held)
@@ -157,7 +173,7 @@ class Zero:
         for _ in range(TURNS):
             field = self._finder.find(left_n - self._finder.sums(settled_n), used, self.follower.noise_n)
             settled_n += np.where(region, field.force_n, 0.0)
-        self._move(settled_n)
+        self._move(np.maximum(settled_n, -self._room_n))
         self._fallen_n[region] = self._fallen_now_n[region] = 0
         self.force_n = np.where(region, 0.0, self.force_n)
 
@@ -187,7 +203,7 @@ class Zero:
         """Correct the zero where forces are below it, and where they are those of a fall that has ended."""
         is_touched = bool(self.touched.any())
         self._calm = 0 if is_touched else self._calm + 1
-        proven_n = self._below_n.max(axis=0) if is_touched else self._below_n[0]
+        proven_n = np.maximum(self._below_n.max(axis=0) if is_touched else self._below_n[0], -self._room_n)
         limit_n = max(least_n, LEAST_PART * float(self.force_n.max())) if is_touched else least_n
         fall_n = np.where(self._opened(proven_n < -limit_n), proven_n, 0.0)
         if fall_n.any():
@@ -205,7 +221,7 @@ class Zero:
         below = fall_n < 0
         for _ in range(0 if is_touched else TURNS - 1):  # a field is a little too small
             field = self._finder.find(left_n - self._finder.sums(fall_n), known, self.follower.noise_n)
-            fall_n = np.where(below, np.minimum(fall_n + field.force_n, 0), 0.0)
+            fall_n = np.where(below, np.clip(fall_n + field.force_n, -self._room_n, 0), 0.0)
         self._move(fall_n)
         self._below_n = np.minimum(self._below_n - fall_n, 0)
         if is_touched:
@@ -287,3 +303,4 @@ class Zero:
         self.follower.move(sums_n)
         self._anchor_n += sums_n
         self.moved_n += change_n
+        self._room_n += change_n

@@ -66,9 +66,9 @@ LEAST_NOISE_N: Final = 0.02e-3
 #: Noise that may be given (2032h, 2033h), besides 0 for the learned one, newtons, in REAL32.
 GIVEN_NOISE_N: Final = (float(np.float32(1e-9)), 1000.0)
 
-#: An offset follows this part of what is left in each sample, and falls at most by so much, newtons: 3 mN a second.
+#: An offset follows this part of what is left in each sample, and falls at most by so much, newtons: 1 mN a second.
 FOLLOWING: Final = 1 / 128
-RATE_N: Final = 3e-6
+RATE_N: Final = 1e-6
 #: It comes back to that of power-up at most by so much in a sample, newtons, 0.5 mN a second, and rises above that at
 #: most by so much: 0.02 mN a second. What grows more slowly cannot be told from a drift.
 RETURN_N: Final = 5e-7

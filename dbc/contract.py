@@ -25,6 +25,7 @@ from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
+from skin.frontend import COARSE_STEP_RATIO
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe, places
 from skin.sync_counter import SYNC_OVERFLOW
@@ -34,8 +35,6 @@ from skin.walsh import GROUPS
 LONGEST_VALUE: Final = 256
 #: Number of sets of TPDOs by `sync.identity`, see the module's docstring.
 PHASES: Final = {"window": 1, "alternating": 2}
-#: Coarse step of adaptive sums near 0, in parts of a taxel's full scale: 0.5 mN of 20 mN.
-COARSE_STEP_RATIO: Final = 1 / 40
 #: The byte of 2005h that tells offset binary (1) tells companded sums by this.
 _COMPANDED: Final = 2
 #: The same byte with this added: sums of an analogue front end.

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from calibration.calibrator import Calibrator
+from calibration.calibrator import LOOK_S, Calibrator
 from calibration.windows import Floats
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, tare_request
 from canskin.errors import InputError
@@ -32,7 +32,8 @@ from skin.service import say
 
 #: Answer to what makes no sense for boards that look after themselves.
 _ADAPTIVE: Final = (
-    "adaptive boards measure their offsets at power-up and follow them (docs/adaptive.md): nothing may touch them then"
+    "adaptive boards measure their offsets at power-up and follow them (docs/adaptive.md): nothing may touch them then;"
+    " the gateway has the offsets that 'skin tare' has settled"
 )
 _TOO_FEW: Final = "fewer than half of the sums are valid: the zero is measured when they are"
 #: A measurement of the zero that takes longer is answered with the reason; it goes on.
@@ -77,7 +78,7 @@ class GatewayCalibration:
         run_aside: Callable[[Callable[[], None]], object] = lambda function: function(),
         keeps: Path | None = None,
     ) -> None:
-        self._contract = contract
+        self._contract, self._is_adaptive = contract, contract.layout.sending == "adaptive"
         self._run_aside, self._tares = run_aside, tares
         self._stored = stored or store(contract.layout)
         self._keeps, self._keep_at_s, self._could_not_keep = keeps, float("-inf"), False
@@ -90,6 +91,9 @@ class GatewayCalibration:
         )
         has_thermometers = contract.layout.taxels.has_thermometers
         self._temperatures = Temperatures(contract, self.take_temperatures) if has_thermometers else None
+        #: Adaptive: the newest sums, which hold until others come, and when they are looked at next.
+        self._newest: Measurement | None = None
+        self._look_s = float("-inf")
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
         self._tare_until_s = 0.0
@@ -132,8 +136,10 @@ class GatewayCalibration:
         return self._calibrator.apply(measurement, self._contract.recognised if is_part else slice(None))
 
     def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement of all sums; most of it is left to `work`."""
-        if measurement.fingerprint == self._contract.phi.fingerprint:
+        """Learn from a measurement of all sums, adaptive ones at the next `tick`; most of it is left to `work`."""
+        if self._is_adaptive:
+            self._newest = measurement
+        elif measurement.fingerprint == self._contract.phi.fingerprint:
             self._calibrator.take(measurement)
 
     def take_temperatures(self, kelvin: Floats) -> None:
@@ -172,6 +178,9 @@ class GatewayCalibration:
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Answer a request, write to nodes, read temperatures; call it many times a second."""
         self._now_s = now_s
+        if self._newest is not None and now_s >= self._look_s:
+            self._look_s = now_s + LOOK_S
+            self._calibrator.take(msgspec.structs.replace(self._newest, sampled_mono_ns=round(now_s * 1e9)))
         if self._keeps is not None and now_s >= self._keep_at_s and self._calibrator.offsets_n is not None:
             self._keep_at_s = now_s + KEEP_S
             self.keep_zero()
@@ -206,7 +215,6 @@ class GatewayCalibration:
             elif stored is not None:
                 self._load(stored, reply)
             elif request.action == "tare":
-                self._require_synchronous()
                 self._calibrator.tare(force=request.force, region=request.region)
                 self._taring.append(reply)
                 self._tare_until_s = now_s + PATIENCE_S
@@ -215,20 +223,17 @@ class GatewayCalibration:
         except InputError as error:
             self._answer(reply, str(error), is_done=False)
 
-    def _require_synchronous(self) -> None:
-        if self._contract.layout.sending == "adaptive":
-            raise InputError(_ADAPTIVE)
-
     def _load(self, stored: StoredCalibration, reply: Reply) -> None:
         """Use a calibration.
 
         Raises
         ------
         InputError
-            If there is nothing to use.
+            If there is nothing to use, or boards have their own zero.
         """
         offsets_n = stored.required_offsets_n("calibration")
-        self._require_synchronous()
+        if self._is_adaptive:
+            raise InputError(_ADAPTIVE)
         self._calibrator.load(offsets_n)
         until = f"in use until the skin has been untouched for {self._calibrator.tare_s:.3g} s and has a new zero"
         self._answer(reply, until if self._tares else "in use", is_done=True)
@@ -264,7 +269,7 @@ class GatewayCalibration:
             )
         had_offsets = self._calibrator.offsets_n is not None
         self._calibrator.forget()
-        if self._contract.layout.sending == "synchronous":
+        if not self._is_adaptive:
             if self._tares:
                 text += "; the zero is measured anew"
             elif had_offsets:
@@ -295,7 +300,7 @@ class GatewayCalibration:
                 common_mode_gains=known.common_mode_gains,
                 version=known.version,
             )
-            text = _ADAPTIVE if self._contract.layout.sending == "adaptive" else "the calibration in use"
+            text = _ADAPTIVE if self._is_adaptive else "the calibration in use"
             reply(CalibrationReply(is_done=True, text=text, status=status, content=encoded(whole)))
 
         self._run_aside(tell)

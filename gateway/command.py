@@ -56,8 +56,8 @@ def gateway(
     tare
         ``at-start``: measure the offsets of the sums as soon as the skin has been untouched for 2 s or
         64 cycles, and follow them;
-        ``never``: those of ``--calibration`` stay as they are, and no defects are found. Adaptive boards
-        measure their own.
+        ``never``: those of ``--calibration`` stay as they are, no force is doubted, and no defects are found.
+        Adaptive boards measure their own.
     keep_zero
         File (.json) for the zero: the gateway begins with the zero of its last run, and writes its zero once a
         minute and at the end.

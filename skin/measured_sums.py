@@ -43,7 +43,7 @@ class AdaptiveSums(NamedTuple):
     Attributes
     ----------
     counts : array of int32, shape (m,)
-        Sums in ADC counts; 0 if unknown; read-only.
+        Sums less their offsets in ADC counts; 0 if unknown; read-only.
     valid : array of bool, shape (blocks,)
         True if all sums of the block are known and current.
     known : array of bool, shape (m,)
@@ -129,8 +129,8 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or an array has another length or values that it cannot have, or the
-        measurement is one of synchronous sending.
+        If the sums were measured with another Φ, or an array has another length or values that it cannot have, or sums
+        less offsets do not fit int32, or the measurement is one of synchronous sending.
     """
     check_adaptive(measurement, phi)
     if not (math.isfinite(measurement.noise_n) and measurement.noise_n >= 0):
@@ -144,7 +144,7 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     if (states[valid] < BlockState.QUIET).any():
         raise InputError("a block is valid, but neither fresh nor quiet")
     since_ns = np.frombuffer(measurement.since_ns, "<i8")
-    return AdaptiveSums(np.frombuffer(measurement.sums, "<i4"), valid, known, states, since_ns, measurement.noise_n)
+    return AdaptiveSums(corrected_counts(measurement, known), valid, known, states, since_ns, measurement.noise_n)
 
 
 def check_adaptive(measurement: Measurement, phi: Sbhe) -> None:

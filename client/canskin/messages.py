@@ -79,7 +79,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     noise_n : float
         Adaptive: median of the nodes' noise, newtons; 0 if it is not known.
     offsets : bytes
-        int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown, and with adaptive sending.
+        int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown; adaptive: if nothing is settled.
     usable : bytes
         uint8, shape (m,): 0 for sums that are defective, or have no offset while others have. Empty if all are 1.
     doubtful : bytes

@@ -12,7 +12,7 @@ _MOST_COUNTS: Final = np.iinfo(np.int32).max
 
 
 def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-    """Return the sums of a synchronous measurement less their offsets, 0 if not valid, ADC counts, shape (m,).
+    """Return the sums of a measurement less their offsets, 0 if not valid, ADC counts, shape (m,).
 
     Raises
     ------

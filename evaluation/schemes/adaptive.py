@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import BLOCK_SUMS, Companding, SendingRule, companding
-from dbc.contract import COARSE_STEP_RATIO
 from dbc.frame import FRAME, Frames, frame_bytes, frames
 from evaluation.schemes.adaptive_bus import ASKED, ENDED, REASON, Record, line_of, run_bus
 from evaluation.schemes.events import FRAMES_PER_TICK
@@ -23,6 +22,7 @@ from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.adaptive.sending import NEWS, new_groups, noise_threshold_n2
 from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
 from skin.compiled import njit
+from skin.frontend import COARSE_STEP_RATIO
 from skin.layout import Bus
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force

@@ -81,7 +81,7 @@ def test_the_figures_are_those_of_the_documentation() -> None:
     assert pytest.approx((1e-9, 1000)) == told.GIVEN_NOISE_N
     assert (told.FOLLOWING, told.RATE_N, told.RETURN_N, told.RISE_N, told.HIGHEST_N) == (
         1 / 128,
-        3e-6,
+        1e-6,
         5e-7,
         2e-8,
         1e-3,

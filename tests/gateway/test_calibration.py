@@ -12,6 +12,8 @@ from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
 from skin.calibration_file import StoredCalibration, encoded, parse_calibration, store
+from tests.adaptive_messages import LAYOUT as ADAPTIVE
+from tests.adaptive_messages import adaptive_measurement
 from tests.calibration.skins import LAYOUT, Skin, offsets_n, pressed
 from tests.gateway.boards import small_adaptive
 from tests.gateway.world import World, small_contract
@@ -243,13 +245,38 @@ def test_a_node_that_is_not_there_is_named(small: Contract, stored: StoredCalibr
 
 
 def test_adaptive_boards_look_after_their_zero() -> None:
-    contract = small_adaptive()
-    calibration = GatewayCalibration(contract)
+    layout = small_adaptive().layout
+    calibration = GatewayCalibration(small_adaptive())
     replies: list[CalibrationReply] = []
-    calibration.ask(CalibrationRequest(action="tare"), replies.append)  # type: ignore[arg-type]
+    content = encoded(store(layout, offsets_n=np.zeros(layout.measurement.sums)))
+    calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
     calibration.tick({}, 0.0)
     assert not replies[0].is_done
     assert "power-up" in replies[0].text
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 2])
+def test_adaptive_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However often they come: the newest hold, also when their newest frame is old."""
+    calibration, looks = GatewayCalibration(Contract.from_layout(ADAPTIVE)), list[int]()
+    take = calibration._calibrator.take
+    monkeypatch.setattr(calibration._calibrator, "take", lambda each: (looks.append(each.sampled_mono_ns), take(each)))
+    force_n, replies = pressed(20, 20, 9, 0.005), list[CalibrationReply]()
+    came = adaptive_measurement(force_n, layout=ADAPTIVE, sampled_mono_ns=1)
+    for milliseconds in range(6000):
+        if milliseconds % (1000 // rate_hz) == 0:
+            last = calibration.apply(came)
+            calibration.take(came)
+        if milliseconds == 2000:
+            asked = CalibrationRequest(action="tare", region=(18, 18, 30, 30))
+            calibration.ask(asked, replies.append)  # type: ignore[arg-type]
+        calibration.tick({}, 1.0 + 1e-3 * milliseconds)
+        calibration.work()
+    assert len(looks) == pytest.approx(240, abs=10)
+    assert set(np.diff(looks) // 1_000_000) <= {25, 26}
+    assert [each.is_done for each in replies] == [True]
+    sums, offsets = (np.frombuffer(each, "<i4") for each in (last.sums, last.offsets))
+    assert np.abs(sums - offsets).max() < 0.02 * np.abs(sums).max()
 
 
 class Written:

@@ -49,7 +49,7 @@ def test_a_zero_above_the_range_is_found_wherever_it_falls_and_comes_back_withou
         PatchFilter(replace(KNOWN, offset_n=np.full(SHAPE, 0.006, np.float32))),
     )
     assert np.mean(after(500, 0.006, node_filter, rng)) < 0.05 * NOISE_N
-    after(2000, 0.002, node_filter, rng)
+    after(5000, 0.002, node_filter, rng)
     assert np.mean(after(500, 0.007, node_filter, rng)) == pytest.approx(0.005, abs=0.1e-3)
     ramp(10_000, 0.4e-3, node_filter, rng, 0.002)
     assert np.mean(after(500, 0.006, node_filter, rng)) < 0.05 * NOISE_N
@@ -129,7 +129,7 @@ class SlowOffsets:
         for row, column in np.ndindex(shown.shape):
             if quiet[row : row + 3, column : column + 3].all():
                 offset, idle = self.offset[row, column], self.idle[row, column]
-                offset += np.clip(shown[row, column] / 128, -3e-6, 5e-7 if offset < idle else 2e-8)
+                offset += np.clip(shown[row, column] / 128, -1e-6, 5e-7 if offset < idle else 2e-8)
                 self.offset[row, column] = max(-1.5 * noise_n[row, column], min(idle + 1e-3, offset))
         return shown
 

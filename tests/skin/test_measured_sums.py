@@ -104,17 +104,21 @@ BAD_ADAPTIVE = (
     ({"noise_n": -1e-3}, "noise_n of -0.001"),
     ({"valid": bytes([1, 1, *[1] * 6])}, "a block is valid, but not all its sums are known"),
     ({"doubtful": bytes(9)}, "doubtful of 9 bytes, expected 8, or none"),
+    ({"offsets": np.full(16, -(2**31), "<i4").tobytes()}, "sums less offsets beyond 2147483647 counts"),
 )
 
 
 def test_adaptive_sums_say_what_is_known_of_each() -> None:
     sums = decode_adaptive(ADAPTIVE, PHI)
-    np.testing.assert_array_equal(sums.counts, SUMS)
+    np.testing.assert_array_equal(sums.counts, np.where(sums.known, SUMS, 0))
     assert np.flatnonzero(~sums.known).tolist() == [2]
     assert np.flatnonzero(~sums.valid).tolist() == [1]
     assert [BlockState(state).name for state in sums.states[:3]] == ["FRESH", "STALE", "QUIET"]
     assert sums.since_ns.tolist() == list(range(8))
     assert sums.noise_n == 1e-3
+    offsets = np.arange(16, dtype="<i4")
+    less = decode_adaptive(msgspec.structs.replace(ADAPTIVE, offsets=offsets.tobytes()), PHI)
+    np.testing.assert_array_equal(less.counts, np.where(sums.known, SUMS - offsets, 0))
     nothing = msgspec.structs.replace(ADAPTIVE, known=bytes(16), valid=bytes(8), states=bytes(8))
     assert not decode_adaptive(nothing, PHI).known.any()
 
