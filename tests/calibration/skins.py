@@ -8,8 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.calibrator import Calibrator
+from calibration.drift import DriftFollower
+from calibration.field import FieldFinder
 from calibration.offline import measurement_of
-from canskin.calibration_messages import CalibrationState
+from calibration.windows import Window
+from calibration.zero import Zero
+from canskin.calibration_messages import CalibrationState, ZeroSupport
 from canskin.messages import Measurement
 from skin.layout import Layout, Sync, load_layout, parse_layout
 
@@ -20,6 +24,7 @@ NEWTON_PER_COUNT = LAYOUT.taxels.newton_per_count
 #: Noise of one averaged taxel, newtons.
 NOISE_N = 0.05e-3
 END_CODE = 16000
+Floats = npt.NDArray[np.float64]
 #: A small skin whose boards average, so they undo the bias of clipping; its offsets in counts, which are like no touch.
 SMALL_SKIN = b"[taxels]\nrows = 32\ncolumns = 32\n[sync]\nrate_hz = 40.0\n"
 SMALL = parse_layout(SMALL_SKIN + b"[sampling]\nrate_hz = 1000.0", "test")
@@ -30,7 +35,7 @@ COUNTS: Counts = np.random.default_rng(3).integers(-50, 50, SMALL_SUMS).astype(n
 Force = Callable[[float], npt.NDArray[np.floating]]
 
 
-def offsets_n(seed: int = 0) -> npt.NDArray[np.float64]:
+def offsets_n(seed: int = 0) -> Floats:
     """Offsets of 0 to 13 % of the range."""
     taxels = LAYOUT.taxels
     return np.random.default_rng(seed).uniform(0, 0.13 * taxels.force_max_n, taxels.count)
@@ -41,9 +46,9 @@ def still(force: npt.NDArray[np.floating]) -> Force:
     return lambda _time_s: force
 
 
-def pressed(row: int, column: int, size: int, force_n: float) -> npt.NDArray[np.float64]:
+def pressed(row: int, column: int, size: int, force_n: float, shape: tuple[int, int] = (ROWS, COLUMNS)) -> Floats:
     """A square of taxels under equal force."""
-    force = np.zeros((ROWS, COLUMNS))
+    force = np.zeros(shape)
     force[row : row + size, column : column + size] = force_n
     return force.ravel()
 
@@ -138,7 +143,7 @@ class Cycles:
         shaken = counts + self.noise * (-1) ** self.cycle * np.where(np.arange(SMALL_SUMS) % 3, 1, -1)
         return measurement_of(self.layout, SMALL_PHI, self.cycle, shaken, valid)
 
-    def run(self, windows: float, counts: Counts = COUNTS, drift: float | npt.NDArray[np.float64] = 0.0) -> Measurement:
+    def run(self, windows: float, counts: Counts = COUNTS, drift: float | Floats = 0.0) -> Measurement:
         """Go on for so many windows, with offsets that grow by `drift` counts in each; return the last as it went."""
         for _ in range(round(10 * windows)):
             moved = np.rint(counts + drift * self.cycle / 10).astype(np.int32)
@@ -160,3 +165,46 @@ def tared(**options: object) -> Cycles:
     skin.run(10.1)
     assert skin.made.state is CalibrationState.FOLLOWING
     return skin
+
+
+def small_patch(row: int, column: int, size: int, force_n: float) -> Floats:
+    """A square of taxels of the small skin under equal force."""
+    return pressed(row, column, size, force_n, (32, 32))
+
+
+class FedZero:
+    """A zero of the small skin that is fed with windows; at first all offsets are 0."""
+
+    #: Standard deviation of the mean of a sum.
+    NOISE_N = 9e-5
+
+    def __init__(self, support: ZeroSupport = ZeroSupport.MEASURED) -> None:
+        self.finder = FieldFinder(SMALL_PHI, 32, 32)
+        self.known = np.ones(SMALL_SUMS, np.bool_)
+        self.windows = 0
+        self._nothing = np.zeros(SMALL_SUMS)
+        self._random = np.random.default_rng(0)
+        follower = DriftFollower(
+            SMALL_PHI.block_of_sum,
+            SMALL_PHI.blocks,
+            self._nothing,
+            self._nothing,
+            self.known,
+            age=8 if support is ZeroSupport.MEASURED else 0,
+            noise_n=self.NOISE_N,
+            least_noise_n=1e-6,
+        )
+        self.zero = Zero(SMALL_PHI, 32, 32, self.finder, follower, support=support)
+
+    def run(self, windows: int, felt: Force | npt.NDArray[np.floating] | float) -> None:
+        """Let so many windows pass; the taxels feel ``felt(window)``, newtons, drift included."""
+        for _ in range(windows):
+            self.windows += 1
+            felt_n = np.zeros(SMALL_PHI.shape[1]) + (felt(self.windows) if callable(felt) else felt)
+            mean_n = SMALL_PHI.forward(felt_n) + self._random.normal(0, self.NOISE_N, SMALL_SUMS)
+            self.zero.take(Window(self.windows, mean_n, self._nothing, self._nothing, self.known), self.known)
+
+    @property
+    def moved_n(self) -> Floats:
+        """How far the zero has moved, each taxel, newtons."""
+        return self.finder.find(self.zero.follower.level_n, self.known, self.NOISE_N).force_n

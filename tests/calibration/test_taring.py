@@ -3,11 +3,13 @@
 import re
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from calibration.calibrator import Calibrator, TareResult
 from calibration.field import FieldFinder
-from canskin.calibration_messages import CalibrationState
+from canskin.calibration_messages import CalibrationState, ZeroSupport
+from canskin.messages import Measurement
 from tests.calibration.skins import (
     COLUMNS,
     COUNTS,
@@ -17,6 +19,7 @@ from tests.calibration.skins import (
     PHI,
     ROWS,
     SMALL_COUNT_N,
+    SMALL_PHI,
     SMALL_SUMS,
     Cycles,
     Skin,
@@ -33,6 +36,7 @@ MS = 1_000_000
 MEASURING, TOUCHED = CalibrationState.MEASURING, CalibrationState.TOUCHED
 FOLLOWING, LOADED, OFF = CalibrationState.FOLLOWING, CalibrationState.LOADED, CalibrationState.OFF
 
+Floats = npt.NDArray[np.float64]
 ZERO = np.zeros(LAYOUT.taxels.count)
 OFFSETS = offsets_n()
 #: Noise of one sum.
@@ -262,3 +266,49 @@ def test_without_taring_nothing_is_learned_unless_it_is_asked_for() -> None:
     skin.run(10.1)
     assert skin.made.state is LOADED
     assert offsets_of(skin.run(5, COUNTS + 100)) == COUNTS.tolist()  # nothing is followed
+
+
+REGION, STANDING = (10, 10, 17, 17), pressed_counts(10, 10, 8, 80)
+
+
+def felt_n(skin: Cycles, applied: Measurement) -> Floats:
+    """Return the field of corrected sums, newtons, shape (32, 32)."""
+    counts = np.frombuffer(applied.sums, "<i4") - np.frombuffer(applied.offsets, "<i4")
+    finder = FieldFinder(SMALL_PHI, 32, 32)
+    return finder.find(counts * SMALL_COUNT_N, np.ones(SMALL_SUMS, np.bool_), 1e-4).force_n.reshape(32, 32)
+
+
+def test_a_region_is_tared_under_a_touch_elsewhere_and_its_zero_returns() -> None:
+    hand, force_n = pressed_counts(22, 2, 8, 150), 80 * SMALL_COUNT_N
+    skin = tared()
+    skin.run(8, COUNTS + STANDING + hand)
+    skin.made.tare(region=REGION)
+    skin.run(8.2, COUNTS + STANDING + hand)
+    assert skin.made.state is FOLLOWING
+    assert skin.made.result is not None
+    assert skin.made.result.is_done
+    assert skin.made.result.text.startswith("zero of 64 taxels: moved by up to 1.")
+    status = skin.made.status()
+    assert status.revision == 2
+    in_region = np.unique(SMALL_PHI.block_of_taxel.reshape(32, 32)[10:18, 10:18])
+    told = np.flatnonzero(np.frombuffer(status.zero_support, np.uint8) == ZeroSupport.TOLD)
+    assert told.tolist() == in_region.tolist()
+    felt = felt_n(skin, skin.run(4, COUNTS + STANDING + hand))
+    assert np.abs(felt[10:18, 10:18]).max() < 0.1 * force_n
+    assert felt[22:30, 2:10].mean() == pytest.approx(150 * SMALL_COUNT_N, rel=0.05)
+    skin.run(5, COUNTS + hand)
+    felt = felt_n(skin, skin.run(1, COUNTS + hand))  # what stood in the region has left
+    assert np.abs(felt[10:18, 10:18]).max() < 0.1 * force_n
+    assert felt[22:30, 2:10].mean() == pytest.approx(150 * SMALL_COUNT_N, rel=0.05)
+    skin.run(4, COUNTS)
+    assert np.abs(felt_n(skin, skin.run(1, COUNTS))).max() < 0.05 * force_n
+
+
+def test_a_region_of_a_skin_without_zero_is_refused() -> None:
+    skin = Cycles()
+    skin.made.tare(region=REGION)
+    skin.run(10.1)
+    assert skin.said[0] == "the skin has no zero yet: measure that of all of the skin first"
+    assert skin.made.state is MEASURING
+    skin.run(8.1)
+    assert skin.made.state is FOLLOWING
