@@ -16,7 +16,9 @@ from calibration.defects import DefectFinder, Defects, subject_of
 from calibration.doubt import Doubt
 from calibration.drift import LONGEST_GAP, SHORTEST_MEMORY, DriftFollower
 from calibration.field import FieldFinder
+from calibration.support import Support
 from calibration.taring import Taring
+from calibration.temperature import TemperatureModel
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms, tare_s, window_s
 from calibration.zero import Zero
 from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
@@ -104,6 +106,7 @@ class Calibrator:
         self._clips = layout.samples_per_sync == 1 and not taxels.is_analogue
         self._windows = WindowMeans(self._phi.shape[0], self._period_s, self._newton_per_count)
         self._finder = FieldFinder(self._phi, *self._shape)
+        self._references = np.isin(np.arange(taxels.count), taxels.untouchable or ())
         nothing = np.zeros(self._phi.shape[0])
         self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
         self._step_n = sum_step_n(layout)
@@ -115,13 +118,12 @@ class Calibrator:
         self._newest_ns = self._needs_until_ns = self._logged_ns = 0
         self._taring = Taring(self._finder, LEAST_STEP * self._step_n)
         self._zero: Zero | None = None
-        self._support = np.zeros(self._phi.blocks, np.uint8)
-        self._supported_ns = np.zeros(self._phi.blocks, np.int64)
+        self._support = Support(self._phi)
+        self._temperature = TemperatureModel(self._phi.blocks)
         self._centre_ns = self._tared_ns = 0
-        self._calm_windows = 0
         self._noise_n = 0.0
         self._bias_n: Floats | float = 0.0
-        self.temperatures_k: Floats = np.full(self._phi.blocks, np.nan)
+        self._first_n = np.zeros(self._phi.shape[0])
         self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
         self._offsets = b""
         self._begin_at_boards()
@@ -167,14 +169,24 @@ class Calibrator:
             self.state = CalibrationState.LOADED
 
     def take_temperatures(self, kelvin: Floats) -> None:
-        """Take the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown."""
-        self.temperatures_k = kelvin
+        """Take the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown. The zero follows them."""
+        zero, phi = self._zero, self._phi
+        totals = phi.row_of_sum == 0
+        if zero is None or not self._tares or not (self._is_own and totals.any()):
+            return
+        way_n = (zero.follower.level_n - self._first_n)[totals] / phi.block_size
+        of_blocks = np.full(phi.blocks, way_n.mean())
+        of_blocks[phi.block_of_sum[totals]] = way_n
+        change_n = self._temperature.take(kelvin, of_blocks)[phi.block_of_taxel]
+        if change_n.any():
+            zero.move(change_n)
+            self._doubt.move(change_n)
 
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
         self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
         self._zero = None
-        self._support[:], self._supported_ns[:] = ZeroSupport.NONE, 0
+        self._support = Support(self._phi)
         self._begin_at_boards()
 
     def _start_anew(self, result: TareResult) -> None:
@@ -290,8 +302,8 @@ class Calibrator:
             held_blocks=int(zero.held.sum()) if zero is not None else 0,
             defects=self._defects.words,
             revision=self.revision,
-            zero_support=self._support.tobytes(),
-            zero_mono_ns=self._supported_ns.astype("<i8").tobytes(),
+            zero_support=self._support.of_blocks.tobytes(),
+            zero_mono_ns=self._support.since_ns.astype("<i8").tobytes(),
             doubtful_taxels=int(doubt.taxels.sum()),
             doubtful_force_n=doubt.force_n,
             doubtful_since_mono_ns=doubt.since_ns,
@@ -309,20 +321,8 @@ class Calibrator:
         self._doubt.move(zero.moved_n)
         was_doubtful = self._doubt.since_ns
         self._doubt.take(zero.force_n, window.centre_ns)
-        self._support_zero(zero)
+        self._support.take(zero, window.centre_ns)
         self._log(zero, was_doubtful)
-
-    def _support_zero(self, zero: Zero) -> None:
-        """Note of each block how its zero is supported."""
-        fallen = np.zeros(self._phi.blocks, np.bool_)
-        fallen[self._phi.block_of_taxel[zero.moved_n < 0]] = True
-        self._support[fallen] = ZeroSupport.CORRECTED
-        self._calm_windows = 0 if zero.touched.any() or fallen.any() else self._calm_windows + 1
-        known = self._phi.all_of_blocks(zero.follower.known) & self._phi.has_sums
-        if self._calm_windows >= TARE_WINDOWS:
-            self._support[known & (self._support != ZeroSupport.TOLD)] = ZeroSupport.MEASURED
-        fresh = known & ~zero.held & (self._support == ZeroSupport.MEASURED)
-        self._supported_ns[fresh] = self._centre_ns
 
     def _log(self, zero: Zero, was_doubtful_ns: int) -> None:
         """Log what was corrected, and what is doubtful."""
@@ -395,8 +395,7 @@ class Calibrator:
             return
         self._zero.settle(mean_n - self._bias_n, known, region)
         self._doubt.move(self._zero.moved_n)
-        blocks = np.unique(self._phi.block_of_taxel[region])
-        self._support[blocks], self._supported_ns[blocks] = ZeroSupport.TOLD, self._newest_ns
+        self._support.tell(region, self._newest_ns)
         self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * np.abs(self._zero.moved_n).max():.2f} mN")
 
     def _end(self, text: str) -> None:
@@ -461,9 +460,15 @@ class Calibrator:
             noise_n=noise_n,
             least_noise_n=LEAST_STEP * self._step_n,
         )
-        self._zero = Zero(phi, *self._shape, self._finder, follower, support=support, follows=self._is_own)
-        of_blocks = phi.all_of_blocks(known) & phi.has_sums
-        self._support = np.where(of_blocks, support, ZeroSupport.NONE).astype(np.uint8)
-        self._supported_ns[:] = np.where(of_blocks & (support > ZeroSupport.STORED), self._newest_ns, 0)
+        self._zero = Zero(
+            phi,
+            *self._shape,
+            self._finder,
+            follower,
+            support=support,
+            references=self._references,
+            follows=self._is_own,
+        )
+        self._support.begin(known, support, self._newest_ns)
         self._doubt = Doubt(phi.shape[1], self._force_max_n, self._windows.length_ns * 1e-9)
-        self._calm_windows = 0
+        self._first_n = level_n

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from calibration.windows import Bools, Floats
+from calibration.windows import Bools, Floats, rms
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.problem import places_of_sums, taxels_in_block_order
 from reconstructor.kernels.transforms import hadamard
@@ -31,6 +31,9 @@ PASSES: Final = 10
 SETTLED: Final = 0.05
 #: While the noise falls to less than this part, most of it is a touch that is not explained yet: λ is halved.
 FALLING: Final = 0.8
+#: From pass to pass the noise, at first the root mean square of the sums, falls by this factor at most: a small λ
+#: finds a small touch late.
+STEEPEST: Final = 4.0
 #: Standard deviation of normal numbers over the median of their sizes.
 DEVIATION_OF_MEDIAN: Final = 1.4826
 #: A shift of a board's total costs so many times λ for each newton: more than a touched patch, less than its taxels.
@@ -100,10 +103,11 @@ class FieldFinder:
         solver.reset()
         estimate, force_n = solver.new_estimate(), np.zeros(self._phi.shape[1])
         weights, left_n, shift_n = known.astype(np.float32), sums_n, np.zeros_like(sums_n)
-        noise_n, ratio = np.inf, PENALTY_RATIO
+        noise_n, ratio = rms(sums_n[known & ~shifts]) * STEEPEST, PENALTY_RATIO
         for turn in range(PASSES):
-            before_n, noise_n = noise_n, max(least_noise_n, _deviation(left_n[known]))
-            if turn > 1 and ratio == PENALTY_RATIO and noise_n > (1 - SETTLED) * before_n:
+            before_n, seen_n = noise_n, max(least_noise_n, _deviation(left_n[known]))
+            noise_n = max(seen_n, before_n / STEEPEST)
+            if turn > 1 and ratio == PENALTY_RATIO and noise_n == seen_n and noise_n > (1 - SETTLED) * before_n:
                 break
             ratio = PENALTY_RATIO * (0.5 if turn > 0 and noise_n < FALLING * before_n else 1.0)
             penalty_n = ratio * noise_n * self._gain
@@ -116,7 +120,7 @@ class FieldFinder:
                 common_n = float(np.median(left_n[shifts])) / self._phi.block_size
                 estimate += np.float32(common_n)
                 left_n -= np.where(self._phi.row_of_sum == 0, self._phi.block_size * common_n, 0.0)
-            dear_n = SHIFT_COST * penalty_n
+            dear_n = SHIFT_COST * PENALTY_RATIO * seen_n * self._gain
             shift_n = np.where(shifts, left_n - np.clip(left_n, -dear_n, dear_n), 0.0)
             left_n = left_n - shift_n
         return Field(force_n, noise_n, shift_n)

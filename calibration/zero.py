@@ -44,6 +44,8 @@ ANCHOR_GAIN: Final = 0.0005
 CREDIT_LOSS: Final = 0.005
 #: A force that is more than so many times what fell is a touch, and does not come back.
 RETURN_RATIO: Final = 1.5
+#: What fell while nothing touched comes back by this part in each window: a touch of the same force lasts some seconds.
+RETURN_PART: Final = 0.05
 #: Noise of an offset over that of a window: a line through ten seconds.
 LEAST_AUDIT: Final = 0.3
 #: What all taxels have in common is followed while it rises by less than this part of what is seen in a window:
@@ -66,6 +68,8 @@ class Zero:
     phi : Sbhe
     rows, columns : int
     finder : FieldFinder
+    references : array of bool, shape (n,)
+        Taxels that nothing can touch.
     follower : DriftFollower
         With the first offsets.
     support : ZeroSupport
@@ -95,6 +99,7 @@ class Zero:
         follower: DriftFollower,
         *,
         support: ZeroSupport,
+        references: Bools,
         follows: bool = True,
     ) -> None:
         taxels = phi.shape[1]
@@ -105,7 +110,7 @@ class Zero:
         self.moved_n = np.zeros(taxels)
         self._phi, self._finder, self._shape = phi, finder, (rows, columns)
         self._is_measured, self._is_stored = support is ZeroSupport.MEASURED, support is ZeroSupport.STORED
-        self._follows = follows
+        self._follows, self._references = follows, references
         #: How far the zero of each taxel may fall, newtons.
         self._room_n = np.full(taxels, np.inf if follows else 0.0)
         self._below_n = np.zeros((PROOF_WINDOWS, taxels))
@@ -137,7 +142,7 @@ class Zero:
         self._anchor_n += field.shift_n
         common_n = self._common(force_n) if self._follows else 0.0
         if common_n:
-            self._move(np.full_like(force_n, common_n))
+            self.move(np.full_like(force_n, common_n))
             force_n = force_n - common_n
         self._look(force_n, least_n)
         self._is_stored &= bool(self.touched.any()) or not known.any()
@@ -173,12 +178,19 @@ class Zero:
         for _ in range(TURNS):
             field = self._finder.find(left_n - self._finder.sums(settled_n), used, self.follower.noise_n)
             settled_n += np.where(region, field.force_n, 0.0)
-        self._move(np.maximum(settled_n, -self._room_n))
+        self.move(np.maximum(settled_n, -self._room_n))
         self._fallen_n[region] = self._fallen_now_n[region] = 0
         self.force_n = np.where(region, 0.0, self.force_n)
 
     def _common(self, force_n: Floats) -> float:
-        """Return by how much the zero of all taxels has risen slowly, or fallen, newtons; touches keep their force."""
+        """Return by how much the zero of all taxels has risen slowly, or fallen, newtons; touches keep their force.
+
+        References that agree tell how much at any speed.
+        """
+        if self._references.any():
+            low_n, middle_n, high_n = np.quantile(force_n[self._references], (0.25, 0.5, 0.75))
+            if high_n - low_n < SEEN_RATIO * self._finder.picture_gain * self.follower.noise_n:
+                return float(middle_n)
         rest_n = force_n[~self._near]
         fallen_n = float(np.quantile(rest_n, FALLEN_PART)) if rest_n.size > LEAST_REST * force_n.size else 0.0
         if fallen_n < 0:
@@ -211,18 +223,19 @@ class Zero:
         if self._calm == PROOF_WINDOWS:  # what fell meanwhile is right
             self._fallen_n += self._fallen_now_n
             self._fallen_now_n[:] = 0
-        back_n = np.minimum(self.force_n, self._fallen_now_n)
-        back_n[(self.force_n > RETURN_RATIO * self._fallen_now_n + least_n) | (self.force_n < least_n)] = 0
-        if back_n.any():
-            self._move(back_n)
-            self._fallen_now_n -= back_n
+        for fallen_n, part in ((self._fallen_now_n, 1.0), (self._fallen_n, RETURN_PART)):
+            returns = (self.force_n >= least_n) & (self.force_n <= RETURN_RATIO * fallen_n + least_n)
+            back_n = np.where(returns, np.minimum(self.force_n, part * fallen_n), 0.0)
+            if back_n.any():
+                self.move(back_n)
+                np.subtract(fallen_n, back_n, out=fallen_n)
 
     def _fall(self, fall_n: Floats, left_n: Floats, known: Bools, *, is_touched: bool) -> None:
         below = fall_n < 0
         for _ in range(0 if is_touched else TURNS - 1):  # a field is a little too small
             field = self._finder.find(left_n - self._finder.sums(fall_n), known, self.follower.noise_n)
             fall_n = np.where(below, np.clip(fall_n + field.force_n, -self._room_n, 0), 0.0)
-        self._move(fall_n)
+        self.move(fall_n)
         self._below_n = np.minimum(self._below_n - fall_n, 0)
         if is_touched:
             self._fallen_now_n -= fall_n
@@ -297,8 +310,8 @@ class Zero:
         """Return taxels without those that are no square of others."""
         return np.asarray(binary_opening(taxels.reshape(self._shape), _SQUARE).ravel(), np.bool_)
 
-    def _move(self, change_n: Floats) -> None:
-        """Move zero and anchor by a field, shape (n,), newtons."""
+    def move(self, change_n: Floats) -> None:
+        """Move the zero by a field that is proven, shape (n,), newtons."""
         sums_n = self._finder.sums(change_n)
         self.follower.move(sums_n)
         self._anchor_n += sums_n

@@ -152,9 +152,10 @@ def evaluate(options: Options) -> Result:
         [{"scene": found[place].words, **row} for place, row in zip(places, rows, strict=True)],
         note="Ghost: largest force that a taxel without touch shows, not marked as doubtful, and for how long above"
         f" {1e3 * GHOST_N:g} mN and {GHOST_PART:.0%} of the largest true force; in doubt: largest that is marked. Felt:"
-        " least mean of a touch over its first and last half, part of what a skin without offsets feels; missed: touches"
-        " of which less than half is felt. Away: how far an offset moves from the truth beyond what the drift had done."
-        " Right again: time from the last event until the zero is right within 0.3 mN; none: it waits for a person.",
+        " least mean of a touch over its first and last half, part of what a skin without offsets feels; missed:"
+        " touches of which less than half is felt. Away: how far an offset moves from the truth beyond what the drift"
+        " had done. Right again: time from the last event until the zero is right within 0.3 mN; none: it waits for a"
+        " person.",
     )
 
 
