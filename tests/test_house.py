@@ -59,16 +59,6 @@ def test_command_is_installed() -> None:
     assert [script.value for script in scripts] == ["skin.command:main"]
 
 
-def test_no_file_is_over_400_lines() -> None:
-    long = [
-        str(path.relative_to(ROOT))
-        for package in [*PACKAGES, "client", "integrations", "tests"]
-        for path in (ROOT / package).rglob("*.py")
-        if len(path.read_text().splitlines()) > 400
-    ]
-    assert not long
-
-
 #: Where one package reaches another by name: entry points, and the verbs of the command line.
 BY_NAME = {"skin/sources.py", "skin/command.py"}
 #: What imports a module by its name.
