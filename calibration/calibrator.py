@@ -253,13 +253,16 @@ class Calibrator:
         counts = np.frombuffer(measurement.sums, "<i4")
         window = self._windows.take(measurement.sampled_mono_ns, counts, used_sums(measurement, self._phi))
         if window is not None:
-            self.work()  # what has not been done by now
+            for _ in range(2):  # what has not been done by now: the window before, and what is due after that
+                self.work()
             self._waiting = window
 
     def work(self) -> None:
         """Learn from the newest window; takes some milliseconds."""
         window, self._waiting = self._waiting, None
         if window is None:
+            if self._zero is not None and self._zero.needs_audit:
+                self._doubt.move(self._zero.audit())
             return
         self._newest_ns = window.centre_ns
         self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0

@@ -88,6 +88,8 @@ class Zero:
         Blocks whose zero is not followed.
     moved_n : array, shape (n,)
         Field by which the zero was moved in the newest window besides its drift, newtons.
+    needs_audit : bool
+        Whether `audit` is due.
     """
 
     def __init__(
@@ -118,6 +120,7 @@ class Zero:
         #: What fell while something touches, and before that, newtons of each taxel.
         self._fallen_now_n, self._fallen_n = np.zeros((2, taxels))
         self._windows = self._calm = 0
+        self.needs_audit = False
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._still = np.zeros(phi.blocks, np.intp)
         self._first_n, self._still_n, self._expected_n = np.zeros(taxels), np.zeros(taxels), np.zeros(phi.shape[0])
@@ -159,8 +162,7 @@ class Zero:
             follower.take(window.mean_n, window.known, self.held)
         self._begin_late(window)
         self._windows += 1
-        if self._windows % AUDIT_WINDOWS == 0:
-            self._audit()
+        self.needs_audit |= self._windows % AUDIT_WINDOWS == 0
 
     def settle(self, mean_n: Floats, known: Bools, region: Bools) -> None:
         """Take what stands on the taxels of `region`, shape (n,), for zero.
@@ -278,9 +280,15 @@ class Zero:
         self.follower.begin(sums, level_n, slope_n, TARE_WINDOWS)
         self._anchor_n[sums] = level_n[sums]
 
-    def _audit(self) -> None:
-        """Give back what the zero has followed that looks like a touch since its anchor."""
-        follower = self.follower
+    def audit(self) -> Floats:
+        """Give back what the zero has followed that looks like a touch since its anchor.
+
+        Returns
+        -------
+        array, shape (n,)
+            Field by which the zero has moved, newtons.
+        """
+        follower, self.needs_audit = self.follower, False
         way_n = follower.level_n - self._anchor_n
         field = self._finder.find(way_n, follower.known, LEAST_AUDIT * follower.noise_n)
         least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
@@ -298,13 +306,13 @@ class Zero:
                 field = self._finder.find(way_n - self._finder.sums(touch_n), follower.known, field.noise_n)
                 touch_n += np.where(touch_n > 0, np.maximum(field.force_n, -touch_n), 0.0)
             follower.move(-self._finder.sums(touch_n))
-            self.moved_n -= touch_n
         self._anchor_n += ANCHOR_GAIN * (follower.level_n - self._anchor_n)
         # What neighbouring taxels share has no slope: when its drift ends, the zero would run on.
         slope = self._finder.find(follower.slope_n, follower.known, 0.0)
         shared_n = slope.force_n - np.median(slope.force_n)
         seen = self._opened(np.abs(shared_n) > SEEN_RATIO * self._finder.picture_gain * slope.noise_n)
         follower.turn(-self._finder.sums(np.where(seen, shared_n, 0.0)))
+        return -touch_n
 
     def _opened(self, taxels: Bools) -> Bools:
         """Return taxels without those that are no square of others."""
