@@ -14,14 +14,14 @@ import numpy.typing as npt
 
 from calibration.defects import DefectFinder, Defects, subject_of
 from calibration.doubt import Doubt
-from calibration.drift import LONGEST_GAP, SHORTEST_MEMORY, DriftFollower
+from calibration.drift import SHORTEST_MEMORY, DriftFollower
 from calibration.field import FieldFinder
 from calibration.support import Support
 from calibration.taring import Taring
 from calibration.temperature import TemperatureModel
-from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms, tare_s, window_s
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms, tare_s
 from calibration.zero import Zero
-from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
+from canskin.calibration_messages import CalibrationState, CalibrationStatus, Region, ZeroSupport
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
 from skin.frontend import sum_step_n
@@ -31,16 +31,16 @@ from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
 Tare = Literal["at-start", "never"]
-#: First row, first column, last row, last column of a part of the skin, both ends included.
-Region = tuple[int, int, int, int]
 #: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
 LEAST_NOISE_RATIO: Final = 0.3
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
 LEAST_STEP: Final = 0.3
 #: From one look at the newest adaptive sums to the next, seconds: the period of their cycles here.
 LOOK_S: Final = 0.025
-#: Sums with a noise of so many counts have no defect: averages of an untouched taxel are 0 but for rare cycles.
+#: Noise of a sum, counts, that is no defect: averages of an untouched taxel are 0 but for rare cycles.
 QUIET_COUNTS: Final = 3.0
+#: Windows without cycles of all sums after which they are asked for, where nodes have two states.
+LONGEST_GAP: Final = 60
 #: A correction below zero is logged from this part of the range on, and again after so much time.
 LOGGED_RATIO: Final = 0.01
 LOGGED_NS: Final = 10_000_000_000
@@ -112,7 +112,7 @@ class Calibrator:
         self._step_n = sum_step_n(layout)
         self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
         self._defect_finder = DefectFinder(self._phi, taxels.columns, QUIET_COUNTS * self._step_n)
-        self._doubt = Doubt(taxels.count, taxels.force_max_n, self._windows.length_ns * 1e-9)
+        self._doubt = self._new_doubt()
         self._doubtful = b""
         self._waiting: Window | None = None
         self._newest_ns = self._needs_until_ns = self._logged_ns = 0
@@ -174,8 +174,8 @@ class Calibrator:
         totals = phi.row_of_sum == 0
         if zero is None or not self._tares or not (self._is_own and totals.any()):
             return
-        way_n = (zero.follower.level_n - self._first_n)[totals] / phi.block_size
-        of_blocks = np.full(phi.blocks, way_n.mean())
+        way_n = np.where(zero.follower.known, zero.follower.level_n - self._first_n, np.nan)[totals] / phi.block_size
+        of_blocks = np.full(phi.blocks, np.nan)
         of_blocks[phi.block_of_sum[totals]] = way_n
         change_n = self._temperature.take(kelvin, of_blocks)[phi.block_of_taxel]
         if change_n.any():
@@ -187,6 +187,7 @@ class Calibrator:
         self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
         self._zero = None
         self._support = Support(self._phi)
+        self._doubt = self._new_doubt()
         self._begin_at_boards()
 
     def _start_anew(self, result: TareResult) -> None:
@@ -258,7 +259,7 @@ class Calibrator:
             self._waiting = window
 
     def work(self) -> None:
-        """Learn from the newest window; takes some milliseconds."""
+        """Learn from the newest window, or audit the zero."""
         window, self._waiting = self._waiting, None
         if window is None:
             if self._zero is not None and self._zero.needs_audit:
@@ -266,6 +267,8 @@ class Calibrator:
             return
         self._newest_ns = window.centre_ns
         self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
+        if not self._tared_ns:  # a stored zero has none
+            self._bias_n = self._clip_bias_n()
         if self._zero is not None and self._tares:
             self._follow(self._zero, window._replace(mean_n=window.mean_n - self._bias_n))
         if self.state is not CalibrationState.FOLLOWING:
@@ -284,9 +287,10 @@ class Calibrator:
         """
         if self.state not in {CalibrationState.TOUCHED, CalibrationState.FOLLOWING}:
             return self.state is CalibrationState.MEASURING
-        length_ns = round(1e9 * window_s(self._period_s))
+        length_ns = self._windows.length_ns
         if now_ns - self._newest_ns > LONGEST_GAP * length_ns:
-            windows = TARE_WINDOWS if self.state is CalibrationState.TOUCHED else SHORTEST_MEMORY
+            is_whole = self._zero is not None and bool(self._zero.follower.known.all())
+            windows = SHORTEST_MEMORY if is_whole and self.state is CalibrationState.FOLLOWING else TARE_WINDOWS + 2
             self._needs_until_ns = now_ns + windows * length_ns
         return now_ns < self._needs_until_ns
 
@@ -314,7 +318,8 @@ class Calibrator:
 
     def _follow(self, zero: Zero, window: Window) -> None:
         """Follow the zero, and doubt what stands on the skin."""
-        skipped = round((window.centre_ns - self._centre_ns) / self._windows.length_ns) - 1 if self._centre_ns else 0
+        length_ns = self._windows.length_ns
+        skipped = round((window.centre_ns - self._centre_ns) / length_ns) - 1 if self._centre_ns else 0
         if skipped > 0:
             zero.skip(skipped)
         zero.take(window, self._defects.usable)
@@ -324,7 +329,7 @@ class Calibrator:
         self._doubt.move(zero.moved_n)
         was_doubtful = self._doubt.since_ns
         self._doubt.take(zero.force_n, window.centre_ns)
-        self._support.take(zero, window.centre_ns)
+        self._support.take(zero, window)
         self._log(zero, was_doubtful)
 
     def _log(self, zero: Zero, was_doubtful_ns: int) -> None:
@@ -396,10 +401,13 @@ class Calibrator:
             self._taring.begin()
             self._tell(is_done=False, text="the skin has no zero yet: measure that of all of the skin first")
             return
-        self._zero.settle(mean_n - self._bias_n, known, region)
-        self._doubt.move(self._zero.moved_n)
+        moved_n = self._zero.settle(mean_n - self._bias_n, known & self._defects.usable, region)
+        self._doubt.move(moved_n)
         self._support.tell(region, self._newest_ns)
-        self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * np.abs(self._zero.moved_n).max():.2f} mN")
+        self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * np.abs(moved_n).max():.2f} mN")
+
+    def _new_doubt(self) -> Doubt:
+        return Doubt(self._phi.shape[1], self._force_max_n, self._windows.length_ns * 1e-9)
 
     def _end(self, text: str) -> None:
         """End a measurement of the zero that has succeeded."""
@@ -473,5 +481,5 @@ class Calibrator:
             follows=self._is_own,
         )
         self._support.begin(known, support, self._newest_ns)
-        self._doubt = Doubt(phi.shape[1], self._force_max_n, self._windows.length_ns * 1e-9)
-        self._first_n = level_n
+        self._doubt = self._new_doubt()
+        self._temperature, self._first_n = TemperatureModel(phi.blocks), level_n

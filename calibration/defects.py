@@ -14,20 +14,20 @@ import numpy as np
 from calibration.windows import Bools, Floats, Window
 from skin.measurement import Sbhe
 
-#: A sum is stuck when it has not changed for so many windows in which so many of the others of its block have.
+#: A sum is stuck when it has not changed in `STUCK_WINDOWS` windows in which `STUCK_PART` of the others of its block
+#: have, and saturated when it did not count in as many windows in which nothing touched its block.
 STUCK_WINDOWS: Final = 12
 STUCK_PART: Final = 0.75
-#: A sum is saturated when it was so in that many windows in which that part of the others was not.
-#: Noise is that of so many windows, each of less weight than the next; nothing is said before so many have come.
+#: Windows over which noise is averaged, and before which nothing is said of it.
 MEMORY: Final = 40
-#: A sum is noisy above so many times the median noise of all sums. Such sums are left out.
+#: Noise of a noisy sum over the median of all sums. Such sums are left out.
 SUM_RATIO: Final = 4.0
-#: In one window no sum counts for more than so many times the median noise.
+#: Most noise, in medians of all sums, that one window counts for: a jump is no noise.
 JUMP_RATIO: Final = 6.0
-#: A block is noisy above so many times the median of all blocks, and quiet below the median over so many.
+#: Noise of a noisy block over the median of all blocks, and the median over the noise of a quiet block.
 LOUD_RATIO: Final = 1.75
 QUIET_RATIO: Final = 3.0
-#: A taxel is named when its part of a block's noise is so many times that of the second.
+#: Part of the loudest taxel in its block's noise over that of the second, from which on the taxel is named.
 TAXEL_RATIO: Final = 1.25
 
 

@@ -18,7 +18,7 @@ STILL_S: Final = 6.0
 LEAST_RATIO: Final = 0.015
 MOST_RATIO: Final = 0.4
 #: At least this part of a force has to be still.
-STILL_PART: Final = 0.5
+CONSTANT_PART: Final = 0.5
 #: From window to window a still force changes by this part of itself and of the range, but for some windows.
 CHANGE_PART: Final = 0.05
 CHANGE_RATIO: Final = 0.015
@@ -67,7 +67,7 @@ class Doubt:
             found = np.zeros_like(self.taxels)
         else:
             still_n = self._seen_n.min(axis=0)
-            found = (still_n > least_n) & (still_n >= STILL_PART * force_n) & (still_n < MOST_RATIO * self._range_n)
+            found = (still_n > least_n) & (still_n >= CONSTANT_PART * force_n) & (still_n < MOST_RATIO * self._range_n)
             found &= self._is_quiet.mean(axis=0) >= QUIET_PART
         self.taxels = found
         self.force_n = float(force_n[found].sum())

@@ -7,16 +7,12 @@ import numpy.typing as npt
 
 from calibration.windows import Bools, Floats
 
-#: A line through so many windows follows the drift; after a start through as many as there are.
+#: Windows through which the line of the drift is drawn; after a start through as many as there are.
 MEMORY: Final = 40
 #: Fewest windows, after a drift has changed.
 SHORTEST_MEMORY: Final = 4
-#: The drift has changed when the offsets are off by so many times their noise, root mean square over all sums.
+#: The drift has changed when the offsets are off by `CHANGED` times their noise, root mean square over all sums.
 CHANGED: Final = 1.3
-#: Offsets go on along their slopes under a touch or without measurements for at most as many windows as the line was
-#: drawn through: no offset runs further than its drift has been seen to.
-#: Longest time without measurements, windows, where a caller can ask for them.
-LONGEST_GAP: Final = 60
 #: The noise of the means follows them by this part of the difference.
 NOISE_GAIN: Final = 0.05
 
@@ -87,14 +83,16 @@ class DriftFollower:
         return np.where(of_sums & (self._left > 0), factor * self._slope_n, 0.0)
 
     def predicted_n(self, windows: float) -> Floats:
-        """Return the offsets so many windows after the centre of the newest, newtons.
+        """Return the offsets `windows` after the centre of the newest window, newtons.
 
-        They stop after as many windows without a measurement as the line was drawn through.
+        They go on for at most as many windows without a measurement as the line was drawn through: no offset runs
+        further than its drift has been seen to.
         """
-        return self.level_n + np.minimum(windows, self._left) * self.slope_n
+        ahead: Floats = np.clip(np.full(self.level_n.shape, windows), -self._left, self._left)
+        return self.level_n + ahead * self.slope_n
 
     def skip(self, windows: int) -> None:
-        """Let the offsets go on along their slopes for so many windows, in which nothing was measured.
+        """Let the offsets go on along their slopes for windows in which nothing was measured.
 
         The level becomes less certain: what is measured next moves the level much and the slope little, as a line
         through the points on both sides of the gap.
@@ -194,7 +192,7 @@ def _spread(age: Ages) -> Floats:
 
 
 def _ahead(spread: Floats, windows: int) -> Floats:
-    """Return what `_spread` is of the level so many windows later."""
+    """Return what `_spread` is of the level `windows` later."""
     level, both, slope = spread
     return np.stack([level + 2 * windows * both + windows**2 * slope, both + windows * slope, slope])
 

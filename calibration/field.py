@@ -22,7 +22,7 @@ from skin.measurement import Sbhe
 
 #: λ in deviations of Φᵀ noise: of noise alone no taxel of the field is above a tenth of the noise of the picture.
 PENALTY_RATIO: Final = 1.5
-#: The field of noise alone stays below so many deviations of the picture of the sums.
+#: The field of noise alone stays below `SEEN_RATIO` deviations of the picture of the sums; 1.3 were the most seen.
 SEEN_RATIO: Final = 3.0
 #: Iterations between two looks at the noise, and with it at λ. The noise begins large, so that the field of a wide
 #: touch appears at once, and the passes end when it falls by less than `SETTLED` of itself.
@@ -36,9 +36,9 @@ FALLING: Final = 0.8
 STEEPEST: Final = 4.0
 #: Standard deviation of normal numbers over the median of their sizes.
 DEVIATION_OF_MEDIAN: Final = 1.4826
-#: A shift of a board's total costs so many times λ for each newton: more than a touched patch, less than its taxels.
+#: Cost of a newton of a board's shift in units of λ: more than that of a touched patch, less than that of its taxels.
 SHIFT_COST: Final = 2.0
-#: A board is spread over the skin if its taxels have so many edges to taxels of other boards, each.
+#: A board is spread over the skin if each of its taxels has on average `SPREAD_EDGES` edges to taxels of other boards.
 SPREAD_EDGES: Final = 3.0
 
 
@@ -80,6 +80,10 @@ class FieldFinder:
         #: Noise of Φᵀ sums / block size, the picture of the sums, over that of the sums.
         self.picture_gain: Final = self._gain / phi.block_size
         self._shifts = (phi.row_of_sum == 0) & _is_spread(phi, rows, columns)[phi.block_of_sum]
+
+    def least_n(self, noise_n: float) -> float:
+        """Return the force from which on a taxel of a field is more than noise, newtons."""
+        return SEEN_RATIO * self.picture_gain * noise_n
 
     def sums(self, force_n: Floats) -> Floats:
         """Return Φ x, shape (m,), of a field x, shape (n,)."""

@@ -35,7 +35,7 @@ SUM_SPREAD: Final = 0.02
 PASSES: Final = 2
 #: Steps of Gauss and Newton in a pass.
 STEPS: Final = 3
-#: A gain is known if the weight tells so many times more of it than `SPREAD` does.
+#: What the weight tells of a known gain over what `SPREAD` tells, at least.
 LEAST_RATIO: Final = 25.0
 #: Fewest cycles with the whole weight on the skin.
 LEAST_CYCLES: Final = 100

@@ -4,12 +4,12 @@ from typing import Final
 
 import numpy as np
 
-from calibration.windows import TARE_WINDOWS, Bools
+from calibration.windows import TARE_WINDOWS, Bools, Window
 from calibration.zero import Zero
 from canskin.calibration_messages import ZeroSupport
 from skin.measurement import Sbhe
 
-#: A skin that shows no touch for so many windows supports its zero.
+#: Windows without touch after which a skin supports its zero.
 CALM_WINDOWS: Final = TARE_WINDOWS
 
 
@@ -46,16 +46,15 @@ class Support:
         blocks = np.unique(self._phi.block_of_taxel[taxels])
         self.of_blocks[blocks], self.since_ns[blocks] = ZeroSupport.TOLD, time_ns
 
-    def take(self, zero: Zero, time_ns: int) -> None:
-        """Look at the zero after a window."""
-        fallen = np.zeros(self._phi.blocks, np.bool_)
-        fallen[self._phi.block_of_taxel[zero.moved_n < 0]] = True
-        self.of_blocks[fallen] = ZeroSupport.CORRECTED
-        self._calm = 0 if zero.touched.any() or fallen.any() else self._calm + 1
-        known = self._whole(zero.follower.known)
+    def take(self, zero: Zero, window: Window) -> None:
+        """Look at the zero after a window. A person's word counts until the zero falls."""
+        self.of_blocks[self._phi.block_of_taxel[zero.fallen]] = ZeroSupport.CORRECTED
+        came = self._whole(zero.follower.known & window.known)
+        is_calm = came.any() and not zero.touched.any() and not zero.fallen.any()
+        self._calm = self._calm + 1 if is_calm else 0
         if self._calm >= CALM_WINDOWS:
-            self.of_blocks[known & (self.of_blocks != ZeroSupport.TOLD)] = ZeroSupport.MEASURED
-        self.since_ns[known & ~zero.held & (self.of_blocks == ZeroSupport.MEASURED)] = time_ns
+            self.of_blocks[came & (self.of_blocks != ZeroSupport.TOLD)] = ZeroSupport.MEASURED
+        self.since_ns[came & ~zero.held & (self.of_blocks == ZeroSupport.MEASURED)] = window.centre_ns
 
     def _whole(self, known: Bools) -> Bools:
         return np.asarray(self._phi.all_of_blocks(known) & self._phi.has_sums, np.bool_)

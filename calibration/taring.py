@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from calibration.drift import line_through
-from calibration.field import SEEN_RATIO, FieldFinder
+from calibration.field import FieldFinder
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, change, typical
 
 #: Sums with a zero, part of all, with which the skin counts as tared; the others follow when their blocks are valid.
@@ -128,4 +128,4 @@ class Taring:
     def _seen(self, sums_n: Floats, known: Bools, noise_n: float) -> tuple[Floats, float]:
         """Return the field of sums, and from which force on a taxel is more than noise."""
         field = self._finder.find(np.where(known, sums_n, 0.0), known, max(noise_n, self._least_noise_n))
-        return field.force_n, SEEN_RATIO * self._finder.picture_gain * field.noise_n
+        return field.force_n, self._finder.least_n(field.noise_n)

@@ -9,11 +9,11 @@ import numpy.typing as npt
 #: Length of a window, and the fewest cycles in it.
 WINDOW_S: Final = 0.25
 LEAST_CYCLES: Final = 8
-#: The zero is measured over so many windows.
+#: Windows over which the zero is measured.
 TARE_WINDOWS: Final = 8
 #: A sum counts after it has been valid for so long: nodes that average learn their noise first.
 SETTLE_S: Final = 0.5
-#: A sum counts in a window if so many of the window's cycles were valid.
+#: Part of a window's cycles in which a sum has to be valid to count.
 LEAST_PART: Final = 0.5
 #: Mean of |a - b| over the standard deviation of normal a and b.
 _SIZE_OF_DIFFERENCE: Final = 2 / math.sqrt(math.pi)
@@ -104,15 +104,17 @@ class WindowMeans:
         Parameters
         ----------
         time_ns : int
-            Never less than in the call before; a gap begins a new window.
+            A gap, or a step back, begins a new window.
         counts : array of int32, shape (m,)
         valid : array of bool, shape (m,)
             False for sums that did not come, or are saturated.
         """
         ended = None
-        if time_ns >= self._end_ns:
-            if self._end_ns and time_ns < self._end_ns + self.length_ns:
+        if not self._begin_ns <= time_ns < self._end_ns:
+            if self._end_ns and self._end_ns <= time_ns < self._end_ns + self.length_ns:
                 ended = self._close()
+            if time_ns < self._begin_ns:
+                self._valid_since_ns[:] = time_ns
             self._begin(time_ns)
         newly = valid & ~self._was_valid
         self._valid_since_ns[newly] = time_ns

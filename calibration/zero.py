@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening
 
 from calibration.drift import DriftFollower, line_through
-from calibration.field import SEEN_RATIO, Field, FieldFinder
+from calibration.field import Field, FieldFinder
 from calibration.taring import FLOOR_PART
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window
 from canskin.calibration_messages import ZeroSupport
@@ -37,12 +37,12 @@ TURNS: Final = 3
 STILL_PART: Final = 0.1
 #: Under a touch that stands still, offsets follow what has no pattern by this part of it in each window.
 STILL_GAIN: Final = 0.04
-#: The way of the zero since its anchor is looked at every so many windows; the anchor follows by this part.
+#: Windows from audit to audit, and part of the way of the zero by which its anchor follows in each.
 AUDIT_WINDOWS: Final = 4
 ANCHOR_GAIN: Final = 0.0005
 #: What fell may come back later, less this part of it each audit.
 CREDIT_LOSS: Final = 0.005
-#: A force that is more than so many times what fell is a touch, and does not come back.
+#: A force of more than `RETURN_RATIO` times what fell is a touch, and does not come back.
 RETURN_RATIO: Final = 1.5
 #: What fell while nothing touched comes back by this part in each window: a touch of the same force lasts some seconds.
 RETURN_PART: Final = 0.05
@@ -88,6 +88,8 @@ class Zero:
         Blocks whose zero is not followed.
     moved_n : array, shape (n,)
         Field by which the zero was moved in the newest window besides its drift, newtons.
+    fallen : array of bool, shape (n,)
+        Taxels whose zero was corrected in the newest window by forces below it.
     needs_audit : bool
         Whether `audit` is due.
     """
@@ -109,7 +111,7 @@ class Zero:
         self.force_n, self.touched = np.zeros(taxels), np.zeros(taxels, np.bool_)
         self._near = self.touched
         self.held = np.zeros(phi.blocks, np.bool_)
-        self.moved_n = np.zeros(taxels)
+        self.moved_n, self.fallen = np.zeros(taxels), np.zeros(taxels, np.bool_)
         self._phi, self._finder, self._shape = phi, finder, (rows, columns)
         self._is_measured, self._is_stored = support is ZeroSupport.MEASURED, support is ZeroSupport.STORED
         self._follows, self._references = follows, references
@@ -122,28 +124,28 @@ class Zero:
         self._windows = self._calm = 0
         self.needs_audit = False
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
-        self._still = np.zeros(phi.blocks, np.intp)
+        self._late_windows = np.zeros(phi.blocks, np.intp)
         self._first_n, self._still_n, self._expected_n = np.zeros(taxels), np.zeros(taxels), np.zeros(phi.shape[0])
         self._still_windows = 0
 
     def skip(self, windows: int) -> None:
-        """Let the zero go on for so many windows in which nothing was measured."""
+        """Let the zero go on for windows in which nothing was measured."""
         self.follower.skip(windows)
         self._below_n[:] = 0
-        self._still[:] = self._still_windows = 0
+        self._late_windows[:] = self._still_windows = 0
 
     def take(self, window: Window, usable: Bools) -> None:
         """Look at the next window; only `usable` sums, shape (m,), tell anything."""
         follower = self.follower
         known = window.known & follower.known & usable
-        self.moved_n = np.zeros_like(self.force_n)
+        self.moved_n, self.fallen = np.zeros_like(self.force_n), np.zeros_like(self.touched)
         left_n = np.where(known, window.mean_n - follower.predicted_n(1.0), 0.0)
         field = self._find(left_n, known)
-        least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
+        least_n = self._finder.least_n(field.noise_n)
         force_n = field.force_n
         follower.move(field.shift_n)
         self._anchor_n += field.shift_n
-        common_n = self._common(force_n) if self._follows else 0.0
+        common_n = self._common(force_n, known) if self._follows else 0.0
         if common_n:
             self.move(np.full_like(force_n, common_n))
             force_n = force_n - common_n
@@ -164,7 +166,7 @@ class Zero:
         self._windows += 1
         self.needs_audit |= self._windows % AUDIT_WINDOWS == 0
 
-    def settle(self, mean_n: Floats, known: Bools, region: Bools) -> None:
+    def settle(self, mean_n: Floats, known: Bools, region: Bools) -> Floats:
         """Take what stands on the taxels of `region`, shape (n,), for zero.
 
         Parameters
@@ -173,6 +175,11 @@ class Zero:
             Of raw sums, newtons.
         known : array of bool, shape (m,)
             Sums that have a mean.
+
+        Returns
+        -------
+        array, shape (n,)
+            Field by which the zero has moved, newtons.
         """
         used = known & self.follower.known
         left_n = np.where(used, mean_n - self.follower.level_n, 0.0)
@@ -180,26 +187,29 @@ class Zero:
         for _ in range(TURNS):
             field = self._finder.find(left_n - self._finder.sums(settled_n), used, self.follower.noise_n)
             settled_n += np.where(region, field.force_n, 0.0)
-        self.move(np.maximum(settled_n, -self._room_n))
+        settled_n = np.asarray(np.maximum(settled_n, -self._room_n), np.float64)
+        self.move(settled_n)
         self._fallen_n[region] = self._fallen_now_n[region] = 0
         self.force_n = np.where(region, 0.0, self.force_n)
+        return settled_n
 
-    def _common(self, force_n: Floats) -> float:
+    def _common(self, force_n: Floats, known: Bools) -> float:
         """Return by how much the zero of all taxels has risen slowly, or fallen, newtons; touches keep their force.
 
-        References that agree tell how much at any speed.
+        References that were measured and agree tell how much at any speed.
         """
-        if self._references.any():
-            low_n, middle_n, high_n = np.quantile(force_n[self._references], (0.25, 0.5, 0.75))
-            if high_n - low_n < SEEN_RATIO * self._finder.picture_gain * self.follower.noise_n:
+        least_n = self._finder.least_n(self.follower.noise_n)
+        measured = self._references & self._phi.all_of_blocks(known)[self._phi.block_of_taxel]
+        if measured.any():
+            low_n, middle_n, high_n = np.quantile(force_n[measured], (0.25, 0.5, 0.75))
+            if high_n - low_n < least_n:
                 return float(middle_n)
         rest_n = force_n[~self._near]
         fallen_n = float(np.quantile(rest_n, FALLEN_PART)) if rest_n.size > LEAST_REST * force_n.size else 0.0
         if fallen_n < 0:
             return fallen_n
         risen_n = float(np.quantile(force_n, FLOOR_PART))
-        slow_n = SLOW_RATIO * SEEN_RATIO * self._finder.picture_gain * self.follower.noise_n
-        return risen_n if 0 < risen_n < (np.inf if self._is_stored else slow_n) else 0.0
+        return risen_n if 0 < risen_n < (np.inf if self._is_stored else SLOW_RATIO * least_n) else 0.0
 
     def _look(self, force_n: Floats, least_n: float) -> None:
         """Note what is touched."""
@@ -230,6 +240,7 @@ class Zero:
             back_n = np.where(returns, np.minimum(self.force_n, part * fallen_n), 0.0)
             if back_n.any():
                 self.move(back_n)
+                self.force_n = self.force_n - back_n
                 np.subtract(fallen_n, back_n, out=fallen_n)
 
     def _fall(self, fall_n: Floats, left_n: Floats, known: Bools, *, is_touched: bool) -> None:
@@ -238,6 +249,7 @@ class Zero:
             field = self._finder.find(left_n - self._finder.sums(fall_n), known, self.follower.noise_n)
             fall_n = np.where(below, np.clip(fall_n + field.force_n, -self._room_n, 0), 0.0)
         self.move(fall_n)
+        self.fallen = below
         self._below_n = np.minimum(self._below_n - fall_n, 0)
         if is_touched:
             self._fallen_now_n -= fall_n
@@ -271,8 +283,9 @@ class Zero:
         """Give blocks that came late their zero, when nothing touches them."""
         self._recent.append(window)
         late = ~self._phi.all_of_blocks(self.follower.known)
-        self._still = np.where(late & ~self.held & self._phi.all_of_blocks(window.known), self._still + 1, 0)
-        ready = self._still >= TARE_WINDOWS
+        free = late & ~self.held & self._phi.all_of_blocks(window.known)
+        self._late_windows = np.where(free, self._late_windows + 1, 0)
+        ready = self._late_windows >= TARE_WINDOWS
         if not ready.any():
             return
         level_n, slope_n, _ = line_through(np.stack([each.mean_n for each in self._recent]))
@@ -291,7 +304,7 @@ class Zero:
         follower, self.needs_audit = self.follower, False
         way_n = follower.level_n - self._anchor_n
         field = self._finder.find(way_n, follower.known, LEAST_AUDIT * follower.noise_n)
-        least_n = SEEN_RATIO * self._finder.picture_gain * field.noise_n
+        least_n = self._finder.least_n(field.noise_n)
         floor_n = max(0.0, float(np.quantile(field.force_n, FLOOR_PART)))
         risen_n = field.force_n - floor_n
         back_n = np.minimum(np.maximum(risen_n, 0), self._fallen_n)
@@ -310,7 +323,7 @@ class Zero:
         # What neighbouring taxels share has no slope: when its drift ends, the zero would run on.
         slope = self._finder.find(follower.slope_n, follower.known, 0.0)
         shared_n = slope.force_n - np.median(slope.force_n)
-        seen = self._opened(np.abs(shared_n) > SEEN_RATIO * self._finder.picture_gain * slope.noise_n)
+        seen = self._opened(np.abs(shared_n) > self._finder.least_n(slope.noise_n))
         follower.turn(-self._finder.sums(np.where(seen, shared_n, 0.0)))
         return -touch_n
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.calibrator import LOOK_S, Calibrator
 from calibration.windows import Floats
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, tare_request
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, Region, tare_request
 from canskin.errors import InputError
 from canskin.fabric import Reply
 from canskin.messages import Measurement
@@ -96,6 +96,7 @@ class GatewayCalibration:
         self._look_s = float("-inf")
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
+        self._wanted: tuple[bool, Region | None] = False, None
         self._tare_until_s = 0.0
         self._writing: tuple[NodeWriting, StoredCalibration, Reply] | None = None
 
@@ -147,7 +148,7 @@ class GatewayCalibration:
         self._calibrator.take_temperatures(kelvin)
 
     def work(self) -> None:
-        """Learn from what was taken; takes about a millisecond."""
+        """Learn from what was taken."""
         self._calibrator.work()
 
     def status(self) -> CalibrationStatus:
@@ -215,13 +216,26 @@ class GatewayCalibration:
             elif stored is not None:
                 self._load(stored, reply)
             elif request.action == "tare":
-                self._calibrator.tare(force=request.force, region=request.region)
-                self._taring.append(reply)
-                self._tare_until_s = now_s + PATIENCE_S
+                self._tare(request, reply, now_s)
             else:
                 self._show(reply)
         except InputError as error:
             self._answer(reply, str(error), is_done=False)
+
+    def _tare(self, request: CalibrationRequest, reply: Reply, now_s: float) -> None:
+        """Begin to measure the zero.
+
+        Raises
+        ------
+        InputError
+            If that of something else is being measured.
+        """
+        wanted = request.force, request.region
+        if self._taring and wanted != self._wanted:
+            raise InputError("another tare is under way: ask again when it has ended")
+        self._calibrator.tare(force=request.force, region=request.region)
+        self._taring.append(reply)
+        self._wanted, self._tare_until_s = wanted, now_s + PATIENCE_S
 
     def _load(self, stored: StoredCalibration, reply: Reply) -> None:
         """Use a calibration.

@@ -27,7 +27,8 @@ class Temperatures:
     contract : Contract
         With thermometers.
     take : callable
-        Called with the newest temperatures, kelvin, shape (blocks,): NaN where a node is not in use, or knows none.
+        Called each `PERIOD_S` with the newest temperatures, kelvin, shape (blocks,): NaN where a node is not in use, or
+        knows none.
     """
 
     def __init__(self, contract: Contract, take: Callable[[npt.NDArray[np.float64]], None]) -> None:
@@ -43,6 +44,8 @@ class Temperatures:
         self._next_s = now_s + PERIOD_S / len(self._nodes)
         node = self._nodes[self._turn]
         self._turn = (self._turn + 1) % len(self._nodes)
+        if self._turn == 0:
+            self._take(self._kelvin.copy())
         master = masters.get(node.bus)
         if master is None or not master.nodes[node.node_id].trusted:
             self._note(node, np.nan)
@@ -59,4 +62,3 @@ class Temperatures:
 
     def _note(self, node: NodeContract, kelvin: float) -> None:
         self._kelvin[node.block : node.block + node.blocks] = kelvin
-        self._take(self._kelvin.copy())

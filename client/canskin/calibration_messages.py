@@ -41,7 +41,7 @@ class ZeroSupport(IntEnum):
     STORED = 1
     #: It has moved since because of forces below zero, and was not confirmed by an untouched stretch.
     CORRECTED = 2
-    #: A person said so: ``skin tare --force`` or ``--region``.
+    #: A person said so: ``skin tare --force`` or ``--region``. That counts until forces below zero show otherwise.
     TOLD = 3
     #: It was measured in an untouched stretch.
     MEASURED = 4

@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation
 
-from calibration.calibrator import Calibrator, Region
+from calibration.calibrator import Calibrator
 from calibration.field import FieldFinder
 from calibration.offline import measurement_of
+from canskin.calibration_messages import Region
 from canskin.messages import Measurement
 from canskin.sums import doubtful_taxels
 from evaluation.result import Options, Result, Row
