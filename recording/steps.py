@@ -263,7 +263,7 @@ class _Recorded:
                 start_ns,
                 self._offset_ns,
                 calibrator=self._calibrator,
-                judges=not self._measures,
+                leaves_out_doubtful=not self._measures,
             )
         self._playback.feed(self._buses[entry.topic], seen)
 
