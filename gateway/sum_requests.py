@@ -31,7 +31,7 @@ Groups = npt.NDArray[np.uint8]
 _Steps = Generator[Transfer, bytes, None]
 
 
-class Errands:
+class SumRequests:
     """The requests to the nodes of one bus. Nodes are named by their place on the bus.
 
     Parameters
