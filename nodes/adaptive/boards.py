@@ -26,8 +26,8 @@ from nodes.adaptive.mailboxes import (
     Chosen,
     choose,
     compile_all,
+    decide_all,
     give_back,
-    look_at_all,
     new_mailboxes,
     take_echoes,
 )
@@ -87,7 +87,7 @@ class AdaptiveBoards(PatchBoards):
     def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:  # noqa: ARG002  `_now` has the skipped ones
         if self._filter.noise is not self._noise:
             self._take_noise()
-        due = look_at_all(
+        due = decide_all(
             self._now,
             now_ns,
             passed_ns * 1e-9,

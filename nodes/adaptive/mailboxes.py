@@ -29,12 +29,12 @@ from dbc.frame import BRS, ECHO, ERROR, ESI, FD, FRAME, frame_bytes, frames
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
+    NOT_DUE,
     REFRESH,
-    SILENT,
     Groups,
     Integers,
     Numbers,
-    look,
+    decide,
     make_payload,
     new_groups,
     note_sent,
@@ -115,8 +115,8 @@ class Chosen(NamedTuple):
     payload: Bytes
 
 
-def room_for(count: int) -> Chosen:
-    """Return room for so many frames."""
+def frame_buffer(count: int) -> Chosen:
+    """Return an empty buffer of `count` frames."""
     can_id, node, tpdo, length = np.zeros((4, count), np.int64)
     return Chosen(can_id, node, tpdo, length, np.zeros((count, payload_bytes(True, True)), np.uint8))
 
@@ -143,7 +143,7 @@ def rule_of(rules: Numbers, node: int) -> SendingRule:
 
 
 @njit(cache=True, nogil=True)
-def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
+def decide_all(  # noqa: PLR0917  compiled functions take no keywords
     now: int,
     now_ns: int,
     passed_s: float,
@@ -157,7 +157,7 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     boxes: Mailboxes,
     has_due: npt.NDArray[np.bool_],
 ) -> bool:
-    """Decide what each node is to send, as `nodes.adaptive.sending.look`; save up budgets.
+    """Decide what each node is to send, as `nodes.adaptive.sending.decide`; save up budgets.
 
     Parameters
     ----------
@@ -190,10 +190,10 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     for node in range(is_operational.size):
         if has_due[node]:
             has_due[node] = False
-            look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule_of(rules, node), law, groups)
+            decide(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule_of(rules, node), law, groups)
             for group in range(GROUPS):
                 is_free = under_way[node, group] == 0
-                has_due[node] = has_due[node] or (is_free and level[node, group] != SILENT)
+                has_due[node] = has_due[node] or (is_free and level[node, group] != NOT_DUE)
     return bool(has_due.any())
 
 
@@ -209,7 +209,7 @@ def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
 ) -> None:
     """Decide for groups that show what is known and need no refresh: nothing. Tell which nodes have others.
 
-    Most nodes have none, and `look` takes longer.
+    Most nodes have none, and `decide` takes longer.
     """
     known_n, refreshes, refresh_at = groups.known_n, groups.refreshes, groups.refresh_at
     since, level, reason, is_fine, under_way = (
@@ -232,7 +232,7 @@ def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
             if largest > bound or (refreshes[node, group] > 0 and now >= refresh_at[node, group]):
                 needs_look[node] = True
             else:
-                since[node, group], level[node, group] = -1, SILENT
+                since[node, group], level[node, group] = -1, NOT_DUE
                 reason[node, group], is_fine[node, group] = NEWS, 0
 
 
@@ -260,7 +260,7 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
         if has_due[node]:
             before = count
             for group in range(GROUPS):
-                if groups.level[node, group] == SILENT or groups.under_way[node, group] > 0:
+                if groups.level[node, group] == NOT_DUE or groups.under_way[node, group] > 0:
                     continue
                 tpdo = tpdo_of(node, group, groups)
                 cob_id = boxes.cob_id[node, tpdo]
@@ -375,12 +375,12 @@ def _has_budget(node: int, group: int, groups: Groups, boxes: Mailboxes) -> bool
 def compile_all(law: Companding) -> None:
     """Compile what runs every millisecond, so that no bus waits for it: one frame of one node, there and back."""
     groups, boxes = new_groups(1), new_mailboxes(np.ones((1, 2), np.int64))
-    room, sent = room_for(1), frames(1)
+    room, sent = frame_buffer(1), frames(1)
     boxes.cob_id[:] = sent["can_id"] = FIRST_COB_ID
     groups.refreshes[:], groups.refresh_at[:] = 1, 0
     sums_n, rules = np.zeros((1, BLOCK_SUMS), np.float32), np.array([SendingRule()], np.float64)
     yes = np.ones(1, np.bool_)
-    look_at_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, boxes, yes)
+    decide_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, boxes, yes)
     choose(0, 1, 1, 1, 1, sums_n, law, groups, boxes, yes, room)
     give_back(0, 0, groups, boxes)
     take_echoes(frame_bytes(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, boxes)

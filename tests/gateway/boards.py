@@ -18,10 +18,10 @@ from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
 from nodes.adaptive.sending import (
     NEWS,
-    SILENT,
+    NOT_DUE,
     Groups,
+    decide,
     identifier_of,
-    look,
     make_payload,
     most_urgent,
     new_groups,
@@ -122,12 +122,12 @@ class Board:
         return np.concatenate(out) if out else frames(0)
 
     def send(self, now: int) -> list[Frames]:
-        look(0, now, self.sums_n, VARIANCE_N2, NOISE_N2, RULE, self.law, self.groups)
+        decide(0, now, self.sums_n, VARIANCE_N2, NOISE_N2, RULE, self.law, self.groups)
         out, groups = [], self.groups
         for group in range(GROUPS):
             if self.forced >> group & 1:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-        while (group := most_urgent(0, groups)) != SILENT:
+        while (group := most_urgent(0, groups)) != NOT_DUE:
             can_id = identifier_of(0, group, groups) + self.contract.node_id - 1
             payload = send(groups, group, now, self.sums_n, self.law)
             out.append(frame(can_id, payload.tobytes(), flags=frame_flags(self.line)))

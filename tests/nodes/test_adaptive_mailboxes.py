@@ -7,14 +7,14 @@ from dbc.adaptive import SendingRule, cob_id, companding
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, frame_bytes
 from nodes.adaptive.mailboxes import (
     choose,
+    decide_all,
+    frame_buffer,
     give_back,
-    look_at_all,
     new_mailboxes,
-    room_for,
     rule_of,
     take_echoes,
 )
-from nodes.adaptive.sending import DETAIL, NEWS, REFRESH, SILENT, new_groups
+from nodes.adaptive.sending import DETAIL, NEWS, NOT_DUE, REFRESH, new_groups
 from tests.bus.harness import frame
 
 LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
@@ -33,7 +33,7 @@ class Controllers:
         self.groups = new_groups(NODES)
         self.boxes = new_mailboxes(np.array([[FRAME_BITS, FINE_BITS]] * NODES))
         self.sums_n = np.full((NODES, 32), 0.01, np.float32)
-        self.has_due, self.room = np.zeros(NODES, np.bool_), room_for(16)
+        self.has_due, self.room = np.zeros(NODES, np.bool_), frame_buffer(16)
         for node in range(NODES):
             for group in range(GROUPS):
                 for level in range(6):
@@ -51,13 +51,13 @@ class Controllers:
         count = choose(first, last, now, 5 * MS, most, *parts)
         return self.room.can_id[:count].tolist()
 
-    def look(
+    def decide(
         self, passed_s: float, now: int = 1, now_ns: int = 1, is_operational: bool = True, noise_n2: float = 1e-9
     ) -> list[bool]:
         running = np.full(NODES, is_operational)
         variance_n2, noises_n2 = np.zeros((NODES, 32), np.float32), np.full(NODES, noise_n2)
         parts = self.sums_n, variance_n2, noises_n2, RULES, LAW, self.groups, self.boxes, self.has_due
-        look_at_all(now, now_ns, passed_s, running, *parts)
+        decide_all(now, now_ns, passed_s, running, *parts)
         return self.has_due.tolist()
 
 
@@ -112,7 +112,7 @@ def test_inhibit_time_counts_from_the_newest_frame_of_the_tpdo(made: Controllers
 
 def test_a_tpdo_without_identifier_and_a_silent_group_send_nothing(made: Controllers) -> None:
     made.want(0, 0, 3)
-    made.want(0, 1, SILENT)
+    made.want(0, 1, NOT_DUE)
     assert (new_mailboxes(np.ones((1, 2), np.int64)).cob_id == 0).all()
     made.boxes.cob_id[0, 8] = 0
     assert made.choose() == []
@@ -128,7 +128,7 @@ def test_no_inhibit_time_holds_the_first_frame_or_one_that_was_given_back(made: 
 
 
 def test_there_is_room_for_the_longest_payload() -> None:
-    room = room_for(3)
+    room = frame_buffer(3)
     assert (room.payload.shape, room.can_id.shape) == ((3, 64), (3,))
 
 
@@ -190,43 +190,43 @@ def test_without_a_budget_everything_goes(made: Controllers) -> None:
 
 def test_budgets_are_saved_up_to_eight_frames_or_a_quarter_of_a_second(made: Controllers) -> None:
     made.boxes.budget[:] = 1000, 24_000, 0
-    made.look(0.1)
+    made.decide(0.1)
     assert made.boxes.saved.tolist() == [100, 2400, 0]
-    made.look(9.0, is_operational=False)
+    made.decide(9.0, is_operational=False)
     assert made.boxes.saved.tolist() == [8 * FRAME_BITS, 6000, 0]
     made.boxes.saved[:] = -8 * FRAME_BITS - 500, -200, -200
-    made.look(0.1)  # what refreshes owe has a limit, too
+    made.decide(0.1)  # what refreshes owe has a limit, too
     assert made.boxes.saved.tolist() == [-8 * FRAME_BITS + 100, 2200, -200]
 
 
 def test_nodes_that_run_and_have_news_are_due_and_others_not(made: Controllers) -> None:
     made.sums_n[1] = 0
-    assert made.look(0.0) == [True, False, True]
-    assert (made.groups.level[1] == SILENT).all()
-    assert (made.groups.level[[0, 2]] > SILENT).all()
-    assert made.look(0.0, is_operational=False) == [False] * NODES
+    assert made.decide(0.0) == [True, False, True]
+    assert (made.groups.level[1] == NOT_DUE).all()
+    assert (made.groups.level[[0, 2]] > NOT_DUE).all()
+    assert made.decide(0.0, is_operational=False) == [False] * NODES
     made.groups.refreshes[1, 2], made.groups.refresh_at[1, 2] = 1, 50
-    assert made.look(0.0, now=49)[1] is False
-    assert made.look(0.0, now=50)[1] is True
-    assert made.groups.level[1].tolist() == [SILENT, SILENT, 0, SILENT]
+    assert made.decide(0.0, now=49)[1] is False
+    assert made.decide(0.0, now=50)[1] is True
+    assert made.groups.level[1].tolist() == [NOT_DUE, NOT_DUE, 0, NOT_DUE]
     assert made.groups.reason[1, 2] == REFRESH
 
 
 def test_news_is_a_difference_from_what_is_known_of_any_free_group_of_any_running_node(made: Controllers) -> None:
     made.groups.known_n[:] = made.sums_n
-    assert made.look(0.0) == [False] * NODES
+    assert made.decide(0.0) == [False] * NODES
     made.sums_n[2, 31] *= -1
-    assert made.look(0.0) == [False, False, True]
+    assert made.decide(0.0) == [False, False, True]
     made.groups.under_way[2, 0] = 100
-    assert made.look(0.0) == [False, False, True]
+    assert made.decide(0.0) == [False, False, True]
     parts = np.zeros((NODES, 32), np.float32), np.full(NODES, 1e-9), RULES, LAW, made.groups, made.boxes, made.has_due
     running = np.array([False, True, True])
-    assert look_at_all(1, 1, 0.0, running, made.sums_n, *parts)
+    assert decide_all(1, 1, 0.0, running, made.sums_n, *parts)
     assert made.has_due.tolist() == [False, False, True]
     made.sums_n[2, 31] *= -1
-    assert not look_at_all(1, 1, 0.0, running, made.sums_n, *parts)
+    assert not decide_all(1, 1, 0.0, running, made.sums_n, *parts)
     made.sums_n[2] *= -1
-    assert look_at_all(1, 1, 0.0, running, made.sums_n, *parts)
+    assert decide_all(1, 1, 0.0, running, made.sums_n, *parts)
 
 
 def test_news_that_has_gone_is_forgotten(made: Controllers) -> None:
@@ -234,7 +234,7 @@ def test_news_that_has_gone_is_forgotten(made: Controllers) -> None:
     made.groups.known_n[:] = made.sums_n
     made.groups.since[1, 2], made.groups.level[1, 2] = 5, 3
     made.groups.reason[1, 2], made.groups.is_fine[1, 2] = REFRESH, 1
-    made.look(0.0)
+    made.decide(0.0)
     told = [each[1, 2] for each in (made.groups.since, made.groups.level, made.groups.reason, made.groups.is_fine)]
     assert told == [-1, -1, 0, 0]
 
@@ -242,21 +242,21 @@ def test_news_that_has_gone_is_forgotten(made: Controllers) -> None:
 def test_a_frame_that_is_under_way_is_waited_for_until_it_is_given_up(made: Controllers) -> None:
     made.sums_n[1:] = 0
     made.groups.under_way[0] = 100
-    assert made.look(0.0, now_ns=100) == [False] * NODES
+    assert made.decide(0.0, now_ns=100) == [False] * NODES
     assert (made.groups.under_way[0] == 100).all()
-    assert made.look(0.0, now_ns=101) == [True, False, False]
+    assert made.decide(0.0, now_ns=101) == [True, False, False]
     assert not made.groups.under_way.any()
 
 
 def test_a_difference_below_the_noise_makes_no_node_due(made: Controllers) -> None:
-    assert made.look(0.0, noise_n2=1e9) == [False] * NODES
+    assert made.decide(0.0, noise_n2=1e9) == [False] * NODES
     made.groups.under_way[1] = 100
-    assert made.look(0.0, noise_n2=1e-9) == [True, False, True]
+    assert made.decide(0.0, noise_n2=1e-9) == [True, False, True]
     made.groups.under_way[1, 3] = 0  # one group is free again
-    assert made.look(0.0, noise_n2=1e-9) == [True, True, True]
+    assert made.decide(0.0, noise_n2=1e-9) == [True, True, True]
     made.groups.under_way[:, 1:] = 100
     made.groups.level[:, 1:] = 3
-    assert made.look(0.0, noise_n2=1e9) == [False] * NODES
+    assert made.decide(0.0, noise_n2=1e9) == [False] * NODES
 
 
 @pytest.mark.parametrize("is_fd", [False, True])
