@@ -12,7 +12,7 @@ from dbc.canopen import BASE_ID_MASK, NmtState
 from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
 from nodes.adaptive.boards import AdaptiveBoards, tpdo_places
-from nodes.adaptive.mailboxes import frame_buffer
+from nodes.adaptive.controllers import frame_buffer
 from nodes.adaptive.node import AdaptiveNode
 from nodes.adaptive.timing import MOST_FRAMES, SendingTimes
 from nodes.node import SkinNode

@@ -86,7 +86,7 @@ def test_frames_of_both_lengths_cost_the_budget_their_bits(bus: Bus) -> None:
     line = bus.contract.layout.bus[0]
     coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
     assert fine > coarse
-    assert (bus.boards._boxes.frame_bits == [coarse, fine]).all()
+    assert (bus.boards._controllers.frame_bits == [coarse, fine]).all()
 
 
 class Node:
