@@ -102,5 +102,5 @@ def test_the_few_sums_are_those_that_their_mapping_names(segment: Segment, link:
 def test_nodes_without_states_take_no_switch(link: ArrayLink) -> None:
     nodes = new_segment(Contract.from_layout(load_layout()), link, {1})
     give(nodes, link, START, TO_IMAGES, numbered_sync(1))
-    assert nodes.nodes[0].sends == 0
+    assert nodes.nodes[0].active_state == 0
     assert answers(nodes, link, numbered_sync(2)) == {0x181, 0x281}
