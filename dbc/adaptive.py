@@ -169,7 +169,7 @@ def cob_id(node: int, level: int, group: int, is_fine: bool) -> int:
 
 
 @njit(cache=True, nogil=True)
-def place_of(identifier: int, is_fd: bool) -> tuple[int, int, int]:
+def decode_cob_id(identifier: int, is_fd: bool) -> tuple[int, int, int]:
     """Return kind and level as a number (from `LEVELS` on: fine), group and node of an identifier.
 
     The number is -1 for identifiers that are no sums. The node is the node-ID less 1; the group is 0 on CAN FD.
@@ -182,7 +182,7 @@ def place_of(identifier: int, is_fd: bool) -> tuple[int, int, int]:
 
 def frame_of(identifier: int, *, is_fd: bool = False) -> tuple[int, int, int, bool]:
     """Return the node-ID, level, group (0 on CAN FD) and whether it is fine of an identifier of sums."""
-    kind, group, node = place_of(identifier, is_fd)
+    kind, group, node = decode_cob_id(identifier, is_fd)
     if kind < LEVELS:
         return node + 1, LEVELS - 1 - kind, group, False
     return node + 1, KINDS - 1 - kind, group, True

@@ -352,11 +352,11 @@ class _Recorded:
                 step.image, step.makes_image = self._images.of(step.recorded)
                 step.label, step.makes_label = self._labels.of(step.recorded)
                 if self._uses_frames:
-                    known = self._told(step) if step.was_lost else step.recorded
+                    known = self._header_of_lost(step) if step.was_lost else step.recorded
                     step.message = as_live(step.message, known, self._contract)
             yield step
 
-    def _told(self, step: Step) -> Measurement:
+    def _header_of_lost(self, step: Step) -> Measurement:
         """Return the header of a lost measurement, with what its image or its label tells."""
         header: Measurement = step.message if step.recorded is None else step.recorded
         answer = step.image or step.label

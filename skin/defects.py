@@ -302,7 +302,7 @@ def parse_defects(texts: Iterable[str], seed: int, *, is_analogue: bool = False)
     seed : int
         Seed of the choice of taxels.
     is_analogue : bool
-        The front end is analogue: defects of sums may be among them, see `of_sums`.
+        The front end is analogue: defects of sums may be among them, see `split_by_target`.
 
     Raises
     ------
@@ -329,7 +329,7 @@ def parse_defects(texts: Iterable[str], seed: int, *, is_analogue: bool = False)
         raise InputError(f"--defect {error}") from error
 
 
-def of_sums(defects: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def split_by_target(defects: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Divide defects, with the drifts of `skin.zero_drift.parse_drifts`, into those of taxels and those of sums."""
     sums = {name: each for name, each in defects.items() if name in {*SUM_KINDS, "sum_drifts"}}
     return {name: each for name, each in defects.items() if name not in sums}, sums

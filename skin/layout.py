@@ -90,7 +90,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
         return self.force_max_n / self.count_max
 
 
-class Measuring(_Table, frozen=True, kw_only=True):
+class PhiParameters(_Table, frozen=True, kw_only=True):
     """The parameters from which Φ is drawn."""
 
     ensemble: Literal["sbhe"] = "sbhe"
@@ -201,7 +201,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     # Sums at every SYNC, or whenever they carry news.
     sending: Literal["synchronous", "adaptive"] = "synchronous"
     taxels: Taxels = msgspec.field(default_factory=Taxels)
-    measurement: Measuring = msgspec.field(default_factory=Measuring)
+    measurement: PhiParameters = msgspec.field(default_factory=PhiParameters)
     sync: Sync = msgspec.field(default_factory=Sync)
     sampling: Sampling = msgspec.field(default_factory=Sampling)
     encoding: Encoding = msgspec.field(default_factory=Encoding)
@@ -356,7 +356,7 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
                 table.setdefault("rate_hz", rate_hz)
     try:
         taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
-        measuring = msgspec.convert(tables.get("measurement", {}), Measuring)
+        measuring = msgspec.convert(tables.get("measurement", {}), PhiParameters)
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
     blocks = max(1, taxels.count // measuring.block_size)

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import LEVELS, PAUSE_MS, Companding, SendingRule, payload_bytes, place_of
+from dbc.adaptive import LEVELS, PAUSE_MS, Companding, SendingRule, decode_cob_id, payload_bytes
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.contract import frame_flags, sum_frame
 from dbc.dictionary import HEARTBEAT_MS
@@ -138,7 +138,7 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
                 log[ASKED] = (since if since >= 0 else tick - 1) * TICK_NS
                 identifier, payload = identifier_of(node, group, groups), row[DATA:]
                 length = make_payload(node, group, sums_n[tick - 1, node], law, groups, payload)
-                kind, of_frame, _ = place_of(identifier, groups.is_fd[node])
+                kind, of_frame, _ = decode_cob_id(identifier, groups.is_fd[node])
                 note_sent(node, of_frame, tick - 1, kind >= LEVELS, rule, law, groups, payload)
                 address(row, identifier, length)
                 row[_FLAGS] = line.flags

@@ -4,7 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
+from dbc.adaptive import LEVELS, Companding, SendingRule, decode_cob_id
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
@@ -95,7 +95,7 @@ def _send(  # noqa: PLR0917  compiled functions take no keywords
             if group == NOT_DUE:
                 break
             identifiers[count] = identifier_of(node, group, groups)
-            kind, tpdo_group, _ = place_of(identifiers[count], groups.is_fd[node])
+            kind, tpdo_group, _ = decode_cob_id(identifiers[count], groups.is_fd[node])
             payload = payloads[count]
             payload[:] = 0
             lengths[count] = make_payload(node, group, sums_n[node], law, groups, payload)

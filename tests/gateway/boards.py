@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from bus.link import State
 from canskin.messages import BlockState, GatewayStatus, Measurement
-from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
+from dbc.adaptive import LEVELS, Companding, SendingRule, decode_cob_id
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract, frame_flags
@@ -73,7 +73,7 @@ def small_adaptive(top: str = "", *, fd: bool = False, taxels: str = "") -> Cont
 def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, law: Companding) -> np.ndarray:
     """Return the payload of a group's frame, which is sent at once."""
     payload, is_fd = np.zeros(64, np.uint8), bool(groups.is_fd[0])
-    kind, of_frame, _ = place_of(identifier_of(0, group, groups), is_fd)
+    kind, of_frame, _ = decode_cob_id(identifier_of(0, group, groups), is_fd)
     length = make_payload(0, group, sums_n, law, groups, payload)
     note_sent(0, of_frame, now, kind >= LEVELS, RULE, law, groups, payload)
     return payload[:length]
