@@ -356,12 +356,12 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
                 table.setdefault("rate_hz", rate_hz)
     try:
         taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
-        measuring = msgspec.convert(tables.get("measurement", {}), PhiParameters)
+        parameters = msgspec.convert(tables.get("measurement", {}), PhiParameters)
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
-    blocks = max(1, taxels.count // measuring.block_size)
+    blocks = max(1, taxels.count // parameters.block_size)
     part = 1 if tables.get("sending") == "adaptive" else SUMS_PART
-    sums = blocks * max(1, measuring.block_size // part) if measuring.rows is None else len(measuring.rows)
+    sums = blocks * max(1, parameters.block_size // part) if parameters.rows is None else len(parameters.rows)
     tables.setdefault("measurement", {}).setdefault("sums", sums)
     buses = -(-blocks // NODES_PER_BUS)
     if "taxels" in tables:  # without taxels and buses the file is no layout
