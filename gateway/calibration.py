@@ -38,11 +38,11 @@ _ADAPTIVE: Final = (
 _TOO_FEW: Final = "fewer than half of the sums are valid: the zero is measured when they are"
 #: A measurement of the zero that takes longer is answered with the reason; it goes on.
 PATIENCE_S: Final = 8.0
-#: The zero is kept in a file so often.
+#: Time between two writes of the zero to its file.
 KEEP_S: Final = 60.0
 #: Requests that wait for an answer; more are refused.
 MOST_REQUESTS: Final = 8
-#: Longest content of a request: so many bytes for each sum and taxel, and some.
+#: Longest content of a request: bytes for each sum and taxel, and for all else.
 _NUMBER_BYTES: Final = 32
 _OTHER_BYTES: Final = 1 << 16
 

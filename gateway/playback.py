@@ -28,7 +28,7 @@ from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
-#: Adaptive sums are measured so often.
+#: Time between two measurements of adaptive sums.
 _ADAPTIVE_NS: Final = 10_000_000
 #: Between two adaptive measurements in a recording, on a clock of its own: longer than any period between two.
 _ADAPTIVE_TURN_S: Final = 10.0

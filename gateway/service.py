@@ -23,9 +23,9 @@ from skin.service import RateLimitedLog, StopSignal, request_real_time, say
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.
 TURN_S: Final = 0.01
-#: Calibration works when nothing is due for so long: it takes a millisecond, on a slow machine two.
+#: Calibration works when nothing is due within this time: it takes a millisecond, on a slow machine two.
 SPARE_S: Final = 0.004
-#: Images come for so long after the zero has been measured or followed.
+#: Time for which images come after the zero has been measured or followed.
 ZERO_S: Final = 0.1
 _NOTHING: Final = frames(0)
 

@@ -191,7 +191,7 @@ class Mismatch:
         require_number("deviation", self.deviation, 1.0)
 
     def gains(self, sums: int) -> SumGains:
-        """Return the gains of so many sums, read-only."""
+        """Return the gains of `sums` sums, read-only."""
         return _sum_gains(self, sums)
 
 
@@ -206,7 +206,7 @@ class SumOffset:
         require_number("deviation_n", self.deviation_n)
 
     def offsets_n(self, sums: int) -> Force:
-        """Return the offset of each of so many sums, newtons, read-only."""
+        """Return the offset of each of `sums` sums, newtons, read-only."""
         return _sum_offsets(self, sums)
 
 

@@ -112,7 +112,7 @@ class Sync(_Table, frozen=True, kw_only=True):
 
     `identity` tells how the gateway knows the cycle of a frame: by the SYNC before it (``window``), or besides by the
     identifiers of odd and even cycles (``alternating``). Adaptive sending has no cycles and does not use the key.
-    With `time_s` the gateway produces TIME, too (CiA 301, 7.2.6): after a SYNC, once in so many seconds.
+    With `time_s` the gateway produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.

@@ -207,7 +207,7 @@ def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
     groups: Groups,
     needs_look: npt.NDArray[np.bool_],
 ) -> None:
-    """Decide for groups that show what is known and need no refresh: nothing. Tell which nodes have others.
+    """Silence groups whose receivers are up to date and that need no refresh. Tell which nodes have other groups.
 
     Most nodes have none, and `decide` takes longer.
     """
@@ -367,7 +367,7 @@ def _has_budget(node: int, group: int, groups: Groups, controllers: Controllers)
         return True
     coarse = controllers.frame_bits[node, 0]
     frames_of_all = 1 if groups.is_fd[node] else GROUPS
-    # Details leave so much that every group can send a coarse frame.
+    # Details leave the bits of a coarse frame for every group.
     kept = frames_of_all * coarse if reason == DETAIL else 0
     return bool(controllers.saved[node] >= controllers.frame_bits[node, groups.is_fine[node, group]] + kept)
 
