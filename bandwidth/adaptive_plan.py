@@ -39,9 +39,9 @@ class AdaptiveNodePlan:
 class BudgetPlan:
     """What a budget (2034h) of `bits_per_s` for every node gives: bus load, and longest times; None without a bound.
 
-    `coarse_ms` and `fine_ms` are those of a node whose other groups, and all other nodes, spend their budgets;
-    `fine_ms` is that of details of a node whose coarse sums stay as they are. `full_ms`: the bus is full for so long
-    at most, with what nodes have saved up.
+    `coarse_ms` and `fine_ms` are bounds while every other group, of the node and of all others, spends its budget;
+    `fine_ms` bounds details of a node whose coarse sums stay as they are. `full_ms` is the longest time that the bus is
+    full, with what nodes have saved up.
     """
 
     bits_per_s: int

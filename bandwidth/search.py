@@ -16,7 +16,7 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, Measuring, Sync, Taxels, validated
+from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, PhiParameters, Sync, Taxels, validated
 
 CanKind = Literal["any", "classic", "fd"]
 
@@ -167,7 +167,7 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
     rows, columns = 1 << (power + 1) // 2, 1 << power // 2
     start = Layout(
         taxels=Taxels(rows=rows, columns=columns),
-        measurement=Measuring(sums=required.taxels // COMPRESSIONS[0]),
+        measurement=PhiParameters(sums=required.taxels // COMPRESSIONS[0]),
         sync=Sync(rate_hz=required.rate_hz),
         bus=[Bus(name="bus0", nodes=1)],
     )

@@ -142,7 +142,7 @@ def ms(value: float | None) -> str:
 
 
 def number(value: float | None, digits: int) -> str:
-    """Return a number with so many digits, or a dash."""
+    """Return a number with `digits` decimals, or a dash."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 

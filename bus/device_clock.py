@@ -16,14 +16,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-#: The least difference of each bucket of time is kept, for so many buckets.
+#: Length of a bucket of time, and number of buckets of which the least difference is kept.
 BUCKET_NS: Final = 1_000_000_000
 BUCKETS: Final = 16
 #: Buckets before the line is used.
 LEAST_BUCKETS: Final = 3
 #: After a longer pause the line is not used: nothing told how the clocks drifted.
 PAUSE_NS: Final = 2 * BUCKET_NS
-#: A device stamp so far from the line means that the device's clock began anew, or that the wall clock was set.
+#: A device stamp at this distance from the line: the device's clock began anew, or the wall clock was set.
 JUMP_NS: Final = 100_000_000
 
 

@@ -60,7 +60,7 @@ class Classifier:
         The Φ of the model.
     settling : float
         Weight of the newest cycle in the settled decision; with 1 every cycle is decided alone, except unknown objects.
-        A model of means (`Metadata.cycles` above 1) needs a stronger contact until so many cycles have come.
+        A model of means (`Metadata.cycles` above 1) needs a stronger contact until `cycles` cycles have come.
     """
 
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:

@@ -86,7 +86,7 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     unknown_slack : float
         Limits grow by the factor 1 + `unknown_slack` x fraction of missing blocks.
     cycles : int
-        Sums are means over so many cycles (`classifier.newest_sums.NewestSums`).
+        Number of cycles over which sums are means (`classifier.newest_sums.NewestSums`).
     sum_noise : float
         Variance of a sum that `Model.sum_loadings` do not explain; 0 without loadings.
     """

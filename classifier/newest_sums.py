@@ -13,7 +13,7 @@ from skin.measurement import Sbhe
 HOLD_CYCLES: Final = 4
 #: Variance of a mean of no sums, in place of infinity.
 _UNKNOWN: Final = 1e30
-#: Where nodes do not average, the classifier does, over cycles of about so much time.
+#: Where nodes do not average, the classifier averages the cycles of about this time.
 AVERAGED_S: Final = 0.04
 
 
@@ -31,8 +31,8 @@ class NewestSums:
     ----------
     phi : Sbhe
     cycles : int
-        More than one: means with exponential weights, whose noise is that of means of so many cycles. An old mean fades
-        in cycles without sums, too.
+        More than one: exponentially weighted means, as quiet as plain means of `cycles` cycles. An old mean fades in
+        cycles without sums, too.
 
     Attributes
     ----------

@@ -46,8 +46,8 @@ class Observer:
         Parameters
         ----------
         noise_ratio : float
-            Noise of the sums / noise of the sums that `no_touch` is of: an untouched skin then has so much larger
-            peaks, and the square of it more energy.
+            Noise of the sums / noise of the sums that `no_touch` is of. The peaks of an untouched skin grow with this
+            ratio, its energy with the square.
         """
         smoothed, standard, half = self.smoothed, self._standard, self._standard.size
         smoothed.measure(sums, valid, valid_ratio)

@@ -16,10 +16,11 @@ from skin.service import StopSignal
 
 #: Period of the check of the stop signal.
 _TURN_S = 0.1
-#: Measurements of so much time wait while the classifier pauses, and so many at least; older ones get no label.
+#: Measurements that wait while the classifier pauses: those of this time, and at least this number; older ones get no
+#: label.
 _WAITING_S: Final = 0.04
 _LEAST_WAITING: Final = 4
-#: Adaptive sums are decided on at most so often. The decision settles over cycles of this period.
+#: Least time between two decisions on adaptive sums. The decision settles over cycles of this period.
 PERIOD_S: Final = 0.01
 
 

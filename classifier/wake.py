@@ -20,8 +20,7 @@ class Wake:
     ----------
     state : Recognition
     ask : callable
-        Asks the gateway for images for so many seconds; may block. What it raises is logged, and not again before a
-        request has worked.
+        Asks the gateway for images, for a time in seconds; may block. Errors are logged once until a request works.
     clock : callable, optional
         Monotonic time in seconds.
     """

@@ -36,9 +36,9 @@ IDENTIFIERS: Final = GROUPS * NODES
 FIRST_COB_ID: Final = 0x181
 #: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
 PAUSE_MS: Final = 2
-#: A frame is given up for lost, with its echo, so long after it has expired.
+#: Time from a frame's expiry until frame and echo are given up for lost.
 LOST_NS: Final = 500_000_000
-#: A budget of bits can be saved up for so long, and for so many frames at least.
+#: A node can save up its budget of this time, and at least that of this number of frames.
 SAVING_S: Final = 0.25
 SAVED_FRAMES: Final = 2 * GROUPS
 #: Largest codes of the mean row, and on each side of 0 of the other rows.
@@ -75,7 +75,7 @@ class SendingRule(NamedTuple):
     level_ratio : float
         A level of urgency stands for this many doublings of difference over threshold.
     doubling : float
-        Waiting for so long counts as twice the difference.
+        A wait of this time counts as twice the difference.
     inhibit : int
         Least time between two frames of a group (the TPDOs' inhibit time).
     fine_ratio : float
@@ -85,11 +85,11 @@ class SendingRule(NamedTuple):
     refresh, refresh_max : int
         A group is sent again after this time, which doubles with each repetition.
     overdue : int
-        A refresh that waits so long goes up one level.
+        A refresh goes up one level after this wait.
     zero_refreshes : int
-        A group at zero is sent again so often.
+        Number of times that a group at zero is sent again.
     patience : int
-        News that has waited for so long has the highest level, and no other news has.
+        News has the highest level after this wait, and no other news has.
     """
 
     noise_ratio: float = 0.15
@@ -169,7 +169,7 @@ def cob_id(node: int, level: int, group: int, is_fine: bool) -> int:
 
 
 @njit(cache=True, nogil=True)
-def place_of(identifier: int, is_fd: bool) -> tuple[int, int, int]:
+def decode_cob_id(identifier: int, is_fd: bool) -> tuple[int, int, int]:
     """Return kind and level as a number (from `LEVELS` on: fine), group and node of an identifier.
 
     The number is -1 for identifiers that are no sums. The node is the node-ID less 1; the group is 0 on CAN FD.
@@ -182,7 +182,7 @@ def place_of(identifier: int, is_fd: bool) -> tuple[int, int, int]:
 
 def frame_of(identifier: int, *, is_fd: bool = False) -> tuple[int, int, int, bool]:
     """Return the node-ID, level, group (0 on CAN FD) and whether it is fine of an identifier of sums."""
-    kind, group, node = place_of(identifier, is_fd)
+    kind, group, node = decode_cob_id(identifier, is_fd)
     if kind < LEVELS:
         return node + 1, LEVELS - 1 - kind, group, False
     return node + 1, KINDS - 1 - kind, group, True

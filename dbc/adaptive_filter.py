@@ -33,7 +33,7 @@ JUMP_VARIANCE: Final = 8.0
 SWITCHING: Final = 0.001
 #: No model's weight falls below.
 LEAST_WEIGHT: Final = 1e-9
-#: Samples that a forecast looks ahead: the way to an image takes so long.
+#: Samples that a forecast looks ahead: the delay from a sample to its image.
 HORIZON: Final = 4.0
 
 LOG2_E: Final = np.float32(1.4426950408889634)
@@ -49,35 +49,36 @@ LOG2_SERIES: Final = tuple(2.8853900817779268 / odd for odd in range(1, 18, 2))
 ROOT_HALF: Final = np.float32(0.5**0.5)
 #: A taxel below this part of its noise is shown as 0.
 DEAD_RATIO: Final = 0.4
-#: Clipping is undone up to so many standard deviations; above, it has no effect.
+#: Clipping is undone up to this number of standard deviations; above, it has no effect.
 UNCLIP_REACH: Final = 6.0
 #: Values of `unclip_table`.
 UNCLIP_POINTS: Final = 1024
-#: No offset below so many standard deviations is told from one at it.
+#: Offsets below -2 standard deviations cannot be told from -2.
 _LOWEST: Final = -2.0
 
 #: Samples of the untouched skin that a board learns from when it is switched on, and that its filter has then seen.
 IDLE_SAMPLES: Final = 2000
 SETTLING_SAMPLES: Final = 300
-#: Noise is looked at in means of so many samples, so that coloured and common noise show.
+#: Samples of the means in which noise is looked at: longer means show coloured and common noise.
 SPANS: Final = (1, 4, 16)
 #: No noise is taken to be smaller, newtons: one count of the default skin.
 LEAST_NOISE_N: Final = 0.02e-3
 #: Noise that may be given (2032h, 2033h), besides 0 for the learned one, newtons, in REAL32.
 GIVEN_NOISE_N: Final = (float(np.float32(1e-9)), 1000.0)
 
-#: An offset follows this part of what is left in each sample, and falls at most by so much, newtons: 1 mN a second.
+#: An offset follows this part of what is left in each sample, and falls by `RATE_N` newtons a sample at most: 1 mN a
+#: second.
 FOLLOWING: Final = 1 / 128
 RATE_N: Final = 1e-6
-#: It comes back to that of power-up at most by so much in a sample, newtons, 0.5 mN a second, and rises above that at
-#: most by so much: 0.02 mN a second. What grows more slowly cannot be told from a drift.
+#: An offset returns to that of power-up by `RETURN_N` newtons a sample at most: 0.5 mN a second. It rises above that of
+#: power-up by `RISE_N` at most: 0.02 mN a second. What grows more slowly cannot be told from a drift.
 RETURN_N: Final = 5e-7
 RISE_N: Final = 2e-8
 #: No offset rises further above that of power-up, newtons: 5 % of the default full scale.
 HIGHEST_N: Final = 1e-3
 #: An offset is followed while the taxel and its neighbours in the patch show less than this part of their noise.
 QUIET_RATIO: Final = 0.6
-#: An offset that falls so far below 0, in units of the noise, is not followed further: nothing is left to be read.
+#: An offset is followed down to this value, in units of the noise: below it nothing is left to be read.
 LOWEST_RATIO: Final = -1.5
 #: Samples over which the size of the noise is looked at. It is believed so far: its logarithm moves by a quarter.
 WINDOW: Final = 256

@@ -15,7 +15,7 @@ RECORD_TEXT: Final = (
 
 
 def record_type(data_bytes: int) -> np.dtype[np.void]:
-    """Return the dtype of a record with so many bytes of data."""
+    """Return the dtype of a record with `data_bytes` bytes of data."""
     return np.dtype(
         [
             ("time_ns", "<i8"),

@@ -37,7 +37,7 @@ REST_S: Final = 1.5
 READY_PATIENCE_S: Final = 600.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
 TURN_S: Final = 0.1
-#: Where programs alone ask for images, the demo does, once in so many times that they come for.
+#: Where programs alone ask for images, the demo asks every `ASK_EVERY` · `hold_s` seconds.
 ASK_EVERY: Final = 2.0
 #: A start that takes longer is explained.
 SLOW_START_S: Final = 8.0

@@ -29,7 +29,7 @@ from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_names, step_rate_hz
 from skin.sync_counter import next_counter
 
-#: The boards sample the untouched skin for so long before the first cycle.
+#: Time before the first cycle in which the boards sample the untouched skin.
 REST_S: Final = 0.6
 
 

@@ -227,7 +227,7 @@ def _skin_rows(options: Options) -> list[Row]:
     less = Claim("less data is sent, faster acquisition", "skin evaluate rivals")
     gain_db = mean(each["image_db"] - each["sensor_db"] for each in found)
     complete_hz = layout.sync.rate_hz * sum(each["complete"] for each in found) / cycles
-    most_hz, few_hz = (highest_rate_hz(each) for each in (layout, load_layout(Path("recognition"))))
+    most_hz, few_hz = (mean_rate_hz(each) for each in (layout, load_layout(Path("recognition"))))
     ratio = mean(each["scan_kbit_per_s"] / each["sums_kbit_per_s"] for each in found)
     bits = f"bits on the bus: scan of all taxels, {SCAN_BITS} bits / sums, {layout.encoding.sum_bits} bits"
     compression = layout.taxels.count / layout.measurement.sums
@@ -243,7 +243,7 @@ def _skin_rows(options: Options) -> list[Row]:
     ]
 
 
-def highest_rate_hz(layout: Layout) -> float:
+def mean_rate_hz(layout: Layout) -> float:
     """Return the cycles a second that the buses of a layout carry with random data."""
     return min(bus.max_rate_hz_random for bus in plan(Contract.from_layout(layout)))
 

@@ -63,7 +63,7 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "frontend": _Subject("evaluation.schemes.frontend:evaluate"),
     "scaling": _Subject("evaluation.schemes.scaling:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
-    "recognition": _Subject("evaluation.recognition.beyond:evaluate", draws=True),
+    "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
     "postures": _Subject("evaluation.recognition.postures:evaluate", draws=True),
 }
 

@@ -95,13 +95,13 @@ class Firmware:
         """Return the node-IDs of the boards of bus number `bus`."""
         return frozenset(node_id for on, node_id in self._place if on == bus)
 
-    def boards(self, bus: int) -> "Boards":
+    def boards(self, bus: int) -> "CompiledBoards":
         """Return the boards of bus number `bus`, without power."""
-        return Boards(self._on(bus))
+        return CompiledBoards(self._on(bus))
 
-    def adaptive_boards(self, bus: int) -> "AdaptiveBoards":
+    def adaptive_boards(self, bus: int) -> "CompiledAdaptiveBoards":
         """Return the boards of bus number `bus`, which have not learned their noise; the layout sends adaptively."""
-        return AdaptiveBoards(self._on(bus))
+        return CompiledAdaptiveBoards(self._on(bus))
 
     def _on(self, bus: int) -> "_Place":
         places = sorted(place for (on, _), place in self._place.items() if on == bus)
@@ -119,7 +119,7 @@ class _Place(NamedTuple):
     most_samples: int
 
 
-class Boards:
+class CompiledBoards:
     """The boards of one bus: most methods take a time in seconds and return the frames that the boards send."""
 
     def __init__(self, place: _Place) -> None:
@@ -196,7 +196,7 @@ class Boards:
         return taken
 
 
-class AdaptiveBoards(Boards):
+class CompiledAdaptiveBoards(CompiledBoards):
     """The boards of one bus that sample by their own clock, and send sums when these carry news."""
 
     def __init__(self, place: _Place) -> None:

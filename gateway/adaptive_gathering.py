@@ -25,9 +25,9 @@ from gateway.adaptive_state import (
     take_all,
 )
 from gateway.block_states import judge, new_states
-from gateway.errands import Errands
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
+from gateway.sum_requests import SumRequests
 from skin.walsh import GROUPS
 
 #: Measurements in a second, with news and at least; the limits of other rates.
@@ -46,7 +46,7 @@ class _Bus:
     sums: BusSums
     is_proven: Flags
     has_changed: Flags
-    errands: Errands
+    sum_requests: SumRequests
     #: Nodes whose proof has just ended, by place: used from the next frames on.
     newly_proven: set[int]
     #: When the newest frame ended that is in the sums, 0 before the first.
@@ -137,7 +137,7 @@ class AdaptiveGathering:
         return self._published_s + (self._shortest_s if self._has_news else self._longest_s)
 
     @property
-    def rests_until_s(self) -> float:
+    def may_sleep_until_s(self) -> float:
         """Until when frames may wait unread: no measurement is made before, whatever the rates."""
         return self._published_s + 1 / RATE_MAX_HZ
 
@@ -148,7 +148,7 @@ class AdaptiveGathering:
             bus.newly_proven.add(place)
             return
         bus.newly_proven.discard(place)
-        bus.errands.lost(place)
+        bus.sum_requests.lost(place)
         bus.is_proven[place] = False
         self._forget(bus, place)
 
@@ -170,7 +170,7 @@ class AdaptiveGathering:
         self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
         mine.is_down = health.is_down
         if health.has_returned:
-            mine.errands.again()
+            mine.sum_requests.again()
         self._use_proven(mine, now_s)
 
     def begin(self, sync: Sync) -> list[Measurement]:
@@ -183,7 +183,7 @@ class AdaptiveGathering:
         for bus in self._buses.values():
             self._use_proven(bus, now_s)
             if not bus.is_down:
-                bus.errands.tick(now_s, self._shown.unknown[bus.blocks], self._shown.doubtful[bus.blocks])
+                bus.sum_requests.tick(now_s, self._shown.unknown[bus.blocks], self._shown.doubtful[bus.blocks])
 
     def measurements(self, now_s: float, wall_offset_ns: int) -> list[Measurement]:
         """Return the measurement that is due, if one is."""
@@ -240,7 +240,7 @@ class AdaptiveGathering:
             sums=self._sums.of(blocks),
             is_proven=self._is_proven[blocks],
             has_changed=self._has_changed[blocks],
-            errands=Errands(master, take_noise),
+            sum_requests=SumRequests(master, take_noise),
             newly_proven=set(),
         )
 
@@ -248,7 +248,7 @@ class AdaptiveGathering:
         for place in bus.newly_proven:
             self._forget(bus, place)
             bus.is_proven[place] = True
-            bus.errands.proven(place, now_s)
+            bus.sum_requests.proven(place, now_s)
         bus.newly_proven.clear()
 
     def _forget(self, bus: _Bus, place: int) -> None:

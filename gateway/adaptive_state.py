@@ -17,9 +17,9 @@ from dbc.adaptive import (
     LEVELS,
     NO_CHECK,
     Companding,
+    decode_cob_id,
     hold,
     payload_bytes,
-    place_of,
 )
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE
@@ -99,7 +99,7 @@ def take(  # noqa: PLR0917  compiled functions take no keywords
     can_id: int, length: int, payload: Any, ended_ns: int, law: Companding, sums: BusSums, is_fd: bool = False
 ) -> bool:
     """Use one frame; False where its identifier is not that of adaptive sums. `is_fd`: the bus carries CAN FD."""
-    kind, group, node = place_of(can_id, is_fd)
+    kind, group, node = decode_cob_id(can_id, is_fd)
     if kind < 0 or node >= sums.check.shape[0]:
         return False
     is_fine = kind >= LEVELS
@@ -156,7 +156,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         if row[_FLAGS] & (ERROR | ECHO):
             continue
         can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
-        kind, group, node = place_of(can_id, is_fd)
+        kind, group, node = decode_cob_id(can_id, is_fd)
         is_strange = row[_FLAGS] & (EXTENDED | REMOTE) != 0 or (row[_FLAGS] & FD != 0) != is_fd
         if is_strange or kind < 0 or node >= sums.check.shape[0]:
             sums.counts[FOREIGN] += 1

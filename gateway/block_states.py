@@ -11,12 +11,12 @@ from gateway.adaptive_state import NEVER_NS, BusSums, Flags, Integers
 from skin.compiled import njit
 from skin.walsh import GROUPS, grouped_rows
 
-#: A block is fresh for so long after a frame that counted.
+#: Time for which a block is fresh after a frame that counted.
 FRESH_NS: Final = 100_000_000
-#: A refresh waits at most so long for a full bus: after 500 ms it has the highest urgency.
+#: Longest wait of a refresh for a full bus: after 500 ms it has the highest urgency.
 OVERLOAD_NS: Final = 500_000_000
-#: Coarse and fine refreshes take turns, so that coarse ones are two refresh times apart. A group that is not zero is
-#: overdue so long after its newest coarse frame.
+#: Time from the newest coarse frame of a group that is not zero until the group is overdue. Coarse and fine refreshes
+#: take turns, so that coarse ones are two refresh times apart.
 OVERDUE_NS: Final = 2 * SendingRule().refresh_max * 1_000_000 + OVERLOAD_NS
 
 #: Plain numbers for compiled code.

@@ -38,11 +38,11 @@ _ADAPTIVE: Final = (
 _TOO_FEW: Final = "fewer than half of the sums are valid: the zero is measured when they are"
 #: A measurement of the zero that takes longer is answered with the reason; it goes on.
 PATIENCE_S: Final = 8.0
-#: The zero is kept in a file so often.
+#: Time between two writes of the zero to its file.
 KEEP_S: Final = 60.0
 #: Requests that wait for an answer; more are refused.
 MOST_REQUESTS: Final = 8
-#: Longest content of a request: so many bytes for each sum and taxel, and some.
+#: Longest content of a request: bytes for each sum and taxel, and for all else.
 _NUMBER_BYTES: Final = 32
 _OTHER_BYTES: Final = 1 << 16
 
@@ -63,7 +63,7 @@ class GatewayCalibration:
         What is used until the zero is measured.
     tares : bool
         Measure the zero at the start, and follow it.
-    run_aside : callable
+    submit : callable
         Calls what it is given, soon, in another thread: answers take milliseconds. By default at once.
     keeps : pathlib.Path, optional
         File for the zero, see `kept_zero`.
@@ -75,11 +75,11 @@ class GatewayCalibration:
         stored: StoredCalibration | None = None,
         *,
         tares: bool = True,
-        run_aside: Callable[[Callable[[], None]], object] = lambda function: function(),
+        submit: Callable[[Callable[[], None]], object] = lambda function: function(),
         keeps: Path | None = None,
     ) -> None:
         self._contract, self._is_adaptive = contract, contract.layout.sending == "adaptive"
-        self._run_aside, self._tares = run_aside, tares
+        self._submit, self._tares = submit, tares
         self._stored = stored or store(contract.layout)
         self._keeps, self._keep_at_s, self._could_not_keep = keeps, float("-inf"), False
         self._kept_n, self._now_s = self._stored.sum_offsets_n(), 0.0
@@ -174,7 +174,7 @@ class GatewayCalibration:
                     say("gateway", f"{path}: cannot keep the zero there: {error.strerror or error}")
                 self._could_not_keep = True
 
-        self._run_aside(write)
+        self._submit(write)
 
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Answer a request, write to nodes, read temperatures; call it many times a second."""
@@ -299,7 +299,7 @@ class GatewayCalibration:
 
     def _answer(self, reply: Reply, text: str, *, is_done: bool) -> None:
         answer = CalibrationReply(is_done=is_done, text=text, status=self.status())
-        self._run_aside(lambda: reply(answer))
+        self._submit(lambda: reply(answer))
 
     def _show(self, reply: Reply) -> None:
         status, offsets_n, known = self.status(), self._calibrator.offsets_n, self._stored
@@ -317,7 +317,7 @@ class GatewayCalibration:
             text = _ADAPTIVE if self._is_adaptive else "the calibration in use"
             reply(CalibrationReply(is_done=True, text=text, status=status, content=encoded(whole)))
 
-        self._run_aside(tell)
+        self._submit(tell)
 
 
 def kept_zero(path: Path, layout: Layout, stored: StoredCalibration | None) -> StoredCalibration | None:

@@ -76,10 +76,10 @@ class Collector:
         #: Frame format of the TPDOs on each bus: classic or CAN FD.
         self._kind = [FD if bus.fd else 0 for bus in contract.layout.bus]
         #: Blocks whose node is proven now; blocks whose node was proven during the whole cycle of a slot.
-        self._trusted = np.zeros(contract.phi.blocks, np.bool_)
+        self._proven_now = np.zeros(contract.phi.blocks, np.bool_)
         #: Whether complete blocks are left out whose frames may be of another cycle.
-        self.judges = True
-        self._proven = np.zeros((SLOTS, contract.phi.blocks), np.bool_)
+        self.leaves_out_doubtful = True
+        self._proven_all_cycle = np.zeros((SLOTS, contract.phi.blocks), np.bool_)
         self._node_of_block = np.repeat(np.arange(len(contract.nodes)), [node.blocks for node in contract.nodes])
         #: Buses with a foreign SYNC since the newest cycle was opened.
         self._disturbed = np.zeros(len(contract.layout.bus), np.bool_)
@@ -108,9 +108,9 @@ class Collector:
 
     def trust(self, blocks: slice, *, proven: bool) -> None:
         """Use the sums of `blocks` from the next cycle on if `proven`; else stop at once, in open cycles too."""
-        self._trusted[blocks] = proven
+        self._proven_now[blocks] = proven
         if not proven:
-            self._proven[:, blocks] = False
+            self._proven_all_cycle[:, blocks] = False
         if self._outstanding is not None:
             change = self._outstanding.prove if proven else self._outstanding.doubt
             change(self._node_of_block[blocks])
@@ -118,7 +118,7 @@ class Collector:
     @property
     def trusted(self) -> npt.NDArray[np.bool_]:
         """Blocks whose node is proven now, shape (blocks,)."""
-        return self._trusted.copy()
+        return self._proven_now.copy()
 
     def take_swapped(self) -> list[int]:
         """Return, once, the places of the nodes that answer each SYNC with the PDOs of the other phase."""
@@ -143,7 +143,7 @@ class Collector:
         self._seen[slot] = False
         self._spoilt[slot] = self._disturbed[self._table.bus]
         self._disturbed[:] = False
-        self._proven[slot] = self._trusted
+        self._proven_all_cycle[slot] = self._proven_now
         self._gathering[slot] = counter
         self._awaited[slot] = False
         self._awaited[slot, rows] = self.expected[self._table.node[rows]]
@@ -202,10 +202,10 @@ class Collector:
         missing = rows[~self._seen[slot, rows]]
         self.counts.missing += len(missing)
         np.add.at(self.missing_of_node, self._table.node[missing], 1)
-        whole = self._seen[slot, rows] & ~(self._spoilt[slot, rows] & self.judges)
+        whole = self._seen[slot, rows] & ~(self._spoilt[slot, rows] & self.leaves_out_doubtful)
         good, lost = rows[whole], self._table.gather[rows[~whole]]
         self._judge_phases(rows[self._seen[slot, rows]])
-        valid = self._proven[slot] & self._phi.has_sums
+        valid = self._proven_all_cycle[slot] & self._phi.has_sums
         valid[self._phi.block_of_sum[lost[lost >= 0]]] = False
         sums = np.zeros(self._phi.shape[0], np.int32)
         decode(self._payload[slot, good], self._table.gather[good], self._packing, sums)

@@ -90,9 +90,7 @@ def gateway(
     require_order(skin, links)
     answers = ThreadPoolExecutor(1, "calibration")
     answers.submit(int)  # the thread starts before the gateway's loop asks for real time, which threads inherit
-    calibrates = GatewayCalibration(
-        contract, stored, tares=tare == "at-start", run_aside=answers.submit, keeps=keep_zero
-    )
+    calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     fabric.answer(CALIBRATION, calibrates.ask)

@@ -28,7 +28,7 @@ class CycleGathering:
     """
 
     #: See `gateway.gathering.Gathering`.
-    rests_until_s = float("-inf")
+    may_sleep_until_s = float("-inf")
     disturbance = "its cycles are not valid"
 
     def __init__(self, contract: Contract) -> None:

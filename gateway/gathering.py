@@ -83,7 +83,7 @@ class Gathering(Protocol):
         ...
 
     @property
-    def rests_until_s(self) -> float:
+    def may_sleep_until_s(self) -> float:
         """Until when frames may wait unread: no measurement is made before."""
         ...
 

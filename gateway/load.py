@@ -8,8 +8,8 @@ from dbc.frame_bits import frame_time_ns
 from skin.layout import Bus
 
 
-class BusLoad:
-    """Load of one bus, since the last `look` and since SYNC started.
+class LoadMeter:
+    """Measures the load of one bus, since the last `look` and since SYNC started.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Gathering, Health, Sync
-from gateway.load import BusLoad
+from gateway.load import LoadMeter
 from gateway.nmt_master import NmtMaster
 from gateway.state_gathering import StateGathering
 from gateway.state_switch import StateSwitch
@@ -37,7 +37,7 @@ class _Bus:
     name: str
     send: Send
     master: NmtMaster
-    load: BusLoad
+    load: LoadMeter
     places: list[int]
     health: Health = field(default_factory=Health)
     #: SYNCs in a row that the transmit queue did not accept.
@@ -113,9 +113,9 @@ class GatewayLoop:
         return min(self.sync.due_s, self.gathering.due_s)
 
     @property
-    def rests_until_s(self) -> float:
+    def may_sleep_until_s(self) -> float:
         """Until when frames may wait unread."""
-        return min(self.sync.due_s, self.gathering.rests_until_s)
+        return min(self.sync.due_s, self.gathering.may_sleep_until_s)
 
     def take(
         self,
@@ -263,7 +263,7 @@ class GatewayLoop:
         wires = self._contract.layout.bus[number]
         master = NmtMaster(self._contract, number, send_one, self._trust, self._say)
         places = [place for place, node in enumerate(self._contract.nodes) if node.bus == number]
-        return _Bus(wires.name, send, master, BusLoad(wires, now_s), places)
+        return _Bus(wires.name, send, master, LoadMeter(wires, now_s), places)
 
     def _trust(self, node: NodeContract, proven: bool) -> None:
         self.gathering.trust(node, proven=proven)

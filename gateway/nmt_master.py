@@ -193,7 +193,7 @@ class NmtMaster:
             if is_under_way and now_s - node.trusted_s < SILENT_AFTER_S:
                 return
             node.nmt = state
-            self._lose(node, f"left OPERATIONAL: {state_text(state)}{node.explanation(now_s)}", now_s)
+            self._stop_using(node, f"left OPERATIONAL: {state_text(state)}{node.explanation(now_s)}", now_s)
             return
         node.nmt = state
         if was_silent and not node.trusted:
@@ -207,7 +207,7 @@ class NmtMaster:
             node.tries = 0
         node.refusal = ""
         if node.trusted:
-            self._lose(node, f"booted again{node.hint or node.explanation(now_s)}", now_s)
+            self._stop_using(node, f"booted again{node.hint or node.explanation(now_s)}", now_s)
         elif node.lost_s is None:
             node.prove_at_s = now_s
         else:
@@ -221,7 +221,7 @@ class NmtMaster:
                 node.nmt = COMMANDED[NmtCommand(command)]
                 if node.trusted:
                     state = state_text(node.nmt)
-                    self._lose(node, f"left OPERATIONAL: {state}, by another master's NMT command", now_s)
+                    self._stop_using(node, f"left OPERATIONAL: {state}, by another master's NMT command", now_s)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
 
@@ -239,7 +239,7 @@ class NmtMaster:
     def _doubt_written(self, node: NodeRecord, now_s: float) -> None:
         node.dialogue = None
         if node.trusted:
-            self._lose(node, "doubted: another master writes its configuration", now_s)
+            self._stop_using(node, "doubted: another master writes its configuration", now_s)
         elif node.refusal:
             node.prove_at_s = now_s
         node.prove_at_s = max(node.prove_at_s, node.foreign.free_s)
@@ -249,7 +249,7 @@ class NmtMaster:
         node = self.nodes[node_id]
         if node.trusted:
             why = "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
-            self._lose(node, why, now_s)
+            self._stop_using(node, why, now_s)
             self._command(NmtCommand.RESET_COMMUNICATION, node_id)
 
     # What time calls for
@@ -294,7 +294,7 @@ class NmtMaster:
         if node.nmt != SILENT and now_s - node.heard_s > SILENT_AFTER_S:
             node.nmt, node.refusal = SILENT, ""
             if node.trusted:
-                self._lose(node, f"silent: no heartbeat for {SILENT_AFTER_S:g} s", now_s)
+                self._stop_using(node, f"silent: no heartbeat for {SILENT_AFTER_S:g} s", now_s)
         if node.refusal and node.nmt == NmtState.OPERATIONAL:
             # Its PDOs may have identifiers of other nodes.
             self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
@@ -302,7 +302,7 @@ class NmtMaster:
         if node.trusted and now_s - node.trusted_s > STABLE_S:
             node.tries = 0
         if node.trusted and now_s - node.proven_s > limit_s:
-            self._lose(node, f"not proven for {now_s - node.proven_s:.0f} s", now_s)
+            self._stop_using(node, f"not proven for {now_s - node.proven_s:.0f} s", now_s)
 
     def _bring_back(self, node: NodeRecord, now_s: float) -> None:
         """Begin to prove a node that is not in use; the node is started when the proof succeeds."""
@@ -330,7 +330,7 @@ class NmtMaster:
     def _begin(self, node: NodeRecord, now_s: float) -> None:
         def doubt() -> None:
             if node.trusted:
-                self._lose(node, "doubted: its configuration is not that of the layout", now_s)
+                self._stop_using(node, "doubted: its configuration is not that of the layout", now_s)
 
         node.began_s = now_s
         steps = prove(node.settings, node.signature, write=self._write, doubt=doubt)
@@ -360,9 +360,9 @@ class NmtMaster:
         # A proof holds from its oldest read: with a signature the last transfer, without one the first.
         node.refusal, node.proven_s = "", dialogue.asked_s if proof.has_signature else node.began_s
         if not node.trusted:
-            self._let_in(node, now_s)
+            self._start_using(node, now_s)
 
-    def _let_in(self, node: NodeRecord, now_s: float) -> None:
+    def _start_using(self, node: NodeRecord, now_s: float) -> None:
         """Use the sums of a proven node and start it; attempts before its first start are not counted."""
         node.trusted, node.trusted_s, node.hint = True, now_s, ""
         self._trust(node.contract, True)
@@ -376,7 +376,7 @@ class NmtMaster:
         else:
             node.tries = 0  # the first start, not a restart
 
-    def _lose(self, node: NodeRecord, why: str, now_s: float) -> None:
+    def _stop_using(self, node: NodeRecord, why: str, now_s: float) -> None:
         """Use no more sums of a node; try to restart it after a pause."""
         node.trusted, node.errand = False, None
         self._trust(node.contract, False)

@@ -38,7 +38,7 @@ LISTEN_PERIODS: Final = 3
 LISTEN_S: Final = 0.2
 #: Longest wait for the frames of a cycle: those of a busy computer come late, but not late on the bus.
 PATIENCE_S: Final = 0.5
-#: Frames are looked for so often when the period is over.
+#: Time between two looks for frames when the period is over.
 LOOK_S: Final = 0.005
 #: SYNC messages for each test pattern.
 CYCLES: Final = 4

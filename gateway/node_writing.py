@@ -15,7 +15,7 @@ from skin.ranges import ranges_text
 MOST_AT_ONCE: Final = 4
 #: Attempts to write to a node.
 ATTEMPTS: Final = 3
-#: A node that cannot be written to for so long is given up: it is not there, or not proven.
+#: Time after which a node that cannot be written to is given up: it is not there, or not proven.
 PATIENCE_S: Final = 20.0
 
 

@@ -5,8 +5,8 @@ runs in a timer of 1 ms gives up late: after the next SYNC, if the window ends l
 frame that did not come in a cycle may come in the next. There it would pass for the answer to the new SYNC.
 
 Where nodes have two states, a SYNC asks for the frames of one. A node that missed the switch sends the others.
-So after SYNCs that asked for other frames, the first answers are doubtful, whatever came, and those of a node that sent
-meanwhile the second answers, too.
+So after SYNCs that asked for other frames, the first cycle is doubtful. Where a node strayed (it sent meanwhile), the
+second cycle is doubtful, too.
 """
 
 import numpy as np

@@ -28,7 +28,7 @@ from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
-#: Adaptive sums are measured so often.
+#: Time between two measurements of adaptive sums.
 _ADAPTIVE_NS: Final = 10_000_000
 #: Between two adaptive measurements in a recording, on a clock of its own: longer than any period between two.
 _ADAPTIVE_TURN_S: Final = 10.0
@@ -52,7 +52,7 @@ class Playback:
         Wall clock minus the clock of the frames.
     calibrator : Calibrator, optional
         Puts offsets into the measurements.
-    judges : bool
+    leaves_out_doubtful : bool
         Find out which complete blocks a gateway uses. Otherwise all complete blocks are valid: who has the live
         validity knows better.
 
@@ -70,7 +70,7 @@ class Playback:
         wall_offset_ns: int = 0,
         *,
         calibrator: Calibrator | None = None,
-        judges: bool = True,
+        leaves_out_doubtful: bool = True,
     ) -> None:
         self.cycles = 0
         self._calibrator = calibrator
@@ -85,11 +85,11 @@ class Playback:
         for node in contract.nodes:
             if node.bus in sends:
                 self._loop.gathering.trust(node, proven=True)
-        if not judges and isinstance(self._loop.gathering, CycleGathering):
-            self._loop.gathering.collector.judges = False
+        if not leaves_out_doubtful and isinstance(self._loop.gathering, CycleGathering):
+            self._loop.gathering.collector.leaves_out_doubtful = False
         self._nodes = {(node.bus, node.node_id): node for node in contract.nodes}
         self._proofs = {
-            number: InferredProofs([node.node_id for node in contract.on_bus(number)] if judges else ())
+            number: InferredProofs([node.node_id for node in contract.on_bus(number)] if leaves_out_doubtful else ())
             for number in sends
         }
         self._waiting: dict[int, list[Frames]] = {number: [] for number in sends}

@@ -105,7 +105,7 @@ class GatewayService:
 
         The clock is read before each step: any step may be delayed, and the lateness of SYNC must be known.
         """
-        rest_s = min(self.loop.rests_until_s - self._clock(), TURN_S)
+        rest_s = min(self.loop.may_sleep_until_s - self._clock(), TURN_S)
         if rest_s > 0:
             time.sleep(rest_s)
         timeout_s = max(0.0, min(self.loop.due_s - self._clock(), TURN_S))

@@ -26,7 +26,7 @@ class StateGathering:
     """
 
     #: See `gateway.gathering.Gathering`.
-    rests_until_s = float("-inf")
+    may_sleep_until_s = float("-inf")
     disturbance = CycleGathering.disturbance
 
     def __init__(self, contract: Contract) -> None:

@@ -17,12 +17,13 @@ from dbc.contract import Contract
 from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames, one_frame
 
-#: After a switch the RPDO is sent again at so many SYNCs, then once in `REPEAT_S`.
+#: SYNCs after a switch at which the RPDO is sent again; then it is sent once in `REPEAT_S`.
 REPEATS: Final = 3
 REPEAT_S: Final = 0.25
-#: The gateway waits for the RPDO on every bus for at most so many SYNCs: a bus may be dead.
+#: Most SYNCs for which the gateway waits for the RPDO on every bus: a bus may be dead.
 PATIENCE_SYNCS: Final = 3
-#: A switch begins so many periods of recognition before a SYNC, or after it: nodes and gateway change at one SYNC.
+#: Least time from a switch to the next SYNC, periods of recognition; a later switch begins after this SYNC. So nodes
+#: and gateway change at one SYNC.
 MARGIN: Final = 0.25
 
 

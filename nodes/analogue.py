@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from nodes.electronics import Electronics
-from skin.defects import Force, of_sums
+from skin.defects import Force, split_by_target
 from skin.frontend import SumConverter, SumModel, converter, row_times_s
 from skin.layout import Layout
 from skin.measurement import Sbhe
@@ -49,7 +49,7 @@ class AnalogueElectronics(Electronics):
         seed: int = 0,
         defects: Mapping[str, Any] | None = None,
     ) -> None:
-        of_taxels, made_of_sums = of_sums(defects or {})
+        of_taxels, made_of_sums = split_by_target(defects or {})
         super().__init__(layout.taxels, noise_n=noise_n, seed=seed, defects=of_taxels, period_s=layout.sync.period_s)
         self._phi = phi
         self._sum_model = SumModel(**made_of_sums)

@@ -9,23 +9,23 @@ from dbc.codec import encode
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.indices import split_block
-from nodes.tpdo import Tpdo
+from nodes.tpdo import LiveTpdo
 from skin.sync_counter import SYNC_OVERFLOW
 
 _ANY_STATE: Final = -1
 
 
 class Burst:
-    """Plain TPDOs (`Tpdo.is_plain`), compiled from the present values of the nodes' dictionaries.
+    """Plain TPDOs (`LiveTpdo.is_plain`), compiled from the present values of the nodes' dictionaries.
 
     Parameters
     ----------
     contract : Contract
-    tpdos : list of (int, NodeContract, Tpdo)
+    tpdos : list of (int, NodeContract, LiveTpdo)
         Place of the node in the segment, the node, and the PDO.
     """
 
-    def __init__(self, contract: Contract, tpdos: list[tuple[int, NodeContract, Tpdo]]) -> None:
+    def __init__(self, contract: Contract, tpdos: list[tuple[int, NodeContract, LiveTpdo]]) -> None:
         self._packing = contract.packing
         self._node = np.array([place for place, _, _ in tpdos], np.intp)
         self._every = np.array([tpdo.every for *_, tpdo in tpdos], np.intp)

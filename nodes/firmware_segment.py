@@ -10,7 +10,7 @@ from bus.link import DISCARDED, Send
 from dbc.canopen import HEARTBEAT_BASE, LAST_SYNCHRONOUS, SYNC_COB_ID, is_of_node
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
-from firmware.library import Boards, Firmware
+from firmware.library import CompiledBoards, Firmware
 from nodes.sampler import CountSampler
 from nodes.segment import TICK_S
 from nodes.synchronous_segment import expects_sync
@@ -24,7 +24,7 @@ class BoardsSegment(ABC):
     contract : Contract
     bus : int
         Number of the bus in the layout.
-    boards : Boards
+    boards : CompiledBoards
         Those of this bus.
     node_ids : collection of int
     send : callable
@@ -45,7 +45,7 @@ class BoardsSegment(ABC):
         self,
         contract: Contract,
         bus: int,
-        boards: Boards,
+        boards: CompiledBoards,
         node_ids: Collection[int],
         send: Send,
         *,

@@ -57,7 +57,7 @@ from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from nodes.network import SegmentNetwork
 from nodes.objects import LocalNode, object_dictionary
 from nodes.storage import Parameters, Storage
-from nodes.tpdo import Tpdo, read_tpdos
+from nodes.tpdo import LiveTpdo, read_tpdos
 
 #: Objects whose write is a command; a read tells that the node offers the command.
 _COMMANDS: Final = (OD_STORE, OD_RESTORE)
@@ -89,9 +89,9 @@ class SkinNode:
     state : NmtState
     health : array of int, shape (4,)
         SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
-    tpdos : list of Tpdo
+    tpdos : list of LiveTpdo
         The PDOs that exist now; `refresh` reads them again after a write.
-    sends : int
+    active_state : int
         The state whose TPDOs are sent: 2008h:1 as of the newest SYNC.
     """
 
@@ -108,8 +108,8 @@ class SkinNode:
         self.contract = contract
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
-        self.tpdos: list[Tpdo] = []
-        self.sends = self._wanted = SkinState.RECOGNITION
+        self.tpdos: list[LiveTpdo] = []
+        self.active_state = self._wanted = SkinState.RECOGNITION
         self._states = _states_of_tpdos(contract, objects)
         self._settings = settings
         self._signature: int | None = None
@@ -159,7 +159,7 @@ class SkinNode:
                     store.setdefault(index, {})[subindex] = data
         if not communication_only:
             self._reset_electronics()
-        self.sends = self._wanted = SkinState.RECOGNITION
+        self.active_state = self._wanted = SkinState.RECOGNITION
         self._signature = None
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
@@ -214,7 +214,7 @@ class SkinNode:
 
     def take_sync(self) -> None:
         """Take over the state that was wanted before this SYNC."""
-        self.sends = self._wanted
+        self.active_state = self._wanted
 
     @property
     def due_s(self) -> float:
@@ -251,11 +251,11 @@ class SkinNode:
                     self.send(tpdo, payload)
 
     @property
-    def tpdos_of_state(self) -> list[Tpdo]:
+    def tpdos_of_state(self) -> list[LiveTpdo]:
         """The PDOs that exist and are sent in the present state."""
-        return [tpdo for tpdo in self.tpdos if tpdo.state in (None, self.sends)]
+        return [tpdo for tpdo in self.tpdos if tpdo.state in (None, self.active_state)]
 
-    def send(self, tpdo: Tpdo, payload: bytes) -> None:
+    def send(self, tpdo: LiveTpdo, payload: bytes) -> None:
         """Send one TPDO outside a burst."""
         self.health[1] += self._network.send_pdo(tpdo.cob_id, payload, self.contract.flags)
 

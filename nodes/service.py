@@ -27,8 +27,8 @@ TURN_S: Final = 0.005
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for the last echoes when the process ends.
 LAST_FRAMES_S: Final = 0.5
-#: With several buses, the next cycle is sampled ahead from so many periods after a SYNC on: all buses have had their
-#: answers by then.
+#: With several buses, the next cycle is sampled ahead from this part of the period after a SYNC on: all buses have had
+#: their answers by then.
 PREPARE_FROM: Final = 0.3
 
 

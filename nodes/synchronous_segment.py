@@ -17,7 +17,7 @@ from nodes.burst import Burst
 from nodes.node import SkinNode
 from nodes.sampler import Sampler
 from nodes.segment import Segment
-from nodes.tpdo import Tpdo
+from nodes.tpdo import LiveTpdo
 
 #: Time from the end of the SYNC frame to a node's answer, on the clock of the bus; typical of a microcontroller.
 REACTION_NS: Final = 100_000
@@ -83,7 +83,7 @@ class SynchronousSegment(Segment):
     def _answer(self, counter: int, time_ns: int) -> None:
         sums = self._sampler.sample(counter, time_ns, self._bus)
         operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
-        states = np.array([node.sends for node in self.nodes], np.intp)
+        states = np.array([node.active_state for node in self.nodes], np.intp)
         burst = self._burst.frames(counter, sums, operational, states)
         burst["time_ns"] = time_ns + REACTION_NS
         self._newest_window_ns[self._node_ids] = self._window_ns[self._node_ids, states]
@@ -94,7 +94,7 @@ class SynchronousSegment(Segment):
         for node_id, sent in zip(*np.unique(burst["port"][:accepted], return_counts=True), strict=True):
             self._by_id[int(node_id)].health[1] += sent
         for node, tpdo in self._mixed:
-            if node.state is NmtState.OPERATIONAL and tpdo.state in (None, node.sends):
+            if node.state is NmtState.OPERATIONAL and tpdo.state in (None, node.active_state):
                 payload = tpdo.at_sync(counter, node.local)
                 if payload is not None:
                     node.send(tpdo, payload)
@@ -115,8 +115,8 @@ class SynchronousSegment(Segment):
     def _compile(self, changed: Collection[SkinNode]) -> None:
         """Split the TPDOs into plain TPDOs, which `Burst` sends as arrays, and the others."""
         super()._compile(changed)
-        plain: list[tuple[int, NodeContract, Tpdo]] = []
-        self._mixed: list[tuple[SkinNode, Tpdo]] = []
+        plain: list[tuple[int, NodeContract, LiveTpdo]] = []
+        self._mixed: list[tuple[SkinNode, LiveTpdo]] = []
         self._pdo_ids = [tpdo.cob_id for node in self.nodes for tpdo in node.tpdos]
         for place, node in enumerate(self.nodes):
             window_us = node.local.unsigned(OD_WINDOW_US)

@@ -13,8 +13,8 @@ from skin.sync_counter import SYNC_OVERFLOW
 
 
 @dataclass
-class Tpdo:
-    """A transmit PDO.
+class LiveTpdo:
+    """A transmit PDO as the object dictionary of a running node has it now.
 
     Attributes
     ----------
@@ -93,13 +93,13 @@ def is_turn(every: int, start: int, counter: int, syncs: int) -> bool:
     return syncs % every == 0
 
 
-def read_tpdos(node: LocalNode, states: Mapping[int, int | None]) -> list[Tpdo]:
+def read_tpdos(node: LocalNode, states: Mapping[int, int | None]) -> list[LiveTpdo]:
     """Read the existing TPDOs from a node's dictionary; a TPDO with an unreadable mapping does not exist.
 
     Parameters
     ----------
     states : mapping of int to int or None
-        `Tpdo.state` of each TPDO, by its number.
+        `LiveTpdo.state` of each TPDO, by its number.
     """
     found = []
     for number, state in states.items():
@@ -113,7 +113,7 @@ def read_tpdos(node: LocalNode, states: Mapping[int, int | None]) -> list[Tpdo]:
     return found
 
 
-def _read(node: LocalNode, communication: int, mapping: int) -> Tpdo | None:
+def _read(node: LocalNode, communication: int, mapping: int) -> LiveTpdo | None:
     cob_id = node.unsigned(communication, 1)
     entries = [node.unsigned(mapping, place) for place in range(1, node.unsigned(mapping, 0) + 1)]
     length = (sum(entry & 0xFF for entry in entries) + 7) // 8
@@ -121,7 +121,7 @@ def _read(node: LocalNode, communication: int, mapping: int) -> Tpdo | None:
         return None
     if any(node.mappable_bits(entry >> 16, entry >> 8 & 0xFF) != entry & 0xFF for entry in entries):
         return None
-    return Tpdo(
+    return LiveTpdo(
         cob_id=cob_id & BASE_ID_MASK,
         every=node.unsigned(communication, 2),
         start=node.unsigned(communication, 6),

@@ -42,9 +42,9 @@ class ContactSettings:
         A contact has a peak of its own while its largest force is more than this times the force of the pass to the
         next.
     memory_s : float
-        A contact without a region is remembered for so long.
+        How long a contact without a region is remembered.
     reach : float
-        A remembered contact may come back so far from where it was, in taxels.
+        How far from its last place a remembered contact may come back, in taxels.
 
     Raises
     ------

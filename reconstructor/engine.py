@@ -15,12 +15,12 @@ from skin.measurement import Sbhe
 #: Noise of one sum of 32 untouched taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.
 SUM_NOISE_N: Final = 0.0033
 #: λ = `penalty_n` is right for averaged sums whose noise floor (`TemporalFilter.noise_n`) is this, where 10 samples are
-#: averaged from SYNC to SYNC: with 1 mN of noise the floor is a quarter. Of 0.1 to 1.2, a quarter gives the best images
-#: on the scenes of `skin evaluate rivals` but for 0.2 dB.
+#: averaged from SYNC to SYNC: with 1 mN of noise the floor is a quarter. On the scenes of `skin evaluate rivals`
+#: a quarter is within 0.2 dB of the best of 0.1 to 1.2.
 AVERAGED_SUM_NOISE_N: Final = 0.00019
 AVERAGED_SAMPLES: Final = 10
-#: Nodes average less while a touch moves. So λ grows with the root of the sums' change from cycle to cycle, where the
-#: change is more than so many times the noise floor, by at most this factor.
+#: Nodes average less while a touch moves. So λ grows with the root of the sums' change from cycle to cycle, where
+#: change / noise floor is above `MOVING_FROM`, by `MOVING_MOST` at most.
 MOVING_FROM: Final = 10.0
 MOVING_MOST: Final = 4.0
 #: The slowest average of a node forgets this part from sample to sample.

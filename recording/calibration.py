@@ -16,7 +16,7 @@ from skin.service import StopSignal
 _SHOW_S: Final = 2.0
 #: Pause before a request that was not answered is repeated.
 _AGAIN_S: Final = 1.0
-#: The stop signal is looked at so often.
+#: Period of the check of the stop signal.
 _TURN_S: Final = 0.1
 
 

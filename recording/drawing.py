@@ -22,7 +22,7 @@ LINE: Final = 24
 _TEXT: Final = 14
 _HATCH_GROUND: Final = (0x8A, 0x90, 0x97)
 _HATCH_LINE: Final = (0x4D, 0x53, 0x5A)
-#: A picture that is no longer current keeps so much of its brightness, without its colours.
+#: Part of the brightness that a picture keeps, without its colours, when it is no longer current.
 _OLD: Final = 0.4
 
 Picture = npt.NDArray[np.uint8]

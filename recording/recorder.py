@@ -13,7 +13,7 @@ from recording.sinks import Sink
 from skin.mcap_file import EVENTS, RECORDER, File
 from skin.service import StopSignal, say
 
-#: Frames are read in batches, so often. Links keep some thousands of frames.
+#: Time between two batches of frames that are read. Links keep some thousands of frames.
 TURN_S: Final = 0.05
 #: All that is older than this, and one turn, is in the file after a crash.
 FLUSH_S: Final = 0.5

@@ -19,7 +19,7 @@ from recording.steps import Step
 from skin.layout import Layout
 from skin.service import StopSignal
 
-#: Adaptive sums are labelled so often, on the clock of the run.
+#: Time between two labels of adaptive sums, on the clock of the run.
 _LABEL_NS: Final = round(1e9 / 100)
 
 

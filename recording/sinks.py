@@ -26,7 +26,7 @@ from skin.output import RECORDING_SUFFIX
 WITHOUT_CHANNELS: Final = (".csv", ".db")
 #: The format whose channels have names; the others number them.
 _NAMED: Final = ".log"
-#: A log has its frames in the order of time: frames of several buses wait so long for each other.
+#: Time that frames of several buses wait for each other: a log has its frames in the order of time.
 _ORDER_NS: Final = 100_000_000
 #: Libraries whose versions a recording names.
 _LIBRARIES: Final = ("canskin", "eclipse-zenoh", "python-can", "numpy", "mcap")
@@ -220,7 +220,7 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
 
 
 def check_log(path: Path, buses: int) -> None:
-    """Check that a log of so many buses can have the format of `path`.
+    """Check that a log of `buses` buses can have the format of `path`.
 
     Raises
     ------

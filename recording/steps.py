@@ -34,13 +34,13 @@ from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.sync_counter import next_counter
 
-#: Frames of all buses are in the file so long after their end.
+#: Time after the end of frames at which those of all buses are in the file.
 _FRAMES_NS: Final = 1_000_000_000
-#: An image and a label come at most so long after their measurement: the first label waits for compiled code.
+#: Longest time from a measurement to its image and label: the first label waits for compiled code.
 _ANSWERS_NS: Final = 15_000_000_000
 #: Time between two statuses that are made of frames.
 _STATUS_NS: Final = 200_000_000
-#: A SYNC is at most so many of its periods after the time in its measurement: half of the numbers of SYNC.
+#: Most periods from the time in a measurement to its SYNC: half of the numbers of SYNC.
 _FAR_CYCLES: Final = 120
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
 _AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
@@ -55,7 +55,7 @@ class Step:
     time_ns : int
         On the wall clock of the run.
     topic, message : Topic, Struct
-        Of frames the topic is None, and the message the number of their bus and the frames.
+        CAN frames: topic None, message (number of the bus, frames).
     recorded : Measurement or None
         Of a measurement: the recorded one, or that before if it was lost.
     was_lost : bool
@@ -263,7 +263,7 @@ class _Recorded:
                 start_ns,
                 self._offset_ns,
                 calibrator=self._calibrator,
-                judges=not self._measures,
+                leaves_out_doubtful=not self._measures,
             )
         self._playback.feed(self._buses[entry.topic], seen)
 
@@ -352,11 +352,11 @@ class _Recorded:
                 step.image, step.makes_image = self._images.of(step.recorded)
                 step.label, step.makes_label = self._labels.of(step.recorded)
                 if self._uses_frames:
-                    known = self._told(step) if step.was_lost else step.recorded
+                    known = self._header_of_lost(step) if step.was_lost else step.recorded
                     step.message = as_live(step.message, known, self._contract)
             yield step
 
-    def _told(self, step: Step) -> Measurement:
+    def _header_of_lost(self, step: Step) -> Measurement:
         """Return the header of a lost measurement, with what its image or its label tells."""
         header: Measurement = step.message if step.recorded is None else step.recorded
         answer = step.image or step.label

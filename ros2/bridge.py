@@ -14,7 +14,7 @@ from skin.service import LOOK_S, StopSignal
 from viewer.arrivals import Arrivals
 from viewer.state import ViewState
 
-#: Diagnostics are published so often, as `diagnostic_updater` does.
+#: Period of diagnostics, that of `diagnostic_updater`.
 DIAGNOSTICS_S: Final = 1.0
 TARE: Final = "tare"
 

@@ -18,7 +18,7 @@ from viewer.state import FRESH_S, ViewState
 SERVICE: Final = "show"
 #: What a `Painter` takes.
 TOPICS: Final = (CLOCKS, IMAGE, CONTACTS, LABEL, GATEWAY)
-#: Notices are looked for so often.
+#: Period of the search for notices.
 NOTICES_S: Final = 1.0
 #: After this time without an image contacts are no longer drawn.
 _FRESH_NS: Final = round(FRESH_S * 1e9)

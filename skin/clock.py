@@ -3,7 +3,7 @@
 import time
 from typing import Final, NamedTuple
 
-#: The best of so many readings: a process may be interrupted between two clocks.
+#: Readings of which the best is taken: a process may be interrupted between two clocks.
 _READINGS: Final = 3
 
 

@@ -191,7 +191,7 @@ class Mismatch:
         require_number("deviation", self.deviation, 1.0)
 
     def gains(self, sums: int) -> SumGains:
-        """Return the gains of so many sums, read-only."""
+        """Return the gains of `sums` sums, read-only."""
         return _sum_gains(self, sums)
 
 
@@ -206,7 +206,7 @@ class SumOffset:
         require_number("deviation_n", self.deviation_n)
 
     def offsets_n(self, sums: int) -> Force:
-        """Return the offset of each of so many sums, newtons, read-only."""
+        """Return the offset of each of `sums` sums, newtons, read-only."""
         return _sum_offsets(self, sums)
 
 
@@ -302,7 +302,7 @@ def parse_defects(texts: Iterable[str], seed: int, *, is_analogue: bool = False)
     seed : int
         Seed of the choice of taxels.
     is_analogue : bool
-        The front end is analogue: defects of sums may be among them, see `of_sums`.
+        The front end is analogue: defects of sums may be among them, see `split_by_target`.
 
     Raises
     ------
@@ -329,7 +329,7 @@ def parse_defects(texts: Iterable[str], seed: int, *, is_analogue: bool = False)
         raise InputError(f"--defect {error}") from error
 
 
-def of_sums(defects: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def split_by_target(defects: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Divide defects, with the drifts of `skin.zero_drift.parse_drifts`, into those of taxels and those of sums."""
     sums = {name: each for name, each in defects.items() if name in {*SUM_KINDS, "sum_drifts"}}
     return {name: each for name, each in defects.items() if name not in sums}, sums

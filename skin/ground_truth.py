@@ -22,7 +22,7 @@ REMEMBERED: Final = SYNC_OVERFLOW
 #: There is contact if the largest true force is at least this part of the range: twice the sensor noise.
 CONTACT_RATIO: Final = 0.1
 
-#: Adaptive: an image is on show until the next, for so long at most; then the reconstructor has stopped.
+#: Adaptive: an image is on show until the next, at most for this time; then the reconstructor has stopped.
 SHOWN_NS: Final = 500_000_000
 #: Adaptive: most images that are kept until the truth of their time comes, and most truths.
 IMAGES_KEPT: Final = 512

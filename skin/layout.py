@@ -90,7 +90,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
         return self.force_max_n / self.count_max
 
 
-class Measuring(_Table, frozen=True, kw_only=True):
+class PhiParameters(_Table, frozen=True, kw_only=True):
     """The parameters from which Φ is drawn."""
 
     ensemble: Literal["sbhe"] = "sbhe"
@@ -112,7 +112,7 @@ class Sync(_Table, frozen=True, kw_only=True):
 
     `identity` tells how the gateway knows the cycle of a frame: by the SYNC before it (``window``), or besides by the
     identifiers of odd and even cycles (``alternating``). Adaptive sending has no cycles and does not use the key.
-    With `time_s` the gateway produces TIME, too (CiA 301, 7.2.6): after a SYNC, once in so many seconds.
+    With `time_s` the gateway produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.
@@ -201,7 +201,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     # Sums at every SYNC, or whenever they carry news.
     sending: Literal["synchronous", "adaptive"] = "synchronous"
     taxels: Taxels = msgspec.field(default_factory=Taxels)
-    measurement: Measuring = msgspec.field(default_factory=Measuring)
+    measurement: PhiParameters = msgspec.field(default_factory=PhiParameters)
     sync: Sync = msgspec.field(default_factory=Sync)
     sampling: Sampling = msgspec.field(default_factory=Sampling)
     encoding: Encoding = msgspec.field(default_factory=Encoding)
@@ -356,12 +356,12 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
                 table.setdefault("rate_hz", rate_hz)
     try:
         taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
-        measuring = msgspec.convert(tables.get("measurement", {}), Measuring)
+        parameters = msgspec.convert(tables.get("measurement", {}), PhiParameters)
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
-    blocks = max(1, taxels.count // measuring.block_size)
+    blocks = max(1, taxels.count // parameters.block_size)
     part = 1 if tables.get("sending") == "adaptive" else SUMS_PART
-    sums = blocks * max(1, measuring.block_size // part) if measuring.rows is None else len(measuring.rows)
+    sums = blocks * max(1, parameters.block_size // part) if parameters.rows is None else len(parameters.rows)
     tables.setdefault("measurement", {}).setdefault("sums", sums)
     buses = -(-blocks // NODES_PER_BUS)
     if "taxels" in tables:  # without taxels and buses the file is no layout

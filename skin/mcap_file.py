@@ -42,7 +42,7 @@ EVENTS: Final = "events"
 #: The recorder's own counters.
 RECORDER: Final = "recorder"
 
-#: A chunk is compressed and written when it holds so many bytes, or at `RecordingWriter.flush`.
+#: Size at which a chunk is compressed and written; `RecordingWriter.flush` writes smaller ones.
 _CHUNK_BYTES: Final = 1 << 20
 #: A longer record is damage.
 _LONGEST_RECORD: Final = 1 << 28
@@ -370,7 +370,7 @@ def _records_of(chunk: Chunk) -> list[Any]:
 
 
 def _indexed_records(file: BinaryIO, chunks: int) -> Iterator[Any]:
-    """Yield the records of all chunks but the first so many, by the index of a closed file."""
+    """Yield the records of all chunks after the first `chunks`, by the index of a closed file."""
     indexes = []
     file.seek(0)
     with contextlib.suppress(*_DAMAGE):

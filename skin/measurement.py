@@ -262,7 +262,7 @@ def sbhe(
 
 
 def _one_of_each_run(blocks: int, runs: int, random: np.random.Generator) -> npt.NDArray[np.bool_]:
-    """Draw one block out of each of so many runs of neighbouring blocks, so that each node sends its share."""
+    """Draw one block out of each of `runs` runs of neighbouring blocks, so that each node sends its share."""
     ends = np.arange(runs + 1) * blocks // runs
     drawn = np.zeros(blocks, np.bool_)
     drawn[random.integers(ends[:-1], ends[1:])] = True

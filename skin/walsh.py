@@ -56,7 +56,7 @@ def patches(rows: int, columns: int, taxels: int, blocks: Sequence[int]) -> list
     Raises
     ------
     InputError
-        If the grid does not divide into so many patches.
+        If the grid does not divide into patches of `taxels`, or their number is not that of `blocks`.
     """
     high, wide = patch_shape(taxels)
     if rows % high or columns % wide or rows * columns != taxels * sum(blocks):

@@ -38,7 +38,7 @@ def poses(perturbations: int = PERTURBATIONS, seed: int = 0) -> list[Pose]:
     Raises
     ------
     InputError
-        If there are not so many perturbations, or the seed is below 0.
+        If `perturbations` is not 1 to 360, or the seed is below 0.
     """
     if not 1 <= perturbations <= PERTURBATIONS:
         raise InputError(f"expected 1 to {PERTURBATIONS} perturbations, got {perturbations}")

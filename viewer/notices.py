@@ -30,7 +30,7 @@ LINKS: Final = {
 NAMED: Final = 8
 
 
-def shower(service: str) -> str:
+def display_name(service: str) -> str:
     """Return the words for the service that shows the skin."""
     return "this page" if service == "viewer" else f"this {service}"
 
@@ -65,7 +65,8 @@ def _gateway(state: Snapshot, own: str) -> Iterator[Notice]:
         yield Notice(level="info", text="waiting for the gateway")
         if token is None and state.other_skins:
             others = ", ".join(f"'{name}'" for name in state.other_skins)
-            text = f"{shower(own)} shows skin '{state.skin}', and on its hub is {others}: give both the same --layout"
+            shown = f"{display_name(own)} shows skin '{state.skin}'"
+            text = f"{shown}, and on its hub is {others}: give both the same --layout"
             yield Notice(level="warning", text=text)
     elif status.cycles == 0:
         yield Notice(level="info", text="gateway is booting the nodes; SYNC has not started")

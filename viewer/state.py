@@ -13,7 +13,7 @@ from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 from viewer.buses import gateway_state, nodes_state
 from viewer.checks import contacts_fit, image_fits, label_fits, status_fits, truth_fits
-from viewer.notices import notices, shower
+from viewer.notices import display_name, notices
 from viewer.snapshot import (
     ContactsState,
     Figures,
@@ -80,7 +80,7 @@ class ViewState:
         self._gateway: Last[GatewayStatus] | None = None
         self._nodes: dict[str, Last[NodesStatus]] = {}
         self._services: dict[str, Service] = {}
-        self._self = new_peer(layout.name, shower(service), phi.fingerprint)
+        self._self = new_peer(layout.name, display_name(service), phi.fingerprint)
         self._peers: dict[str, Peer] = {}
         self._pairing: Pairs[Image] = image_pairs(layout)
         self._latency_s = Window(LATENCY_SPAN_S)

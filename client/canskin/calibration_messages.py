@@ -168,7 +168,7 @@ ANSWER_S: Final = 15.0
 def tare_request(
     rows: int, columns: int, *, force: bool = False, region: Sequence[object] | None = None
 ) -> CalibrationRequest:
-    """Return a request for a new zero of a skin of so many rows and columns of taxels.
+    """Return a request for a new zero of a skin of `rows` by `columns` taxels.
 
     Parameters
     ----------

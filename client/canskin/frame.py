@@ -17,7 +17,7 @@ from canskin.sums import corrected_counts, doubtful_taxels
 
 #: Measurements, contacts and labels that wait for the image of their cycle.
 _KEPT: Final = 32
-#: A label is that of a frame if its sums are at most so much older.
+#: Greatest age of a label's sums, relative to those of the frame that the label is put on.
 LABEL_AGE_NS: Final = 500_000_000
 
 

@@ -53,7 +53,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         Sampling instant: when the SYNC ended on the bus, a mean over the buses. Adaptive: when the newest frame ended
         that is in the sums; its sample is older, by at most `sampled_error_ns`.
     sampled_error_ns : int
-        The sampling instant of every bus whose SYNC was seen differs at most so much from `sampled_mono_ns`, see
+        Bound of the difference between `sampled_mono_ns` and the sampling instant of any bus whose SYNC was seen, see
         `gateway.sync_times`; `UNKNOWN_ERROR_NS` if no bound is proven.
     sent_mono_ns : int
         The sampling instant without time stamps: time of the send call + time of SYNC; 0 if unknown, and adaptive.

@@ -26,7 +26,7 @@ class Scene:
 
 
 def make_scenes(phi: Sbhe, speed: int, meshes: Path | None = None, seed: int = 11) -> Iterator[Scene]:
-    """Yield every scene at `speed` times the paper's 0.045 mm a cycle: every so many of the paper's 4200 steps.
+    """Yield every scene at `speed` times the paper's 0.045 mm a cycle: one in `speed` of the paper's 4200 steps.
 
     `phi` is of the 64 x 64 array; `meshes` as in `touch.objects.spheres_of`; `seed` is of the noise.
 

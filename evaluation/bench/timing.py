@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-#: Each turn lasts at least so long, and so gives the caches to every call alike, the short ones too.
+#: Least time of a turn, so that every call has the caches to itself, the short ones too.
 TURN_S: Final = 0.02
 
 

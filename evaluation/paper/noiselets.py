@@ -89,7 +89,7 @@ def stages(kind: str) -> tuple[Stage, ...]:
 
 
 def signed_bits(taxels: int) -> int:
-    """Return the bits of a signed integer that holds every ±1 sum of so many taxels, counts of the converter."""
+    """Return the bits of a signed integer that holds every ±1 sum of `taxels` taxels, counts of the converter."""
     largest = taxels * ((1 << load_layout().taxels.adc_bits) - 1)
     return 1 + largest.bit_length()
 

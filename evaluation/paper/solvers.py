@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SUMS: Final = 1024
 PENALTY: Final = PAPER.penalty_n
-#: Budgets: the time of so many iterations of the paper's FISTA.
+#: Budgets of time, in iterations of the paper's FISTA.
 BUDGETS: Final = (5, 10, 20, 50, 100)
 #: Steps that are solved: at the end of the press, and on the slide.
 STEPS: Final = (800, 2500)

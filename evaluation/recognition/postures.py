@@ -24,7 +24,7 @@ SIZES: Final = (4096, 256, 64, 16)
 DRAWS: Final = 3
 #: Most rows that are chosen: the time to choose them grows with the square.
 _MOST_CHOSEN: Final = 64
-#: Every so many frames: neighbours hardly differ.
+#: One frame in `STRIDE` is used: neighbours hardly differ.
 STRIDE: Final = 4
 #: The first and last frames of a posture may show the person moving.
 _EDGE: Final = 5

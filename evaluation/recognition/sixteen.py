@@ -19,7 +19,7 @@ from touch.sources import objects
 from touch.strokes import LIFT_S, PAUSE_S, PRESS_S, SLOT_S
 
 NAMES: Final = OBJECT_GROUPS["paper"]
-#: The boards sample the untouched skin for so long before the first cycle.
+#: Time before the first cycle in which the boards sample the untouched skin.
 REST_S: Final = 0.6
 
 

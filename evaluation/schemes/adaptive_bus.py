@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import LEVELS, PAUSE_MS, Companding, SendingRule, payload_bytes, place_of
+from dbc.adaptive import LEVELS, PAUSE_MS, Companding, SendingRule, decode_cob_id, payload_bytes
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.contract import frame_flags, sum_frame
 from dbc.dictionary import HEARTBEAT_MS
@@ -18,7 +18,7 @@ from dbc.frame_bits import wire_bits
 from dbc.stuff_bits import count_fd
 from evaluation.schemes.event_kernel import DATA, address, bits_of
 from evaluation.schemes.wire import TICK_NS
-from nodes.adaptive.sending import SILENT, Groups, identifier_of, look, make_payload, note_sent
+from nodes.adaptive.sending import NOT_DUE, Groups, decide, identifier_of, make_payload, note_sent
 from skin.compiled import njit
 from skin.layout import Bus
 from skin.sync_counter import SYNC_OVERFLOW
@@ -110,7 +110,7 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
     while now < ticks * TICK_NS:
         while tick < ticks and tick * TICK_NS <= now:
             for node in range(nodes):
-                look(node, tick, sums_n[tick, node], variance_n2[tick, node], noise_n2[tick, node], rule, law, groups)
+                decide(node, tick, sums_n[tick, node], variance_n2[tick, node], noise_n2[tick, node], rule, law, groups)
             tick += 1
         row, log = record.rows[sent], record.log[sent]
         row[:] = 0
@@ -138,7 +138,7 @@ def run_bus(  # noqa: PLR0917  compiled functions take no keywords
                 log[ASKED] = (since if since >= 0 else tick - 1) * TICK_NS
                 identifier, payload = identifier_of(node, group, groups), row[DATA:]
                 length = make_payload(node, group, sums_n[tick - 1, node], law, groups, payload)
-                kind, of_frame, _ = place_of(identifier, groups.is_fd[node])
+                kind, of_frame, _ = decode_cob_id(identifier, groups.is_fd[node])
                 note_sent(node, of_frame, tick - 1, kind >= LEVELS, rule, law, groups, payload)
                 address(row, identifier, length)
                 row[_FLAGS] = line.flags
@@ -180,7 +180,7 @@ def _winner(groups: Groups, beat_ns: Any, now: int, is_paused: bool) -> tuple[in
     if not is_paused:
         for each in range(groups.level.shape[0]):
             for other in range(GROUPS):
-                if groups.level[each, other] != SILENT:
+                if groups.level[each, other] != NOT_DUE:
                     identifier = identifier_of(each, other, groups)
                     if identifier < least:
                         least, node, group = identifier, each, other

@@ -28,9 +28,9 @@ TAP_HZ: Final = (1.0, 12.0)
 REACH_M: Final = 0.09
 #: The whole skin shaken: mean force and swing, N, and their rate; tilt, N, and its rate.
 _SHAKE_N, _SWING_N, _SWING_HZ, _TILT_N, _TILT_HZ = 0.006, 0.0045, 9.1, 0.001, 7.3
-#: A texture of this many waves slides by so many taxels a ms: 0.6 m/s.
+#: Waves of a texture, and its speed: 0.6 m/s.
 _WAVES, _TAXELS_PER_MS = 12, 0.15
-#: Random values change after so long, ms, and reach so far, N.
+#: How long random values stay, ms, and the largest of them, N.
 _KEPT_MS, _RANDOM_N = 20, 0.01
 
 
@@ -51,7 +51,7 @@ def _slow_ball(tick: int) -> Iterator[tuple[str, Pose]]:
     yield "racquetball", Pose(0.02, -0.03, 0.0, 4e-6 * max(0, tick - 100))
 
 
-#: Objects, by scene: what is where after so many milliseconds.
+#: Objects, by scene: what is where at each millisecond.
 POSED: Final[dict[str, Poses]] = {
     "banana turning and sliding": _banana,
     "can and ball fast": _can_and_ball,
@@ -83,7 +83,7 @@ def _random_values(ticks: int, side: int) -> Force:
     return np.repeat(values.astype(np.float32), _KEPT_MS, axis=0)[:ticks]
 
 
-#: Forces without objects, by scene: of so many ticks, shape (ticks, side, side), newtons.
+#: Forces without objects, by scene: a function of ticks and side, shape (ticks, side, side), newtons.
 FIELDS: Final[dict[str, Callable[[int, int], Force]]] = {
     "whole skin shaken": _shaken,
     "texture sliding": _texture,
@@ -120,7 +120,7 @@ class Contact:
     turn_rad_per_s: float
 
     def pose(self, tick: int) -> Pose:
-        """Return the pose after so many milliseconds."""
+        """Return the pose at millisecond `tick`."""
         past_ms = tick - self.begin_ms
         past_s = 1e-3 * max(0.0, past_ms)
         pressed = min(1.0, max(0.0, past_ms / self.rise_ms))

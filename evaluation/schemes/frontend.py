@@ -26,7 +26,7 @@ from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M, PAPER_STEP_S, t
 
 #: Taxels of a block; 64 x 64 taxels, 1024 sums.
 BLOCK_SIZES: Final = (8, 16, 32, 64, 128)
-#: Every so many steps of the trajectory are measured: 420 of 4200.
+#: One step in `SPEED` of the trajectory is measured: 420 of 4200.
 SPEED: Final = 10
 QUICK_SPEED: Final = 300
 OBJECTS: Final = tuple(ACQUISITION_OBJECTS)
@@ -44,7 +44,7 @@ _ROLLED: Final = "golf-ball"
 
 @dataclass(frozen=True)
 class Effect:
-    """A front end: converters of so many bits, and what is wrong with it.
+    """A front end: the bits of its converters, and what is wrong with it.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ TAXEL_DRIFT_N_PER_S: Final = 2e-5
 REST_S: Final = 5.0
 DRIFT_REST_S: Final = 60.0
 HAND_S: Final = 4.0
-#: The hand: so many taxels square, each pressed so hard.
+#: Side of the hand, taxels, and the force on each taxel.
 HAND_TAXELS: Final = 20
 HAND_N: Final = 0.004
 #: The object presses and slides.

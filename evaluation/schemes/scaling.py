@@ -41,12 +41,12 @@ Made = TypeVar("Made")
 SIDES: Final = (32, 64, 128, 256)
 #: Side of a skin that is computed from the largest of them, not run.
 COMPUTED_SIDE: Final = 1024
-#: An object touches each part of so many taxels a side, so that the same ratio of all skins is touched.
+#: Side of a part, taxels. An object touches each part, so that the same ratio of all skins is touched.
 TILE: Final = 32
 TOUCHING: Final = "golf-ball"
 #: Objects that are to be recognised, anywhere on the skin.
 OBJECTS: Final = ("golf-ball", "racquetball", "gravy-can", "jello-box")
-#: The boards learn the noise of their taxels for so long; the touches follow after the pause of a stroke.
+#: Time in which the boards learn the noise of their taxels; the touches follow after the pause of a stroke.
 REST_S: Final = 0.6
 #: Cycles with touch that are measured.
 CYCLES, QUICK_CYCLES = 120, 20

@@ -32,7 +32,7 @@ NEWTON_PER_COUNT: Final = _ARRAY.newton_per_count
 #: The press and as much of the slide as shows it.
 SLIDE_TICKS: Final = 2400
 TICKS: Final = 1500
-#: A recorded frame is shown for so long: the mats were read once a second, this is ten times as fast.
+#: Time for which a recorded frame is shown: a tenth of that between two readings of the mats.
 RECORDED_MS: Final = 100
 RECORDED_FRAMES: Final = 24
 #: When the slap begins.
@@ -127,7 +127,7 @@ class Touch:
         Of `SLIDES`, `OWN` or `evaluation.schemes.fresh_scenes`, that of a `random_touch`, or the path of an ``.npz``
         whose first arrays are laid side by side, until the skin is full.
     ticks : int, optional
-        Only the first so many milliseconds; without it, all of the scene.
+        Number of milliseconds from the start; without it, all of the scene.
     noise_n : float
         Standard deviation of the simulated sensor's noise, newtons; a recording has its own.
     noise : str
@@ -135,7 +135,7 @@ class Touch:
     drift_n_per_s : float
         Standard deviation of the rates at which the zeros of taxels drift, from the beginning of the touch on.
     stuck : int
-        So many taxels always read one value, while nothing touches, too.
+        Number of taxels that always read one value, while nothing touches, too.
     loss_ratio : float
         Part of all frames that never reach the receiver, 0 to 1.
     meshes : str, optional
@@ -173,7 +173,7 @@ class Touch:
         return without == (NOISE_N, "normal", 0.0, 0, 0.0)
 
     def arrives(self, frames: int) -> npt.NDArray[np.bool_]:
-        """Draw which of so many frames reach the receiver."""
+        """Draw which of `frames` frames reach the receiver."""
         return np.random.default_rng(self.seed).random(frames) >= self.loss_ratio
 
     def sensed(self, force_n: Force, rng: np.random.Generator, *, at_rest: bool = False) -> Force:

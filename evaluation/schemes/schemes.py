@@ -171,7 +171,7 @@ class Events:
     dead_ms : int
         How long a taxel is not sent after each sending, milliseconds.
     receiver : str
-        None knows the noise: what an unsent change leaves is no noise of the sensor.
+        No receiver filters noise: what an unsent change leaves is no noise of the sensor.
     """
 
     threshold_n: float

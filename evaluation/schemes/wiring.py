@@ -22,7 +22,7 @@ WIRINGS: Final[dict[str, tuple[int, str]]] = {
     **{f"{side} x {side}, B = 32": (32, f"patch = {side}") for side in (32, 16, 8)},
     "4 x 8 neighbours": (32, "wiring = 'board'"),
 }
-#: Every so many steps of the trajectory are measured: 420 of 4200.
+#: One step in `SPEED` of the trajectory is measured: 420 of 4200.
 SPEED: Final = 10
 QUICK_SPEED: Final = 300
 #: Draws of a dead board. The board is one that the object touches.

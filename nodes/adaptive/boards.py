@@ -19,18 +19,18 @@ from dbc.indices import (
     OD_SENDING,
     OD_TAXEL_NOISE,
 )
-from nodes.adaptive.filtering import PatchFilter
-from nodes.adaptive.mailboxes import (
+from nodes.adaptive.controllers import (
     REFUSED,
     SENT,
     Chosen,
     choose,
     compile_all,
+    decide_all,
     give_back,
-    look_at_all,
-    new_mailboxes,
+    new_controllers,
     take_echoes,
 )
+from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.adaptive.patch_boards import PatchBoards
 from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2, present_codes
@@ -54,7 +54,7 @@ class AdaptiveBoards(PatchBoards):
         nodes, lines = len(blocks), [contract.layout.bus[contract.nodes[block].bus] for block in blocks]
         self._groups = new_groups(nodes, np.array([line.fd for line in lines]))
         bits = [[sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] for line in lines]
-        self._boxes = new_mailboxes(np.array(bits, np.int64).reshape(nodes, 2))
+        self._controllers = new_controllers(np.array(bits, np.int64).reshape(nodes, 2))
         self._rules = np.tile(np.array(_DEFAULTS), (nodes, 1))
         self._given = np.zeros((2, *self._cells.shape), np.float32)
         self._is_operational, self._has_due = np.zeros((2, nodes), np.bool_)
@@ -87,7 +87,7 @@ class AdaptiveBoards(PatchBoards):
     def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:  # noqa: ARG002  `_now` has the skipped ones
         if self._filter.noise is not self._noise:
             self._take_noise()
-        due = look_at_all(
+        due = decide_all(
             self._now,
             now_ns,
             passed_ns * 1e-9,
@@ -98,7 +98,7 @@ class AdaptiveBoards(PatchBoards):
             self._rules,
             self._law,
             self._groups,
-            self._boxes,
+            self._controllers,
             self._has_due,
         )
         return bool(due)
@@ -125,24 +125,24 @@ class AdaptiveBoards(PatchBoards):
     def set_tpdos(self, block: int, cob_id: Sequence[int], inhibit: Sequence[int]) -> None:
         """Set identifier, or `NO_COB_ID`, and inhibit time in samples of a node's TPDOs."""
         row = self._row[block]
-        self._boxes.cob_id[row], self._boxes.inhibit[row] = cob_id, inhibit
+        self._controllers.cob_id[row], self._controllers.inhibit[row] = cob_id, inhibit
 
     def choose(self, first: int, last: int, until_ns: int, most: int, room: Chosen) -> int:
         """Make the most urgent frames of boards `first` to `last` - 1, at most `most`, and return how many."""
         if not self._has_due[first:last].any():
             return 0
-        parts = self._filter.sums_n, self._law, self._groups, self._boxes, self._has_due, room
+        parts = self._filter.sums_n, self._law, self._groups, self._controllers, self._has_due, room
         return int(choose(first, last, self._now, until_ns, most, *parts))
 
     def refuse(self, nodes: npt.NDArray[np.int64], tpdos: npt.NDArray[np.int64]) -> None:
         """Take note of frames that found no room in a transmit queue."""
         for row, tpdo in zip(nodes.tolist(), tpdos.tolist(), strict=True):
-            give_back(row, tpdo, self._groups, self._boxes)
-            self._boxes.counts[row, REFUSED] += 1
+            give_back(row, tpdo, self._groups, self._controllers)
+            self._controllers.counts[row, REFUSED] += 1
 
     def take_echoes(self, arrived: Frames, place_of: npt.NDArray[np.int64]) -> tuple[int, int]:
-        """Take note of the nodes' own frames, see `nodes.adaptive.mailboxes.take_echoes`."""
-        parts = self._now, self._rules, self._law, self._groups, self._boxes
+        """Take note of the nodes' own frames, see `nodes.adaptive.controllers.take_echoes`."""
+        parts = self._now, self._rules, self._law, self._groups, self._controllers
         sent, others = take_echoes(frame_bytes(arrived), place_of, *parts)
         return int(sent), int(others)
 
@@ -153,13 +153,13 @@ class AdaptiveBoards(PatchBoards):
         row = self._row[block]
         for mine, fresh in zip(self._groups, new_groups(1, self._groups.is_fd[row]), strict=True):
             mine[row] = fresh[0]
-        self._boxes.made_at[row] = new_mailboxes(self._boxes.frame_bits[row : row + 1]).made_at[0]
-        self._boxes.counts[row] = 0
+        self._controllers.made_at[row] = new_controllers(self._controllers.frame_bits[row : row + 1]).made_at[0]
+        self._controllers.counts[row] = 0
         self._is_operational[row] = False
 
     def frames_of(self, block: int) -> tuple[int, int]:
         """Return how many frames a node has sent since its reset, and how many found no room."""
-        counts = self._boxes.counts[self._row[block]]
+        counts = self._controllers.counts[self._row[block]]
         return int(counts[SENT]), int(counts[REFUSED])
 
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
@@ -177,8 +177,8 @@ class AdaptiveBoards(PatchBoards):
             self._given[int(index == OD_COEFFICIENT_NOISE), row, subindex - 1] = value
             self._filter.give(*self._given)
         elif index == OD_BUDGET:
-            self._boxes.budget[row] = value
-            self._boxes.saved[row] = SAVED_FRAMES * self._boxes.frame_bits[row, 0]
+            self._controllers.budget[row] = value
+            self._controllers.saved[row] = SAVED_FRAMES * self._controllers.frame_bits[row, 0]
         else:
             super().adjust(block, index, subindex, value)
 
@@ -188,7 +188,7 @@ class AdaptiveBoards(PatchBoards):
         row = self._row[block]
         self._rules[row] = _DEFAULTS
         self._noise, self._is_changed = None, True
-        self._boxes.budget[row] = 0
+        self._controllers.budget[row] = 0
         if self._given[:, row].any():
             self._given[:, row] = 0
             self._filter.give(*self._given)

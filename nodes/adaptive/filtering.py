@@ -60,7 +60,7 @@ class ForceFilter:
         _take(sample_n, known, learning, models, np.float32(HORIZON), self._table, self._work, self.force_n)
         scale = self._scale.judge(self._learned.taxel_n)
         if scale is not None:
-            # The noise is as large as it turns out to be, and what is known of the coefficients is in its units.
+            # Rescale all noise by the measured factor: that of coefficients is known relative to that of taxels.
             learned = self._learned
             self._use(replace(learned, taxel_n=learned.taxel_n * scale, coefficient_n=learned.coefficient_n * scale))
 

@@ -10,7 +10,7 @@ from bus.link import Send
 from dbc.adaptive_filter import Floats
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, Frames
-from firmware.library import AdaptiveBoards, Firmware
+from firmware.library import CompiledAdaptiveBoards, Firmware
 from nodes.adaptive.patch_boards import PatchBoards
 from nodes.adaptive.timing import SendingTimes
 from nodes.firmware_segment import BoardsSegment
@@ -35,7 +35,7 @@ class FirmwarePatches(PatchBoards):
         super().__init__(contract, blocks, source, **analogue)
         self._firmware = firmware
         nodes = [contract.nodes[block] for block in blocks]
-        self._boards: dict[int, tuple[slice, AdaptiveBoards]] = {}
+        self._boards: dict[int, tuple[slice, CompiledAdaptiveBoards]] = {}
         for bus in sorted({node.bus for node in nodes}):
             rows = [row for row, node in enumerate(nodes) if node.bus == bus]
             self._boards[bus] = slice(rows[0], rows[-1] + 1), firmware.adaptive_boards(bus)
@@ -44,7 +44,7 @@ class FirmwarePatches(PatchBoards):
         while not self._pass_counts():
             pass
 
-    def on_bus(self, bus: int) -> AdaptiveBoards:
+    def on_bus(self, bus: int) -> CompiledAdaptiveBoards:
         """Return the boards of a bus."""
         return self._boards[bus][1]
 

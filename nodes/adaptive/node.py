@@ -18,7 +18,7 @@ from dbc.indices import (
 )
 from dbc.objects import Object
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.mailboxes import NO_COB_ID
+from nodes.adaptive.controllers import NO_COB_ID
 from nodes.network import SegmentNetwork
 from nodes.node import SkinNode
 from nodes.storage import Storage

@@ -16,7 +16,7 @@ from nodes.electronics import Calibration
 from skin.sources import TaxelSource
 from skin.taxel import NOISE_N, TaxelModel
 
-#: A process that is late takes at most so many samples at once; it skips and counts the others.
+#: Most samples that a late process takes at once; it skips and counts the others.
 CATCH_UP: Final = 20
 #: How fast the time between two decisions is learned, and its limits, nanoseconds.
 PACE_GAIN: Final = 0.1

@@ -12,7 +12,7 @@ from dbc.canopen import BASE_ID_MASK, NmtState
 from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
 from nodes.adaptive.boards import AdaptiveBoards, tpdo_places
-from nodes.adaptive.mailboxes import room_for
+from nodes.adaptive.controllers import frame_buffer
 from nodes.adaptive.node import AdaptiveNode
 from nodes.adaptive.timing import MOST_FRAMES, SendingTimes
 from nodes.node import SkinNode
@@ -42,7 +42,7 @@ class AdaptiveSegment(Segment):
         line = contract.layout.bus[bus]
         self._times = SendingTimes(contract, bus)
         self._decision = 0
-        self._room = room_for(MOST_FRAMES)
+        self._room = frame_buffer(MOST_FRAMES)
         self._burst = frames(MOST_FRAMES)
         self._burst["flags"] = frame_flags(line)
         self._cob_ids = np.zeros((self._last - self._first, TPDOS), np.int64)

@@ -37,7 +37,7 @@ from skin.walsh import GROUPS
 #: Why a frame is to be sent.
 NEWS, DETAIL, REFRESH = range(3)
 #: Nothing is to be sent.
-SILENT: Final = -1
+NOT_DUE: Final = -1
 _LONG_AGO: Final = -(1 << 30)
 _NEVER: Final = 1 << 60
 
@@ -61,7 +61,7 @@ class Groups(NamedTuple):
         Since when there is news (-1: none); when the last frame of any kind was sent; when a refresh is
         due, the time between refreshes, how many are left, and whether the next is fine.
     level, reason, is_fine : arrays of int64, shape (nodes, GROUPS)
-        What is to be sent: urgency or `SILENT`, why, and in which kind of frame.
+        What is to be sent: urgency or `NOT_DUE`, why, and in which kind of frame.
     is_zero : array of int64, shape (nodes, GROUPS)
         Whether the newest fine payload was made of sums that are all 0.
     is_wanted : array of int64, shape (nodes, GROUPS)
@@ -106,7 +106,7 @@ def new_groups(nodes: int, is_fd: bool | Flags = False) -> Groups:
         refresh_after=full(0),
         refreshes=full(0),
         fine_turn=full(0),
-        level=full(SILENT),
+        level=full(NOT_DUE),
         reason=full(NEWS),
         is_fine=full(0),
         is_zero=full(0),
@@ -128,7 +128,7 @@ def noise_threshold_n2(noise_n: Numbers, noise_ratio: float | Numbers) -> Number
 
 
 @njit(cache=True, nogil=True, inline="always")
-def look(  # noqa: PLR0917  compiled functions take no keywords
+def decide(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     now: int,
     sums_n: npt.NDArray[np.float32],
@@ -151,11 +151,11 @@ def look(  # noqa: PLR0917  compiled functions take no keywords
     """
     for group in range(GROUPS):
         if groups.under_way[node, group] == 0:
-            _look_at_group(node, group, now, sums_n, variance_n2, noise_n2, rule, law, groups)
+            _decide_group(node, group, now, sums_n, variance_n2, noise_n2, rule, law, groups)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
+def _decide_group(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     group: int,
     now: int,
@@ -171,7 +171,7 @@ def _look_at_group(  # noqa: PLR0917  compiled functions take no keywords
     for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
         variance += variance_n2[place]
     threshold = noise_n2 + rule.variance_ratio * variance
-    level, reason, is_fine = SILENT, NEWS, 0
+    level, reason, is_fine = NOT_DUE, NEWS, 0
     wait = now - groups.sent_at[node, group]
     if coarse_n2 > threshold:
         if groups.since[node, group] < 0:
@@ -259,10 +259,10 @@ def identifier_of(node: int, group: int, groups: Groups) -> int:
 
 @njit(cache=True, nogil=True)
 def most_urgent(node: int, groups: Groups) -> int:
-    """Return the group of a node whose frame has the lowest identifier, or `SILENT`."""
-    least, found = TPDOS, SILENT
+    """Return the group of a node whose frame has the lowest identifier, or `NOT_DUE`."""
+    least, found = TPDOS, NOT_DUE
     for group in range(GROUPS):
-        if groups.level[node, group] != SILENT and tpdo_of(node, group, groups) < least:
+        if groups.level[node, group] != NOT_DUE and tpdo_of(node, group, groups) < least:
             least, found = tpdo_of(node, group, groups), group
     return found
 
@@ -332,7 +332,7 @@ def note_sent(  # noqa: PLR0917  compiled functions take no keywords
             is_zero = not coarse_n[GROUP_SUMS * each : GROUP_SUMS * (each + 1)].any()
         _plan_refresh(node, each, now, is_fine, is_zero, rule, groups)
         groups.sent_at[node, each] = now
-        groups.since[node, each], groups.level[node, each] = -1, SILENT
+        groups.since[node, each], groups.level[node, each] = -1, NOT_DUE
 
 
 @njit(cache=True, nogil=True)
@@ -344,7 +344,7 @@ def _plan_refresh(  # noqa: PLR0917  compiled functions take no keywords
         return  # the coarse frame was asked for while this one was under way
     if is_fd and groups.refresh_after[node, group] == 0:
         reason = NEWS  # the first frame that carries the group
-    elif is_fd and groups.level[node, group] == SILENT and groups.since[node, group] < 0:
+    elif is_fd and groups.level[node, group] == NOT_DUE and groups.since[node, group] < 0:
         reason = DETAIL  # the group had no news: the frame was sent for another one
     if reason == NEWS or groups.is_wanted[node, group]:
         groups.is_wanted[node, group] = 0

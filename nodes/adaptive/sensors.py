@@ -27,7 +27,7 @@ STEP_S: Final = STEP_NS * 1e-9
 DRIFT_PPM: Final = 100.0
 JITTER: Final = 0.02
 
-#: Noise is drawn from so many equally likely values, which end at 4.2 standard deviations: 16 random bits for each.
+#: Number of equally likely values of noise, which end at 4.2 standard deviations: 16 random bits for each.
 _VALUES: Final = 1 << 16
 #: Steps of the touch that are kept.
 _STEPS_KEPT: Final = 8

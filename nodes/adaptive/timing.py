@@ -5,7 +5,7 @@ from typing import Final
 from dbc.adaptive import PAUSE_MS
 from dbc.contract import Contract, sum_frame_bits
 
-#: No frame of sums starts so soon after a SYNC.
+#: Least time from a SYNC to the start of a frame of sums.
 PAUSE_NS: Final = PAUSE_MS * 1_000_000
 #: Frames that a bus gets beyond those that fit until the next decision.
 SPARE_FRAMES: Final = 4

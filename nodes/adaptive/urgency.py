@@ -29,7 +29,7 @@ def log2_of(value: float) -> float:
 
 @njit(cache=True, nogil=True)
 def urgency(ratio: float, waited: int, rule: SendingRule) -> int:
-    """Return the level of news that exceeds its threshold by `ratio` and has waited for so many samples.
+    """Return the level of news that exceeds its threshold by `ratio` and has waited for `waited` samples.
 
     The highest level is for what waited, so that no motion of others holds it back for ever.
     """

@@ -35,9 +35,9 @@ from dbc.contract import Contract, NodeContract
 from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.adaptive.sending import (
-    SILENT,
+    NOT_DUE,
     ask,
-    look,
+    decide,
     make_payload,
     new_groups,
     noise_threshold_n2,
@@ -233,8 +233,8 @@ class _Board:
         """Return the frames of the newest sample: they are sent at once, or come back from a busy bus."""
         sums_n, groups = self._filter.sums_n[0], self._groups
         noise_n2 = float(noise_threshold_n2(self._filter.noise.node_n, _RULE.noise_ratio)[0])
-        look(0, self._now, sums_n, self._filter.variance_n2[0], noise_n2, _RULE, self._law, groups)
-        due = [group for group in range(GROUPS) if groups.level[0, group] != SILENT]
+        decide(0, self._now, sums_n, self._filter.variance_n2[0], noise_n2, _RULE, self._law, groups)
+        due = [group for group in range(GROUPS) if groups.level[0, group] != NOT_DUE]
         due.sort(key=lambda group: int(tpdo_of(0, group, groups)))
         found: list[dict[str, object]] = []
         for group in due[:1] if self._is_fd else due:

@@ -16,7 +16,7 @@ from dbc.contract import PHASES, Contract, _cob_id, _length, _spread, sample_age
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
-from skin.layout import Bus, Encoding, Layout, Measuring, Taxels, load_layout
+from skin.layout import Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
 from tests.identity import IDENTITIES, alternating, with_identity
 
@@ -203,7 +203,7 @@ def test_any_skin_sends_every_sum_once_per_phase(
 ) -> None:
     layout = Layout(
         taxels=Taxels(rows=16, columns=16),
-        measurement=Measuring(selection="uniform", sums=sums, seed=seed),
+        measurement=PhiParameters(selection="uniform", sums=sums, seed=seed),
         encoding=Encoding(sum_bits=bits),
         bus=[Bus(name="a", nodes=8 // blocks_per_node, blocks_per_node=blocks_per_node, fd=fd)],
     )

@@ -12,7 +12,7 @@ from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.indices import OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
-from firmware.library import Boards, Firmware
+from firmware.library import CompiledBoards, Firmware
 from nodes.electronics import Calibration
 from skin.layout import Encoding, Sampling, load_layout, validated
 from tests.bus.harness import frame
@@ -98,7 +98,7 @@ def test_many_random_taxels_with_gains_and_offsets() -> None:
 
 
 def calibrate(
-    boards: Boards, calibration: Calibration, taxels: npt.NDArray[np.intp], random: np.random.Generator
+    boards: CompiledBoards, calibration: Calibration, taxels: npt.NDArray[np.intp], random: np.random.Generator
 ) -> None:
     """Write random gains and offsets of two boards over SDO, and to `calibration`."""
     for row, taxel in enumerate(taxels):

@@ -16,7 +16,7 @@ from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.contract import Contract
 from dbc.frame import ECHO
 from dbc.indices import OD_COEFFICIENT_NOISE, OD_NODE_NOISE, OD_REFRESH, OD_TAXEL_NOISE
-from firmware.library import AdaptiveBoards, Firmware
+from firmware.library import CompiledAdaptiveBoards, Firmware
 from nodes.vectors import vector_files
 from skin.layout import load_layout
 from skin.walsh import grouped_rows
@@ -36,13 +36,13 @@ def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
     return contract, json.loads(text)
 
 
-def sdo(boards: AdaptiveBoards, request: bytes) -> bytes:
+def sdo(boards: CompiledAdaptiveBoards, request: bytes) -> bytes:
     (answer,) = boards.take(frame(SDO_REQUEST_BASE + 1, request.ljust(8, b"\0")), 0.0)
     data: bytes = answer["data"][:8].tobytes()
     return data
 
 
-def read_real(boards: AdaptiveBoards, index: int, subindex: int) -> float:
+def read_real(boards: CompiledAdaptiveBoards, index: int, subindex: int) -> float:
     return float(struct.unpack_from("<f", sdo(boards, struct.pack("<BHB", 0x40, index, subindex)), 4)[0])
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from bus.link import State
 from canskin.messages import BlockState, GatewayStatus, Measurement
-from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
+from dbc.adaptive import LEVELS, Companding, SendingRule, decode_cob_id
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract, frame_flags
@@ -18,10 +18,10 @@ from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
 from nodes.adaptive.sending import (
     NEWS,
-    SILENT,
+    NOT_DUE,
     Groups,
+    decide,
     identifier_of,
-    look,
     make_payload,
     most_urgent,
     new_groups,
@@ -73,7 +73,7 @@ def small_adaptive(top: str = "", *, fd: bool = False, taxels: str = "") -> Cont
 def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, law: Companding) -> np.ndarray:
     """Return the payload of a group's frame, which is sent at once."""
     payload, is_fd = np.zeros(64, np.uint8), bool(groups.is_fd[0])
-    kind, of_frame, _ = place_of(identifier_of(0, group, groups), is_fd)
+    kind, of_frame, _ = decode_cob_id(identifier_of(0, group, groups), is_fd)
     length = make_payload(0, group, sums_n, law, groups, payload)
     note_sent(0, of_frame, now, kind >= LEVELS, RULE, law, groups, payload)
     return payload[:length]
@@ -122,12 +122,12 @@ class Board:
         return np.concatenate(out) if out else frames(0)
 
     def send(self, now: int) -> list[Frames]:
-        look(0, now, self.sums_n, VARIANCE_N2, NOISE_N2, RULE, self.law, self.groups)
+        decide(0, now, self.sums_n, VARIANCE_N2, NOISE_N2, RULE, self.law, self.groups)
         out, groups = [], self.groups
         for group in range(GROUPS):
             if self.forced >> group & 1:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-        while (group := most_urgent(0, groups)) != SILENT:
+        while (group := most_urgent(0, groups)) != NOT_DUE:
             can_id = identifier_of(0, group, groups) + self.contract.node_id - 1
             payload = send(groups, group, now, self.sums_n, self.law)
             out.append(frame(can_id, payload.tobytes(), flags=frame_flags(self.line)))

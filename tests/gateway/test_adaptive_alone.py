@@ -76,7 +76,7 @@ def skin(adaptive: Contract) -> Skin:
 
 def test_a_measurement_is_due_soon_after_news_and_else_at_the_least_rate(skin: Skin, adaptive: Contract) -> None:
     gathering = skin.gathering
-    assert (gathering.due_s, gathering.rests_until_s) == (START_S + 0.25, START_S + 0.001)
+    assert (gathering.due_s, gathering.may_sleep_until_s) == (START_S + 0.25, START_S + 0.001)
     assert gathering.measurements(START_S + 0.2499, 9) == []
     first = skin.measured(START_S + 0.25)
     assert (first.cycle, first.sync_counter, first.wall_offset_ns) == (1, 0, 9)

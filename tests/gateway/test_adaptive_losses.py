@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, coarse_code, coarse_value, companding
 from dbc.frame import FD, Frames, frame_bytes, frames
 from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, new_sums, take_all
-from nodes.adaptive.sending import NEWS, SILENT, identifier_of, look, most_urgent, new_groups
+from nodes.adaptive.sending import NEWS, NOT_DUE, decide, identifier_of, most_urgent, new_groups
 from skin.walsh import GROUPS
 from tests.bus.harness import frame
 from tests.gateway.boards import send
@@ -47,12 +47,12 @@ class Sender:
     def send(self, *, again: bool = False) -> list[tuple[int, Frames]]:
         """Return the frames of a moment, with their groups; on CAN FD at most one, of all groups."""
         self.now += 5
-        look(0, self.now, self.sums_n, VARIANCE_N2, 1e-9, RULE, LAW, self.groups)
+        decide(0, self.now, self.sums_n, VARIANCE_N2, 1e-9, RULE, LAW, self.groups)
         sent, groups = [], self.groups
         for group in range(GROUPS):
             if again:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-        while (group := most_urgent(0, groups)) != SILENT:
+        while (group := most_urgent(0, groups)) != NOT_DUE:
             is_fine, can_id = bool(groups.is_fine[0, group]), identifier_of(0, group, groups)
             payload = send(groups, group, self.now, self.sums_n, LAW)
             self._number += 1

@@ -38,7 +38,7 @@ def test_a_doubt_is_measured_after_a_millisecond_and_nothing_new_after_a_tenth_o
     gathering = AdaptiveGathering(adaptive, {}, 50.0)
     assert gathering.in_flight == 0
     assert gathering.due_s == pytest.approx(50.1)
-    assert gathering.rests_until_s == pytest.approx(50.001)
+    assert gathering.may_sleep_until_s == pytest.approx(50.001)
     world = BoardWorld(adaptive)
     world.until_whole(1.0)
     mine = world.gateway.gathering

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dbc.adaptive import GROUP_SUMS, SendingRule, check_of, coarse_code, cob_id, companding, fine_steps
 from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, new_sums, take
-from nodes.adaptive.sending import SILENT, Groups, frame_level, look, new_groups
+from nodes.adaptive.sending import NOT_DUE, Groups, decide, frame_level, new_groups
 from skin.walsh import GROUPS
 from tests.gateway.boards import send
 
@@ -26,10 +26,10 @@ STEPS = st.lists(
 
 def frames_of(groups: Groups, sums_n: np.ndarray, now: int) -> list[tuple[int, int, bool, np.ndarray]]:
     """Return what a node sends of its sums: group, identifier, whether fine, payload."""
-    look(0, now, sums_n, VARIANCE_N2, 1e-9, RULE, LAW, groups)
+    decide(0, now, sums_n, VARIANCE_N2, 1e-9, RULE, LAW, groups)
     sent = []
     for group in range(GROUPS):
-        if groups.level[0, group] != SILENT:
+        if groups.level[0, group] != NOT_DUE:
             is_fine = bool(groups.is_fine[0, group])
             can_id = cob_id(0, frame_level(0, group, groups), group, is_fine)
             payload = send(groups, group, now, sums_n, LAW)

@@ -163,7 +163,7 @@ def test_requests_are_answered_one_in_a_tick(small: Contract) -> None:
 def test_answers_are_given_in_another_thread(small: Contract) -> None:
     aside: list[Callable[[], None]] = []
     replies: list[CalibrationReply] = []
-    calibration = GatewayCalibration(small, tares=False, run_aside=aside.append)
+    calibration = GatewayCalibration(small, tares=False, submit=aside.append)
     calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
     content = encoded(store(small.layout, offsets_n=np.zeros(32)))
     calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]

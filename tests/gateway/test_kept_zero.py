@@ -31,7 +31,7 @@ def test_the_zero_is_kept_once_a_minute_and_at_the_end_in_another_thread(small: 
         aside.clear()
         return load_calibration(path, small.layout).offsets_n[:1] if path.exists() else []
 
-    calibration = GatewayCalibration(small, tares=False, run_aside=aside.append, keeps=path)
+    calibration = GatewayCalibration(small, tares=False, submit=aside.append, keeps=path)
     calibration.tick({}, 0.0)
     calibration.keep_zero()
     assert (aside, kept()) == ([], [])  # there is no zero
@@ -54,7 +54,7 @@ def test_the_zero_is_kept_once_a_minute_and_at_the_end_in_another_thread(small: 
 def test_without_a_file_nothing_is_kept(small: Contract) -> None:
     aside: list[Callable[[], None]] = []
     calibration = GatewayCalibration(
-        small, store(small.layout, offsets_n=np.zeros(SUMS)), tares=False, run_aside=aside.append
+        small, store(small.layout, offsets_n=np.zeros(SUMS)), tares=False, submit=aside.append
     )
     calibration.tick({}, 0.0)
     calibration.keep_zero()

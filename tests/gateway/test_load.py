@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dbc.frame import ECHO, ERROR
-from gateway.load import BusLoad
+from gateway.load import LoadMeter
 from skin.layout import Bus
 from tests.bus.harness import frame
 
@@ -15,7 +15,7 @@ FRAME_S = 111 / 500_000
 
 
 def test_load_is_the_time_of_the_frames_over_the_time_since_the_last_look() -> None:
-    load = BusLoad(WIRES, 10.0)
+    load = LoadMeter(WIRES, 10.0)
     load.take(np.repeat(PLAIN, 100))
     assert load.look(11.0) == pytest.approx(100 * FRAME_S, rel=0.05)
     assert load.look(12.0) == 0.0
@@ -24,7 +24,7 @@ def test_load_is_the_time_of_the_frames_over_the_time_since_the_last_look() -> N
 
 
 def test_mean_load_counts_from_the_restart() -> None:
-    load = BusLoad(WIRES, 10.0)
+    load = LoadMeter(WIRES, 10.0)
     load.take(np.repeat(PLAIN, 100))
     load.account()
     load.take(PLAIN)
@@ -36,7 +36,7 @@ def test_mean_load_counts_from_the_restart() -> None:
 
 
 def test_own_frames_take_time_and_frames_given_back_take_none() -> None:
-    load = BusLoad(WIRES, 0.0)
+    load = LoadMeter(WIRES, 0.0)
     own, unsent = PLAIN.copy(), PLAIN.copy()
     own["flags"], unsent["flags"] = ECHO, ECHO | ERROR
     load.take(np.concatenate((own, unsent)))
@@ -44,6 +44,6 @@ def test_own_frames_take_time_and_frames_given_back_take_none() -> None:
 
 
 def test_no_time_is_no_load() -> None:
-    load = BusLoad(WIRES, 1.0)
+    load = LoadMeter(WIRES, 1.0)
     load.take(PLAIN)
     assert load.look(1.0) == load.mean_ratio(1.0) == 0.0

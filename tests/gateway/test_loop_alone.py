@@ -12,7 +12,7 @@ from canskin.messages import FrameCounts, Measurement
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, Frames, frames
 from gateway.gathering import Gathering, Health, Sync
-from gateway.load import BusLoad
+from gateway.load import LoadMeter
 from gateway.loop import GatewayLoop
 from gateway.nmt_master import NmtMaster
 from tests.bus.harness import frame
@@ -31,7 +31,7 @@ class Told:
     counts: FrameCounts = field(default_factory=lambda: FrameCounts(accepted=3))
     in_flight: int = 2
     due_s: float = 300.0
-    rests_until_s: float = 250.0
+    may_sleep_until_s: float = 250.0
     disturbance: str = "what it does"
     foreign: dict[int, int] = field(default_factory=dict)
     made: list[Measurement] = field(default_factory=list)
@@ -169,9 +169,9 @@ def test_a_sync_goes_to_every_bus_with_the_times_of_its_turn(alone: Alone) -> No
 
 
 def test_what_is_due_next_is_a_sync_or_a_measurement(alone: Alone) -> None:
-    assert (alone.loop.due_s, alone.loop.rests_until_s) == (300.0, 250.0)
+    assert (alone.loop.due_s, alone.loop.may_sleep_until_s) == (300.0, 250.0)
     alone.loop.sync.start(200.0)
-    assert (alone.loop.due_s, alone.loop.rests_until_s) == (200.0, 200.0)
+    assert (alone.loop.due_s, alone.loop.may_sleep_until_s) == (200.0, 200.0)
     assert alone.loop.in_flight == 2
 
 
@@ -304,7 +304,7 @@ def test_loads_are_added_up_in_turn_after_measurements(alone: Alone, monkeypatch
     """One bus at a time, and not more often than every 20 ms."""
     added: list[tuple[int, str]] = []
     now_ms = [0]
-    monkeypatch.setattr(BusLoad, "account", lambda load: added.append((now_ms[0], load._wires.name)))
+    monkeypatch.setattr(LoadMeter, "account", lambda load: added.append((now_ms[0], load._wires.name)))
     for made, times_ms in (([], (5, 50)), ([measurement(1)], (100, 115, 119, 121, 135, 141, 161, 300))):
         alone.told.made = made
         for now_ms[0] in times_ms:

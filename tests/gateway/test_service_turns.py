@@ -43,7 +43,7 @@ class Loop:
     """A loop that keeps what it is told, and returns what the test says."""
 
     def __init__(self) -> None:
-        self.rests_until_s, self.due_s = -NEVER_S, NEVER_S
+        self.may_sleep_until_s, self.due_s = -NEVER_S, NEVER_S
         self.told: list[tuple[Any, ...]] = []
         self.masters = {0: "master"}
         self.states: Any = None
@@ -127,9 +127,9 @@ class Turns:
         self.timeouts_s.append(timeout_s)
         return self.ready, [], []
 
-    def waits(self, *, rests_until_s: float, due_s: float) -> tuple[list[float], list[float]]:
+    def waits(self, *, may_sleep_until_s: float, due_s: float) -> tuple[list[float], list[float]]:
         """Return for how long a turn sleeps, and for how long it waits for frames."""
-        self.loop.rests_until_s, self.loop.due_s = rests_until_s, due_s
+        self.loop.may_sleep_until_s, self.loop.due_s = may_sleep_until_s, due_s
         self.slept_s.clear()
         self.timeouts_s.clear()
         self.service.turn()
@@ -166,14 +166,14 @@ def measurement(cycle: int) -> Measurement:
 def test_frames_are_waited_for_until_something_is_due_and_ten_milliseconds_at_most(
     turns: Turns, due_s: float, timeout_s: float
 ) -> None:
-    assert turns.waits(rests_until_s=-NEVER_S, due_s=NOW_S + due_s) == ([], [timeout_s])
+    assert turns.waits(may_sleep_until_s=-NEVER_S, due_s=NOW_S + due_s) == ([], [timeout_s])
 
 
 @pytest.mark.parametrize(
     ("rests_s", "slept_s"), [(-NEVER_S, []), (0.0, []), (0.00390625, [0.00390625]), (0.0625, [0.01])]
 )
 def test_frames_rest_as_long_as_they_may(turns: Turns, rests_s: float, slept_s: list[float]) -> None:
-    assert turns.waits(rests_until_s=NOW_S + rests_s, due_s=0.0) == (slept_s, [0.0])
+    assert turns.waits(may_sleep_until_s=NOW_S + rests_s, due_s=0.0) == (slept_s, [0.0])
 
 
 def test_a_turn_reads_what_is_ready_looks_at_every_link_and_then_does_what_is_due(turns: Turns) -> None:
@@ -215,7 +215,7 @@ def test_the_calibration_works_when_nothing_is_due_for_four_milliseconds(
     calibrated: Turns, spare_s: float, *, works: bool
 ) -> None:
     assert calibrated.calibration is not None
-    calibrated.waits(rests_until_s=-NEVER_S, due_s=NOW_S + spare_s)
+    calibrated.waits(may_sleep_until_s=-NEVER_S, due_s=NOW_S + spare_s)
     told = [("tick", {0: "master"}, NOW_S), *([("work",)] if works else [])]
     assert calibrated.calibration.told == told
     (status,) = calibrated.statuses()

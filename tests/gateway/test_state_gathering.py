@@ -172,7 +172,7 @@ def test_a_foreign_sync_is_counted_once_though_two_states_see_it(skin: Skin) -> 
 
 
 def test_measurements_do_not_wait_and_a_foreign_sync_costs_its_cycles(skin: Skin) -> None:
-    assert skin.gathering.rests_until_s == float("-inf")
+    assert skin.gathering.may_sleep_until_s == float("-inf")
     assert skin.gathering.disturbance == "its cycles are not valid"
     skin.gathering.tick(1e9)
     assert skin.gathering.measurements(1e9, 0) == []

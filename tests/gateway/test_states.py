@@ -44,7 +44,7 @@ class Skin(World):
 
     @property
     def states(self) -> list[int]:
-        return [node.sends for segment in self.segments for node in segment.nodes]
+        return [node.active_state for segment in self.segments for node in segment.nodes]
 
     def is_image(self, measurement: Measurement) -> bool:
         return measurement.fingerprint == self.contract.phi.fingerprint

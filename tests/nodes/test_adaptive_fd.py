@@ -9,7 +9,7 @@ import pytest
 from dbc.adaptive import BLOCK_SUMS, LEVELS, SAVED_FRAMES, SendingRule, companding
 from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import ECHO, ERROR
-from nodes.adaptive.sending import SILENT, look, make_payload, most_urgent, new_groups, note_sent
+from nodes.adaptive.sending import NOT_DUE, decide, make_payload, most_urgent, new_groups, note_sent
 from skin.layout import load_layout
 from skin.walsh import walsh_matrix
 from tests.nodes.adaptive_bus import IDS, Bus, back, meanings
@@ -86,7 +86,7 @@ def test_frames_of_both_lengths_cost_the_budget_their_bits(bus: Bus) -> None:
     line = bus.contract.layout.bus[0]
     coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
     assert fine > coarse
-    assert (bus.boards._boxes.frame_bits == [coarse, fine]).all()
+    assert (bus.boards._controllers.frame_bits == [coarse, fine]).all()
 
 
 class Node:
@@ -100,8 +100,8 @@ class Node:
         sent, payload = [], np.zeros(64, np.uint8)
         for _ in range(ticks):
             self.now += 1
-            look(0, self.now, self.sums_n, np.zeros(BLOCK_SUMS, np.float32), NOISE_N2, RULE, LAW, self.groups)
-            while (group := most_urgent(0, self.groups)) != SILENT:
+            decide(0, self.now, self.sums_n, np.zeros(BLOCK_SUMS, np.float32), NOISE_N2, RULE, LAW, self.groups)
+            while (group := most_urgent(0, self.groups)) != NOT_DUE:
                 level = int(self.groups.level[0, group])
                 length = make_payload(0, group, self.sums_n, LAW, self.groups, payload)
                 note_sent(0, 0, self.now, length == 64, RULE, LAW, self.groups, payload)
@@ -111,11 +111,11 @@ class Node:
 
 def test_the_frame_has_the_urgency_of_its_most_urgent_group() -> None:
     node = Node()
-    node.groups.level[0] = [0, 3, 1, SILENT]
+    node.groups.level[0] = [0, 3, 1, NOT_DUE]
     assert most_urgent(0, node.groups) == 1
-    node.groups.is_fine[0], node.groups.level[0] = [1, 0, 1, 0], [1, 0, 0, SILENT]
+    node.groups.is_fine[0], node.groups.level[0] = [1, 0, 1, 0], [1, 0, 0, NOT_DUE]
     assert most_urgent(0, node.groups) == 1  # coarse before fine
-    node.groups.level[0, 1] = SILENT
+    node.groups.level[0, 1] = NOT_DUE
     assert most_urgent(0, node.groups) == 0
 
 

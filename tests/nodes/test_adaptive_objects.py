@@ -178,11 +178,11 @@ def test_parameters_are_stored_and_orders_are_not(tmp_path: Path, contract: Cont
     assert bus.write(0x1010, 1, b"save") == 0
     bus.give(frame(0, bytes((RESET_NODE, 1))))
     assert int.from_bytes(bus.read(0x2034), "little") == 4000
-    assert bus.boards._boxes.budget[0] == 4000
+    assert bus.boards._controllers.budget[0] == 4000
     assert bus.read(0x2030) == b"\0"
     assert bus.write(0x1011, 1, struct.pack("<I", LOAD)) == 0
     bus.give(frame(0, bytes((RESET_NODE, 1))))
-    assert bus.boards._boxes.budget[0] == 0
+    assert bus.boards._controllers.budget[0] == 0
 
 
 def test_gains_change_what_a_node_feels_and_not_its_noise(bus: Bus) -> None:

@@ -15,12 +15,12 @@ from dbc.adaptive import (
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
+    NOT_DUE,
     REFRESH,
-    SILENT,
     Groups,
     ask,
+    decide,
     frame_level,
-    look,
     make_payload,
     new_groups,
     noise_threshold_n2,
@@ -36,7 +36,7 @@ PRESSED = (walsh_matrix(32) @ np.random.default_rng(0).uniform(0.002, 0.012, 32)
 
 
 def looked(groups: Groups, now: int, sums_n: np.ndarray) -> list[int]:
-    look(0, now, sums_n, VARIANCE_N2, NOISE_N2, RULE, LAW, groups)
+    decide(0, now, sums_n, VARIANCE_N2, NOISE_N2, RULE, LAW, groups)
     return groups.level[0].tolist()
 
 
@@ -45,7 +45,7 @@ def sent(groups: Groups, now: int, sums_n: np.ndarray) -> list[tuple[int, int, i
     looked(groups, now, sums_n)
     frames = []
     for group in range(GROUPS):
-        if groups.level[0, group] != SILENT:
+        if groups.level[0, group] != NOT_DUE:
             frames.append((now, group, int(groups.reason[0, group]), bool(groups.is_fine[0, group])))
             send(groups, group, now, sums_n)
     return frames
@@ -147,9 +147,9 @@ def test_a_node_leaves_time_between_two_frames_of_a_group() -> None:
     groups, rng, last = new_groups(1), np.random.default_rng(2), dict.fromkeys(range(GROUPS), -5)
     rule = SendingRule(inhibit=5)
     for now in range(200):
-        look(0, now, rng.uniform(-0.1, 0.1, 32).astype(np.float32), VARIANCE_N2, NOISE_N2, rule, LAW, groups)
+        decide(0, now, rng.uniform(-0.1, 0.1, 32).astype(np.float32), VARIANCE_N2, NOISE_N2, rule, LAW, groups)
         for group in range(GROUPS):
-            if groups.level[0, group] != SILENT:
+            if groups.level[0, group] != NOT_DUE:
                 assert now - last[group] == 5  # at once when it is over: there is always news
                 last[group] = now
                 send(groups, group, now, PRESSED, rule)
@@ -183,7 +183,7 @@ def test_a_group_that_details_lift_from_zero_is_refreshed_for_ever() -> None:
 
 def test_a_tiny_number_of_the_rule_leaves_news_its_highest_level() -> None:
     rule, groups = RULE._replace(level_ratio=1e-30), new_groups(1)
-    look(0, 0, PRESSED, VARIANCE_N2, NOISE_N2, rule, LAW, groups)
+    decide(0, 0, PRESSED, VARIANCE_N2, NOISE_N2, rule, LAW, groups)
     assert groups.level[0].tolist() == [LEVELS - 2] * GROUPS
 
 

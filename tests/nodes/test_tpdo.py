@@ -3,7 +3,7 @@
 import pytest
 
 from nodes.segment import Segment
-from nodes.tpdo import Tpdo, is_turn, read_tpdos
+from nodes.tpdo import LiveTpdo, is_turn, read_tpdos
 from tests.bus.harness import frame
 from tests.nodes.links import ArrayLink
 from tests.nodes.test_segment import START, give, numbered_sync, read, sync, write
@@ -13,7 +13,7 @@ COB_ID = 0x181
 
 def set_up(
     segment: Segment, link: ArrayLink, *, every: int, start: int = 0, inhibit_100us: int = 0, event_ms: int = 0
-) -> Tpdo:
+) -> LiveTpdo:
     """Write the communication record of TPDO 1 of node 1, and start the node."""
     for subindex, value, size in (
         (1, 0xC000_0000 | COB_ID, 4),

@@ -14,7 +14,7 @@ from skin.layout import (
     Device,
     Encoding,
     Layout,
-    Measuring,
+    PhiParameters,
     Recognition,
     Sync,
     Taxels,
@@ -253,7 +253,7 @@ def test_the_page_names_every_key() -> None:
     page = Path(__file__).parents[2].joinpath("docs/layout.md").read_text()
     tables = {
         "taxels": Taxels,
-        "measurement": Measuring,
+        "measurement": PhiParameters,
         "sync": Sync,
         "recognition": Recognition,
         "encoding": Encoding,

@@ -10,7 +10,7 @@ import pytest
 
 from canskin.fabric import Fabric
 from canskin.messages import BusState, Contact, Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.layout import Bus, Layout, Measuring, Taxels
+from skin.layout import Bus, Layout, PhiParameters, Taxels
 
 SECOND_NS = 1_000_000_000
 
@@ -20,7 +20,7 @@ def small_layout() -> Layout:
     return Layout(
         name="palm",
         taxels=Taxels(rows=16, columns=16),
-        measurement=Measuring(block_size=32, sums=64),
+        measurement=PhiParameters(block_size=32, sums=64),
         bus=[Bus(name="left", nodes=4), Bus(name="right", nodes=4)],
     )
 

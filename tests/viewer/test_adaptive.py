@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from canskin.messages import Image, Truth
-from skin.layout import Bus, Layout, Measuring, Sampling, Sync, Taxels
+from skin.layout import Bus, Layout, PhiParameters, Sampling, Sync, Taxels
 from viewer.state import ViewState
 from viewer.wire import greeting
 
@@ -14,7 +14,7 @@ LAYOUT = Layout(
     name="palm",
     sending="adaptive",
     taxels=Taxels(rows=16, columns=16),
-    measurement=Measuring(wiring="board", sums=256),
+    measurement=PhiParameters(wiring="board", sums=256),
     sync=Sync(rate_hz=10.0),
     sampling=Sampling(rate_hz=1000.0),
     bus=[Bus(name="left", nodes=4), Bus(name="right", nodes=4)],

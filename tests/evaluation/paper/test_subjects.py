@@ -89,7 +89,7 @@ def test_all_hands_draws_only_to_those_that_average(
     monkeypatch.setattr(command, "import_module", subject_of)
     evaluate("all", draws=3, out=tmp_path, json=True)
     assert json.loads(capsys.readouterr().out) == {"rows": [], "notes": []}
-    averaging = {"claims", "tables", "classification", "beyond", "postures"}
+    averaging = {"claims", "tables", "classification", "methods_compared", "postures"}
     assert {name for name, draws in asked.items() if draws == 3} == averaging
     assert {name for name, draws in asked.items() if draws is None} == {
         "sparsity",
@@ -99,7 +99,8 @@ def test_all_hands_draws_only_to_those_that_average(
         "comparison",
         "rates",
         "contacts",
-        "calibration",
+        "offsets",
+        "zero_scenes",
         "wiring",
         "noiselets",
         "frontend",

@@ -9,7 +9,7 @@ import pytest
 
 from canskin.errors import InputError
 from classifier.decide import Decision
-from evaluation.recognition import beyond, classification, sixteen
+from evaluation.recognition import classification, methods_compared, sixteen
 from evaluation.recognition.accuracy import measure_accuracy
 from evaluation.recognition.adaptive import measure_adaptive
 from evaluation.recognition.live import measure_live
@@ -66,12 +66,12 @@ def test_adaptive_sums_are_no_worse_than_16_chosen_sums() -> None:
 @pytest.mark.slow
 def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     # What cells measure is tested above, and the live service with the classifier: here, one stands in for all of them.
-    monkeypatch.setattr(beyond, "measure_live", _live)
-    monkeypatch.setattr(beyond, "measure_sixteen", _sixteen)
-    monkeypatch.setattr(beyond, "measure_method", _method)
-    monkeypatch.setattr(beyond, "measure_adaptive", _adaptive)
+    monkeypatch.setattr(methods_compared, "measure_live", _live)
+    monkeypatch.setattr(methods_compared, "measure_sixteen", _sixteen)
+    monkeypatch.setattr(methods_compared, "measure_method", _method)
+    monkeypatch.setattr(methods_compared, "measure_adaptive", _adaptive)
     monkeypatch.setattr(classification, "measure_accuracy", _accuracy)
-    both = [subject.evaluate(Options(quick=True)) for subject in (classification, beyond)]
+    both = [subject.evaluate(Options(quick=True)) for subject in (classification, methods_compared)]
     for found in both:
         assert len({tuple(row) for row in found.rows}) == 1
         for picture in found.pictures:
@@ -83,9 +83,9 @@ def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pyt
 
 def test_live_rows_of_the_sixteen_have_every_share_and_our_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, answer in (("measure_live", _live), ("measure_sixteen", _sixteen), ("measure_adaptive", _adaptive)):
-        monkeypatch.setattr(beyond, name, answer)
-    monkeypatch.setattr(beyond, "measure_method", _method)
-    found = {row["what"]: row["ours"] for row in beyond.evaluate(Options(quick=True)).rows}
+        monkeypatch.setattr(methods_compared, name, answer)
+    monkeypatch.setattr(methods_compared, "measure_method", _method)
+    found = {row["what"]: row["ours"] for row in methods_compared.evaluate(Options(quick=True)).rows}
     named = "live, our shapes of the paper's 16, press, samples a cycle 1"
     shares = {"right, pressed in fully": 95, "right, all cycles": 90, "called unknown": 2, "called no contact": 8}
     assert {what.removeprefix(f"{named}: "): ours for what, ours in found.items() if what.startswith(named)} == shares

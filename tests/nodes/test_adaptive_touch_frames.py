@@ -6,7 +6,7 @@ import pytest
 from dbc.adaptive import frame_of
 from dbc.contract import Contract
 from gateway.adaptive_state import new_sums, take
-from nodes.adaptive.touched import touched_frames
+from nodes.adaptive.touch_frames import touched_frames
 from skin.layout import parse_layout
 from skin.sources import Frame
 from skin.walsh import walsh_matrix

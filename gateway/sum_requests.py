@@ -16,7 +16,7 @@ from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
 #: Pause after each request for groups to the same node; the last pause follows every further request.
 REQUEST_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)
-#: When a node has needed nothing for so long, its pauses begin anew.
+#: When a node has needed nothing for this time, its pauses begin anew.
 SETTLED_S: Final = 2.0
 #: A node that is started sends all groups by itself; after this time it is asked for those that did not come.
 START_S: Final = 0.3
@@ -31,7 +31,7 @@ Groups = npt.NDArray[np.uint8]
 _Steps = Generator[Transfer, bytes, None]
 
 
-class Errands:
+class SumRequests:
     """The requests to the nodes of one bus. Nodes are named by their place on the bus.
 
     Parameters

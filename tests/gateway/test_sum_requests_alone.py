@@ -6,9 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from gateway.errands import Errands
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import Dialogue, Read, SdoDialogue, Transfer, Write
+from gateway.sum_requests import SumRequests
 
 GROUPS = 0x2030
 NOISE = 0x2035
@@ -44,16 +44,18 @@ class Asking:
 
 
 class Skin:
-    """Errands, with no groups missing until the test says so."""
+    """`SumRequests`, with no groups missing until the test says so."""
 
     def __init__(self) -> None:
         self.master = Asking()
         self.noise: list[tuple[int, float]] = []
-        self.errands = Errands(cast("NmtMaster", self.master), lambda node, noise_n: self.noise.append((node, noise_n)))
+        self.sum_requests = SumRequests(
+            cast("NmtMaster", self.master), lambda node, noise_n: self.noise.append((node, noise_n))
+        )
         self.unknown, self.doubtful = np.zeros(6, np.uint8), np.zeros(6, np.uint8)
 
     def tick(self, now_s: float, *, answered: bool = True) -> list[tuple[int, Transfer]]:
-        self.errands.tick(now_s, self.unknown, self.doubtful)
+        self.sum_requests.tick(now_s, self.unknown, self.doubtful)
         if answered:
             for node in self.master.nodes.values():
                 node.errand = None
@@ -62,8 +64,8 @@ class Skin:
     def proven(self, *nodes: int, now_s: float = 0.0) -> None:
         """Prove nodes, whose noise is known."""
         for node in nodes:
-            self.errands.proven(node, now_s)
-            self.errands._noise_s[node] = np.inf
+            self.sum_requests.proven(node, now_s)
+            self.sum_requests._noise_s[node] = np.inf
 
 
 def groups(node_id: int, bits: int) -> tuple[int, Write]:
@@ -80,7 +82,7 @@ def test_nothing_is_asked_of_a_node_that_is_not_proven(skin: Skin) -> None:
     assert skin.tick(0.0) == []
     skin.proven(2)
     assert [node_id for node_id, _ in skin.tick(1.0)] == [13]
-    skin.errands.lost(2)
+    skin.sum_requests.lost(2)
     assert skin.tick(100.0) == []
 
 
@@ -134,7 +136,7 @@ def test_a_proof_and_the_return_of_the_bus_begin_the_pauses_anew(skin: Skin) -> 
     skin.proven(0, now_s=0.4)
     assert skin.tick(0.4375) == [groups(11, 1)]
     assert skin.tick(0.5625) == [groups(11, 1)]
-    skin.errands.again()
+    skin.sum_requests.again()
     assert skin.tick(0.59375) == [groups(11, 1), groups(12, 1)]
     assert skin.tick(0.6) == []
     assert skin.tick(0.71875) == [groups(11, 1), groups(12, 1)]
@@ -178,15 +180,15 @@ def noise(node_id: int) -> tuple[int, Read]:
 
 
 def test_noise_is_read_after_the_proof_and_every_ten_seconds_one_node_in_a_tick(skin: Skin) -> None:
-    skin.errands.proven(1, 0.0)
-    skin.errands.proven(4, 0.0)
+    skin.sum_requests.proven(1, 0.0)
+    skin.sum_requests.proven(4, 0.0)
     assert [skin.tick(now_s) for now_s in (0.0, 0.02, 0.04)] == [[noise(12)], [noise(15)], []]
     assert skin.tick(9.99) == []
     assert [skin.tick(now_s) for now_s in (10.0, 10.02, 10.04)] == [[noise(12)], [noise(15)], []]
 
 
 def test_noise_of_a_busy_node_is_tried_again_after_a_second(skin: Skin) -> None:
-    skin.errands.proven(1, 0.0)
+    skin.sum_requests.proven(1, 0.0)
     skin.master.busy = {12}
     assert skin.tick(0.0) == []
     skin.master.busy.clear()
@@ -209,13 +211,13 @@ def test_noise_of_a_busy_node_is_tried_again_after_a_second(skin: Skin) -> None:
     ids=["a half", "none", "negative", "infinite", "no number", "three bytes", "five bytes", "nothing"],
 )
 def test_noise_is_a_number_above_zero(skin: Skin, data: str, noise_n: list[float]) -> None:
-    skin.errands.proven(3, 0.0)
+    skin.sum_requests.proven(3, 0.0)
     skin.tick(0.0, answered=False)
     skin.master.answer(14, bytes.fromhex(data))
     assert skin.noise == [(3, each) for each in noise_n]
 
 
 def test_a_node_that_is_lost_is_not_asked_for_its_noise(skin: Skin) -> None:
-    skin.errands.proven(3, 0.0)
-    skin.errands.lost(3)
+    skin.sum_requests.proven(3, 0.0)
+    skin.sum_requests.lost(3)
     assert skin.tick(50.0) == []

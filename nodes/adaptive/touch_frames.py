@@ -4,17 +4,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from dbc.adaptive import LEVELS, Companding, SendingRule, place_of
+from dbc.adaptive import LEVELS, Companding, SendingRule, decode_cob_id
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
 from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.noise import IdleStatistics
 from nodes.adaptive.sending import (
-    SILENT,
+    NOT_DUE,
     Groups,
+    decide,
     identifier_of,
-    look,
     make_payload,
     most_urgent,
     new_groups,
@@ -89,13 +89,13 @@ def _send(  # noqa: PLR0917  compiled functions take no keywords
     """Write the frames that are due; return how many."""
     count = 0
     for node in range(sums_n.shape[0]):
-        look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule, law, groups)
+        decide(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule, law, groups)
         while True:
             group = most_urgent(node, groups)
-            if group == SILENT:
+            if group == NOT_DUE:
                 break
             identifiers[count] = identifier_of(node, group, groups)
-            kind, tpdo_group, _ = place_of(identifiers[count], groups.is_fd[node])
+            kind, tpdo_group, _ = decode_cob_id(identifiers[count], groups.is_fd[node])
             payload = payloads[count]
             payload[:] = 0
             lengths[count] = make_payload(node, group, sums_n[node], law, groups, payload)

@@ -29,12 +29,12 @@ from dbc.frame import BRS, ECHO, ERROR, ESI, FD, FRAME, frame_bytes, frames
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
+    NOT_DUE,
     REFRESH,
-    SILENT,
     Groups,
     Integers,
     Numbers,
-    look,
+    decide,
     make_payload,
     new_groups,
     note_sent,
@@ -43,9 +43,9 @@ from nodes.adaptive.sending import (
 from skin.compiled import borrowed, njit
 from skin.walsh import GROUPS
 
-#: `Mailboxes.cob_id` of a TPDO that does not exist.
+#: `Controllers.cob_id` of a TPDO that does not exist.
 NO_COB_ID: Final = 0
-#: Columns of `Mailboxes.counts`.
+#: Columns of `Controllers.counts`.
 SENT, REFUSED = range(2)
 _LONG_AGO: Final = -(1 << 40)
 _ROUNDING: Final = SendingRule._fields.index("rounding")
@@ -59,7 +59,7 @@ _PLAIN: Final = ECHO | ERROR
 _PLAIN_FD: Final = ECHO | ERROR | FD | BRS | ESI
 
 
-class Mailboxes(NamedTuple):
+class Controllers(NamedTuple):
     """The controllers of some nodes.
 
     Attributes
@@ -84,10 +84,10 @@ class Mailboxes(NamedTuple):
     counts: Integers
 
 
-def new_mailboxes(frame_bits: Integers) -> Mailboxes:
-    """Return the controllers of nodes that have sent nothing and have no limit; `frame_bits` as in `Mailboxes`."""
+def new_controllers(frame_bits: Integers) -> Controllers:
+    """Return the controllers of nodes that have sent nothing and have no limit; `frame_bits` as in `Controllers`."""
     nodes = len(frame_bits)
-    return Mailboxes(
+    return Controllers(
         cob_id=np.full((nodes, TPDOS), NO_COB_ID, np.int64),
         inhibit=np.zeros((nodes, TPDOS), np.int64),
         made_at=np.full((nodes, TPDOS), _LONG_AGO, np.int64),
@@ -115,8 +115,8 @@ class Chosen(NamedTuple):
     payload: Bytes
 
 
-def room_for(count: int) -> Chosen:
-    """Return room for so many frames."""
+def frame_buffer(count: int) -> Chosen:
+    """Return an empty buffer of `count` frames."""
     can_id, node, tpdo, length = np.zeros((4, count), np.int64)
     return Chosen(can_id, node, tpdo, length, np.zeros((count, payload_bytes(True, True)), np.uint8))
 
@@ -143,7 +143,7 @@ def rule_of(rules: Numbers, node: int) -> SendingRule:
 
 
 @njit(cache=True, nogil=True)
-def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
+def decide_all(  # noqa: PLR0917  compiled functions take no keywords
     now: int,
     now_ns: int,
     passed_s: float,
@@ -154,10 +154,10 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     rules: Numbers,
     law: Companding,
     groups: Groups,
-    boxes: Mailboxes,
+    controllers: Controllers,
     has_due: npt.NDArray[np.bool_],
 ) -> bool:
-    """Decide what each node is to send, as `nodes.adaptive.sending.look`; save up budgets.
+    """Decide what each node is to send, as `nodes.adaptive.sending.decide`; save up budgets.
 
     Parameters
     ----------
@@ -171,12 +171,12 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     bool
         Whether any node has.
     """
-    groups, boxes = borrowed(groups), borrowed(boxes)
-    budget, saved, under_way, level = boxes.budget, boxes.saved, groups.under_way, groups.level
+    groups, controllers = borrowed(groups), borrowed(controllers)
+    budget, saved, under_way, level = controllers.budget, controllers.saved, groups.under_way, groups.level
     for node in range(is_operational.size):
         has_due[node] = False
         if budget[node] > 0:
-            least = float(SAVED_FRAMES * boxes.frame_bits[node, 0])
+            least = float(SAVED_FRAMES * controllers.frame_bits[node, 0])
             most = max(least, budget[node] * SAVING_S)
             # Refreshes go whatever is saved. Without a limit, their debt would hold news back for minutes.
             owed = max(saved[node], -least)
@@ -190,10 +190,10 @@ def look_at_all(  # noqa: PLR0917  compiled functions take no keywords
     for node in range(is_operational.size):
         if has_due[node]:
             has_due[node] = False
-            look(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule_of(rules, node), law, groups)
+            decide(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule_of(rules, node), law, groups)
             for group in range(GROUPS):
                 is_free = under_way[node, group] == 0
-                has_due[node] = has_due[node] or (is_free and level[node, group] != SILENT)
+                has_due[node] = has_due[node] or (is_free and level[node, group] != NOT_DUE)
     return bool(has_due.any())
 
 
@@ -207,9 +207,9 @@ def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
     groups: Groups,
     needs_look: npt.NDArray[np.bool_],
 ) -> None:
-    """Decide for groups that show what is known and need no refresh: nothing. Tell which nodes have others.
+    """Silence groups whose receivers are up to date and that need no refresh. Tell which nodes have other groups.
 
-    Most nodes have none, and `look` takes longer.
+    Most nodes have none, and `decide` takes longer.
     """
     known_n, refreshes, refresh_at = groups.known_n, groups.refreshes, groups.refresh_at
     since, level, reason, is_fine, under_way = (
@@ -232,7 +232,7 @@ def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
             if largest > bound or (refreshes[node, group] > 0 and now >= refresh_at[node, group]):
                 needs_look[node] = True
             else:
-                since[node, group], level[node, group] = -1, SILENT
+                since[node, group], level[node, group] = -1, NOT_DUE
                 reason[node, group], is_fine[node, group] = NEWS, 0
 
 
@@ -246,7 +246,7 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
     sums_n: npt.NDArray[np.float32],
     law: Companding,
     groups: Groups,
-    boxes: Mailboxes,
+    controllers: Controllers,
     has_due: npt.NDArray[np.bool_],
     chosen: Chosen,
 ) -> int:
@@ -254,18 +254,18 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
 
     The frames, which expire at `until_ns`, are under way from now on.
     """
-    groups, boxes = borrowed(groups), borrowed(boxes)
+    groups, controllers = borrowed(groups), borrowed(controllers)
     keys, count = np.empty((last - first) * GROUPS, np.int64), 0
     for node in range(first, last):
         if has_due[node]:
             before = count
             for group in range(GROUPS):
-                if groups.level[node, group] == SILENT or groups.under_way[node, group] > 0:
+                if groups.level[node, group] == NOT_DUE or groups.under_way[node, group] > 0:
                     continue
                 tpdo = tpdo_of(node, group, groups)
-                cob_id = boxes.cob_id[node, tpdo]
-                is_inhibited = now - boxes.made_at[node, tpdo] < boxes.inhibit[node, tpdo]
-                if cob_id == NO_COB_ID or is_inhibited or not _has_budget(node, group, groups, boxes):
+                cob_id = controllers.cob_id[node, tpdo]
+                is_inhibited = now - controllers.made_at[node, tpdo] < controllers.inhibit[node, tpdo]
+                if cob_id == NO_COB_ID or is_inhibited or not _has_budget(node, group, groups, controllers):
                     continue
                 keys[count] = (cob_id << 32) + node * GROUPS + group
                 if groups.is_fd[node] and count > before:  # one frame for all groups: that of the most urgent
@@ -279,10 +279,10 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
         node, group = place // GROUPS, place % GROUPS
         if done == most:
             break
-        if _has_budget(node, group, groups, boxes):
+        if _has_budget(node, group, groups, controllers):
             tpdo = tpdo_of(node, group, groups)
-            boxes.made_at[node, tpdo] = now
-            boxes.saved[node] -= boxes.frame_bits[node, groups.is_fine[node, group]]
+            controllers.made_at[node, tpdo] = now
+            controllers.saved[node] -= controllers.frame_bits[node, groups.is_fine[node, group]]
             chosen.payload[done] = 0
             chosen.length[done] = make_payload(node, group, sums_n[node], law, groups, chosen.payload[done])
             _note_way(node, group, until_ns + LOST_NS, groups)
@@ -292,13 +292,13 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
 
 
 @njit(cache=True, nogil=True)
-def give_back(node: int, tpdo: int, groups: Groups, boxes: Mailboxes) -> None:
+def give_back(node: int, tpdo: int, groups: Groups, controllers: Controllers) -> None:
     """Take note of a frame that was not sent."""
     group = tpdo % GROUPS
     if groups.under_way[node, group] > 0:
         _note_way(node, group, 0, groups)
-        boxes.made_at[node, tpdo] = _LONG_AGO
-        boxes.saved[node] += boxes.frame_bits[node, int(is_fine_tpdo(tpdo))]
+        controllers.made_at[node, tpdo] = _LONG_AGO
+        controllers.saved[node] += controllers.frame_bits[node, int(is_fine_tpdo(tpdo))]
 
 
 @njit(cache=True, nogil=True)
@@ -324,7 +324,7 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
     rules: Numbers,
     law: Companding,
     groups: Groups,
-    boxes: Mailboxes,
+    controllers: Controllers,
 ) -> tuple[int, int]:
     """Take note of the nodes' own frames among received ones; return how many were sent, and the number of others.
 
@@ -334,7 +334,7 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
     place_of : array of int64, shape (BASE_ID_MASK + 1,)
         TPDOS · node + TPDO of an identifier, -1 for all others.
     """
-    groups, boxes = borrowed(groups), borrowed(boxes)
+    groups, controllers = borrowed(groups), borrowed(controllers)
     sent, others = 0, 0
     for row in rows:
         can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
@@ -350,37 +350,37 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
             others += 1
             continue
         if flags & ERROR:
-            give_back(node, tpdo, groups, boxes)
+            give_back(node, tpdo, groups, controllers)
             continue
         sent += 1
-        boxes.counts[node, SENT] += 1
+        controllers.counts[node, SENT] += 1
         note_sent(node, group, now, is_fine, rule_of(rules, node), law, groups, row[_DATA:])
         _note_way(node, group, 0, groups)
     return sent, others
 
 
 @njit(cache=True, nogil=True)
-def _has_budget(node: int, group: int, groups: Groups, boxes: Mailboxes) -> bool:
+def _has_budget(node: int, group: int, groups: Groups, controllers: Controllers) -> bool:
     """Tell whether a node may send: refreshes always, news while bits are left, details while news would find some."""
     reason = groups.reason[node, group]
-    if boxes.budget[node] == 0 or reason == REFRESH:
+    if controllers.budget[node] == 0 or reason == REFRESH:
         return True
-    coarse = boxes.frame_bits[node, 0]
+    coarse = controllers.frame_bits[node, 0]
     frames_of_all = 1 if groups.is_fd[node] else GROUPS
-    # Details leave so much that every group can send a coarse frame.
+    # Details leave the bits of a coarse frame for every group.
     kept = frames_of_all * coarse if reason == DETAIL else 0
-    return bool(boxes.saved[node] >= boxes.frame_bits[node, groups.is_fine[node, group]] + kept)
+    return bool(controllers.saved[node] >= controllers.frame_bits[node, groups.is_fine[node, group]] + kept)
 
 
 def compile_all(law: Companding) -> None:
     """Compile what runs every millisecond, so that no bus waits for it: one frame of one node, there and back."""
-    groups, boxes = new_groups(1), new_mailboxes(np.ones((1, 2), np.int64))
-    room, sent = room_for(1), frames(1)
-    boxes.cob_id[:] = sent["can_id"] = FIRST_COB_ID
+    groups, controllers = new_groups(1), new_controllers(np.ones((1, 2), np.int64))
+    room, sent = frame_buffer(1), frames(1)
+    controllers.cob_id[:] = sent["can_id"] = FIRST_COB_ID
     groups.refreshes[:], groups.refresh_at[:] = 1, 0
     sums_n, rules = np.zeros((1, BLOCK_SUMS), np.float32), np.array([SendingRule()], np.float64)
     yes = np.ones(1, np.bool_)
-    look_at_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, boxes, yes)
-    choose(0, 1, 1, 1, 1, sums_n, law, groups, boxes, yes, room)
-    give_back(0, 0, groups, boxes)
-    take_echoes(frame_bytes(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, boxes)
+    decide_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, controllers, yes)
+    choose(0, 1, 1, 1, 1, sums_n, law, groups, controllers, yes, room)
+    give_back(0, 0, groups, controllers)
+    take_echoes(frame_bytes(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, controllers)
