@@ -2,7 +2,7 @@
 
 The zero z of a board, mean of its taxels, has moved by forces below zero, slowly, or by a person's word while its
 temperature T changed. Of all boards together, with means over an hour taken off, κ = Σ T z / Σ T². Where T explains
-most of z, the zero of each board moves by κ ΔT at once, in both directions.
+most of z, the zero of each board moves by κ ΔT at once, in both directions, less what it has moved of that already.
 """
 
 from typing import Final
@@ -13,7 +13,9 @@ from calibration.windows import Floats
 
 #: Readings over which means and κ are formed: an hour, of one in five seconds.
 MEMORY: Final = 720
-#: κ counts when temperatures have changed by this deviation, and explain this part of the variance of the zeros.
+#: κ counts from so many readings on, a minute, when temperatures have changed by this deviation, and explain this part
+#: of the variance of the zeros.
+LEAST_READINGS: Final = 12
 LEAST_CHANGE_K: Final = 0.5
 LEAST_EXPLAINED: Final = 0.7
 
@@ -33,14 +35,20 @@ class TemperatureModel:
 
     def __init__(self, blocks: int) -> None:
         self.newton_per_k = 0.0
-        self._last_k = np.full(blocks, np.nan)
+        self._last_k, self._last_n = np.full((2, blocks), np.nan)
         self._mean_k, self._mean_n = np.zeros((2, blocks))
         self._count = np.zeros(blocks, np.intp)
+        self._readings = 0
         #: Σ T², Σ T z, Σ z² over readings.
         self._squares = np.zeros(3)
 
+    def restart(self) -> None:
+        """Begin with zeros that have nothing to do with those before; κ stays."""
+        self._last_n[:] = np.nan
+        self._count[:] = 0
+
     def take(self, kelvin: Floats, zero_n: Floats) -> Floats:
-        """Take readings; return by how much the zero of each board has moved since the last, newtons a taxel.
+        """Take readings; return by how much the zero of each board has yet to move since the last, newtons a taxel.
 
         Parameters
         ----------
@@ -50,6 +58,12 @@ class TemperatureModel:
             How far the zero of each board has moved by other evidence and by what was returned, mean of its taxels.
         """
         known = np.isfinite(kelvin)
+        moved_n = self.newton_per_k * (kelvin - self._last_k)
+        left_n = moved_n - np.clip(zero_n - self._last_n, np.minimum(moved_n, 0), np.maximum(moved_n, 0))
+        left_n = np.where(np.isfinite(left_n), left_n, 0.0)
+        zero_n = zero_n + left_n
+        self._last_k, self._last_n = np.where(known, (kelvin, zero_n), (self._last_k, self._last_n))
+        self._readings += 1
         self._count[known] += 1
         gain = known / np.clip(self._count, 1, MEMORY)
         off_k = np.where(known, kelvin - self._mean_k, 0.0)
@@ -59,14 +73,12 @@ class TemperatureModel:
         old = self._count > 1
         pairs = np.array([(off_k**2)[old].sum(), (off_k * off_n)[old].sum(), (off_n**2)[old].sum()])
         self._squares += pairs - self._squares / MEMORY
-        change_k = np.where(known & np.isfinite(self._last_k), kelvin - self._last_k, 0.0)
-        self._last_k = np.where(known, kelvin, self._last_k)
         self._learn(int(known.sum()))
-        return self.newton_per_k * change_k
+        return left_n
 
     def _learn(self, boards: int) -> None:
         temperatures, both, zeros = self._squares
-        readings = max(1, boards) * min(MEMORY, max(1, int(self._count.max())))
-        has_changed = temperatures > readings * LEAST_CHANGE_K**2
+        readings = max(1, boards) * min(MEMORY, self._readings)
+        has_changed = self._readings >= LEAST_READINGS and temperatures > readings * LEAST_CHANGE_K**2
         explains = both**2 > LEAST_EXPLAINED * temperatures * zeros
         self.newton_per_k = float(both / temperatures) if has_changed and explains else 0.0
