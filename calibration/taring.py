@@ -102,8 +102,7 @@ class Taring:
     def _moved(self, means_n: Floats, known: Bools, noise_n: float, *, has_common: bool) -> int | None:
         """Return the taxel where something moves most."""
         force_n, least_n = self._seen(change(means_n), known, noise_n)
-        moved_n = np.abs(force_n - np.median(force_n) if has_common else force_n)
-        return int(moved_n.argmax()) if moved_n.max() > least_n else None
+        return self._largest(np.abs(force_n - np.median(force_n) if has_common else force_n), least_n)
 
     def _touched(
         self,
@@ -123,7 +122,11 @@ class Taring:
         force_n = np.where(settled & self.is_asked, 0.0, force_n)
         if has_common:
             force_n -= np.quantile(force_n, FLOOR_PART)
-        return int(force_n.argmax()) if force_n.max() > least_n else None
+        return self._largest(force_n, least_n)
+
+    def _largest(self, force_n: Floats, least_n: float) -> int | None:
+        seen_n = np.where(self._finder.opened(force_n > least_n), force_n, 0.0)
+        return int(seen_n.argmax()) if seen_n.any() else None
 
     def _seen(self, sums_n: Floats, known: Bools, noise_n: float) -> tuple[Floats, float]:
         """Return the field of sums, and from which force on a taxel is more than noise."""
