@@ -171,10 +171,14 @@ class Calibrator:
     def take_temperatures(self, kelvin: Floats) -> None:
         """Take the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown. The zero follows them."""
         zero, phi = self._zero, self._phi
-        totals = phi.row_of_sum == 0
-        if zero is None or not self._tares or not (self._is_own and totals.any()):
+        if zero is None or not self._tares or not self._is_own:
             return
-        way_n = np.where(zero.follower.known, zero.follower.level_n - self._first_n, np.nan)[totals] / phi.block_size
+        level_n = np.where(zero.follower.known, zero.follower.level_n, np.nan)
+        self._first_n = np.where(np.isnan(self._first_n), level_n, self._first_n)  # blocks may come late
+        totals = (phi.row_of_sum == 0) & zero.follower.known
+        if not totals.any():
+            return
+        way_n = (level_n - self._first_n)[totals] / phi.block_size
         of_blocks = np.full(phi.blocks, np.nan)
         of_blocks[phi.block_of_sum[totals]] = way_n
         change_n = self._temperature.take(kelvin, of_blocks)[phi.block_of_taxel]
@@ -482,4 +486,5 @@ class Calibrator:
         )
         self._support.begin(known, support, self._newest_ns)
         self._doubt = self._new_doubt()
-        self._temperature, self._first_n = TemperatureModel(phi.blocks), level_n
+        self._first_n = np.where(known, level_n, np.nan)
+        self._temperature.restart()

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_opening
 
 from calibration.windows import Bools, Floats, rms
 from reconstructor.kernels.fused import FusedSolver
@@ -38,6 +39,8 @@ STEEPEST: Final = 4.0
 DEVIATION_OF_MEDIAN: Final = 1.4826
 #: Cost of a newton of a board's shift in units of λ: more than that of a touched patch, less than that of its taxels.
 SHIFT_COST: Final = 2.0
+#: What is seen has at least this shape: the field of noise has single taxels.
+_SQUARE: Final = np.ones((2, 2), np.bool_)
 #: A board is spread over the skin if each of its taxels has on average `SPREAD_EDGES` edges to taxels of other boards.
 SPREAD_EDGES: Final = 3.0
 
@@ -73,7 +76,7 @@ class FieldFinder:
     def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
         settings = replace(VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False)
         self._solver = FusedSolver(phi, rows, columns, settings)
-        self._phi = phi
+        self._phi, self._shape = phi, (rows, columns)
         self._taxels, self._places = taxels_in_block_order(phi), places_of_sums(phi)
         #: Standard deviation of Φᵀ noise over that of the noise.
         self._gain = float(np.sqrt(phi.shape[0] / phi.blocks))
@@ -90,6 +93,10 @@ class FieldFinder:
         work = force_n[self._taxels]
         hadamard(work, self._phi.blocks)
         return work[self._places]
+
+    def opened(self, taxels: Bools) -> Bools:
+        """Return taxels, shape (n,), without those that are no square of others."""
+        return np.asarray(binary_opening(taxels.reshape(self._shape), _SQUARE).ravel(), np.bool_)
 
     def find(self, sums_n: Floats, known: Bools, least_noise_n: float) -> Field:
         """Return the field of sums.

@@ -13,6 +13,8 @@ from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, change, typ
 LEAST_KNOWN: Final = 0.5
 #: This part of the taxels may show less than what all others have in common.
 FLOOR_PART: Final = 0.02
+#: Force of a single taxel that is seen, over that of a square of taxels.
+SINGLE_RATIO: Final = 2.0
 
 
 class MeasuredZero(NamedTuple):
@@ -102,8 +104,7 @@ class Taring:
     def _moved(self, means_n: Floats, known: Bools, noise_n: float, *, has_common: bool) -> int | None:
         """Return the taxel where something moves most."""
         force_n, least_n = self._seen(change(means_n), known, noise_n)
-        moved_n = np.abs(force_n - np.median(force_n) if has_common else force_n)
-        return int(moved_n.argmax()) if moved_n.max() > least_n else None
+        return self._largest(np.abs(force_n - np.median(force_n) if has_common else force_n), least_n)
 
     def _touched(
         self,
@@ -123,7 +124,13 @@ class Taring:
         force_n = np.where(settled & self.is_asked, 0.0, force_n)
         if has_common:
             force_n -= np.quantile(force_n, FLOOR_PART)
-        return int(force_n.argmax()) if force_n.max() > least_n else None
+        return self._largest(force_n, least_n)
+
+    def _largest(self, force_n: Floats, least_n: float) -> int | None:
+        """Return the taxel with the largest force; single taxels count only where they are far from noise."""
+        seen = self._finder.opened(force_n > least_n) | (force_n > SINGLE_RATIO * least_n)
+        seen_n = np.where(seen, force_n, 0.0)
+        return int(seen_n.argmax()) if seen_n.any() else None
 
     def _seen(self, sums_n: Floats, known: Bools, noise_n: float) -> tuple[Floats, float]:
         """Return the field of sums, and from which force on a taxel is more than noise."""

@@ -18,7 +18,7 @@ from collections import deque
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_opening
+from scipy.ndimage import binary_dilation
 
 from calibration.drift import DriftFollower, line_through
 from calibration.field import Field, FieldFinder
@@ -56,8 +56,6 @@ FALLEN_PART: Final = 0.85
 LEAST_REST: Final = 0.1
 #: Taxels this far from a touch count as touched, too.
 MARGIN: Final = 2
-#: What falls, or has risen slowly, has at least this shape: the field of noise has single taxels.
-_SQUARE: Final = np.ones((2, 2), np.bool_)
 
 
 class Zero:
@@ -196,7 +194,7 @@ class Zero:
     def _common(self, force_n: Floats, known: Bools) -> float:
         """Return by how much the zero of all taxels has risen slowly, or fallen, newtons; touches keep their force.
 
-        References that were measured and agree tell how much at any speed.
+        References that were measured and agree tell how much at any speed. A fall by less than noise is left to drift.
         """
         least_n = self._finder.least_n(self.follower.noise_n)
         measured = self._references & self._phi.all_of_blocks(known)[self._phi.block_of_taxel]
@@ -206,7 +204,7 @@ class Zero:
                 return float(middle_n)
         rest_n = force_n[~self._near]
         fallen_n = float(np.quantile(rest_n, FALLEN_PART)) if rest_n.size > LEAST_REST * force_n.size else 0.0
-        if fallen_n < 0:
+        if fallen_n < -self._finder.picture_gain * self.follower.noise_n:
             return fallen_n
         risen_n = float(np.quantile(force_n, FLOOR_PART))
         return risen_n if 0 < risen_n < (np.inf if self._is_stored else SLOW_RATIO * least_n) else 0.0
@@ -229,7 +227,7 @@ class Zero:
         self._calm = 0 if is_touched else self._calm + 1
         proven_n = np.maximum(self._below_n.max(axis=0) if is_touched else self._below_n[0], -self._room_n)
         limit_n = max(least_n, LEAST_PART * float(self.force_n.max())) if is_touched else least_n
-        fall_n = np.where(self._opened(proven_n < -limit_n), proven_n, 0.0)
+        fall_n = np.where(self._finder.opened(proven_n < -limit_n), proven_n, 0.0)
         if fall_n.any():
             self._fall(fall_n, left_n, known, is_touched=is_touched)
         if self._calm == PROOF_WINDOWS:  # what fell meanwhile is right
@@ -308,8 +306,8 @@ class Zero:
         floor_n = max(0.0, float(np.quantile(field.force_n, FLOOR_PART)))
         risen_n = field.force_n - floor_n
         back_n = np.minimum(np.maximum(risen_n, 0), self._fallen_n)
-        touch_n = np.where(self._opened(risen_n - back_n > least_n), risen_n - back_n, 0.0)
-        fall_n = np.where(self._opened(risen_n < -least_n), risen_n, 0.0)
+        touch_n = np.where(self._finder.opened(risen_n - back_n > least_n), risen_n - back_n, 0.0)
+        fall_n = np.where(self._finder.opened(risen_n < -least_n), risen_n, 0.0)
         self._fallen_n = (1 - CREDIT_LOSS) * (self._fallen_n - back_n)
         if self._is_measured:
             self._fallen_n -= fall_n
@@ -323,13 +321,9 @@ class Zero:
         # What neighbouring taxels share has no slope: when its drift ends, the zero would run on.
         slope = self._finder.find(follower.slope_n, follower.known, 0.0)
         shared_n = slope.force_n - np.median(slope.force_n)
-        seen = self._opened(np.abs(shared_n) > self._finder.least_n(slope.noise_n))
+        seen = self._finder.opened(np.abs(shared_n) > self._finder.least_n(slope.noise_n))
         follower.turn(-self._finder.sums(np.where(seen, shared_n, 0.0)))
         return -touch_n
-
-    def _opened(self, taxels: Bools) -> Bools:
-        """Return taxels without those that are no square of others."""
-        return np.asarray(binary_opening(taxels.reshape(self._shape), _SQUARE).ravel(), np.bool_)
 
     def move(self, change_n: Floats) -> None:
         """Move the zero by a field that is proven, shape (n,), newtons."""

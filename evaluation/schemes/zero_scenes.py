@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation
@@ -24,7 +25,7 @@ from reconstructor.engine import Reconstructor
 from skin.defects import Offset
 from skin.layout import Layout, load_layout
 from skin.measured_sums import decode_measurement
-from skin.zero_drift import Creep, Place, ZeroDrift
+from skin.zero_drift import DRIFT_N_PER_K, REST_K, Creep, Place, ZeroDrift
 
 #: What every taxel reads at least, and the offsets above that as part of the range.
 PEDESTAL_N: Final = 5e-3
@@ -48,6 +49,9 @@ RIGHT_N: Final = 0.3e-3
 STEPS_N: Final = (-5e-3, -2e-3, 2e-3, 5e-3)
 SIDES: Final = (4, 12, 20)
 _BOARD: Final = 5
+#: References are a square of so many taxels in each corner; boards with thermometers tell their temperature so often.
+REFERENCE_SIDE: Final = 3
+TEMPERATURES_S: Final = 5.0
 #: Scenes that are drawn, for each that ``rivals`` draws.
 DRAWN_RATIO: Final = 2
 
@@ -106,6 +110,10 @@ class Scene:
         First and last second in which a quarter of the boards restarts.
     is_stored : bool
         The zero of the run before is known: without the drifts and presses.
+    has_references : bool
+        Nothing can touch the corners of the skin.
+    has_thermometers : bool
+        The temperature of each board explains its drift.
     """
 
     words: str
@@ -116,6 +124,8 @@ class Scene:
     tares: tuple[tuple[float, Region | None], ...] = ()
     away: tuple[float, ...] = ()
     is_stored: bool = False
+    has_references: bool = False
+    has_thermometers: bool = False
 
 
 class _Cycle(NamedTuple):
@@ -162,20 +172,39 @@ def evaluate(options: Options) -> Result:
 
 def measure_scene(place: int, scene_seed: int, drawn: int, seed: int) -> Row:
     """Return what a skin shows in the scene at `place` of `scenes`."""
-    layout = load_layout()
-    scene = scenes(layout, scene_seed, drawn)[place]
+    return judge_scene(scenes(load_layout(), scene_seed, drawn)[place], seed)
+
+
+def judge_scene(scene: Scene, seed: int) -> Row:
+    """Return what a skin shows in a scene."""
+    layout = _layout_of(scene)
     judge = _Judge(layout, scene)
     calibrator = Calibrator(layout, offsets_n=judge.finder.sums(judge.rest_n) if scene.is_stored else None)
-    tares = list(scene.tares)
+    tares, told_s = list(scene.tares), 0.0
     for number, (cycle, measurement) in enumerate(_cycles(layout, scene, judge.rest_n, seed)):
         while tares and cycle.time_s >= tares[0][0]:
             region = tares.pop(0)[1]
             calibrator.tare(force=region is None, region=region)
         if number % STEP_CYCLES == 0:
             judge.take(cycle, calibrator.apply(measurement))
+        if scene.has_thermometers and cycle.time_s >= told_s + TEMPERATURES_S:
+            told_s = cycle.time_s
+            drift_n = (cycle.zero_n - judge.rest_n)[judge.phi.taxels_of_blocks].mean(axis=1)
+            calibrator.take_temperatures(REST_K + drift_n / DRIFT_N_PER_K)
         calibrator.take(measurement)
         calibrator.work()
     return judge.row()
+
+
+def _layout_of(scene: Scene) -> Layout:
+    """Return the default skin, with references if the scene has some."""
+    layout = load_layout()
+    if not scene.has_references:
+        return layout
+    taxels = np.arange(layout.taxels.count).reshape(layout.taxels.rows, layout.taxels.columns)
+    ends = np.r_[:REFERENCE_SIDE, -REFERENCE_SIDE:0]
+    untouchable = tuple(taxels[np.ix_(ends, ends)].ravel().tolist())
+    return msgspec.structs.replace(layout, taxels=msgspec.structs.replace(layout.taxels, untouchable=untouchable))
 
 
 def _cycles(layout: Layout, scene: Scene, rest_n: Floats, seed: int) -> Iterator[tuple[_Cycle, Measurement]]:
@@ -193,6 +222,7 @@ def _cycles(layout: Layout, scene: Scene, rest_n: Floats, seed: int) -> Iterator
             force_n = np.zeros(shape)
             for press in scene.presses:
                 press.add_to(force_n, time_s)
+            force_n.ravel()[list(taxels.untouchable or ())] = 0
             moment = force_n[None].astype(np.float32)
             felt_n, memory_n = creep(moment, memory_n, STEP_CYCLES * period_s)
             drift_n = sum((each.offsets_n(shape, np.array([time_s]))[0] for each in scene.drifts), np.zeros(shape))
@@ -361,6 +391,20 @@ def _named(layout: Layout) -> Iterator[Scene]:
         60,
         (ZeroDrift("patch", "step", -3e-3, 22, side=12, corner=(20, 20)),),
         away=(20.0, 25.0),
+    )
+    warms = ZeroDrift("whole", "ramp", 5e-3, 10, 5)
+    yield Scene(
+        "whole skin drifts by +1 mN/s to +5 mN, then all taxels but references are pressed",
+        50,
+        (warms,),
+        (Press(25, 40, 8e-3, 64, 0, 0),),
+        has_references=True,
+    )
+    yield Scene(
+        "boards with thermometers cool by 3 mN in a minute, then warm by +1 mN/s",
+        95,
+        (ZeroDrift("whole", "ramp", -3e-3, 10, 60), ZeroDrift("whole", "ramp", 3e-3, 80, 3)),
+        has_thermometers=True,
     )
     yield Scene("all taxels are pressed at once", 50, presses=(Press(10, 30, 8e-3, 64, 0, 0),))
     yield Scene("60 x 60 taxels are pressed at once", 50, presses=(Press(10, 30, 8e-3, 60, 2, 2),))

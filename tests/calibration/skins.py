@@ -178,7 +178,9 @@ class FedZero:
     #: Standard deviation of the mean of a sum.
     NOISE_N = 9e-5
 
-    def __init__(self, support: ZeroSupport = ZeroSupport.MEASURED) -> None:
+    def __init__(
+        self, support: ZeroSupport = ZeroSupport.MEASURED, references: npt.NDArray[np.bool_] | bool = False
+    ) -> None:
         self.finder = FieldFinder(SMALL_PHI, 32, 32)
         self.known = np.ones(SMALL_SUMS, np.bool_)
         self.windows = 0
@@ -194,7 +196,8 @@ class FedZero:
             noise_n=self.NOISE_N,
             least_noise_n=1e-6,
         )
-        self.zero = Zero(SMALL_PHI, 32, 32, self.finder, follower, support=support)
+        untouchable = np.broadcast_to(references, SMALL_PHI.shape[1])
+        self.zero = Zero(SMALL_PHI, 32, 32, self.finder, follower, support=support, references=untouchable)
 
     def run(self, windows: int, felt: Force | npt.NDArray[np.floating] | float) -> None:
         """Let so many windows pass; the taxels feel ``felt(window)``, newtons, drift included."""

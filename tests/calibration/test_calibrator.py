@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.calibrator import Calibrator
-from canskin.calibration_messages import CalibrationState, CalibrationStatus
+from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
 from skin.clipping import IDLE_MEAN
 from skin.layout import load_layout, parse_layout
 from skin.taxel import NOISE_N as SENSOR_NOISE_N
@@ -148,7 +148,14 @@ def test_without_tare_stored_offsets_stay() -> None:
 
 
 def test_nodes_with_adaptive_sending_have_their_own_zero() -> None:
-    assert Calibrator(load_layout(Path("adaptive"), adaptive=True)).state is CalibrationState.OFF
+    """The zero here begins with 0: there is nothing to take off."""
+    layout = load_layout(Path("adaptive"), adaptive=True)
+    made = Calibrator(layout)
+    assert made.state is FOLLOWING
+    assert made.offsets_n is not None
+    assert not made.offsets_n.any()
+    assert set(made.status().zero_support) == {ZeroSupport.STORED}
+    assert Calibrator(layout, tares=False).state is OFF
 
 
 def test_the_mean_of_clipped_noise_is_no_offset_where_nodes_do_not_average() -> None:

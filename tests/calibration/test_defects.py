@@ -181,7 +181,7 @@ def test_a_touch_ends_what_tells_of_saturation() -> None:
     finder, times, missing = Finder(), np.ones(PHI.shape[0]), all_but(40)
     finder.take(11, times, known=missing)
     finder.take(1, times, known=missing, held=PHI.block_of_sum[40] == np.arange(PHI.blocks))
-    assert named(finder.take(11, times, known=missing)) == []
+    assert named(finder.take(12, times, known=missing)) == []  # a release falls into the first
     assert named(finder.take(1, times, known=missing)) == ["sum 40"]
 
 
@@ -239,11 +239,12 @@ def test_noise_is_the_mean_of_forty_windows_and_follows_later_ones_by_a_fortieth
     assert 10 < loud.index(True) < 40
 
 
-def test_windows_under_a_touch_do_not_count() -> None:
+def test_windows_under_a_touch_and_of_its_release_do_not_count() -> None:
     finder = Finder()
     held = np.arange(PHI.blocks) == 5
     finder.take(39, of_blocks({5: 3.0}))
     assert finder.take(5, of_blocks({5: 3.0}), held=held).words == []
+    assert finder.take(1, of_blocks({5: 3.0})).words == []
     assert named(finder.take(1, of_blocks({5: 3.0}))) == ["block 5"]
 
 

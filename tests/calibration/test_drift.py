@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from calibration.drift import LONGEST_GAP, MEMORY, DriftFollower, line_through
+from calibration.calibrator import LONGEST_GAP
+from calibration.drift import MEMORY, DriftFollower, line_through
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

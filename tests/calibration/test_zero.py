@@ -39,6 +39,9 @@ OFFSETS = offsets_n()
 SUM_NOISE_N = NOISE_N * LAYOUT.measurement.block_size**0.5
 Floats = npt.NDArray[np.float64]
 RANGE_N = SMALL.taxels.force_max_n
+#: Squares of 4 x 4 taxels in the corners, and taxels far from them.
+REFERENCES = sum(small_patch(row, column, 4, 1.0) for row in (0, 28) for column in (0, 28)) > 0
+MIDDLE = small_patch(8, 8, 16, 1.0) > 0
 PATCH, HAND = small_patch(4, 4, 10, 3e-3), small_patch(20, 20, 8, 4e-3)
 
 
@@ -205,6 +208,38 @@ def test_a_slow_rise_of_all_taxels_is_followed_and_a_fast_one_is_a_press() -> No
     assert near(slow.zero.force_n, 0.0)
     fast.run(400, 2e-3)
     assert near(fast.zero.force_n, 2e-3)
+
+
+def with_references() -> FedZero:
+    made = FedZero(references=REFERENCES)
+    made.run(20, 0.0)
+    return made
+
+
+def test_references_tell_a_fast_rise_of_all_taxels_from_a_press_of_all_others() -> None:
+    warms, pressed_all = with_references(), with_references()
+    warms.run(2, 3e-3)
+    assert near(warms.moved_n, 3e-3)
+    assert near(warms.zero.force_n, 0.0)
+    pressed_all.run(8, np.where(REFERENCES, 0.0, 3e-3))
+    assert near(pressed_all.moved_n, 0.0)
+    assert near(pressed_all.zero.force_n[MIDDLE], 3e-3)
+
+
+def test_references_tell_a_rise_under_a_press_of_all_others() -> None:
+    made = with_references()
+    made.run(8, np.where(REFERENCES, 0.0, 3e-3))
+    made.run(8, np.where(REFERENCES, 0.0, 3e-3) + 1e-3)
+    assert near(made.moved_n[MIDDLE], 1e-3)
+    assert near(made.zero.force_n[MIDDLE], 3e-3)
+
+
+def test_references_that_disagree_tell_nothing() -> None:
+    """Half of them are pressed with all of the skin: the press keeps its force."""
+    made = with_references()
+    made.run(8, np.where(REFERENCES & (np.arange(1024) < 512), 0.0, 3e-3))
+    assert near(made.moved_n, 0.0)
+    assert near(made.zero.force_n[MIDDLE], 3e-3)
 
 
 @pytest.mark.heavy
