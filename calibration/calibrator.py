@@ -293,8 +293,9 @@ class Calibrator:
             return self.state is CalibrationState.MEASURING
         length_ns = self._windows.length_ns
         if now_ns - self._newest_ns > LONGEST_GAP * length_ns:
-            is_whole = self._zero is not None and bool(self._zero.follower.known.all())
-            windows = SHORTEST_MEMORY if is_whole and self.state is CalibrationState.FOLLOWING else TARE_WINDOWS + 2
+            windows = TARE_WINDOWS
+            if self.state is CalibrationState.FOLLOWING and self._zero is not None:  # late blocks need a zero in a row
+                windows = SHORTEST_MEMORY if self._zero.follower.known.all() else TARE_WINDOWS + 2
             self._needs_until_ns = now_ns + windows * length_ns
         return now_ns < self._needs_until_ns
 

@@ -205,7 +205,10 @@ class FedZero:
             self.windows += 1
             felt_n = np.zeros(SMALL_PHI.shape[1]) + (felt(self.windows) if callable(felt) else felt)
             mean_n = SMALL_PHI.forward(felt_n) + self._random.normal(0, self.NOISE_N, SMALL_SUMS)
-            self.zero.take(Window(self.windows, mean_n, self._nothing, self._nothing, self.known), self.known)
+            self.window = Window(self.windows, mean_n, self._nothing, self._nothing, self.known)
+            self.zero.take(self.window, self.known)
+            if self.zero.needs_audit:
+                self.zero.audit()
 
     @property
     def moved_n(self) -> Floats:

@@ -23,7 +23,7 @@ class Supported:
         """Let so many windows pass; return the supports of the blocks."""
         for _ in range(windows):
             self.fed.run(1, felt_n)
-            self.support.take(self.fed.zero, 1 + self.fed.windows)
+            self.support.take(self.fed.zero, self.fed.window)
         return set(self.support.of_blocks.tolist())
 
 
@@ -50,7 +50,7 @@ def test_a_stored_zero_is_measured_after_calm_windows() -> None:
     assert made.run(CALM_WINDOWS - 1) == {ZeroSupport.STORED}
     assert not made.support.since_ns.any()
     assert made.run(1) == {ZeroSupport.MEASURED}
-    assert set(made.support.since_ns) == {1 + CALM_WINDOWS}
+    assert set(made.support.since_ns) == {CALM_WINDOWS}
 
 
 def test_under_a_touch_nothing_is_measured() -> None:
@@ -58,7 +58,7 @@ def test_under_a_touch_nothing_is_measured() -> None:
     assert made.run(2 * CALM_WINDOWS, PATCH) == {ZeroSupport.STORED}
     made.run(1)  # the touch ends
     assert made.run(CALM_WINDOWS) == {ZeroSupport.MEASURED}
-    held = made.run(4, PATCH), 1 + made.fed.windows
+    held = made.run(4, PATCH), made.fed.windows
     assert held[0] == {ZeroSupport.MEASURED}
     assert set(made.support.since_ns[made.fed.zero.held]) == {held[1] - 4}
 
