@@ -98,7 +98,7 @@ class FieldFinder:
         """Return taxels, shape (n,), without those that are no square of others."""
         return np.asarray(binary_opening(taxels.reshape(self._shape), _SQUARE).ravel(), np.bool_)
 
-    def find(self, sums_n: Floats, known: Bools, least_noise_n: float) -> Field:
+    def find(self, sums_n: Floats, known: Bools, least_noise_n: float, *, is_sharp: bool = False) -> Field:
         """Return the field of sums.
 
         Parameters
@@ -109,6 +109,8 @@ class FieldFinder:
             Other sums have no part in it.
         least_noise_n : float
             Standard deviation of `sums_n` by noise alone.
+        is_sharp : bool
+            All but this noise is in the field, however little neighbouring taxels share.
         """
         solver, shifts = self._solver, self._shifts & known
         solver.reset()
@@ -116,7 +118,7 @@ class FieldFinder:
         weights, left_n, shift_n = known.astype(np.float32), sums_n, np.zeros_like(sums_n)
         noise_n, ratio = rms(sums_n[known & ~shifts]) * STEEPEST, PENALTY_RATIO
         for turn in range(PASSES):
-            before_n, seen_n = noise_n, max(least_noise_n, _deviation(left_n[known]))
+            before_n, seen_n = noise_n, max(least_noise_n, 0.0 if is_sharp else _deviation(left_n[known]))
             noise_n = max(seen_n, before_n / STEEPEST)
             if turn > 1 and ratio == PENALTY_RATIO and noise_n == seen_n and noise_n > (1 - SETTLED) * before_n:
                 break

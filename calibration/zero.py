@@ -54,6 +54,9 @@ SLOW_RATIO: Final = 1.5
 #: The zero of all taxels has fallen when this part of those that were untouched, at least `LEAST_REST` of all, is low.
 FALLEN_PART: Final = 0.85
 LEAST_REST: Final = 0.1
+#: What is left is sudden from this ratio to the noise on, and of one sign from this ratio of the signs on.
+SUDDEN_RATIO: Final = 5.0
+ONE_SIGN_RATIO: Final = 3.0
 #: Taxels this far from a touch count as touched, too.
 MARGIN: Final = 2
 
@@ -265,7 +268,7 @@ class Zero:
             if np.abs(field.force_n).max() <= STILL_PART * self._still_n.max():
                 return field._replace(force_n=self._still_n + field.force_n)
             self._still_windows = 0
-        field = self._finder.find(left_n, known, noise_n)
+        field = self._of_one_sign(self._finder.find(left_n, known, noise_n), left_n, known)
         force_n = np.maximum(field.force_n, 0)
         if not force_n.any() or np.abs(force_n - self._first_n).max() > STILL_PART * force_n.max():
             self._still_windows = 0
@@ -275,6 +278,22 @@ class Zero:
         self._still_windows += 1
         self._still_n = self._still_n + field.force_n / TARE_WINDOWS
         self._expected_n = self._expected_n + left_n / TARE_WINDOWS
+        return field
+
+    def _of_one_sign(self, field: Field, left_n: Floats, known: Bools) -> Field:
+        """Return a field of what is left, or a sharp one of a touch with too fine a shape, such as a ring.
+
+        Drift without a pattern has both signs. What is sudden and has one sign is a touch, or the end of one.
+        """
+        noise_n = self.follower.noise_n
+        if self._is_stored or field.noise_n < SUDDEN_RATIO * noise_n:
+            return field
+        sharp = self._finder.find(left_n, known, noise_n, is_sharp=True)
+        above_n, below_n = np.maximum(sharp.force_n, 0), np.minimum(sharp.force_n, 0)
+        if above_n.sum() > -ONE_SIGN_RATIO * below_n.sum():
+            return sharp._replace(force_n=above_n)
+        if -below_n.sum() > ONE_SIGN_RATIO * above_n.sum():
+            return sharp._replace(force_n=below_n)
         return field
 
     def _begin_late(self, window: Window) -> None:
