@@ -54,6 +54,8 @@ SLOW_RATIO: Final = 1.5
 #: The zero of all taxels has fallen when this part of those that were untouched, at least `LEAST_REST` of all, is low.
 FALLEN_PART: Final = 0.85
 LEAST_REST: Final = 0.1
+#: Low is below this part of the noise of the picture: the field of noise alone is a little below 0, too.
+FALLEN_RATIO: Final = 0.5
 #: What is left is sudden from this ratio to the noise on, and of one sign from this ratio of the signs on.
 SUDDEN_RATIO: Final = 5.0
 ONE_SIGN_RATIO: Final = 3.0
@@ -197,7 +199,7 @@ class Zero:
     def _common(self, force_n: Floats, known: Bools) -> float:
         """Return by how much the zero of all taxels has risen slowly, or fallen, newtons; touches keep their force.
 
-        References that were measured and agree tell how much at any speed. A fall by less than noise is left to drift.
+        References that were measured and agree tell how much at any speed. A fall below noise is left to drift.
         """
         least_n = self._finder.least_n(self.follower.noise_n)
         measured = self._references & self._phi.all_of_blocks(known)[self._phi.block_of_taxel]
@@ -207,7 +209,7 @@ class Zero:
                 return float(middle_n)
         rest_n = force_n[~self._near]
         fallen_n = float(np.quantile(rest_n, FALLEN_PART)) if rest_n.size > LEAST_REST * force_n.size else 0.0
-        if fallen_n < -self._finder.picture_gain * self.follower.noise_n:
+        if fallen_n < -FALLEN_RATIO * self._finder.picture_gain * self.follower.noise_n:
             return fallen_n
         risen_n = float(np.quantile(force_n, FLOOR_PART))
         return risen_n if 0 < risen_n < (np.inf if self._is_stored else SLOW_RATIO * least_n) else 0.0
