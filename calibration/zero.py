@@ -146,13 +146,14 @@ class Zero:
         field = self._find(left_n, known)
         least_n = self._finder.least_n(field.noise_n)
         force_n = field.force_n
-        follower.move(field.shift_n)
-        self._anchor_n += field.shift_n
         common_n = self._common(force_n, known) if self._follows else 0.0
         if common_n:
             self.move(np.full_like(force_n, common_n))
             force_n = force_n - common_n
         self._look(force_n, least_n)
+        if not self.touched.any():  # under a touch a shift may be what its field leaves
+            follower.move(field.shift_n)
+            self._anchor_n += field.shift_n
         self._is_stored &= bool(self.touched.any()) or not known.any()
         self._take_off(left_n, known, least_n)
         if not self._follows:
