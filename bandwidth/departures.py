@@ -19,7 +19,7 @@ from bandwidth.measured import (
 from bandwidth.plan import BusPlan
 from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
-from dbc.dictionary import HEARTBEAT_MS
+from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from dbc.frame import ERROR, Frames
 from skin.sync_counter import next_counter
 
@@ -27,8 +27,6 @@ from skin.sync_counter import next_counter
 PERIOD_TOLERANCE = 0.01
 #: With more late nodes than this, one line names all: a single late cycle makes all nodes late.
 NAMED_AT_MOST = 4
-#: A node is silent after this number of heartbeat periods.
-PATIENCE = 1.5
 
 
 def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
@@ -159,12 +157,11 @@ def _ranges(numbers: list[int]) -> str:
 
 def heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
     """Find nodes that were silent for too long."""
-    patience_s = PATIENCE * HEARTBEAT_MS * 1e-3
-    if seconds <= patience_s:
+    if seconds <= SILENT_AFTER_S:
         return
     ends = taken["time_ns"][0], taken["time_ns"][0] + round(seconds * 1e9)
     for node in contract.on_bus(bus):
         beats = taken["time_ns"][is_plain(taken) & (taken["can_id"] == HEARTBEAT_BASE + node.node_id)]
         longest_s = float(np.diff(np.concatenate([ends[:1], beats, ends[1:]])).max()) * 1e-9
-        if longest_s > patience_s:
+        if longest_s > SILENT_AFTER_S:
             yield f"node {node.node_id}: no heartbeat for {longest_s:.1f} s, one every {HEARTBEAT_MS} ms was planned"
