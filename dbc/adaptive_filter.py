@@ -47,8 +47,6 @@ LOG2_SERIES: Final = tuple(2.8853900817779268 / odd for odd in range(1, 18, 2))
 
 #: What both halves of a patch that is twice as wide as high are weighed with.
 ROOT_HALF: Final = np.float32(0.5**0.5)
-#: A taxel below this part of its noise is shown as 0.
-DEAD_RATIO: Final = 0.4
 #: Clipping is undone up to so many standard deviations; above, it has no effect.
 UNCLIP_REACH: Final = 6.0
 #: Values of `unclip_table`.

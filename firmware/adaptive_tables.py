@@ -24,7 +24,6 @@ from dbc.adaptive import (
 )
 from dbc.adaptive_filter import (
     AVERAGES,
-    DEAD_RATIO,
     FOLLOWING,
     GIVEN_NOISE_N,
     HIGHEST_N,
@@ -57,7 +56,7 @@ from dbc.adaptive_filter import (
 )
 from dbc.contract import Contract
 from firmware.c_text import WRITTEN, array, defined, header
-from skin.clipping import IDLE_DEVIATION
+from skin.clipping import DEAD_RATIO, IDLE_DEVIATION
 from skin.walsh import grouped_rows, haar_matrix, walsh_matrix
 
 _MODELS: Final = len(AVERAGES) + len(TRENDS)
