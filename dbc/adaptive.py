@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.compiled import njit
+from skin.layout_checks import ADAPTIVE_BLOCK, ADAPTIVE_NODES
 from skin.walsh import GROUPS
 
-#: Sums of a group, one byte each in a coarse frame.
-GROUP_SUMS: Final = 8
-#: Sums of a block.
-BLOCK_SUMS: Final = GROUPS * GROUP_SUMS
+#: Sums of a block, one for each taxel, and of a group, one byte each in a coarse frame.
+BLOCK_SUMS: Final = ADAPTIVE_BLOCK
+GROUP_SUMS: Final = BLOCK_SUMS // GROUPS
 #: Urgency levels of coarse frames, 0 the lowest, and of fine frames.
 LEVELS: Final = 6
 FINE_LEVELS: Final = 2
@@ -29,7 +29,7 @@ KINDS: Final = LEVELS + FINE_LEVELS
 #: Frames of each kind, level and group that a classic node owns: its TPDOs.
 TPDOS: Final = GROUPS * KINDS
 #: Nodes of a classic bus: each owns one identifier in `NODES` for each TPDO.
-NODES: Final = 32
+NODES: Final = ADAPTIVE_NODES
 #: Identifiers of a kind and level: those of all nodes, on a classic bus of each group.
 IDENTIFIERS: Final = GROUPS * NODES
 #: COB-ID of the first TPDO of node 1; those of all nodes end at 580h, below the SDO answers.
