@@ -21,6 +21,7 @@ from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from dbc.frame import ERROR, Frames
+from skin.ranges import ranges_text
 from skin.sync_counter import next_counter
 
 #: Largest relative difference between the mean SYNC period and the layout's.
@@ -139,20 +140,9 @@ def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iter
             )
     if len(late) > NAMED_AT_MOST:
         last = max(late)
-        yield f"nodes {_ranges(list(late))}: late TPDOs; node {last}: {late[last]}"
+        yield f"nodes {ranges_text(late)}: late TPDOs; node {last}: {late[last]}"
     else:
         yield from (f"node {node_id}: {what}" for node_id, what in late.items())
-
-
-def _ranges(numbers: list[int]) -> str:
-    """Return ascending numbers as text, such as 1 to 4, 7, 9 to 12."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
 
 
 def heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
