@@ -89,7 +89,7 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         skin_sync(node, frame);
     } else if (can_id == 0) {
         skin_nmt(node, frame, now_ms);
-    } else if (can_id == SKIN_REQUEST_BASE + node->board->node_id && frame->length == 8) {
+    } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
     }
 }
