@@ -55,7 +55,7 @@ FINE_LIMIT: Final = FINE_REACH - 2
 FINE_PER_COARSE: Final = 8
 #: x^8 + x^5 + x^3 + x^2 + x + 1 (the code of AUTOSAR's CRC8H2F): detects every change of one byte and of up to three
 #: bits, and 254 of 255 changes of two bytes.
-_CRC_8: Final = 0x2F
+CRC_8: Final = 0x2F
 #: In place of a check: no coarse payload of the group is held.
 NO_CHECK: Final = -1
 
@@ -287,7 +287,7 @@ def check_of(payload: Bytes) -> int:
     for place in range(GROUP_SUMS):
         crc ^= int(payload[place])
         for _ in range(8):
-            crc = ((crc << 1) ^ _CRC_8) & 0xFF if crc & 0x80 else (crc << 1) & 0xFF
+            crc = ((crc << 1) ^ CRC_8) & 0xFF if crc & 0x80 else (crc << 1) & 0xFF
     return crc
 
 

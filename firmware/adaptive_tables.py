@@ -11,8 +11,17 @@ import numpy as np
 
 from dbc.adaptive import (
     BLOCK_SUMS,
+    CRC_8,
+    FINE_BITS,
+    FINE_LEVELS,
+    FINE_LIMIT,
+    FINE_REACH,
+    GROUP_SUMS,
+    KINDS,
+    LEVELS,
     LOST_NS,
     MEAN_CODES,
+    NO_CHECK,
     OTHER_CODES,
     PAUSE_MS,
     SAVED_FRAMES,
@@ -33,6 +42,7 @@ from dbc.adaptive_filter import (
     IDLE_SAMPLES,
     LEAST_EXPONENT,
     LEAST_NOISE_N,
+    LEAST_PART,
     LEAST_WEIGHT,
     LOG2_E,
     LOG2_SERIES,
@@ -57,7 +67,7 @@ from dbc.adaptive_filter import (
 from dbc.contract import Contract
 from firmware.c_text import WRITTEN, array, defined, header
 from skin.clipping import DEAD_RATIO, IDLE_DEVIATION
-from skin.walsh import grouped_rows, haar_matrix, walsh_matrix
+from skin.walsh import GROUPS, grouped_rows, haar_matrix, patch_shape, walsh_matrix
 
 _MODELS: Final = len(AVERAGES) + len(TRENDS)
 
@@ -66,7 +76,27 @@ def adaptive_header(contract: Contract) -> str:
     """Return ``adaptive.h``: the numbers of codes, filter and sending."""
     law, count_n = contract.law, contract.layout.taxels.newton_per_count
     reals = sum(1 << place for place, value in enumerate(SendingRule(), 1) if isinstance(value, float))
+    high, wide = patch_shape(BLOCK_SUMS)
     values: dict[str, tuple[object, str]] = {
+        "SKIN_PATCH_HIGH": (high, "taxels of a board"),
+        "SKIN_PATCH_WIDE": (wide, "side by side"),
+        "SKIN_PATCH_SUMS": (
+            BLOCK_SUMS,
+            "all, row by row, and as many sums in the order of the frames",
+        ),
+        "SKIN_GROUPS": (GROUPS, "of these sums"),
+        "SKIN_GROUP_SUMS": (GROUP_SUMS, "of a group"),
+        "SKIN_LEVELS": (LEVELS, "of urgency, of coarse frames"),
+        "SKIN_FINE_LEVELS": (FINE_LEVELS, "of fine frames"),
+        "SKIN_KINDS": (KINDS, "and of both"),
+        "SKIN_MEAN_CODES": (MEAN_CODES, "highest code of the first sum"),
+        "SKIN_OTHER_CODES": (OTHER_CODES, "codes on each side of 0 of the others"),
+        "SKIN_FINE_BITS": (FINE_BITS, "of a sum in a fine frame"),
+        "SKIN_FINE_REACH": (FINE_REACH, "fine steps that these bits tell on each side"),
+        "SKIN_FINE_LIMIT": (FINE_LIMIT, "most fine steps from the coarse value that a frame is made for"),
+        "SKIN_CRC_8": (f"0x{CRC_8:X}u", "polynomial of the check"),
+        "SKIN_NO_CHECK": (f"({NO_CHECK})", "in place of a check: no coarse frame was sent"),
+        "SKIN_RULE_ENTRIES": (len(SendingRule()), "of 2031h"),
         "SKIN_NEWTON_PER_COUNT": (_double(count_n), "of a taxel"),
         "SKIN_MEAN_SLOPE": (_double(law.mean_slope), "2007h"),
         "SKIN_MEAN_KNEE_N": (_double(law.mean_knee_n), "2007h"),
@@ -97,6 +127,7 @@ def adaptive_header(contract: Contract) -> str:
         "SKIN_LEAST_EXPONENT": (_real(LEAST_EXPONENT), "of a likelihood"),
         "SKIN_POWER": ("{" + ", ".join(map(_real, POWER)) + "}", "polynomial of 2^f"),
         "SKIN_LOG2": ("{" + ", ".join(map(_double, LOG2_SERIES)) + "}", "series of the logarithm of urgency"),
+        "SKIN_LEAST_PART": (_double(LEAST_PART), "of the number whose logarithm the series tells"),
         "SKIN_ROOT_HALF": (_real(ROOT_HALF), "square root of 1/2"),
         "SKIN_UNCLIP_POINTS": (UNCLIP_POINTS, "of the table that undoes clipping"),
         "SKIN_UNCLIP_SCALE": (_real((UNCLIP_POINTS - 1) / UNCLIP_REACH), "points per standard deviation"),

@@ -141,7 +141,7 @@ static void restore_all(void)
     for (place = 1; place <= SKIN_RULE_ENTRIES; place++) {
         restore(SKIN_OD_SENDING, place);
     }
-    for (place = 1; place <= SKIN_PATCH; place++) {
+    for (place = 1; place <= SKIN_PATCH_SUMS; place++) {
         restore(SKIN_OD_COEFFICIENT_NOISE, place);
         restore(SKIN_OD_TAXEL_NOISE, place);
     }

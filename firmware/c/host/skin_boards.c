@@ -183,7 +183,7 @@ size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts)
     size_t ready = 0;
 
     for (each = 0; each < boards; each++) {
-        ready += skin_sample(&nodes[each], &counts[each * SKIN_PATCH]) != 0;
+        ready += skin_sample(&nodes[each], &counts[each * SKIN_PATCH_SUMS]) != 0;
     }
     return ready;
 }
