@@ -11,9 +11,8 @@ from bandwidth.traffic import Disturbance
 from canskin.errors import SkinError
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
-from skin.layout import Bus, Layout, validated
+from skin.layout import SUM_BITS, Bus, Layout, validated
 
-SUM_BITS: Final = (12, 8)
 #: Data bit rates of CAN FD, and blocks per node, that are compared.
 FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
 BLOCKS_PER_NODE: Final = (1, 2, 4, 8)

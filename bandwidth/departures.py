@@ -19,16 +19,15 @@ from bandwidth.measured import (
 from bandwidth.plan import BusPlan
 from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
-from dbc.dictionary import HEARTBEAT_MS
+from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from dbc.frame import ERROR, Frames
+from skin.ranges import ranges_text
 from skin.sync_counter import next_counter
 
 #: Largest relative difference between the mean SYNC period and the layout's.
 PERIOD_TOLERANCE = 0.01
 #: With more late nodes than this, one line names all: a single late cycle makes all nodes late.
 NAMED_AT_MOST = 4
-#: A node is silent after this number of heartbeat periods.
-PATIENCE = 1.5
 
 
 def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
@@ -141,30 +140,18 @@ def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iter
             )
     if len(late) > NAMED_AT_MOST:
         last = max(late)
-        yield f"nodes {_ranges(list(late))}: late TPDOs; node {last}: {late[last]}"
+        yield f"nodes {ranges_text(late)}: late TPDOs; node {last}: {late[last]}"
     else:
         yield from (f"node {node_id}: {what}" for node_id, what in late.items())
 
 
-def _ranges(numbers: list[int]) -> str:
-    """Return ascending numbers as text, such as 1 to 4, 7, 9 to 12."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
-
-
 def heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> Iterator[str]:
     """Find nodes that were silent for too long."""
-    patience_s = PATIENCE * HEARTBEAT_MS * 1e-3
-    if seconds <= patience_s:
+    if seconds <= SILENT_AFTER_S:
         return
     ends = taken["time_ns"][0], taken["time_ns"][0] + round(seconds * 1e9)
     for node in contract.on_bus(bus):
         beats = taken["time_ns"][is_plain(taken) & (taken["can_id"] == HEARTBEAT_BASE + node.node_id)]
         longest_s = float(np.diff(np.concatenate([ends[:1], beats, ends[1:]])).max()) * 1e-9
-        if longest_s > patience_s:
+        if longest_s > SILENT_AFTER_S:
             yield f"node {node.node_id}: no heartbeat for {longest_s:.1f} s, one every {HEARTBEAT_MS} ms was planned"

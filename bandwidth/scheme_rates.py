@@ -19,9 +19,8 @@ from dbc.canopen import HIGHEST_NODE_ID
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, frames
 from dbc.frame_bits import wire_bits
-from skin.layout import Layout
+from skin.layout import SUM_BITS, Layout
 
-SUM_BITS: Final = (16, 12, 8)
 TAXEL_BITS: Final = (10, 12, 16)
 BUSES: Final = (1, 2, 4)
 #: Data bit rates of CAN FD; None is classic CAN.

@@ -16,12 +16,12 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.layout import RATE_MAX_HZ, SUMS_PART, Bus, Layout, PhiParameters, Sync, Taxels, validated
+from skin.layout import RATE_MAX_HZ, SUM_BITS, SUMS_PART, Bus, Layout, PhiParameters, Sync, Taxels, validated
 
 CanKind = Literal["any", "classic", "fd"]
 
 #: Widths to try. The rounding of 8 bits is not small compared with the sensor noise, so 8 bits come last.
-SUM_BITS: Final = ((16, 12), (8,))
+_WIDTHS: Final = (SUM_BITS[:-1], SUM_BITS[-1:])
 DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
     "classic": (None,),
     "fd": FD_BITRATES,
@@ -172,7 +172,7 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
         bus=[Bus(name="bus0", nodes=1)],
     )
     ways = (
-        product(range(1, required.buses + 1), DATA_BITRATES[required.can], bits, BLOCKS_PER_NODE) for bits in SUM_BITS
+        product(range(1, required.buses + 1), DATA_BITRATES[required.can], bits, BLOCKS_PER_NODE) for bits in _WIDTHS
     )
     for buses, rate, bits, per_node in chain.from_iterable(ways):
         if start.blocks % per_node == 0 and start.blocks // per_node >= buses:

@@ -9,7 +9,7 @@ from classifier.features import Float32, widths_for
 from classifier.model import Float64
 from classifier.newest_sums import averaged_cycles
 from classifier.observer import Observer
-from skin.clipping import clipped_mean
+from skin.clipping import DEAD_RATIO, clipped_mean
 from skin.frontend import converter
 from skin.layout import Layout
 from skin.measurement import Sbhe
@@ -25,10 +25,9 @@ MOST_LOST_RATIO: Final = 0.3
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
 AVERAGED_NOISE_RATIO: Final = 0.2
 #: What adaptive nodes leave of it where they are touched, the rounding of their codes included: 0.21 to 0.27 on a ball
-#: at rest, a sliding box and five fingertips of `skin evaluate rivals`. They take a force of less than a part of their
-#: noise for none; nodes that nothing touches show 0.
+#: at rest, a sliding box and five fingertips of `skin evaluate rivals`. Nodes that nothing touches
+#: show 0.
 ADAPTIVE_NOISE_RATIO: Final = 0.25
-ADAPTIVE_DEAD_RATIO: Final = 0.4
 _CHUNK: Final = 128
 
 
@@ -74,7 +73,7 @@ def simulate_sums(
             continue
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
         if is_adaptive:
-            least_n = sd[part, None] * np.float32(ADAPTIVE_DEAD_RATIO / ADAPTIVE_NOISE_RATIO)
+            least_n = sd[part, None] * np.float32(DEAD_RATIO / ADAPTIVE_NOISE_RATIO)
             signal_n[(signal_n < least_n) | _beside(flat[part] > least_n, phi)] = 0
         sums[part] = phi.forward(to_counts(signal_n, taxels))
     return sums

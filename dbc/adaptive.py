@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.compiled import njit
+from skin.layout_checks import ADAPTIVE_BLOCK, ADAPTIVE_NODES
 from skin.walsh import GROUPS
 
-#: Sums of a group, one byte each in a coarse frame.
-GROUP_SUMS: Final = 8
-#: Sums of a block.
-BLOCK_SUMS: Final = GROUPS * GROUP_SUMS
+#: Sums of a block, one for each taxel, and of a group, one byte each in a coarse frame.
+BLOCK_SUMS: Final = ADAPTIVE_BLOCK
+GROUP_SUMS: Final = BLOCK_SUMS // GROUPS
 #: Urgency levels of coarse frames, 0 the lowest, and of fine frames.
 LEVELS: Final = 6
 FINE_LEVELS: Final = 2
@@ -29,7 +29,7 @@ KINDS: Final = LEVELS + FINE_LEVELS
 #: Frames of each kind, level and group that a classic node owns: its TPDOs.
 TPDOS: Final = GROUPS * KINDS
 #: Nodes of a classic bus: each owns one identifier in `NODES` for each TPDO.
-NODES: Final = 32
+NODES: Final = ADAPTIVE_NODES
 #: Identifiers of a kind and level: those of all nodes, on a classic bus of each group.
 IDENTIFIERS: Final = GROUPS * NODES
 #: COB-ID of the first TPDO of node 1; those of all nodes end at 580h, below the SDO answers.
@@ -55,7 +55,7 @@ FINE_LIMIT: Final = FINE_REACH - 2
 FINE_PER_COARSE: Final = 8
 #: x^8 + x^5 + x^3 + x^2 + x + 1 (the code of AUTOSAR's CRC8H2F): detects every change of one byte and of up to three
 #: bits, and 254 of 255 changes of two bytes.
-_CRC_8: Final = 0x2F
+CRC_8: Final = 0x2F
 #: In place of a check: no coarse payload of the group is held.
 NO_CHECK: Final = -1
 
@@ -287,7 +287,7 @@ def check_of(payload: Bytes) -> int:
     for place in range(GROUP_SUMS):
         crc ^= int(payload[place])
         for _ in range(8):
-            crc = ((crc << 1) ^ _CRC_8) & 0xFF if crc & 0x80 else (crc << 1) & 0xFF
+            crc = ((crc << 1) ^ CRC_8) & 0xFF if crc & 0x80 else (crc << 1) & 0xFF
     return crc
 
 

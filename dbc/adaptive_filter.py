@@ -44,11 +44,11 @@ POWER: Final = tuple(map(np.float32, (0.9999999, 0.69315449, 0.24014182, 0.05586
 
 #: The c of log2(x) = e + r (c0 + r² (c1 + r² (c2 + …))), where x = m 2^e, m from √½ to √2, r = (m - 1) / (m + 1).
 LOG2_SERIES: Final = tuple(2.8853900817779268 / odd for odd in range(1, 18, 2))
+#: The least m.
+LEAST_PART: Final = 0.5**0.5
 
 #: What both halves of a patch that is twice as wide as high are weighed with.
 ROOT_HALF: Final = np.float32(0.5**0.5)
-#: A taxel below this part of its noise is shown as 0.
-DEAD_RATIO: Final = 0.4
 #: Clipping is undone up to this number of standard deviations; above, it has no effect.
 UNCLIP_REACH: Final = 6.0
 #: Values of `unclip_table`.

@@ -94,6 +94,10 @@ _RPDO_MAPPING: Final = "RPDO 1 mapping parameter"
 
 REVISION: Final = 0x0001_0002
 HEARTBEAT_MS: Final = 1000
+#: A node is silent after 1.5 heartbeat periods without a heartbeat.
+SILENT_AFTER_S: Final = 1.5 * HEARTBEAT_MS / 1000
+#: Time from the end of the SYNC frame to a node's answer, on the clock of the bus; typical of a microcontroller.
+REACTION_NS: Final = 100_000
 #: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC. The longer one leaves
 #: stock boards, which answer up to 1 ms late, the time that the default skin needs.
 WINDOW_RATIO: Final = 0.98

@@ -7,6 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from canskin.errors import RunError
+from skin.recording_options import ArrayNames, FrameRate, FullScale
 from skin.service import StopSignal, say
 from skin.sources import StrokeKind, object_names
 from skin.terminal import Json, print_json
@@ -17,9 +18,9 @@ def demo(
     layout: Path | None = None,
     seconds: float = 20.0,
     input: Path | None = None,  # noqa: A002 - the flag's name
-    full_scale: float | None = None,
-    array: list[str] | None = None,
-    rate: float | None = None,
+    full_scale: FullScale = None,
+    array: ArrayNames = None,
+    rate: FrameRate = None,
     objects: list[str] | None = None,
     stroke: StrokeKind = "slide",
     defect: list[str] | None = None,
@@ -45,12 +46,6 @@ def demo(
         Time that SYNC runs, seconds.
     input
         A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns), or .mcap.
-    full_scale
-        Recorded value that becomes the skin's largest force; default: the largest value of the recording.
-    array
-        Name of an array in the .npz; two arrays are placed side by side.
-    rate
-        Frames per second of the recording; without this option each cycle plays the next frame.
     objects
         Names of the objects, see ``skin objects``; ``paper`` for the paper's sixteen; default: a series of five.
     stroke

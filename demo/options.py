@@ -10,7 +10,8 @@ from canskin.errors import InputError
 from skin.defects import parse_defects
 from skin.layout import Layout, require_one_state
 from skin.output import check_picture_path
-from skin.sources import StrokeKind, load_source, step_rate_hz
+from skin.recording_options import check_touch_options, load_recording
+from skin.sources import StrokeKind
 from skin.zero_drift import parse_drifts
 from touch.objects import checked_names
 
@@ -70,31 +71,12 @@ class DemoOptions:
 
     def _check_touch(self, layout: Layout) -> None:
         """Check the objects, or the recording, which the nodes will read again."""
-        if self.recording is None:
-            for flag, value in (
-                ("--array", self.arrays),
-                ("--full-scale", self.full_scale),
-                ("--rate", self.rate_hz),
-            ):
-                if value not in ((), None):
-                    raise InputError(f"{flag} is for a recording: give one with --input")
-            if self.objects:
-                checked_names(",".join(self.objects))
-            return
-        if self.stroke != "slide":
-            raise InputError("--stroke is for objects: a recording shows its own touches")
-        taxels = layout.taxels
-        load_source(
-            "recording",
-            path=self.recording,
-            rows=taxels.rows,
-            columns=taxels.columns,
-            full_scale=self.full_scale,
-            force_max_n=taxels.force_max_n,
-            arrays=self.arrays or None,
-            rate_hz=step_rate_hz(layout),
-            frame_rate_hz=self.rate_hz,
-        )
+        values = self.full_scale, self.arrays, self.rate_hz
+        check_touch_options(self.recording, self.stroke, *values)
+        if self.recording is not None:
+            load_recording(layout, self.recording, *values)
+        elif self.objects:
+            checked_names(",".join(self.objects))
 
 
 def _check_port(port: int) -> None:

@@ -19,6 +19,7 @@ from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.generate import write_files
 from firmware.adaptive_tables import adaptive_header, adaptive_source
+from firmware.contract_header import contract_header
 from firmware.tables import Build, board_header, board_source, builds
 from skin.cache import cache_folder
 
@@ -56,7 +57,11 @@ def shared_folders(contract: Contract) -> tuple[str, ...]:
 
 def constants(contract: Contract, boards: Sequence[Build]) -> dict[str, str]:
     """Return the C texts of the constants of `boards`, by file."""
-    found = {"board.h": board_header(contract, boards), "board.c": board_source(boards)}
+    found = {
+        "contract.h": contract_header(),
+        "board.h": board_header(contract, boards),
+        "board.c": board_source(boards),
+    }
     if contract.layout.sending == "adaptive":
         found |= {"adaptive.h": adaptive_header(contract), "adaptive.c": adaptive_source(contract)}
     return found

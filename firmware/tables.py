@@ -31,7 +31,7 @@ from dbc.indices import (
 from dbc.objects import Object
 from firmware.c_text import WRITTEN, array, defined, header
 
-#: Flags of `skin_object` (skin_board.h).
+#: Flags of `skin_object` (``skin_board.h``).
 WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF

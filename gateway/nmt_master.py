@@ -29,7 +29,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import PROOF_ROUNDS, configuration, expected_signature, proof_period_s
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import HEARTBEAT_MS
+from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from gateway.foreign_sdo import Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
@@ -37,9 +37,6 @@ from gateway.node_record import NodeRecord, state_text
 from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
 
-#: A node is silent after this many heartbeat periods without a heartbeat.
-PATIENCE: Final = 1.5
-SILENT_AFTER_S: Final = PATIENCE * HEARTBEAT_MS / 1000
 #: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`.
 PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0)
 LATER_S: Final = 60.0

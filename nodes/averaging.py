@@ -11,35 +11,24 @@ from the samples:
   clipping (`skin.clipping`). Until σ is known, and where noise is none, averages stay as they are.
 """
 
-from typing import Final
-
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive_filter import Floats, Models, make_models
+from dbc.adaptive_filter import Floats, Models
+from dbc.averaging import (
+    DEAD_RATIO,
+    EVENNESS,
+    IDLE_BAND,
+    IDLE_PART,
+    LEARNING_GAIN,
+    MEMORY,
+    OUTLIER_RATIO,
+    ROUNDING,
+    averaging_models,
+)
 from nodes.adaptive.models import Tracks, new_tracks, step
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, ClipCorrection
 from skin.compiled import njit
-
-#: Which models run: a jump, the average with gain 2⁻⁸, and trends with memories of 2², 2⁴ and 2⁶ samples. All eight
-#: give no better images on the scenes of the evaluation, and take 1.6 times as long.
-MODELS: Final = (0, 2, 3, 5, 7)
-#: Samples over which the noise of a taxel is learned.
-MEMORY: Final = 256
-#: Variance of rounding to whole counts, counts²; no noise is taken to be less.
-ROUNDING: Final = 1 / 12
-#: Largest ratio of a squared second difference to its mean that counts: more is a touch.
-OUTLIER_RATIO: Final = 16.0
-#: A taxel is idle while the ratio of its mean to its deviation is within this part of that of clipped noise, ...
-IDLE_BAND: Final = 0.25
-#: ... and its second differences d are noise: (mean |d|)² / mean d² is 0.53 for clipped noise, less for rare steps.
-EVENNESS: Final = 0.4
-#: σ of a block is learned while at least this part of its taxels is idle, and follows them in each cycle by this part
-#: of the difference.
-IDLE_PART: Final = 1 / 8
-LEARNING_GAIN: Final = 0.005
-#: A force of fewer standard deviations of its average is taken for noise, and is 0.
-DEAD_RATIO: Final = 2.0
 
 
 class SampleFilter:
@@ -63,7 +52,7 @@ class SampleFilter:
         self.counts = np.zeros(taxels, np.float32)
         self.noise = np.zeros(len(blocks), np.float32)
         self._blocks = blocks
-        self._models = Models(*(np.ascontiguousarray(each[list(MODELS)]) for each in make_models(0.0)))
+        self._models = averaging_models()
         self._tracks = new_tracks(self._models, taxels)
         self._age = np.zeros(taxels, np.int32)
         self._last, self._difference = np.zeros((2, taxels), np.float32), np.zeros((2, taxels), np.float32)

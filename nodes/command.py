@@ -21,8 +21,9 @@ from nodes.sampler import CountSampler, Sampler, new_sampler
 from nodes.service import NodesService
 from skin.defects import parse_defects
 from skin.layout import Layout, load_layout, require_one_state
+from skin.recording_options import ArrayNames, FrameRate, FullScale, check_touch_options, load_recording
 from skin.service import StopSignal, say
-from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, object_names, step_rate_hz
+from skin.sources import StrokeKind, TaxelSource, load_objects, object_names
 from skin.taxel import NOISE_N
 from skin.zero_drift import parse_drifts
 
@@ -38,9 +39,9 @@ def nodes(
     objects: str = "",
     stroke: StrokeKind = "slide",
     input: Path | None = None,  # noqa: A002 - the flag's name
-    full_scale: float | None = None,
-    array: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
-    rate: float | None = None,
+    full_scale: FullScale = None,
+    array: ArrayNames = None,
+    rate: FrameRate = None,
     rest: float = 0.0,
     noise_n: float = NOISE_N,
     defect: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
@@ -73,13 +74,6 @@ def nodes(
         10 mm and 45 degrees of the middle, 9.99 mm deep, without a slide.
     input
         A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns).
-    full_scale
-        Recorded value that becomes the skin's largest force; default: the largest value of the recording.
-    array
-        Name of an array in the .npz; two arrays are placed side by side.
-    rate
-        Frames per second of the recording; without this option each cycle plays the next frame
-        (adaptive layouts: each 10 ms).
     rest
         Seconds without touch before the first object.
     noise_n
@@ -114,12 +108,9 @@ def nodes(
     """
     if seed < 0 or not 0 <= noise_n < math.inf:
         raise InputError(f"expected 0 or more: got --noise-n {noise_n:g} --seed {seed}")
-    if rate is not None and input is None:
-        raise InputError("--rate is for a recording: give one with --input")
+    check_touch_options(input, stroke, full_scale, array, rate)
     if input is not None and rest:
         raise InputError("--rest is for objects: a recording begins as it begins")
-    if input is not None and stroke != "slide":
-        raise InputError("--stroke is for objects: a recording shows its own touches")
     if firmware and store is not None:
         raise InputError("--store is for nodes in Python: boards with --firmware keep their parameters until they end")
     if store is not None:
@@ -134,7 +125,7 @@ def nodes(
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])
     source = (
-        _recording(skin, input, full_scale, array, rate)
+        load_recording(skin, input, full_scale, array, rate)
         if input
         else _objects(skin, objects, stroke, seed=seed, rest_s=rest)
     )
@@ -182,23 +173,6 @@ def _boards(
         electronics = Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s, samples=samples)
         return CountSampler(contract.phi, source, electronics)
     return new_sampler(skin, contract.phi, source, **analogue)
-
-
-def _recording(
-    skin: Layout, path: Path, full_scale: float | None, arrays: list[str] | None, frame_rate_hz: float | None
-) -> TaxelSource:
-    taxels = skin.taxels
-    return load_source(
-        "recording",
-        path=path,
-        rows=taxels.rows,
-        columns=taxels.columns,
-        full_scale=full_scale,
-        force_max_n=taxels.force_max_n,
-        arrays=tuple(arrays) if arrays else None,
-        rate_hz=step_rate_hz(skin),
-        frame_rate_hz=frame_rate_hz,
-    )
 
 
 def _objects(skin: Layout, names: str, stroke: StrokeKind, **options: Any) -> TaxelSource:

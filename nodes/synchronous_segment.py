@@ -9,7 +9,7 @@ import numpy as np
 from bus.link import DISCARDED, Send
 from dbc.canopen import HIGHEST_NODE_ID, Emergency, NmtState
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import SkinState
+from dbc.dictionary import REACTION_NS, SkinState
 from dbc.frame import Frames
 from dbc.frame_bits import frame_time_ns
 from dbc.indices import OD_STATE, OD_WINDOW_US
@@ -19,8 +19,6 @@ from nodes.sampler import Sampler
 from nodes.segment import Segment
 from nodes.tpdo import LiveTpdo
 
-#: Time from the end of the SYNC frame to a node's answer, on the clock of the bus; typical of a microcontroller.
-REACTION_NS: Final = 100_000
 #: The next SYNC is expected within these times after the last SYNC, in periods.
 QUIET_FROM, QUIET_TO = 0.7, 2.0
 #: Window when 1007h is 0: no limit.

@@ -26,6 +26,7 @@ from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
 from skin.layout import load_layout, require_one_state
 from skin.output import RECORDING_SUFFIX
+from skin.recording_options import ArrayNames, FullScale
 from skin.service import say
 from skin.terminal import progress
 
@@ -43,8 +44,8 @@ def rebuild(
     device: Literal["cpu", "gpu"] = "cpu",
     solver: SolverOptions | None = None,
     channel: Annotated[list[str] | None, Parameter(alias="-c", negative=(), consume_multiple=True)] = None,
-    array: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
-    full_scale: float | None = None,
+    array: ArrayNames = None,
+    full_scale: FullScale = None,
     calibration: Path | None = None,
     tare: Tare = "never",
 ) -> None:
@@ -72,10 +73,6 @@ def rebuild(
         Solver of the images.
     channel
         Channels of the log, one per bus. Default: the names of the buses, else all channels in their order.
-    array
-        Name of an array in the .npz; two arrays are placed side by side.
-    full_scale
-        Recorded value that becomes the skin's largest force; default: the largest value of the recording.
     calibration
         File of ``skin calibration save``, or a recording, whose newest offsets are taken off all cycles; or ``none``.
         Default: the offsets that were recorded with each cycle.

@@ -17,8 +17,10 @@ from canskin.errors import InputError
 #: Mean and standard deviation of noise N(0, 1) that is clipped at 0.
 IDLE_MEAN: Final = 1 / math.sqrt(2 * math.pi)
 IDLE_DEVIATION: Final = math.sqrt(1 / 2 - 1 / (2 * math.pi))
+#: Adaptive nodes show a force below this part of its noise as 0.
+DEAD_RATIO: Final = 0.4
 #: Above this many σ the bias is below 1e-9 σ.
-_REACH: Final = 6.0
+REACH: Final = 6.0
 _POINTS: Final = 1025
 
 
@@ -45,7 +47,7 @@ class ClipCorrection:
     def __init__(self, noise_n: float) -> None:
         if not (noise_n > 0 and math.isfinite(noise_n)):
             raise InputError(f"the sensor's noise needs a number of newtons above 0: got {noise_n}")
-        force = np.linspace(0, _REACH, _POINTS)
+        force = np.linspace(0, REACH, _POINTS)
         self._force = force * noise_n
         self._mean = clipped_mean(force) * noise_n
 

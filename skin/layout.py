@@ -2,7 +2,7 @@
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -43,6 +43,9 @@ PRODUCT_CODE: Final = 0x534B_494E
 SUMS_PART: Final = 4
 #: Default: the smallest number of buses with at most this number of nodes, each of one block.
 NODES_PER_BUS: Final = 32
+#: Widths of a sum in a PDO.
+SumBits = Literal[16, 12, 8]
+SUM_BITS: Final[tuple[int, ...]] = get_args(SumBits)
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
@@ -157,7 +160,7 @@ class Sampling(_Table, frozen=True, kw_only=True):
 class Encoding(_Table, frozen=True, kw_only=True):
     """Encoding of a sum in a PDO: `sum_bits`, in two's complement or, with fewer stuff bits, `offset_binary`."""
 
-    sum_bits: Literal[16, 12, 8] = 16
+    sum_bits: SumBits = 16
     offset_binary: bool = False
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import BLOCK_SUMS, Companding, SendingRule, companding
+from dbc.adaptive_filter import SETTLING_SAMPLES
 from dbc.frame import FRAME, Frames, frame_bytes, frames
 from evaluation.schemes.adaptive_bus import ASKED, ENDED, REASON, Record, line_of, run_bus
 from evaluation.schemes.events import FRAMES_PER_TICK
@@ -27,8 +28,6 @@ from skin.layout import Bus
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 
-#: Idle samples that a filter has seen when the touch begins.
-SETTLING_TICKS: Final = 300
 _RULE: Final = SendingRule()
 _FIRST_BYTE: Final = FRAME.fields["can_id"][1]  # type: ignore[index]  # FRAME has fields
 
@@ -156,7 +155,7 @@ def less_variation(held: Images, noise_n: float) -> Images:
 
 
 def _settle(node_filter: ForceFilter, idle: Counts, cells: Cells) -> None:
-    for sample in idle[-SETTLING_TICKS:]:
+    for sample in idle[-SETTLING_SAMPLES:]:
         node_filter.take(_newtons(sample[cells]))
 
 

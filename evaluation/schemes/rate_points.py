@@ -9,11 +9,10 @@ import msgspec
 from bandwidth.alternatives import BLOCKS_PER_NODE, with_buses, with_rate, with_sums
 from bandwidth.highest_rate import highest_rate_hz
 from canskin.errors import LayoutError
-from skin.layout import Bus, Layout, load_layout, validated
+from skin.layout import SUM_BITS, Bus, Layout, load_layout, validated
 
 #: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
 BUDGET: Final = 0.9
-SUM_BITS: Final = (8, 12, 16)
 #: Rows of 32 that every block sends.
 ROWS: Final = (4, 8, 16, 32)
 #: The recorded touches have one image a millisecond: more cycles would see nothing new.
@@ -32,7 +31,7 @@ def points() -> Iterator[tuple[str, Layout]]:
 
     Each layout has the highest rate that keeps `BUDGET` and the window (1007h).
     """
-    for wires, rows, bits in product(WIRES, ROWS, SUM_BITS):
+    for wires, rows, bits in product(WIRES, ROWS, sorted(SUM_BITS)):
         found = list(_layouts(wires, rows, bits))
         if found:
             yield wires, max(found, key=lambda layout: layout.sync.rate_hz)

@@ -12,8 +12,6 @@
 #include "board.h"
 #include "skin_sums.h"
 
-#define SKIN_MODELS 5
-
 /* State of one block; all values of a kind stand together, so that compilers find vectors. */
 typedef struct {
     float level[SKIN_MODELS][SKIN_BLOCK_SIZE], slope[SKIN_MODELS][SKIN_BLOCK_SIZE];

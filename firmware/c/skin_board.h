@@ -4,6 +4,8 @@
 
 #include <stdint.h>
 
+#include "contract.h"
+
 /* Conversion of a sum in ADC counts to the value in a PDO: raw = round(sum / 2^step_log2) + offset. */
 typedef struct {
     uint8_t bits;       /* width in a PDO: 8, 12 or 16 */
@@ -15,34 +17,10 @@ typedef struct {
 typedef struct {
     uint16_t index;
     uint8_t subindex;
-    uint8_t flags;   /* SKIN_OBJECT_... */
-    uint16_t at;     /* place of the value in `values` (little endian), first byte */
+    uint8_t flags;   /* SKIN_OBJECT_...: SDO may write, PDOs may carry, 2006h covers the object; text of variable length */
+    uint16_t at;     /* place of the value in `values` (little endian), first byte, or SKIN_OBJECT_COMPUTED */
     uint8_t bytes;   /* length of the value */
 } skin_object;
-
-#define SKIN_OBJECT_WRITABLE 0x01u  /* SDO may write; else read only */
-#define SKIN_OBJECT_MAPPABLE 0x02u  /* PDOs may carry it */
-#define SKIN_OBJECT_COVERED 0x04u   /* the configuration signature (2006h) covers it */
-#define SKIN_OBJECT_TEXT 0x08u      /* of variable length, no number */
-
-/* Objects of a board. */
-#define SKIN_OD_SIGNATURE 0x2006u
-#define SKIN_OD_HEALTH 0x2020u
-/* Of the first block; those of each further block are SKIN_OD_BLOCK_STRIDE higher. */
-#define SKIN_OD_GAIN 0x2010u
-#define SKIN_OD_OFFSET 0x2011u
-#define SKIN_OD_PATTERN 0x2021u
-#define SKIN_OD_SUMS 0x2100u
-#define SKIN_OD_BLOCK_STRIDE 0x200u
-/* Of adaptive boards. */
-#define SKIN_OD_REFRESH 0x2030u
-#define SKIN_OD_SENDING 0x2031u
-#define SKIN_OD_COEFFICIENT_NOISE 0x2032u
-#define SKIN_OD_TAXEL_NOISE 0x2033u
-#define SKIN_OD_BUDGET 0x2034u
-#define SKIN_OD_NODE_NOISE 0x2035u
-#define SKIN_OD_COARSE 0x2110u
-#define SKIN_OD_FINE 0x2111u
 
 /* One board. All arrays are constant and may stay in flash memory. */
 typedef struct {

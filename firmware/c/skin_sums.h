@@ -4,9 +4,6 @@
 
 #include "skin_board.h"
 
-/* Test patterns (object 2021h). */
-enum { SKIN_PATTERN_OFF, SKIN_PATTERN_ZERO, SKIN_PATTERN_RAMP, SKIN_PATTERN_FULL };
-
 /* Multiply `work` by the Hadamard matrix of +1 and -1 in Sylvester's order; `size` is a power of two. */
 void skin_hadamard(int32_t *work, uint16_t size);
 

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from dbc.adaptive_filter import DEAD_RATIO, HORIZON, Floats, Models, make_models, unclip_table
+from dbc.adaptive_filter import HORIZON, Floats, Models, make_models, unclip_table
 from nodes.adaptive.following import NoiseScale, OffsetState, ScaleSums, follow, gather, new_offsets
 from nodes.adaptive.models import Tracks, new_tracks, step
 from nodes.adaptive.noise import Noise, unclip
 from nodes.adaptive.transforms import from_haar, to_haar, to_walsh, to_walsh_variance
+from skin.clipping import DEAD_RATIO
 from skin.compiled import njit
 from skin.walsh import grouped_rows, haar_matrix, walsh_matrix
 

@@ -1,11 +1,11 @@
 """What adaptive nodes send of a touch on a bus that takes every frame at once: for plans, without a running bus."""
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from dbc.adaptive import LEVELS, Companding, SendingRule, decode_cob_id
-from dbc.adaptive_filter import SAMPLE_NS
+from dbc.adaptive_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
 from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
 from nodes.adaptive.filtering import PatchFilter
@@ -27,10 +27,6 @@ from skin.compiled import njit
 from skin.sources import TaxelSource
 from skin.taxel import TaxelModel
 from skin.walsh import GROUPS
-
-#: Samples of the idle skin that the nodes learn from, and that their filters have then seen.
-IDLE_SAMPLES: Final = 1000
-SETTLING_SAMPLES: Final = 300
 
 
 def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: float, seed: int = 0) -> Frames:

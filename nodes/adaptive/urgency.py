@@ -1,13 +1,10 @@
 """The urgency of news, from additions, multiplications and divisions alone: alike on every machine."""
 
 import math
-from typing import Final
 
 from dbc.adaptive import LEVELS, SendingRule
-from dbc.adaptive_filter import LOG2_SERIES
+from dbc.adaptive_filter import LEAST_PART, LOG2_SERIES
 from skin.compiled import njit
-
-_ROOT_HALF: Final = math.sqrt(0.5)
 
 
 @njit(cache=True, nogil=True)
@@ -17,7 +14,7 @@ def log2_of(value: float) -> float:
     A library's `log2` may round differently on another machine.
     """
     part, exponent = math.frexp(value)
-    if part < _ROOT_HALF:
+    if part < LEAST_PART:
         part, exponent = part + part, exponent - 1
     ratio = (part - 1.0) / (part + 1.0)
     square = ratio * ratio

@@ -121,7 +121,7 @@ def test_up_to_four_late_nodes_have_a_line_each() -> None:
     assert all("the latest after 9." in line for line in found)
     found = cycle((0x181, 9), (0x182, 9), (0x184, 9), (0x28A, 4), (0x18B, 9))
     assert len(found) == 1
-    assert found[0].startswith("bus0: nodes 1 to 2, 4, 10 to 11: late TPDOs; node 11: 1 TPDOs later than ")
+    assert found[0].startswith("bus0: nodes 1-2, 4, 10-11: late TPDOs; node 11: 1 TPDOs later than ")
 
 
 def test_what_is_not_planned_has_its_share_of_the_bus() -> None:

@@ -137,7 +137,7 @@ def slow(seen: Frames) -> Frames:
         (put(700, 0x386), ["bus1: node 6: 1 TPDOs came in cycles of the other phase"]),
         (shorten, ["bus1: node 3: 1 TPDOs have another length or format"]),
         (delay, ["bus1: node 32: 1 TPDOs later than 8.94 ms after SYNC, the latest after"]),
-        (delay_cycle, ["bus1: nodes 1 to 32: late TPDOs; node 32: 1 TPDOs later than 8.94 ms"]),
+        (delay_cycle, ["bus1: nodes 1-32: late TPDOs; node 32: 1 TPDOs later than 8.94 ms"]),
         (slow, ["bus1: SYNC every 20.000 ms, 10.000 ms were planned"]),
     ],
 )

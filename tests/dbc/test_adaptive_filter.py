@@ -7,6 +7,7 @@ from scipy.special import ndtr
 
 from dbc import adaptive_filter
 from dbc.adaptive_filter import make_models, unclip_table
+from skin.clipping import DEAD_RATIO
 
 #: Gains of the averages and memories of the g-h filters, as docs/adaptive.md has them.
 GAINS = (1.0, 1 / 64, 1 / 256)
@@ -77,7 +78,7 @@ def test_the_figures_are_those_of_the_documentation() -> None:
     assert (told.AVERAGES, told.TRENDS) == ((0, 6, 8), (2, 3, 4, 5, 6))
     assert (told.JUMP_VARIANCE, told.SWITCHING, told.LEAST_WEIGHT, told.HORIZON) == (8, 0.001, 1e-9, 4)
     assert float(told.LEAST_EXPONENT) == -120
-    assert (told.DEAD_RATIO, told.UNCLIP_REACH, told.UNCLIP_POINTS, told.LEAST_NOISE_N) == (0.4, 6, 1024, 2e-5)
+    assert (DEAD_RATIO, told.UNCLIP_REACH, told.UNCLIP_POINTS, told.LEAST_NOISE_N) == (0.4, 6, 1024, 2e-5)
     assert pytest.approx((1e-9, 1000)) == told.GIVEN_NOISE_N
     assert (told.FOLLOWING, told.RATE_N, told.RETURN_N, told.RISE_N, told.HIGHEST_N) == (
         1 / 128,

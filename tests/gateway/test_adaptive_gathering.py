@@ -10,12 +10,11 @@ from canskin.messages import BlockState
 from dbc.adaptive import GROUP_SUMS, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
-from dbc.dictionary import HEARTBEAT_MS
+from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from dbc.frame import ERROR
 from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
 from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
-from gateway.nmt_master import SILENT_AFTER_S
 from skin.layout import parse_layout
 from tests.bus.harness import frame
 from tests.gateway.boards import SMALL, STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of

@@ -140,9 +140,11 @@ def test_a_region_on_the_skin_reaches_the_calibrator(small: Contract, monkeypatc
     taxels = small.layout.taxels
     last = (taxels.rows - 1, taxels.columns - 1)
     asked.ask(CalibrationRequest(action="tare", region=(0, 0, *last)))
-    asked.ask(CalibrationRequest(action="tare", force=True))
-    assert taken == [{"force": False, "region": (0, 0, *last)}, {"force": True, "region": None}]
+    asked.ask(CalibrationRequest(action="tare", region=(0, 0, *last)))
+    assert taken == 2 * [{"force": False, "region": (0, 0, *last)}]
     assert asked.replies == []
+    asked.ask(CalibrationRequest(action="tare", force=True))
+    assert asked.replies.pop().text == "another tare is under way: ask again when it has ended"
     asked.ask(CalibrationRequest(action="tare", region=(0, 0, taxels.rows, 0)))
     asked.ask(CalibrationRequest(action="tare", region=(0, 0, 1, 1), force=True))
     assert [each.is_done for each in asked.replies] == [False, False]

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
+from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, SIGNATURE_LOAD, SIGNATURE_SAVE
-from gateway.nmt_master import LATER_S, PAUSES_S, SILENT_AFTER_S
+from gateway.nmt_master import LATER_S, PAUSES_S
 from tests.gateway.test_proof import little, swap_mapping
 from tests.gateway.world import STEP_S, EndOfWire, Wire, World, small_contract
 from tests.identity import IDENTITIES

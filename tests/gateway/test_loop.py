@@ -7,10 +7,10 @@ import pytest
 
 from dbc.canopen import HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
+from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from dbc.indices import OD_SIGNATURE
 from gateway.loop import LOOK_PERIOD_S
-from gateway.nmt_master import SILENT_AFTER_S
 from tests.gateway.world import PERIOD_S, STEP_S, EndOfWire, World, small_contract, valid
 
 

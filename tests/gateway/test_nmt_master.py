@@ -18,11 +18,12 @@ from dbc.canopen import (
 )
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
+from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
 from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS, OD_SIGNATURE
 from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
-from gateway.nmt_master import DIALOGUES, LATER_S, PAUSES_S, SILENT_AFTER_S, STABLE_S, TICK_S, NmtMaster
+from gateway.nmt_master import DIALOGUES, LATER_S, PAUSES_S, STABLE_S, TICK_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from skin.layout import parse_layout
 from tests.bus.harness import frame

@@ -39,15 +39,15 @@ def test_temperatures_follow_the_drift_of_each_board(blocks_per_node: int, monke
     world = World(small_contract(bus=bus, taxels="has_thermometers = true"))
     world.until_whole(2.0)
     warm = Warm(world, monkeypatch)
-    assert warm.run(PERIOD_S + 0.5) == pytest.approx(REST_K, abs=0.051)
+    assert warm.run(2 * PERIOD_S) == pytest.approx(REST_K, abs=0.051)
     cells = tuple(world.contract.phi.taxels_of_blocks[3].tolist())
     drift = ZeroDrift("cells", "step", 10 * DRIFT_N_PER_K, cells=cells)
     world.electronics._model = replace(world.electronics._model, zero_drifts=(drift,))
     expected = REST_K + np.repeat(np.array([0, 0, 0, 10.0]).reshape(-1, blocks_per_node).mean(axis=1), blocks_per_node)
-    assert warm.run(PERIOD_S + 0.5) == pytest.approx(expected, abs=0.051)
+    assert warm.run(2 * PERIOD_S) == pytest.approx(expected, abs=0.051)
     assert world.measured[-1].valid == b"\1" * 4
     asked = [can_id for can_id, data in world.wires[1].log if data[:3] == READ]
-    assert asked.count(SDO_REQUEST_BASE + 1) in {2, 3}
+    assert asked.count(SDO_REQUEST_BASE + 1) in {3, 4, 5}
 
 
 def test_a_board_that_is_not_in_use_or_knows_none_has_no_temperature(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dbc.contract import Contract
+from dbc.dictionary import REACTION_NS
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames
 from nodes.segment import Segment
-from nodes.synchronous_segment import REACTION_NS
 from tests.bus.harness import frame
 from tests.identity import alternating
 from tests.nodes.conftest import new_segment

@@ -5,9 +5,7 @@
 
 #include "skin_sums.h"
 
-#define CRC_8 0x2Fu
-#define FINE_BITS 7u
-#define FINE_MASK 0x7Fu
+#define FINE_MASK ((1u << SKIN_FINE_BITS) - 1u)
 
 /* The bits of a number above 0 as an integer, which has the same order: quicker to compare without 64-bit hardware. */
 static int64_t bits_of(const double *value)
@@ -95,7 +93,7 @@ uint8_t skin_check_of(const uint8_t *codes)
     for (place = 0; place < SKIN_GROUP_SUMS; place++) {
         crc = (uint8_t)(crc ^ codes[place]);
         for (bit = 0; bit < 8; bit++) {
-            crc = (uint8_t)((crc << 1) ^ ((crc & 0x80u) != 0 ? CRC_8 : 0u));
+            crc = (uint8_t)((crc << 1) ^ ((crc & 0x80u) != 0 ? SKIN_CRC_8 : 0u));
         }
     }
     return crc;
@@ -107,14 +105,14 @@ void skin_pack_fine(const int32_t *steps, uint8_t check, uint8_t *payload)
 
     memset(payload, 0, SKIN_GROUP_SUMS);
     for (place = 0; place < SKIN_GROUP_SUMS; place++) {
-        skin_put_bits(payload, (uint16_t)(FINE_BITS * place), (uint32_t)steps[place] & FINE_MASK, FINE_BITS);
+        skin_put_bits(payload, (uint16_t)(SKIN_FINE_BITS * place), (uint32_t)steps[place] & FINE_MASK, SKIN_FINE_BITS);
     }
     payload[SKIN_GROUP_SUMS - 1] = check;
 }
 
 double skin_fine_value(const uint8_t *payload, uint8_t place, int32_t near)
 {
-    const uint8_t bit = (uint8_t)(FINE_BITS * place);
+    const uint8_t bit = (uint8_t)(SKIN_FINE_BITS * place);
     const uint32_t two = payload[bit / 8u] | (uint32_t)payload[bit / 8u + 1u] << 8;
     int32_t away = (int32_t)(((two >> (bit % 8u)) - (uint32_t)near) & FINE_MASK);
 

@@ -4,17 +4,6 @@
 
 #include "adaptive.h"
 
-#define SKIN_GROUPS 4
-#define SKIN_GROUP_SUMS 8
-#define SKIN_PATCH_SUMS 32 /* sums of a board, in the order of the frames; the first is that of all taxels */
-#define SKIN_LEVELS 6      /* of urgency, of coarse frames */
-#define SKIN_FINE_LEVELS 2
-#define SKIN_MEAN_CODES 255  /* highest code of the first sum */
-#define SKIN_OTHER_CODES 127 /* codes on each side of 0 of the others */
-#define SKIN_FINE_REACH 64   /* fine steps that seven bits tell on each side */
-#define SKIN_FINE_LIMIT 62   /* most fine steps from the coarse value that a frame is made for */
-#define SKIN_NO_CHECK (-1)   /* in place of a check: no coarse frame was sent */
-
 /* Least sums of the codes 1, 2, ...; values of the codes 0, 1, ... (of the others: 128, 129, ...). */
 extern const double skin_mean_least[SKIN_MEAN_CODES], skin_mean_value[SKIN_MEAN_CODES + 1];
 extern const double skin_other_least[SKIN_OTHER_CODES], skin_other_value[SKIN_OTHER_CODES + 1];

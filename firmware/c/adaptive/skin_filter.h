@@ -9,20 +9,16 @@
 
 #include "skin_codes.h"
 
-#define SKIN_PATCH_HIGH 4
-#define SKIN_PATCH_WIDE 8
-#define SKIN_PATCH 32 /* taxels, row by row */
-
 /* What is learned of an untouched patch at power-up. */
 typedef struct {
-    double sum[SKIN_PATCH], square[SKIN_PATCH];
-    double partial[SKIN_SPANS][SKIN_PATCH], mean[SKIN_SPANS][SKIN_PATCH], mean_square[SKIN_SPANS][SKIN_PATCH];
+    double sum[SKIN_PATCH_SUMS], square[SKIN_PATCH_SUMS];
+    double partial[SKIN_SPANS][SKIN_PATCH_SUMS], mean[SKIN_SPANS][SKIN_PATCH_SUMS], mean_square[SKIN_SPANS][SKIN_PATCH_SUMS];
 } skin_idle;
 
 /* Every Haar coefficient runs all models; averages have no slope. */
 typedef struct {
-    float level[SKIN_FILTERS][SKIN_PATCH], slope[SKIN_FILTERS - SKIN_AVERAGES][SKIN_PATCH];
-    float weight[SKIN_FILTERS][SKIN_PATCH];
+    float level[SKIN_FILTERS][SKIN_PATCH_SUMS], slope[SKIN_FILTERS - SKIN_AVERAGES][SKIN_PATCH_SUMS];
+    float weight[SKIN_FILTERS][SKIN_PATCH_SUMS];
 } skin_tracks;
 
 typedef struct {
@@ -31,15 +27,15 @@ typedef struct {
         skin_tracks tracks;
     } u;
     uint16_t taken; /* samples since power-up, at most SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES */
-    float idle_offset_n[SKIN_PATCH]; /* of power-up */
-    float learned_taxel_n[SKIN_PATCH], learned_coefficient_n[SKIN_PATCH];
-    float given_taxel_n[SKIN_PATCH], given_coefficient_n[SKIN_PATCH]; /* 2033h and 2032h as written; 0: learned */
-    float taxel_n[SKIN_PATCH], coefficient_n[SKIN_PATCH];             /* in use */
+    float idle_offset_n[SKIN_PATCH_SUMS]; /* of power-up */
+    float learned_taxel_n[SKIN_PATCH_SUMS], learned_coefficient_n[SKIN_PATCH_SUMS];
+    float given_taxel_n[SKIN_PATCH_SUMS], given_coefficient_n[SKIN_PATCH_SUMS]; /* 2033h and 2032h as written; 0: learned */
+    float taxel_n[SKIN_PATCH_SUMS], coefficient_n[SKIN_PATCH_SUMS];             /* in use */
     double noise_n;                                                   /* 2035h: root mean square of coefficient_n */
-    float offset_n[SKIN_PATCH];
+    float offset_n[SKIN_PATCH_SUMS];
     uint16_t in_window;
-    float total_n[SKIN_PATCH], square_n2[SKIN_PATCH], last_n[SKIN_PATCH];
-    float variance[SKIN_PATCH]; /* of the forecast of each coefficient, in units of its noise's */
+    float total_n[SKIN_PATCH_SUMS], square_n2[SKIN_PATCH_SUMS], last_n[SKIN_PATCH_SUMS];
+    float variance[SKIN_PATCH_SUMS]; /* of the forecast of each coefficient, in units of its noise's */
     float sums_n[SKIN_PATCH_SUMS];
 } skin_filter;
 

@@ -9,7 +9,7 @@ static const uint8_t spans[SKIN_SPANS] = SKIN_SPAN_SAMPLES;
 
 void skin_to_haar(float *mean, float *coefficient)
 {
-    uint8_t rows = SKIN_PATCH_HIGH, columns = SKIN_PATCH_WIDE, end = SKIN_PATCH, row, column;
+    uint8_t rows = SKIN_PATCH_HIGH, columns = SKIN_PATCH_WIDE, end = SKIN_PATCH_SUMS, row, column;
 
     while (rows > 1) {
         const uint8_t squares = (uint8_t)(rows * columns / 4);
@@ -68,17 +68,17 @@ void skin_from_haar(const float *coefficient, float *mean)
 
 void skin_learn_idle(skin_idle *idle, uint16_t count, const float *sample_n)
 {
-    float work[SKIN_PATCH], coefficients[SKIN_PATCH];
+    float work[SKIN_PATCH_SUMS], coefficients[SKIN_PATCH_SUMS];
     uint8_t c, span;
 
-    for (c = 0; c < SKIN_PATCH; c++) {
+    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
         work[c] = sample_n[c];
         idle->sum[c] += sample_n[c];
         idle->square[c] += (double)sample_n[c] * (double)sample_n[c];
     }
     skin_to_haar(work, coefficients);
     for (span = 0; span < SKIN_SPANS; span++) {
-        for (c = 0; c < SKIN_PATCH; c++) {
+        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
             double *partial = &idle->partial[span][c];
 
             *partial += coefficients[c];
@@ -102,7 +102,7 @@ void skin_learned_noise(skin_filter *filter)
     const skin_idle *idle = &filter->u.idle;
     uint8_t c, span;
 
-    for (c = 0; c < SKIN_PATCH; c++) {
+    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
         const double mean = idle->sum[c] / SKIN_IDLE_SAMPLES;
         const double deviation = sqrt(at_least(idle->square[c] / SKIN_IDLE_SAMPLES - mean * mean, 0));
         const double taxel_n = at_least(deviation / SKIN_IDLE_DEVIATION, SKIN_LEAST_NOISE_N);

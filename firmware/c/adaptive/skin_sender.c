@@ -4,7 +4,6 @@
 #include <string.h>
 
 #define LONG_AGO (-((int64_t)1 << 40))
-#define COB_ID_INVALID 0x80000000u
 
 void skin_sender_forget(skin_sender *sender)
 {
@@ -27,7 +26,7 @@ void skin_sender_operate(skin_sender *sender, uint8_t is_operational)
 
 void skin_sender_configure(skin_sender *sender, uint8_t number, uint32_t cob_id, uint32_t inhibit_100us)
 {
-    sender->tpdos[number].cob_id = (uint16_t)((cob_id & COB_ID_INVALID) != 0 ? 0 : cob_id & 0x7FFu);
+    sender->tpdos[number].cob_id = (uint16_t)((cob_id & SKIN_COB_ID_INVALID) != 0 ? 0 : cob_id & SKIN_BASE_ID_MASK);
     sender->tpdos[number].inhibit = (uint16_t)((inhibit_100us + 9) / 10);
 }
 

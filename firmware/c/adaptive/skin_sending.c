@@ -5,7 +5,6 @@
 
 #define LONG_AGO (-((int64_t)1 << 30))
 #define NEVER ((int64_t)1 << 60)
-#define LEAST_PART 0.70710678118654757 /* square root of 1/2 */
 
 void skin_groups_forget(skin_groups *all, uint8_t is_fd)
 {
@@ -62,7 +61,7 @@ static double log2_of(double value)
     int exponent, place = (int)(sizeof series / sizeof series[0]) - 1;
     double part = frexp(value, &exponent), ratio, square, total = series[place];
 
-    if (part < LEAST_PART) {
+    if (part < SKIN_LEAST_PART) {
         part += part;
         exponent--;
     }

@@ -6,7 +6,6 @@
 
 #include "skin_codes.h"
 
-#define SKIN_KINDS (SKIN_LEVELS + SKIN_FINE_LEVELS)
 #define SKIN_SILENT (-1) /* in place of a level: nothing is to be sent */
 
 /* 2031h, in the order of its sub-indices. */
@@ -16,8 +15,6 @@ typedef struct {
     float fine_ratio;
     uint32_t fine_wait, refresh, refresh_max, overdue, zero_refreshes, patience;
 } skin_rule;
-
-#define SKIN_RULE_ENTRIES 13
 
 enum { SKIN_NEWS, SKIN_DETAIL, SKIN_REPEATED };
 

@@ -11,8 +11,6 @@
 #include "skin_sender.h"
 #include "skin_sums.h"
 
-#define OD_CYCLE_PERIOD 0x1006u
-#define OD_TPDO_COMMUNICATION 0x1800u
 #define LONG_AGO (-((int64_t)1 << 60))
 
 /* Objects that are answered, and taken, by functions. */
@@ -117,7 +115,7 @@ static ODR_t write_value(OD_stream_t *stream, const void *buf, OD_size_t count, 
 /* Read identifier and inhibit time of a TPDO, which SDO may have changed. */
 static void configure(uint8_t number)
 {
-    const OD_entry_t *entry = OD_find(OD, (uint16_t)(OD_TPDO_COMMUNICATION + number));
+    const OD_entry_t *entry = OD_find(OD, (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + number));
     uint32_t cob_id = 0;
     uint16_t inhibit = 0;
 
@@ -143,7 +141,7 @@ static void restore_all(void)
     for (place = 1; place <= SKIN_RULE_ENTRIES; place++) {
         restore(SKIN_OD_SENDING, place);
     }
-    for (place = 1; place <= SKIN_PATCH; place++) {
+    for (place = 1; place <= SKIN_PATCH_SUMS; place++) {
         restore(SKIN_OD_COEFFICIENT_NOISE, place);
         restore(SKIN_OD_TAXEL_NOISE, place);
     }
@@ -206,7 +204,7 @@ uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
     }
     skin_sender_operate(&sender, is_operational != 0);
     skin_sender_decide(&sender, passed_ns);
-    (void)OD_get_value(OD_find(OD, OD_CYCLE_PERIOD), 0, &period_us, sizeof period_us, false);
+    (void)OD_get_value(OD_find(OD, SKIN_OD_CYCLE_PERIOD_US), 0, &period_us, sizeof period_us, false);
     if (skin_sender_expiry(&sender, now_ns, (int64_t)period_us * 1000) == 0) {
         return 0;
     }

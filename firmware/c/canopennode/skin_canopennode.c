@@ -20,7 +20,7 @@ int skin_app_init(void)
     uint8_t block;
 
     for (block = 0; block < board->blocks; block++) {
-        const uint16_t index = (uint16_t)(SKIN_OD_SUMS + SKIN_OD_BLOCK_STRIDE * block);
+        const uint16_t index = (uint16_t)(SKIN_OD_SUMS + SKIN_BLOCK_STRIDE * block);
 
         sums[block] = skin_od_value(index, 1, board->packing.bits == 8 ? 1 : 2);
         failed |= sums[block] == NULL;

@@ -103,16 +103,16 @@ int skin_od_connect(void)
     skin_od_health = skin_od_value(SKIN_OD_HEALTH, 1, sizeof *skin_od_health);
     failed |= skin_od_health == NULL;
     for (each = 0; each < board->blocks; each++) {
-        const uint16_t above = (uint16_t)(SKIN_OD_BLOCK_STRIDE * each);
+        const uint16_t above = (uint16_t)(SKIN_BLOCK_STRIDE * each);
         skin_od_block *block = &skin_od_blocks[each];
 
         block->gain = skin_od_value((uint16_t)(SKIN_OD_GAIN + above), 1, sizeof *block->gain);
         block->offset = skin_od_value((uint16_t)(SKIN_OD_OFFSET + above), 1, sizeof *block->offset);
-        block->pattern = skin_od_value((uint16_t)(SKIN_OD_PATTERN + above), 0, sizeof *block->pattern);
+        block->pattern = skin_od_value((uint16_t)(SKIN_OD_TEST_PATTERN + above), 0, sizeof *block->pattern);
         failed |= block->gain == NULL || block->offset == NULL || block->pattern == NULL;
         failed |=
             skin_od_extend(&gain_extension[each], (uint16_t)(SKIN_OD_GAIN + above), OD_readOriginal, write_gain);
-        failed |= skin_od_extend(&pattern_extension[each], (uint16_t)(SKIN_OD_PATTERN + above), OD_readOriginal,
+        failed |= skin_od_extend(&pattern_extension[each], (uint16_t)(SKIN_OD_TEST_PATTERN + above), OD_readOriginal,
                                  write_pattern);
     }
     return failed;

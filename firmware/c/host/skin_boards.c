@@ -89,7 +89,7 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         skin_sync(node, frame);
     } else if (can_id == 0) {
         skin_nmt(node, frame, now_ms);
-    } else if (can_id == SKIN_REQUEST_BASE + node->board->node_id && frame->length == 8) {
+    } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
     }
 }
@@ -183,7 +183,7 @@ size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts)
     size_t ready = 0;
 
     for (each = 0; each < boards; each++) {
-        ready += skin_sample(&nodes[each], &counts[each * SKIN_PATCH]) != 0;
+        ready += skin_sample(&nodes[each], &counts[each * SKIN_PATCH_SUMS]) != 0;
     }
     return ready;
 }

@@ -29,7 +29,7 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
 /* Connect `boards` boards, from board `first` of board.c on, with their constants; samples come before skin_power_up. */
 void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards);
 
-/* Pass one sample to the boards: SKIN_PATCH counts of each board; overwritten. Returns how many boards are ready to boot. */
+/* Pass one sample to the boards: SKIN_PATCH_SUMS counts of each board; overwritten. Returns how many boards are ready to boot. */
 size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts);
 
 /* Have the boards decide, after samples that were taken and others that were skipped; returns how many groups are due. */

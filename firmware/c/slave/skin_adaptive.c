@@ -72,7 +72,7 @@ void skin_send_group(skin_node *node, uint8_t group, int64_t now_ns, int64_t exp
 
 void skin_send_sums(skin_node *node, int64_t now_ns)
 {
-    const int64_t period_ns = (int64_t)skin_unsigned(node, SKIN_OD_CYCLE_PERIOD, 0) * 1000;
+    const int64_t period_ns = (int64_t)skin_unsigned(node, SKIN_OD_CYCLE_PERIOD_US, 0) * 1000;
     const int64_t expires_ns = skin_sender_expiry(&node->sender, now_ns, period_ns);
     uint8_t turn;
 

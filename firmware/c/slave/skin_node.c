@@ -3,11 +3,13 @@
 
 #include <string.h>
 
-enum { NMT_START = 1, NMT_STOP = 2, NMT_PRE_OPERATIONAL = 128, NMT_RESET_NODE = 129, NMT_RESET_COMMUNICATION = 130 };
 enum { SILENT, ALIVE, LOST };
-static const uint16_t error_codes[SKIN_ERRORS] = {0x8130, 0x8240, 0xFF10};
-/* Bits of the error register: communication, manufacturer, with the generic bit. */
-static const uint8_t error_bits[SKIN_ERRORS] = {0x11, 0x11, 0x81};
+static const uint16_t error_codes[SKIN_ERRORS] = {SKIN_EMERGENCY_HEARTBEAT_LOST, SKIN_EMERGENCY_SYNC_LENGTH,
+                                                  SKIN_EMERGENCY_WINDOW_MISSED};
+/* Bits of the error register. */
+static const uint8_t error_bits[SKIN_ERRORS] = {SKIN_REGISTER_GENERIC | SKIN_REGISTER_COMMUNICATION,
+                                                SKIN_REGISTER_GENERIC | SKIN_REGISTER_COMMUNICATION,
+                                                SKIN_REGISTER_GENERIC | SKIN_REGISTER_MANUFACTURER};
 
 int skin_is_due(uint32_t now_ms, uint32_t due_ms)
 {
@@ -101,11 +103,11 @@ void skin_settle(skin_node *node, uint8_t error)
 static void flush_emergencies(skin_node *node, uint32_t now_ms)
 {
     const uint32_t cob_id = skin_unsigned(node, SKIN_OD_EMCY_COB_ID, 0);
-    const uint32_t inhibit_ms = (skin_unsigned(node, SKIN_OD_EMCY_INHIBIT, 0) + 9) / 10;
+    const uint32_t inhibit_ms = (skin_unsigned(node, SKIN_OD_EMCY_INHIBIT_100US, 0) + 9) / 10;
 
     while (node->waiting_count > 0 && skin_is_due(now_ms, node->emcy_free_ms)) {
         if ((cob_id & SKIN_COB_ID_INVALID) == 0) {
-            skin_send(node, cob_id & 0x7FFu, node->waiting[0], 8);
+            skin_send(node, cob_id & SKIN_BASE_ID_MASK, node->waiting[0], 8);
         }
         node->waiting_count--;
         memmove(node->waiting[0], node->waiting[1], sizeof node->waiting - sizeof node->waiting[0]);
@@ -123,7 +125,7 @@ static void read_watched(skin_node *node)
     memcpy(before, node->watched, sizeof before);
     memset(node->watched, 0, sizeof node->watched);
     for (place = 0; place < SKIN_WATCHED; place++) {
-        const uint32_t entry = skin_unsigned(node, SKIN_OD_WATCHED, (uint8_t)(place + 1));
+        const uint32_t entry = skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, (uint8_t)(place + 1));
         skin_watch *watch = &node->watched[place];
 
         if ((entry & 0xFFFFu) == 0 || entry >> 16 > SKIN_HIGHEST_NODE_ID) {
@@ -141,7 +143,7 @@ static void read_watched(skin_node *node)
 
 void skin_refresh(skin_node *node, uint32_t now_ms)
 {
-    const uint32_t heartbeat_ms = skin_unsigned(node, SKIN_OD_HEARTBEAT, 0);
+    const uint32_t heartbeat_ms = skin_unsigned(node, SKIN_OD_HEARTBEAT_MS, 0);
     uint8_t number;
 
     if (node->changed == 0) {
@@ -194,19 +196,19 @@ void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms)
         return;
     }
     switch (command->data[0]) {
-    case NMT_START:
+    case SKIN_NMT_START:
         node->state = SKIN_OPERATIONAL;
         break;
-    case NMT_STOP:
+    case SKIN_NMT_STOP:
         node->state = SKIN_STOPPED;
         break;
-    case NMT_PRE_OPERATIONAL:
+    case SKIN_NMT_ENTER_PRE_OPERATIONAL:
         node->state = SKIN_PRE_OPERATIONAL;
         break;
-    case NMT_RESET_NODE:
+    case SKIN_NMT_RESET_NODE:
         skin_boot(node, now_ms, 0);
         break;
-    case NMT_RESET_COMMUNICATION:
+    case SKIN_NMT_RESET_COMMUNICATION:
         skin_boot(node, now_ms, 1);
         break;
     default:

@@ -27,10 +27,6 @@ typedef struct {
     uint8_t data[64];
 } skin_frame;
 
-#define SKIN_FRAME_EXTENDED 0x01u
-#define SKIN_FRAME_REMOTE 0x02u
-#define SKIN_FRAME_ERROR 0x04u
-#define SKIN_FRAME_ECHO 0x40u
 /* A frame that the controller has given up: its window ended, or there was no room for it. */
 #define SKIN_FRAME_DISCARDED (SKIN_FRAME_ECHO | SKIN_FRAME_ERROR)
 
@@ -39,8 +35,6 @@ typedef struct {
     skin_frame *frames;
     size_t capacity, count, lost;
 } skin_outbox;
-
-enum { SKIN_INITIALISING = 0, SKIN_STOPPED = 4, SKIN_OPERATIONAL = 5, SKIN_PRE_OPERATIONAL = 127 };
 
 /* Errors that are reported: heartbeat of a watched node lost, SYNC of a wrong length, window missed. */
 enum { SKIN_ERROR_HEARTBEAT, SKIN_ERROR_SYNC_LENGTH, SKIN_ERROR_WINDOW, SKIN_ERRORS };
@@ -197,51 +191,5 @@ const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *obj
 void skin_restore_adaptive(skin_node *node);
 int32_t skin_adaptive_sum(const skin_node *node, uint8_t number);
 #endif
-
-/* SDO abort codes (CiA 301, table 22). */
-#define SKIN_ABORT_TOGGLE 0x05030000u
-#define SKIN_ABORT_COMMAND 0x05040001u
-#define SKIN_ABORT_READ_ONLY 0x06010002u
-#define SKIN_ABORT_NO_OBJECT 0x06020000u
-#define SKIN_ABORT_NOT_MAPPABLE 0x06040041u
-#define SKIN_ABORT_PDO_LENGTH 0x06040042u
-#define SKIN_ABORT_INCOMPATIBLE 0x06040043u
-#define SKIN_ABORT_LENGTH 0x06070010u
-#define SKIN_ABORT_TOO_LONG 0x06070012u
-#define SKIN_ABORT_NO_SUBINDEX 0x06090011u
-#define SKIN_ABORT_VALUE 0x06090030u
-#define SKIN_ABORT_NOT_STORED 0x08000020u
-#define SKIN_ABORT_STATE 0x08000022u
-#define SKIN_ABORT_NO_DATA 0x08000024u
-
-/* Objects that the slave itself uses, besides those of skin_board.h. */
-#define SKIN_OD_ERROR_REGISTER 0x1001u
-#define SKIN_OD_ERROR_FIELD 0x1003u
-#define SKIN_OD_SYNC_COB_ID 0x1005u
-#define SKIN_OD_CYCLE_PERIOD 0x1006u
-#define SKIN_OD_WINDOW 0x1007u
-#define SKIN_OD_STORE 0x1010u
-#define SKIN_OD_RESTORE 0x1011u
-#define SKIN_OD_EMCY_COB_ID 0x1014u
-#define SKIN_OD_EMCY_INHIBIT 0x1015u
-#define SKIN_OD_WATCHED 0x1016u
-#define SKIN_OD_HEARTBEAT 0x1017u
-#define SKIN_OD_SYNC_OVERFLOW 0x1019u
-#define SKIN_OD_ERROR_BEHAVIOUR 0x1029u
-#define SKIN_OD_TPDO_COMMUNICATION 0x1800u
-#define SKIN_OD_TPDO_MAPPING 0x1A00u
-#define SKIN_OD_MANUFACTURER 0x2000u
-
-#define SKIN_COB_ID_INVALID 0x80000000u
-#define SKIN_COB_ID_EXTENDED 0x20000000u
-#define SKIN_SYNC_COB_ID 0x80u
-#define SKIN_RESPONSE_BASE 0x580u
-#define SKIN_REQUEST_BASE 0x600u
-#define SKIN_HEARTBEAT_BASE 0x700u
-/* Highest cyclic synchronous transmission type, and highest SYNC counter. */
-#define SKIN_LAST_SYNCHRONOUS 240u
-/* Lowest event-driven transmission type. */
-#define SKIN_EVENT_DRIVEN 254u
-#define SKIN_HIGHEST_NODE_ID 127u
 
 #endif

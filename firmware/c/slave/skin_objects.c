@@ -3,12 +3,8 @@
 
 #include "skin_node.h"
 
-/* Signatures of 1010h and 1011h: "save" and "load". */
-#define SAVE 0x65766173u
-#define LOAD 0x64616F6Cu
 /* 1010h and 1011h read: the node stores and restores on command. */
 #define ON_COMMAND 1u
-#define COMPUTED 0xFFFFu
 
 uint32_t skin_get(const uint8_t *data, uint8_t bytes)
 {
@@ -32,12 +28,12 @@ void skin_put(uint8_t *data, uint32_t value, uint8_t bytes)
 /* The block of an object of the manufacturer, and its index for the first block. */
 static uint8_t block_of(uint16_t index)
 {
-    return (uint8_t)((index - SKIN_OD_MANUFACTURER) / SKIN_OD_BLOCK_STRIDE);
+    return (uint8_t)((index - SKIN_OD_MANUFACTURER) / SKIN_BLOCK_STRIDE);
 }
 
 static uint16_t of_first_block(uint16_t index)
 {
-    return index < SKIN_OD_MANUFACTURER ? index : (uint16_t)(index - SKIN_OD_BLOCK_STRIDE * block_of(index));
+    return index < SKIN_OD_MANUFACTURER ? index : (uint16_t)(index - SKIN_BLOCK_STRIDE * block_of(index));
 }
 
 const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex)
@@ -125,7 +121,7 @@ const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint
         return adaptive;
     }
 #endif
-    if (object->at == COMPUTED) {
+    if (object->at == SKIN_OBJECT_COMPUTED) {
         if (object->index == SKIN_OD_ERROR_FIELD && object->subindex > node->history_count) {
             return NULL;
         }
@@ -163,8 +159,7 @@ static int is_mappable(const skin_node *node, uint32_t entry)
 /* COB-IDs that no PDO or EMCY may have (CiA 301, table 38). */
 static int is_restricted(uint32_t can_id)
 {
-    static const uint16_t ranges[][2] = {{0x001, 0x07F}, {0x101, 0x180}, {0x581, 0x5FF},
-                                         {0x601, 0x67F}, {0x6E0, 0x6FF}, {0x701, 0x7FF}};
+    static const uint16_t ranges[][2] = SKIN_RESTRICTED_COB_IDS;
     uint8_t place;
 
     for (place = 0; place < sizeof ranges / sizeof ranges[0]; place++) {
@@ -178,14 +173,14 @@ static int is_restricted(uint32_t can_id)
 /* Rules of a COB-ID: it must be free, and must not change while the message exists. */
 static uint32_t check_cob_id(uint32_t present, uint32_t value)
 {
-    const uint32_t can_id = value & 0x1FFFFFFFu;
+    const uint32_t can_id = value & SKIN_EXTENDED_ID_MASK;
 
     if ((value & SKIN_COB_ID_INVALID) == 0 &&
-        (can_id == 0 || can_id > 0x7FFu || can_id == SKIN_SYNC_COB_ID || (value & SKIN_COB_ID_EXTENDED) != 0 ||
+        (can_id == 0 || can_id > SKIN_BASE_ID_MASK || can_id == SKIN_SYNC_COB_ID || (value & SKIN_COB_ID_EXTENDED) != 0 ||
          is_restricted(can_id))) {
         return SKIN_ABORT_VALUE;
     }
-    if (((present | value) & SKIN_COB_ID_INVALID) == 0 && can_id != (present & 0x1FFFFFFFu)) {
+    if (((present | value) & SKIN_COB_ID_INVALID) == 0 && can_id != (present & SKIN_EXTENDED_ID_MASK)) {
         return SKIN_ABORT_STATE;
     }
     return 0;
@@ -199,7 +194,7 @@ static uint32_t check_communication(const skin_node *node, uint16_t index, uint8
     case 1:
         return check_cob_id(present, value);
     case 2: /* reserved, or on remote request, which is not offered */
-        return SKIN_LAST_SYNCHRONOUS < value && value < SKIN_EVENT_DRIVEN ? SKIN_ABORT_VALUE : 0;
+        return SKIN_LAST_SYNCHRONOUS < value && value < SKIN_EVENT_MANUFACTURER ? SKIN_ABORT_VALUE : 0;
     case 3:
     case 6:
         return (present & SKIN_COB_ID_INVALID) == 0 ? SKIN_ABORT_STATE : 0;
@@ -249,7 +244,7 @@ static uint32_t check_watched(const skin_node *node, uint8_t subindex, uint32_t 
 
     for (place = 1; place <= SKIN_WATCHED; place++) {
         if (place != subindex && watched_node(value) > 0 &&
-            watched_node(value) == watched_node(skin_unsigned(node, SKIN_OD_WATCHED, place))) {
+            watched_node(value) == watched_node(skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, place))) {
             return SKIN_ABORT_INCOMPATIBLE;
         }
     }
@@ -270,25 +265,25 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
     case SKIN_OD_SYNC_COB_ID: /* a consumer, on the predefined identifier */
         return value != SKIN_SYNC_COB_ID ? SKIN_ABORT_VALUE : 0;
     case SKIN_OD_STORE:
-        return value != SAVE ? SKIN_ABORT_NOT_STORED : 0;
+        return value != SKIN_SIGNATURE_SAVE ? SKIN_ABORT_NOT_STORED : 0;
     case SKIN_OD_RESTORE:
-        return value != LOAD ? SKIN_ABORT_NOT_STORED : 0;
+        return value != SKIN_SIGNATURE_LOAD ? SKIN_ABORT_NOT_STORED : 0;
     case SKIN_OD_EMCY_COB_ID:
         return (value & SKIN_COB_ID_EXTENDED) != 0
                    ? SKIN_ABORT_VALUE
                    : check_cob_id(skin_unsigned(node, SKIN_OD_EMCY_COB_ID, 0), value);
-    case SKIN_OD_WATCHED:
+    case SKIN_OD_CONSUMER_HEARTBEAT:
         return check_watched(node, subindex, value);
     case SKIN_OD_SYNC_OVERFLOW:
         if (value == 1 || value > SKIN_LAST_SYNCHRONOUS) {
             return SKIN_ABORT_VALUE;
         }
-        return skin_unsigned(node, SKIN_OD_CYCLE_PERIOD, 0) > 0 ? SKIN_ABORT_STATE : 0;
+        return skin_unsigned(node, SKIN_OD_CYCLE_PERIOD_US, 0) > 0 ? SKIN_ABORT_STATE : 0;
     case SKIN_OD_ERROR_BEHAVIOUR:
         return value > 2 ? SKIN_ABORT_VALUE : 0;
     case SKIN_OD_GAIN: /* not infinite, and a number */
         return (value >> 23 & 0xFFu) == 0xFFu ? SKIN_ABORT_VALUE : 0;
-    case SKIN_OD_PATTERN:
+    case SKIN_OD_TEST_PATTERN:
         return value > SKIN_PATTERN_FULL ? SKIN_ABORT_VALUE : 0;
     default:
 #if SKIN_ADAPTIVE
@@ -313,7 +308,7 @@ static void adjust(skin_node *node, const skin_object *object)
     case SKIN_OD_OFFSET:
         node->offset[place] = (int16_t)(value < 0x8000u ? (int32_t)value : (int32_t)value - 0x10000);
         break;
-    case SKIN_OD_PATTERN:
+    case SKIN_OD_TEST_PATTERN:
         node->pattern[block] = (uint8_t)value;
         break;
     default:
@@ -381,7 +376,7 @@ void skin_restore(skin_node *node, int communication_only)
         const skin_object *object = &board->objects[place];
 
         if (object->index >= SKIN_OD_MANUFACTURER && (object->flags & SKIN_OBJECT_WRITABLE) != 0) {
-            if (of_first_block(object->index) == SKIN_OD_PATTERN || object->index == SKIN_OD_REFRESH) {
+            if (of_first_block(object->index) == SKIN_OD_TEST_PATTERN || object->index == SKIN_OD_REFRESH) {
                 node->values[object->at] = 0; /* an order, never stored; no test pattern */
             }
             adjust(node, object);

@@ -16,7 +16,7 @@ enum { IDLE, SENDING, TAKING };
 
 static void respond(skin_node *node, const uint8_t *response)
 {
-    skin_send(node, SKIN_RESPONSE_BASE + node->board->node_id, response, 8);
+    skin_send(node, SKIN_SDO_RESPONSE_BASE + node->board->node_id, response, 8);
 }
 
 static void abort_transfer(skin_node *node, uint32_t code)

@@ -5,14 +5,13 @@
 
 #if !SKIN_ADAPTIVE
 
-/* Time from the end of a SYNC to the answer, and a time without end, nanoseconds. */
-#define REACTION_NS 100000
+/* A time without end, nanoseconds. */
 #define NO_WINDOW_NS ((int64_t)1 << 62)
 /* Transmission types of PDOs that the node sends when their content changes. */
 #define ACYCLIC 0
 
 /* Payloads, by DLC (ISO 11898-1). */
-static const uint8_t fd_lengths[] = {8, 12, 16, 20, 24, 32, 48, 64};
+static const uint8_t fd_lengths[] = SKIN_FD_LENGTHS;
 
 void skin_read_tpdo(skin_node *node, uint8_t number)
 {
@@ -43,18 +42,15 @@ void skin_read_tpdo(skin_node *node, uint8_t number)
         return;
     }
     tpdo->mapped = (uint8_t)count;
-    tpdo->cob_id = (uint16_t)(cob_id & 0x7FFu);
+    tpdo->cob_id = (uint16_t)(cob_id & SKIN_BASE_ID_MASK);
     tpdo->type = (uint8_t)skin_unsigned(node, communication, 2);
     tpdo->start = (uint8_t)skin_unsigned(node, communication, 6);
     tpdo->inhibit_ms = (skin_unsigned(node, communication, 3) + 9) / 10;
     tpdo->event_ms = skin_unsigned(node, communication, 5);
     tpdo->length = (uint8_t)((bits + 7) / 8);
-    for (place = 0; place < sizeof fd_lengths && tpdo->length > 8; place++) {
-        if (fd_lengths[place] >= tpdo->length) {
-            tpdo->length = fd_lengths[place];
-            break;
-        }
+    for (place = 0; fd_lengths[place] < tpdo->length; place++) {
     }
+    tpdo->length = fd_lengths[place];
 }
 
 static skin_frame payload(const skin_node *node, const skin_tpdo *tpdo)
@@ -118,7 +114,7 @@ void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples)
 
 void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
 {
-    const uint32_t window_us = skin_unsigned(node, SKIN_OD_WINDOW, 0);
+    const uint32_t window_us = skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
     int64_t latest_ns = NO_WINDOW_NS;
     uint8_t number;
 
@@ -144,7 +140,7 @@ void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
         if (tpdo->type == ACYCLIC && is_same(tpdo, &frame)) {
             continue;
         }
-        frame.time_ns = sync->time_ns + REACTION_NS;
+        frame.time_ns = sync->time_ns + SKIN_REACTION_NS;
         frame.expires_ns = sync->time_ns + latest_ns;
         send_tpdo(node, tpdo, &frame);
     }
@@ -158,7 +154,7 @@ void skin_send_events(skin_node *node, uint32_t now_ms)
         skin_tpdo *tpdo = &node->tpdos[number];
         skin_frame frame;
 
-        if (tpdo->length == 0 || tpdo->type < SKIN_EVENT_DRIVEN ||
+        if (tpdo->length == 0 || tpdo->type < SKIN_EVENT_MANUFACTURER ||
             (tpdo->has_last != 0 && !skin_is_due(now_ms, tpdo->sent_at_ms + tpdo->inhibit_ms))) {
             continue;
         }
