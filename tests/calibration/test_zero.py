@@ -321,3 +321,18 @@ def test_no_zero_goes_where_its_taxel_has_not_been(
         run(pause, 0.0)
     run(40, 0.0)
     assert made.zero.force_n[~doubt.taxels].max() < 0.4e-3
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_thin_ring_on_most_boards_is_a_touch_and_its_end_no_drift(sign: int) -> None:
+    """Neighbouring taxels share little of it, so it looks like noise but for its sign."""
+    row, column = np.mgrid[0:32, 0:32] - 15.5
+    ring = np.where(np.abs(np.hypot(row, column) - 9) < 0.6, 7e-3, 0.0).ravel()
+    made = begun()
+    made.run(12, sign * ring)
+    if sign > 0:
+        assert made.zero.force_n.sum() > 0.8 * ring.sum()
+        assert np.abs(made.zero.follower.level_n).max() < 1e-3
+        made.run(8, 0.0)
+        assert not made.zero.touched.any()
+    assert made.zero.force_n.max() < 1e-3
