@@ -102,6 +102,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         Number of switches to images.
     switch_ms : Percentiles
         Time from the request for images to their first complete cycle.
+    doubtful_taxels : int
+        Taxels in doubt at the end: their force may be an error of the zero (`docs/calibration.md`).
     picture : str
         Path of the picture; absent without contact, or if the file could not be written.
     """
@@ -134,6 +136,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     states: dict[str, StateFigures] = {}
     switches: int = 0
     switch_ms: Percentiles = Percentiles(p50=None, p99=None)
+    doubtful_taxels: int = 0
     picture: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
@@ -188,6 +191,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             counted = "moments of contact" if is_adaptive else "contact cycles"
             came = f"; {self.labelled_ratio:.1%} got a label" if self.labelled_ratio is not None else ""
             rows.append(("label", f"right on {self.label_accuracy:.1%} of the {counted}{came}"))
+        if self.doubtful_taxels:
+            why = "a still force, or a zero that has risen: 'skin tare --region'"
+            rows.append(("in doubt", f"{self.doubtful_taxels} taxels at the end: {why}"))
         rows += self._rows_of_states()
         if self.cpu_ratio:
             each = ", ".join(f"{name} {ratio:.0%}" for name, ratio in self.cpu_ratio.items())

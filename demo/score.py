@@ -251,6 +251,7 @@ class Score:
             states=self._states.figures(),
             switches=self._states.switches,
             switch_ms=_percentiles(self._states.switch_ms),
+            doubtful_taxels=gateway.calibration.doubtful_taxels if gateway and gateway.calibration else 0,
         )
 
 

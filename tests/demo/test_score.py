@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
@@ -195,3 +196,17 @@ def test_sensor_that_only_rounds_is_said_to_add_no_noise(score: Score) -> None:
     score.take_truth(msgspec.structs.replace(truth(1), sensor=pixels(0.01)))
     score.take_image(image(1))
     assert score.report().sensor_adds_noise is False
+
+
+@pytest.mark.parametrize("taxels", [0, 144])
+def test_taxels_in_doubt_are_told(score: Score, taxels: int) -> None:
+    zero = CalibrationStatus(state=CalibrationState.FOLLOWING, doubtful_taxels=taxels)
+    score.take_gateway(
+        GatewayStatus(
+            time_ns=0, cycles=1, cycles_complete=1, frames=FrameCounts(), sync_rate_hz=100.0, buses=[], calibration=zero
+        )
+    )
+    assert score.report().doubtful_taxels == taxels
+    assert [text.split()[0] for name, text in score.report().rows() if name == "in doubt"] == [str(taxels)][
+        : bool(taxels)
+    ]
