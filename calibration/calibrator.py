@@ -41,7 +41,7 @@ LOOK_S: Final = 0.025
 QUIET_COUNTS: Final = 3.0
 #: Windows without cycles of all sums after which they are asked for, where nodes have two states.
 LONGEST_GAP: Final = 60
-#: A correction below zero is logged from this part of the range on, and again after so much time.
+#: Least correction below zero that is logged, as part of the range, and least time between two such lines.
 LOGGED_RATIO: Final = 0.01
 LOGGED_NS: Final = 10_000_000_000
 
@@ -65,8 +65,8 @@ class TareResult:
 class Calibrator:
     """Learns the zero of the sums of a skin, and writes it into measurements.
 
-    `apply` to every measurement, then `take` the one that came; `work` whenever there is a millisecond to spare. Of
-    adaptive sums, `take` the newest every `LOOK_S`, with the time of the look.
+    `apply` to every measurement, then `take` the one that came; `work` whenever there is time for a window
+    (`gateway.service.SPARE_S`). Of adaptive sums, `take` the newest every `LOOK_S`, with the time of the look.
 
     Parameters
     ----------
@@ -149,11 +149,6 @@ class Calibrator:
     def has_few_sums(self) -> bool:
         """Whether a zero waits for valid sums."""
         return self._taring.has_few_sums
-
-    @property
-    def noise_n(self) -> float:
-        """Median noise of one cycle's sum, newtons; 0 if unknown."""
-        return self._noise_n
 
     @property
     def doubtful(self) -> Bools:

@@ -88,7 +88,8 @@ class DriftFollower:
         They go on for at most as many windows without a measurement as the line was drawn through: no offset runs
         further than its drift has been seen to.
         """
-        ahead: Floats = np.clip(np.full(self.level_n.shape, windows), -self._left, self._left)
+        left = self._left
+        ahead = np.asarray(np.clip(windows, -left, left), np.float64)
         return self.level_n + ahead * self.slope_n
 
     def skip(self, windows: int) -> None:

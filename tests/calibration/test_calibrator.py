@@ -47,7 +47,7 @@ def test_an_untouched_skin_reads_nothing_after_its_start() -> None:
     assert skin.calibrator.state is CalibrationState.FOLLOWING
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
     assert skin.calibrator.status().known_sums == PHI.shape[0]
-    assert skin.calibrator.noise_n == pytest.approx(SUM_NOISE_N, rel=0.1)
+    assert skin.calibrator.status().noise_n == pytest.approx(SUM_NOISE_N, rel=0.1)
 
 
 def test_saturated_sums_have_no_part_in_the_zero() -> None:
