@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
@@ -13,13 +13,12 @@ from canskin.calibration_messages import Region
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.frame import Frame, FrameBuilder
-from canskin.messages import Measurement, Topic
+from canskin.messages import Topic
 from canskin.skin import Frames, Health, Skin
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from classifier.service import ClassifierService
-from dbc.packing import packing
-from nodes.sampler import new_sampler
+from demo.chain import REST_S, Nodes
 from reconstructor.command import make_engine
 from reconstructor.contacts import ContactTracker
 from reconstructor.service import ReconstructorService
@@ -27,10 +26,6 @@ from skin.clock import wall_offset
 from skin.description import describe
 from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_names, step_rate_hz
-from skin.sync_counter import next_counter
-
-#: Time before the first cycle in which the boards sample the untouched skin.
-REST_S: Final = 0.6
 
 
 def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None, seed: int = 0) -> "SimulatedSkin":
@@ -76,20 +71,17 @@ class SimulatedSkin(Skin):
         engine, _ = make_engine(skin, None)
         engine.warm_up()
         ContactTracker(taxels.rows, taxels.columns).warm_up()
-        self._boards = new_sampler(skin, phi, load_objects(skin, names=objects, seed=seed, rest_s=REST_S), seed=seed)
-        self._packing = packing(skin)
+        source = load_objects(skin, names=objects, seed=seed, rest_s=REST_S)
+        self._nodes = Nodes(skin, source, seed=seed, clock_ns=time.monotonic_ns)
         self._messages = _Messages()
         self._reconstructor = ReconstructorService(skin, engine, self._messages)
         trained = find_or_train(skin, phi, known_objects(objects))
         self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages, keeps_time=False)
         self._builder = FrameBuilder(self.layout)
-        self._counter = 0
-        self._valid = phi.has_sums.tobytes()
-        self._cycle = 0
         self._lock = threading.Lock()
-        for _ in range(round(REST_S * step_rate_hz(skin))):  # the boards learn their noise before the first cycle
-            self._counter = next_counter(self._counter)
-            self._boards.sample(self._counter, time.monotonic_ns())
+        for _ in range(round(REST_S * step_rate_hz(skin))):
+            self._nodes.sample()
+        self._nodes.cycle = 0  # the first frame is that of cycle 1
         self._is_closed = False
 
     def frames(self, queue: int = 1) -> Frames:
@@ -105,21 +97,8 @@ class SimulatedSkin(Skin):
     def step(self) -> Frame:
         """Compute the next cycle."""
         with self._lock:
-            self._cycle += 1
-            self._counter = counter = next_counter(self._counter)
-            now_ns = time.monotonic_ns()
-            sums = self._boards.sample(counter, now_ns)
-            measurement = Measurement(
-                cycle=self._cycle,
-                sync_counter=counter,
-                sampled_mono_ns=now_ns,
-                sampled_error_ns=0,
-                wall_offset_ns=wall_offset().ns,
-                sums=sums.astype("<i4").tobytes(),
-                valid=self._valid,
-                usable=self._packing.usable(sums),
-                fingerprint=self.layout.fingerprint,
-            )
+            made = self._nodes.measurement(self._nodes.sample())
+            measurement = msgspec.structs.replace(made, wall_offset_ns=wall_offset().ns)
             label = self._classifier.label(measurement)
             self._messages.kept = [measurement] if label is None else [measurement, label]
             self._reconstructor.take(measurement)
@@ -133,7 +112,7 @@ class SimulatedSkin(Skin):
     @property
     def health(self) -> Health:
         """All is well."""
-        return Health(services=frozenset({"simulation"}), gateway=None, frames=self._cycle, refused=0)
+        return Health(services=frozenset({"simulation"}), gateway=None, frames=self._nodes.cycle, refused=0)
 
     def close(self) -> None:
         """End all iterations."""

@@ -1,9 +1,12 @@
-"""FISTA on whole batches with any library of the Python array API: NumPy, or CuPy on a GPU.
+"""FISTA on whole recordings with any library of the Python array API: NumPy, or CuPy on a GPU.
 
 Every step is a matrix product or an elementwise operation on (frames, …) arrays; wavelets and Hadamard blocks are
-applied as small dense matrices, which are faster on a GPU than butterflies.
+applied as small dense matrices, which are faster on a GPU than butterflies. A recording is divided into parts of equal
+length, which are solved side by side. Every part except the first begins `RUN_IN` cycles early, so that its first image
+has a warm start.
 """
 
+from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any, Final
 
@@ -15,8 +18,17 @@ from reconstructor.bases import Separable, wavelet_basis
 from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
 from reconstructor.settings import NO_WAVELETS, SolverSettings
+from skin.clipping import ClipCorrection
 from skin.extras import not_installed
 from skin.measurement import Sbhe, fast_hadamard
+
+#: Cycles solved ahead of each part.
+RUN_IN: Final = 12
+#: Most parts: a part is still long compared with `RUN_IN`, and a batch fills a GPU.
+PARTS: Final = 256
+_LEAST_PART: Final = 4 * RUN_IN
+
+Bools = npt.NDArray[np.bool_]
 
 
 def gpu_library() -> ModuleType:
@@ -50,6 +62,8 @@ class BatchSolver:
         With a prior of the form "tensor", without spins, scaled start and temporal filter.
     library : module
         NumPy, CuPy or another library of the array API.
+    noise_n : float, optional
+        See `reconstructor.engine.Reconstructor`.
     dtype : float32 or float64
 
     Raises
@@ -66,6 +80,7 @@ class BatchSolver:
         settings: SolverSettings,
         *,
         library: ModuleType = np,
+        noise_n: float | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         check_grid_of(phi, rows, columns)
@@ -76,6 +91,7 @@ class BatchSolver:
                 f"as the solver 'paper' has them: got {settings}"
             )
         self._xp: Final = library
+        self._correct = ClipCorrection(noise_n) if noise_n else None
         self._kind = getattr(library, float_kind(dtype).name)
         self._grid, self._blocks = (rows, columns), (phi.blocks, phi.block_size)
         self._step = 1 / (settings.lipschitz_ratio * phi.block_size)
@@ -89,6 +105,35 @@ class BatchSolver:
         self._spot = library.asarray(np.flatnonzero(phi.kept.reshape(-1)))
         self._slot = library.asarray(np.maximum(np.cumsum(phi.kept.reshape(-1)) - 1, 0))
         self._kept = self._send(phi.kept.reshape(-1))
+
+    def solve_recording(
+        self, sums_n: npt.NDArray[np.floating[Any]], valid: Bools, advance: Callable[[int], None]
+    ) -> npt.NDArray[np.float32]:
+        """Return the images of a recording, newtons, shape (cycles, rows, columns); without a valid sum they are zero.
+
+        Parameters
+        ----------
+        sums_n : array, shape (cycles, m)
+            Newtons; values of sums that are not valid have no effect.
+        valid : array of bool, shape (cycles, m)
+        advance : callable
+            Called with the number of further images that are finished.
+
+        Raises
+        ------
+        InputError
+            As `solve`.
+        """
+        images = np.empty((len(sums_n), *self._grid), np.float32)
+        estimate = None
+        for taken, used, is_kept in _turns(len(sums_n), max(1, min(PARTS, len(sums_n) // _LEAST_PART))):
+            counted = valid[taken] & used[:, None]
+            estimate = self.solve(sums_n[taken], counted, estimate)
+            estimate = self._without(estimate, np.any(counted, axis=1))
+            if is_kept:
+                images[taken[used]] = self.deliver(estimate)[used]
+                advance(int(used.sum()))
+        return images
 
     def solve(self, sums_n: Any, valid: Any, start: Any = None) -> Any:
         """Return estimates, shape (frames, rows, columns), as an array of the library; `deliver` returns images.
@@ -115,7 +160,7 @@ class BatchSolver:
             ahead = estimate + weight * (estimate - previous)
         return estimate
 
-    def without(self, estimate: Any, kept: npt.NDArray[np.bool_]) -> Any:
+    def _without(self, estimate: Any, kept: Bools) -> Any:
         """Return the estimates, with zeros in frames that are not `kept`, shape (frames,)."""
         mask = self._xp.reshape(self._xp.asarray(kept), (-1, 1, 1))
         return self._xp.where(mask, estimate, self._xp.zeros_like(estimate))
@@ -125,7 +170,7 @@ class BatchSolver:
         if hasattr(estimate, "get"):  # CuPy copies from the GPU only by `get`
             estimate = estimate.get()
         images: npt.NDArray[np.float32] = np.maximum(np.asarray(estimate), 0).astype(np.float32)
-        return images
+        return images if self._correct is None else self._correct(images)
 
     def _send(self, values: npt.NDArray[Any]) -> Any:
         return self._xp.asarray(values, dtype=self._kind)
@@ -177,3 +222,16 @@ class BatchSolver:
         s = s - xp.clip(s, -self._threshold, self._threshold)
         made = xp.matmul(xp.matmul(self._down.T, s), self._across)
         return xp.where(made > 0, made, xp.zeros_like(made)) if self._nonnegative else made
+
+
+def _turns(cycles: int, parts: int) -> Iterator[tuple[npt.NDArray[np.intp], Bools, bool]]:
+    """Yield for each turn the cycle of every part, whether this cycle is in the recording, and if images are kept.
+
+    A part whose cycle is outside the recording gets another cycle; its image is not used.
+    """
+    length = -(-cycles // parts)
+    starts = np.arange(parts) * length
+    for turn in range(-RUN_IN if cycles and parts > 1 else 0, length):
+        at = starts + turn
+        used = (at >= 0) & (at < cycles)
+        yield np.clip(at, 0, cycles - 1), used, turn >= 0

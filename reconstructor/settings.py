@@ -7,8 +7,6 @@ from canskin.errors import InputError
 from reconstructor.bases.names import wavelet_basis_name
 from reconstructor.checks import check_settings, is_whole
 
-#: Wavelet priors with compiled transforms.
-COMPILED_WAVELETS: Final = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor")
 #: Priors that are no orthonormal wavelet: no grid of a basis can be shifted.
 NO_WAVELETS: Final = ("variation", "contourlet")
 

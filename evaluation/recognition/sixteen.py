@@ -8,19 +8,15 @@ import numpy as np
 
 from canskin.messages import UNKNOWN_OBJECT
 from classifier.cache import FEATURES
-from classifier.decide import Classifier
 from classifier.training import TrainingOptions, train
+from demo.chain import REST_S, Nodes, Receivers
 from evaluation.result import Row
-from nodes.sampler import new_sampler
 from skin.layout import Layout, load_layout
 from skin.sources import OBJECT_GROUPS, StrokeKind, load_touches, step_rate_hz
-from skin.sync_counter import next_counter
 from touch.sources import objects
 from touch.strokes import LIFT_S, PAUSE_S, PRESS_S, SLOT_S
 
 NAMES: Final = OBJECT_GROUPS["paper"]
-#: Time before the first cycle in which the boards sample the untouched skin.
-REST_S: Final = 0.6
 
 
 def skin_of(sums: int, samples: int, draw: int) -> Layout:
@@ -53,25 +49,21 @@ def measure_sixteen(
         object is pressed in fully, the only ones that the paper classifies.
     """
     layout = skin_of(sums, samples, draw)
-    phi, rate_hz = layout.phi(), step_rate_hz(layout)
+    rate_hz = step_rate_hz(layout)
     options = TrainingOptions(features=FEATURES[stroke], seed=seed)
     trained_on = load_touches(NAMES, per_object * len(NAMES), layout, seed=seed, stroke=stroke)
     model = train(*trained_on, layout, options=options)
     source = objects(rate_hz=rate_hz, names=NAMES, seed=seed + 1000, rest_s=REST_S, stroke=stroke)
-    boards = new_sampler(layout, phi, source, seed=seed)
-    classifier, valid = Classifier(model, phi), phi.has_sums
+    nodes, receivers = Nodes(layout, source, seed=seed), Receivers(layout, model)
     said: list[str] = []
     true: list[str] = []
     is_held: list[bool] = []
-    counter = 0
     for step in range(round((REST_S + touches * SLOT_S) * rate_hz)):
-        counter = next_counter(counter)
-        measured = boards.sample(counter, round(step / rate_hz * 1e9))
-        label = classifier.decide(measured, valid, step + 1).label
-        truth = boards.take_truth()
-        if truth is not None and truth.label:
+        label = receivers.label(receivers.read(nodes.measurement(nodes.sample())), nodes.cycle)
+        touching = nodes.truth().label
+        if touching:
             said.append(label)
-            true.append(truth.label)
+            true.append(touching)
             is_held.append(PAUSE_S + PRESS_S <= (step / rate_hz - REST_S) % SLOT_S <= SLOT_S - LIFT_S)
     return _shares(said, true, is_held)
 

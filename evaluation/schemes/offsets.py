@@ -13,15 +13,14 @@ from calibration.offline import measurement_of
 from canskin.calibration_messages import CalibrationState
 from canskin.messages import Measurement
 from classifier.cache import find_or_train
-from classifier.decide import Classifier
+from classifier.model import Model
+from demo.chain import Receivers
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SLIDES
 from nodes.averaging import SampleFilter
-from reconstructor.engine import Reconstructor
 from skin.defects import Drift, GainSpread, Offset
 from skin.layout import Layout, load_layout
-from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
 from skin.taxel import TaxelModel, to_counts
 from touch.contact import Force
@@ -113,8 +112,8 @@ def measure_offsets(place: int, meshes: str | None, seed: int, *, labels: bool =
     slide = trajectory(SLIDES[0], meshes=Path(meshes) if meshes else None, steps=round(1e3 * SLIDE_S))
     ideal = Case("", offset=False, gain=case.gain)
     truth = list(_truth(layout, case, slide))
-    without = _Chain(layout, len(truth), labels=False)
-    raw, calibrated = _Chain(layout, len(truth), labels=labels), _Chain(layout, len(truth), labels=labels)
+    model = find_or_train(layout, phi) if labels else None
+    without, raw, calibrated = (_Judge(layout, len(truth), each) for each in (None, model, model))
     calibrator = Calibrator(layout)
     was_touched = False
     for cycle, (fine, sums) in enumerate(
@@ -140,35 +139,30 @@ def measure_offsets(place: int, meshes: str | None, seed: int, *, labels: bool =
     }
 
 
-class _Chain:
+class _Judge:
     """Images and labels of a run, judged."""
 
-    def __init__(self, layout: Layout, cycles: int, *, labels: bool) -> None:
-        self._layout, self._phi = layout, layout.phi()
-        taxels = layout.taxels
-        self._engine = Reconstructor(self._phi, taxels.rows, taxels.columns, samples=layout.samples_per_sync)
-        self._classifier = Classifier(find_or_train(layout, self._phi), self._phi) if labels else None
-        rate_hz = layout.sync.rate_hz
+    def __init__(self, layout: Layout, cycles: int, model: Model | None) -> None:
+        self._receivers, self._has_labels = Receivers(layout, model), model is not None
+        self._force_max_n, rate_hz = layout.taxels.force_max_n, layout.sync.rate_hz
         self._slides_at = cycles - round(SLIDE_S * rate_hz)
         self._pressed_at = self._slides_at + round(PRESSED_S * rate_hz)
         self._rests_at = self._slides_at - round(rate_hz)
-        self._cycle = 0
         self._squares: list[float] = []
         self._untouched: list[bool] = []
         self._right: list[bool] = []
 
     def take(self, measurement: Measurement, true_n: Force) -> None:
         """Judge a cycle from the last second of the rest on."""
-        cycle, self._cycle = self._cycle, self._cycle + 1
+        cycle = measurement.cycle - 1
         if cycle < self._rests_at:
             return
-        sums = decode_measurement(measurement, self._phi)
-        sums_n = np.multiply(sums.counts, np.float32(self._layout.taxels.newton_per_count), dtype=np.float32)
-        image = self._engine.solve(sums_n, sums.valid_sums)
+        sums = self._receivers.read(measurement)
+        image = self._receivers.image(sums)
         if cycle >= self._pressed_at:
             self._squares.append(float(np.mean(np.square(image - true_n, dtype=np.float64))))
-        if self._classifier is not None:
-            label = self._classifier.decide(sums.counts, sums.valid, cycle).label
+        if self._has_labels:
+            label = self._receivers.label(sums, cycle)
             if cycle < self._slides_at:
                 self._untouched.append(not label)
             elif cycle >= self._pressed_at and true_n.max() >= LABEL_FORCE_N:
@@ -176,7 +170,7 @@ class _Chain:
 
     def psnr_db(self) -> float:
         """Return the PSNR of the images of the object, by their mean square error."""
-        return round(float(decibels(np.mean(self._squares), self._layout.taxels.force_max_n)), 1)
+        return round(float(decibels(np.mean(self._squares), self._force_max_n)), 1)
 
     def untouched(self) -> float | None:
         """Return the part of the untouched cycles that were called so."""

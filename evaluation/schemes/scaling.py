@@ -5,8 +5,9 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import FunctionType, ModuleType
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,16 +19,14 @@ from classifier.training import TrainingOptions, train
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from dbc.frame_bits import wire_bits
+from demo.chain import REST_S, Nodes, Receivers
 from evaluation.psnr import psnr_db
 from evaluation.result import Options, Picture, Result, Row, new_figure
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.sums import burst
 from gateway.collector import Collector, Gathered
-from nodes.sampler import new_sampler
-from reconstructor.engine import Reconstructor
 from skin.layout import Layout, parse_layout
 from skin.sources import Frame, load_touches
-from skin.sync_counter import next_counter
 from skin.taxel import NOISE_N
 from touch.contact import Force, Grid
 from touch.sources import ObjectSource
@@ -46,8 +45,6 @@ TILE: Final = 32
 TOUCHING: Final = "golf-ball"
 #: Objects that are to be recognised, anywhere on the skin.
 OBJECTS: Final = ("golf-ball", "racquetball", "gravy-can", "jello-box")
-#: Time in which the boards learn the noise of their taxels; the touches follow after the pause of a stroke.
-REST_S: Final = 0.6
 #: Cycles with touch that are measured.
 CYCLES, QUICK_CYCLES = 120, 20
 #: Touches of each object for training and for the test, and draws of the untouched skin.
@@ -87,22 +84,29 @@ def measure(*, side: int, cycles: int, touches: int, untouched: int, seed: int) 
     layout = skin_of(side)
     contract = Contract.from_layout(layout)
     model = _trained(layout, touches, untouched, seed)
-    chain = _Chain(contract, _Tiles(side, seed), seed)
-    classifier = Classifier(model, contract.phi)
+    nodes, receivers = Nodes(layout, _Tiles(side, seed), seed=seed), Receivers(layout, model)
+    buses = _Buses(contract)
     begin = round((REST_S + PAUSE_S) * layout.sync.rate_hz)
     times_s = defaultdict[str, list[float]](list)
     psnrs_db, sensed_db, bits = list[float](), list[float](), list[int]()
     for number in range(1, begin + cycles + 1):
-        cycle = chain.next_cycle()
-        cycle.spent_s["label_ms"], _ = _timed(lambda: classifier.decide(cycle.sums, chain.valid, number))  # noqa: B023
+        sample_s, counts = _timed(nodes.sample)
+        truth, on_wire = nodes.truth(), buses.frames(counts)
+        collect_s, gathered = _timed(partial(buses.collected, on_wire, nodes.counter))
+        if not gathered.complete or not np.array_equal(gathered.sums, counts):
+            raise RuntimeError("the collector lost sums of a simulated cycle")
+        sums = receivers.read(nodes.measurement(gathered.sums))
+        image_s, image_n = _timed(partial(receivers.image, sums))
+        label_s, _ = _timed(partial(receivers.label, sums, number))
         if number <= begin:
             continue
-        for name, spent_s in cycle.spent_s.items():
+        for name, spent_s in zip(TIMED, (sample_s, collect_s, image_s, label_s), strict=True):
             times_s[name].append(spent_s)
-        bits.append(cycle.bits)
-        if cycle.true_n.any():
-            psnrs_db.append(psnr_db(cycle.true_n, cycle.image_n))
-            sensed_db.append(psnr_db(cycle.true_n, cycle.sensor_n))
+        bits.append(sum(int(wire_bits(each)[0].sum()) for each in on_wire))
+        true_n, sensor_n = (np.frombuffer(each, "<f4").reshape(side, side) for each in (truth.true, truth.sensor))
+        if true_n.any():
+            psnrs_db.append(psnr_db(true_n, image_n))
+            sensed_db.append(psnr_db(true_n, sensor_n))
     return {
         "taxels": layout.taxels.count,
         "from": "run",
@@ -114,8 +118,8 @@ def measure(*, side: int, cycles: int, touches: int, untouched: int, seed: int) 
         "psnr_db": round(float(np.mean(psnrs_db)), 2),
         "right_percent": round(100 * _right_ratio(model, layout, touches, seed), 1),
         **{name: round(1e3 * float(np.quantile(times_s[name], FAST)), 4) for name in TIMED},
-        "solver_mb": round(held_bytes(chain.engine) * 1e-6, 3),
-        "classifier_mb": round(held_bytes(classifier) * 1e-6, 3),
+        "solver_mb": round(held_bytes(receivers.engine) * 1e-6, 3),
+        "classifier_mb": round(held_bytes(receivers.classifier) * 1e-6, 3),
     }
 
 
@@ -144,65 +148,27 @@ class _Tiles:
         return Frame(np.ascontiguousarray(rows.reshape(self._across * TILE, -1)), "")
 
 
-class _Cycle(NamedTuple):
-    """Seconds by `TIMED`; image, sensor signal and true force, newtons; sums; bits on all buses."""
+class _Buses:
+    """The frames of each cycle, and the gateway's collector of them."""
 
-    spent_s: dict[str, float]
-    image_n: Force
-    sensor_n: Force
-    true_n: Force
-    sums: npt.NDArray[np.int32]
-    bits: int
-
-
-class _Chain:
-    """The services of a skin, called one after the other."""
-
-    def __init__(self, contract: Contract, source: _Tiles, seed: int) -> None:
-        layout, table = contract.layout, contract.table
-        self.engine = Reconstructor(
-            contract.phi, layout.taxels.rows, layout.taxels.columns, samples=layout.samples_per_sync
-        )
-        self.valid = np.ones(contract.phi.blocks, np.bool_)
+    def __init__(self, contract: Contract) -> None:
         self._contract = contract
-        self._boards = new_sampler(layout, contract.phi, source, seed=seed)
         self._collector = Collector(contract)
         self._collector.trust(slice(None), proven=True)
-        self._rows = [np.flatnonzero(table.bus == bus) for bus in range(len(layout.bus))]
-        self._valid_sums = np.ones(contract.phi.shape[0], np.bool_)
-        self._counter = 0
-        self._time_ns = 0
+        self._rows = [np.flatnonzero(contract.table.bus == bus) for bus in range(len(contract.layout.bus))]
 
-    def next_cycle(self) -> _Cycle:
-        """Run a cycle up to its image."""
-        layout = self._contract.layout
-        self._counter = counter = next_counter(self._counter)
-        self._time_ns += round(layout.sync.period_s * 1e9)
-        sample_s, sums = _timed(lambda: self._boards.sample(counter, self._time_ns))
-        truth = self._boards.take_truth()
-        on_wire = [self._frames(sums, bus) for bus in range(len(layout.bus))]
-        collect_s, gathered = _timed(lambda: self._collected(on_wire))
-        if truth is None or not gathered.complete or not np.array_equal(gathered.sums, sums):
-            raise RuntimeError("the collector lost sums of a simulated cycle")
-        sums_n = (gathered.sums * layout.taxels.newton_per_count).astype(np.float32)
-        image_s, image_n = _timed(lambda: self.engine.solve(sums_n, self._valid_sums))
-        true_n, sensor_n = (np.frombuffer(each, "<f4").reshape(image_n.shape) for each in (truth.true, truth.sensor))
-        bits = sum(int(wire_bits(each)[0].sum()) for each in on_wire)
-        spent_s = dict(zip(TIMED, (sample_s, collect_s, image_s), strict=False))
-        return _Cycle(spent_s, image_n, sensor_n, true_n, gathered.sums, bits)
-
-    def _frames(self, sums: npt.NDArray[np.int32], bus: int) -> Frames:
-        """Return the SYNC of a bus and the TPDOs that answer it."""
+    def frames(self, counts: npt.NDArray[np.int32]) -> list[Frames]:
+        """Return the SYNC of each bus and the TPDOs that answer it."""
         echo = self._contract.sync(0)
         echo["flags"] |= ECHO
-        made: Frames = np.concatenate([echo, burst(self._contract, sums, self._rows[bus])])
-        return made
+        return [np.concatenate([echo, burst(self._contract, counts, rows)]) for rows in self._rows]
 
-    def _collected(self, on_wire: Sequence[Frames]) -> Gathered:
-        self._collector.open(self._counter)
+    def collected(self, on_wire: Sequence[Frames], counter: int) -> Gathered:
+        """Return what the collector makes of a cycle."""
+        self._collector.open(counter)
         for bus, each in enumerate(on_wire):
             self._collector.take(bus, each, 0)
-        return self._collector.close(self._counter)
+        return self._collector.close(counter)
 
 
 def _timed(call: Callable[[], Made]) -> tuple[float, Made]:

@@ -19,12 +19,11 @@ from calibration.offline import measurement_of
 from canskin.calibration_messages import Region
 from canskin.messages import Measurement
 from canskin.sums import doubtful_taxels
+from demo.chain import Receivers
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
-from reconstructor.engine import Reconstructor
 from skin.defects import Offset
 from skin.layout import Layout, load_layout
-from skin.measured_sums import decode_measurement
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, Creep, Place, ZeroDrift
 
 #: What every taxel reads at least, and the offsets above that as part of the range.
@@ -247,9 +246,7 @@ class _Judge:
         offsets_n = Offset(OFFSET_RATIO, 0).offsets_n(self._shape, taxels.force_max_n)
         self.rest_n: Floats = PEDESTAL_N + offsets_n.ravel().astype(np.float64)
         self._layout, self._scene = layout, scene
-        self._engine, self._ideal = (
-            Reconstructor(self.phi, *self._shape, samples=layout.samples_per_sync) for _ in range(2)
-        )
+        self._shown, self._ideal = Receivers(layout), Receivers(layout)
         self.finder = FieldFinder(self.phi, *self._shape)
         self._step_s = STEP_CYCLES * layout.sync.period_s
         self._life_s = np.zeros(taxels.count)
@@ -258,6 +255,7 @@ class _Judge:
         self._felt: list[tuple[float, float]] = []
         self._wrong_at_s = self._event_s = self._last_s = 0.0
         self._last_truth_n = np.zeros(taxels.count)
+        self._all_sums = np.ones(self.phi.shape[0], np.bool_)
         self._steps = 0
 
     def take(self, cycle: _Cycle, made: Measurement) -> None:
@@ -266,10 +264,8 @@ class _Judge:
         if not made.offsets:
             return
         npc, forces = self._layout.taxels.newton_per_count, truth_n > 0
-        sums = decode_measurement(made, self.phi)
-        sums_n = np.multiply(sums.counts, np.float32(npc), dtype=np.float32)
-        image_n = self._engine.solve(sums_n, sums.valid_sums).ravel().astype(np.float64)
-        ideal_n = self._ideal.solve(ideal_sums_n.astype(np.float32), np.ones(sums_n.size, np.bool_)).ravel()
+        image_n = self._shown.image(self._shown.read(made)).ravel().astype(np.float64)
+        ideal_n = self._ideal.engine.solve(ideal_sums_n.astype(np.float32), self._all_sums).ravel()
         near = binary_dilation(forces.reshape(self._shape), iterations=MARGIN).ravel() if forces.any() else forces
         self._near_s = np.where(near, 0.0, self._near_s + self._step_s)
         free = self._near_s > RELEASE_S

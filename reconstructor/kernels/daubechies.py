@@ -25,9 +25,9 @@ def solve_daubechies(estimate: Flat, sums: Flat, weights: Flat, problem: Problem
         descend(estimate.size, problem, scratch)
         gather(image, work, problem.tables[0, shift])
         if problem.levels:
-            shrink_pyramid(image, other, problem, 1, threshold, taps)
+            _shrink_pyramid(image, other, problem, threshold, taps)
         else:
-            shrink_tensor(image, other, problem, 1, threshold, taps)
+            _shrink_tensor(image, other, problem, threshold, taps)
         gather(work, image, problem.tables[1, shift])
         advance(estimate, floor, problem.momentum[turn], scratch)
     return count
@@ -40,18 +40,16 @@ def _soft(work: Flat, threshold: Any) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def shrink_tensor(  # noqa: PLR0917  compiled functions take no keywords
-    image: Flat, other: Flat, problem: Problem, lanes: int, threshold: Any, taps: Flat
-) -> None:
-    """Replace the image by Ψ soft(Ψᵀ image) with the tensor D4; `lanes` images side by side, taxel by taxel."""
+def _shrink_tensor(image: Flat, other: Flat, problem: Problem, threshold: Any, taps: Flat) -> None:
+    """Replace the image by Ψ soft(Ψᵀ image) with the tensor D4."""
     rows, columns = problem.rows, problem.columns
-    _analyse(image, other, rows, columns * lanes, taps)
-    _transpose(other, image, rows, columns, lanes)
-    _analyse(other, image, columns, rows * lanes, taps)
+    _analyse(image, other, rows, columns, taps)
+    _transpose(other, image, rows, columns)
+    _analyse(other, image, columns, rows, taps)
     _soft(other, threshold)
-    _synthesise(other, image, columns, rows * lanes, taps)
-    _transpose(image, other, columns, rows, lanes)
-    _synthesise(image, other, rows, columns * lanes, taps)
+    _synthesise(other, image, columns, rows, taps)
+    _transpose(image, other, columns, rows)
+    _synthesise(image, other, rows, columns, taps)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
@@ -74,50 +72,41 @@ def _synthesise(work: Flat, other: Flat, height: int, width: int, taps: Flat) ->
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def shrink_pyramid(  # noqa: PLR0917  compiled functions take no keywords
-    image: Flat, other: Flat, problem: Problem, lanes: int, threshold: Any, taps: Flat
-) -> None:
-    """Replace the image by Ψ soft(Ψᵀ image) with the D4 pyramid; `lanes` images side by side, taxel by taxel.
+def _shrink_pyramid(image: Flat, other: Flat, problem: Problem, threshold: Any, taps: Flat) -> None:
+    """Replace the image by Ψ soft(Ψᵀ image) with the D4 pyramid.
 
     Each level stores its quadrants one after the other, transposed; the next level transforms the first quadrant.
     """
     height, width = problem.rows, problem.columns
     for _ in range(problem.levels):
-        size = height * width * lanes
+        size = height * width
         half = size // 2
-        _split(other[:size], image[:size], width * lanes, taps)
+        _split(other[:size], image[:size], width, taps)
         for start in (0, half):
             part = image[start : start + half]
-            _transpose(part, other[start : start + half], height // 2, width, lanes)
-            _split(other[start : start + half], part, height // 2 * lanes, taps)
+            _transpose(part, other[start : start + half], height // 2, width)
+            _split(other[start : start + half], part, height // 2, taps)
         image[:size] = other[:size]
         height, width = width // 2, height // 2
     _soft(image, threshold)
     for _ in range(problem.levels):
         height, width = 2 * width, 2 * height
-        size = height * width * lanes
+        size = height * width
         half = size // 2
         for start in (0, half):
             part, spare = image[start : start + half], other[start : start + half]
-            _join(spare, part, height // 2 * lanes, taps)
-            _transpose(part, spare, width, height // 2, lanes)
-        _join(other[:size], image[:size], width * lanes, taps)
+            _join(spare, part, height // 2, taps)
+            _transpose(part, spare, width, height // 2)
+        _join(other[:size], image[:size], width, taps)
         image[:size] = other[:size]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _transpose(target: Flat, source: Flat, rows: int, columns: int, lanes: int) -> None:
-    """Set target, (columns, rows, lanes), to the transpose of source, (rows, columns, lanes)."""
-    if lanes == 1:
-        for j in range(columns):
-            for i in range(rows):
-                target[j * rows + i] = source[i * columns + j]
-        return
+def _transpose(target: Flat, source: Flat, rows: int, columns: int) -> None:
+    """Set target, (columns, rows), to the transpose of source, (rows, columns)."""
     for j in range(columns):
         for i in range(rows):
-            there, taken = target[(j * rows + i) * lanes :], source[(i * columns + j) * lanes :]
-            for lane in range(lanes):
-                there[lane] = taken[lane]
+            target[j * rows + i] = source[i * columns + j]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)

@@ -6,11 +6,11 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.checks import Values, check_estimate, check_values, placed
+from reconstructor.checks import Values, check_estimate, check_values, float_kind, placed
 from reconstructor.kernels import daubechies, haar, variation
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.matrices import SCRATCH_ROWS, MatrixWavelet
-from reconstructor.kernels.problem import Model, check_penalty_ratio, checked, taxels_in_block_order
+from reconstructor.kernels.problem import check_penalty_ratio, checked, make_problem, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, row, scratch_of
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
@@ -38,8 +38,8 @@ _KERNELS: Final[dict[str, _Kernel]] = {
 class FusedSolver:
     """min ½‖Φx - y‖² + λ R(x) by FISTA, Φ an SBHE.
 
-    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. Total variation and the wavelets of
-    `COMPILED_WAVELETS` are compiled as a whole, for one thread and without allocation; all others are `MatrixWavelet`.
+    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. Total variation, Haar and D4 are compiled as
+    a whole, for one thread and without allocation; all others are `MatrixWavelet`.
     The iteration is over the image, not over its coefficients. For an orthonormal Ψ both iterations are the same, and
     shifts of the basis and non-negativity need no extra time.
 
@@ -68,17 +68,16 @@ class FusedSolver:
         *,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        model = Model(phi, rows, columns, settings, dtype)
+        self.dtype: Final = float_kind(dtype)
+        self._problem = make_problem(phi, rows, columns, settings, self.dtype)
         self.shape: Final = (rows, columns)
         self.sums: Final = phi.shape[0]
         self.shifts: Final = spin_shifts(settings.spins, rows, columns)
-        self.dtype: Final = np.dtype(dtype)
         self._kernel = _KERNELS.get(settings.prior) or _Kernel(
             MatrixWavelet(settings.prior, rows, columns, self.dtype), SCRATCH_ROWS
         )
         self._taxel = taxels_in_block_order(phi)
-        self._problem = model.problem()
-        self._threshold = model.threshold
+        self._threshold = settings.penalty_n / (settings.lipschitz_ratio * phi.block_size)
         self._scratch = scratch_of(self._kernel.scratch_rows, phi.order.size, self.dtype)
 
     def new_estimate(self) -> Values:

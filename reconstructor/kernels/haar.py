@@ -36,16 +36,16 @@ def solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scra
         descend(estimate.size, problem, scratch)
         gather(image, work, problem.tables[0, shift])
         if problem.levels:
-            shrink_pyramid(image, problem.levels, threshold, half)
+            _shrink_pyramid(image, problem.levels, threshold, half)
         else:
-            shrink_tensor(image, problem.columns, 1, threshold, root_half)
+            _shrink_tensor(image, problem.columns, threshold, root_half)
         gather(work, image, problem.tables[1, shift])
         advance(estimate, floor, problem.momentum[turn], scratch)
     return count
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
+def _shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
     """Replace the image by Ψ soft(Ψᵀ image) with the Haar pyramid; `work` in the order of `pyramid_addresses`."""
     size = work.size
     for _ in range(levels):
@@ -72,19 +72,15 @@ def shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def shrink_tensor(work: Flat, columns: int, lanes: int, threshold: Any, root_half: Any) -> None:
-    """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`.
-
-    With `lanes` images side by side every taxel has `lanes` values.
-    """
-    width = columns * lanes
-    _analyse(work, work.size, width, root_half)
-    _analyse(work, width, lanes, root_half)
+def _shrink_tensor(work: Flat, columns: int, threshold: Any, root_half: Any) -> None:
+    """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`."""
+    _analyse(work, work.size, columns, root_half)
+    _analyse(work, columns, 1, root_half)
     for k in range(work.size):
         x = work[k]
         work[k] = x - max(-threshold, min(threshold, x))
-    _synthesise(work, width, lanes, root_half)
-    _synthesise(work, work.size, width, root_half)
+    _synthesise(work, columns, 1, root_half)
+    _synthesise(work, work.size, columns, root_half)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)

@@ -1,16 +1,14 @@
-"""The tables and constants of one Φ and one prior, for solvers of one or of several images."""
+"""The tables and constants of one Φ and one prior."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from canskin.errors import InputError
 from reconstructor.bases.separable import DAUBECHIES_4, HAAR
-from reconstructor.checks import Values, check_grid_of, float_kind, placed
+from reconstructor.checks import Values, check_grid_of, placed
 from reconstructor.fista import momentum
 from reconstructor.kernels.addresses import (
     Indices,
@@ -32,60 +30,34 @@ ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
 }
 
 
-@dataclass(frozen=True)
-class Model:
-    """Φ, grid and settings of a solver; not for the contourlet.
+def make_problem(phi: Sbhe, rows: int, columns: int, settings: SolverSettings, kind: np.dtype[Any]) -> Problem:
+    """Return the tables and constants of a solver; not for the contourlet.
 
     Raises
     ------
     InputError
         If Φ, grid and settings do not fit each other.
     """
-
-    phi: Sbhe
-    rows: int
-    columns: int
-    settings: SolverSettings
-    dtype: npt.DTypeLike
-
-    def __post_init__(self) -> None:
-        check_grid_of(self.phi, self.rows, self.columns)
-        if self.settings.prior == "contourlet":
-            raise InputError("expected a wavelet or 'variation', got 'contourlet'")
-        float_kind(self.dtype)
-
-    @property
-    def step(self) -> float:
-        """1 / L."""
-        return 1 / (self.settings.lipschitz_ratio * self.phi.block_size)
-
-    @property
-    def threshold(self) -> float:
-        """λ / L."""
-        return self.settings.penalty_n * self.step
-
-    def problem(self, lanes: int = 1) -> Problem:
-        """Return the tables for `lanes` images side by side."""
-        kind, phi, taxel = np.dtype(self.dtype), self.phi, taxels_in_block_order(self.phi)
-        settings = self.settings
-        floor = 0.0 if settings.nonnegative else float(np.finfo(kind).min)
-        addresses = ADDRESSES.get(settings.prior, row_addresses)(self.rows, self.columns)
-        shifts = spin_shifts(settings.spins, self.rows, self.columns)
-        to_blocks = np.stack([shifted(addresses, shift).ravel()[taxel] for shift in shifts])
-        return Problem(
-            places=places_of_sums(phi),
-            tables=np.stack((np.argsort(to_blocks, axis=1), to_blocks)).astype(np.uint16),
-            deliver=np.argsort(taxel).astype(np.uint16),
-            numbers=np.array(
-                (self.step, settings.penalty_n * self.step, floor, HAAR.rec_lo[0], *DAUBECHIES_4.rec_lo), kind
-            ),
-            momentum=momentum(settings.iterations).astype(kind),
-            blocks=phi.blocks * lanes,
-            rows=self.rows,
-            columns=self.columns,
-            levels=pyramid_levels(self.rows, self.columns) if settings.prior.endswith("pyramid") else 0,
-            scaled_start=settings.scaled_start,
-        )
+    check_grid_of(phi, rows, columns)
+    if settings.prior == "contourlet":
+        raise InputError("expected a wavelet or 'variation', got 'contourlet'")
+    taxel, step = taxels_in_block_order(phi), 1 / (settings.lipschitz_ratio * phi.block_size)
+    floor = 0.0 if settings.nonnegative else float(np.finfo(kind).min)
+    addresses = ADDRESSES.get(settings.prior, row_addresses)(rows, columns)
+    shifts = spin_shifts(settings.spins, rows, columns)
+    to_blocks = np.stack([shifted(addresses, shift).ravel()[taxel] for shift in shifts])
+    return Problem(
+        places=places_of_sums(phi),
+        tables=np.stack((np.argsort(to_blocks, axis=1), to_blocks)).astype(np.uint16),
+        deliver=np.argsort(taxel).astype(np.uint16),
+        numbers=np.array((step, settings.penalty_n * step, floor, HAAR.rec_lo[0], *DAUBECHIES_4.rec_lo), kind),
+        momentum=momentum(settings.iterations).astype(kind),
+        blocks=phi.blocks,
+        rows=rows,
+        columns=columns,
+        levels=pyramid_levels(rows, columns) if settings.prior.endswith("pyramid") else 0,
+        scaled_start=settings.scaled_start,
+    )
 
 
 def taxels_in_block_order(phi: Sbhe) -> Indices:

@@ -177,23 +177,14 @@ def _scale_start(estimate: Flat, gain: Flat, target: Flat, work: Flat, blocks: i
     """
     work[:] = estimate
     hadamard(work, blocks)
-    explained = work[0] - work[0]
-    energy = explained
+    explained = energy = estimate.dtype.type(0)
     for k in range(work.size):
         seen = gain[k] * work[k]
         explained += seen * target[k]
         energy += seen * seen
-    scale = start_scale(explained, energy)
-    if scale < 1:
-        estimate *= scale
-    return scale
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def start_scale(explained: Any, energy: Any) -> Any:
-    """Return max(0, 2a - 1) for a = min(1, explained / energy)."""
-    zero = explained - explained  # keeps the dtype
     excess = explained + explained - energy
     if excess >= energy:  # also if both are 0
-        return zero + np.float32(1)
-    return max(zero, excess / energy)
+        return estimate.dtype.type(1)
+    scale = max(estimate.dtype.type(0), excess / energy)
+    estimate *= scale
+    return scale
