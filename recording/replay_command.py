@@ -24,7 +24,8 @@ from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
-from recording.steps import Step, steps_of
+from recording.step_kinds import Step
+from recording.steps import steps_of
 from skin.description import Describing
 from skin.layout import Layout, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
@@ -89,18 +90,15 @@ def replay(
     is_recording = source.suffix.lower() == RECORDING_SUFFIX
     skin = load_layout(source if is_recording and layout is None else layout, adaptive=True)
     require_one_state(skin, "'skin replay'")
-    if channel and (is_recording or len(channel) > len(skin.bus)):
-        raise InputError(f"--channel: expected up to {len(skin.bus)} channels of a log; a recording names its buses")
+    if channel and is_recording:
+        raise InputError("--channel is for logs: a recording names its buses; leave it out")
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if is_recording else 0
     calibrator = make_calibrator(skin, calibration, tare, "replay")
     engine, about = _engine(skin, solver)
     known = load_gains(gains, skin)
     classifier = _classifier_maker(skin, model)
-    names = channel or [bus.name for bus in skin.bus]
-    steps = steps_of(
-        source, contract, names, named_by_user=bool(channel), every=solver is not None, calibrator=calibrator
-    )
+    steps = steps_of(source, contract, channel, every=solver is not None, calibrator=calibrator)
     sink = McapSink(out, contract, time.time_ns(), offset_ns) if out is not None else None
     recorded = newest_file(source, CALIBRATION_FILE) if is_recording else None
     if sink is not None and recorded is not None:

@@ -8,14 +8,14 @@ from typing import Any, Final, Protocol
 import msgspec
 
 from canskin.fabric import Exchange, Fabric, Mailbox
-from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
+from canskin.messages import LABEL, MEASUREMENT, Image, Label, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import KnownGains
 from reconstructor.service import ReconstructorService
 from recording.sinks import Sink
-from recording.steps import Step
+from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from skin.layout import Layout
 from skin.service import StopSignal
 
@@ -141,12 +141,12 @@ class Replay:
         self._reconstructor = ReconstructorService(layout, solver, self, gains=gains, clock_ns=self._published_ns)
         self._classifier = make_classifier(self)
         self._now_ns = self._label_ns = 0
-        self._step: Step | None = None
+        self._measured: MeasurementStep | None = None
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         """Pass a message to all outputs."""
-        if self._step is not None and topic is IMAGE and isinstance(message, Image):
-            self.report.images.add(_same_image(message, self._step.image))
+        if self._measured is not None and isinstance(message, Image):
+            self.report.images.add(_same_image(message, self._measured.image))
         for output in self._outputs:
             output.publish(topic, message, self._now_ns)
 
@@ -168,30 +168,29 @@ class Replay:
 
     def take(self, step: Step) -> None:
         """Play one step."""
-        self._step, self._now_ns = step, step.time_ns
-        if step.topic is None:
-            bus, seen = step.message
-            if self._sink is not None:
-                self._sink.frames(bus, seen, step.time_ns, self._offset_ns)
-            return
-        self.publish(step.topic, step.message)
-        if step.topic is not MEASUREMENT:
-            return
-        measurement: Measurement = step.message
-        is_equal = None if step.recorded is None or step.was_lost else measurement == step.recorded
-        self.report.measurements.add(is_equal)
-        if step.makes_image:
-            self._reconstructor.take(measurement)
-        self._label(step, measurement)
+        self._measured, self._now_ns = None, step.time_ns
+        match step:
+            case FramesStep(time_ns, bus, seen):
+                if self._sink is not None:
+                    self._sink.frames(bus, seen, time_ns, self._offset_ns)
+            case MessageStep(_, topic, message):
+                self.publish(topic, message)
+            case MeasurementStep():
+                self._measured = step
+                self._take_measurement(step)
 
-    def _label(self, step: Step, measurement: Measurement) -> None:
+    def _take_measurement(self, step: MeasurementStep) -> None:
+        self.publish(MEASUREMENT, step.measurement)
+        self.report.measurements.add(None if step.recorded is None else step.measurement == step.recorded)
+        if step.makes_image:
+            self._reconstructor.take(step.measurement)
         if isinstance(self._classifier, AdaptiveClassifierService):
             self._label_ns = self._label_ns or step.time_ns
             while self._label_ns <= step.time_ns:
-                self._publish_label(self._classifier.label(measurement), None)
+                self._publish_label(self._classifier.label(step.measurement), None)
                 self._label_ns += _LABEL_NS
         elif step.makes_label:
-            self._publish_label(self._classifier.label(measurement), step.label)
+            self._publish_label(self._classifier.label(step.measurement), step.label)
 
     def _publish_label(self, label: Label | None, recorded: Label | None) -> None:
         if label is not None:
@@ -200,10 +199,10 @@ class Replay:
 
     def _published_ns(self) -> int:
         """Return when the image was published live; without a live image, the time of its SYNC."""
-        if self._step is None or self._step.topic is not MEASUREMENT:
+        if self._measured is None:
             return self._now_ns
-        image = self._step.image
-        return image.published_mono_ns if image is not None else int(self._step.message.sampled_mono_ns)
+        image = self._measured.image
+        return self._measured.measurement.sampled_mono_ns if image is None else image.published_mono_ns
 
 
 def _same_image(made: Image, recorded: Image | None) -> bool | None:

@@ -38,8 +38,8 @@ _KERNELS: Final[dict[str, _Kernel]] = {
 class FusedSolver:
     """min ½‖Φx - y‖² + λ R(x) by FISTA, Φ an SBHE.
 
-    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. Total variation, Haar and D4 are compiled as
-    a whole, for one thread and without allocation; all others are `MatrixWavelet`.
+    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. Total variation, Haar and D4 are compiled
+    as a whole, for one thread and without allocation; all others are `MatrixWavelet`.
     The iteration is over the image, not over its coefficients. For an orthonormal Ψ both iterations are the same, and
     shifts of the basis and non-negativity need no extra time.
 

@@ -8,7 +8,8 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from gateway.playback import Playback, play, with_echoes
 from tests.bus.harness import frame
-from tests.recording.conftest import OFFSET_NS, bus_frames, contract, force_n, sums
+from tests.recording.conftest import bus_frames, contract, force_n, sums
+from tests.recording.helpers import OFFSET_NS
 
 __all__ = ["bus_frames", "contract", "force_n", "sums"]
 

@@ -1,42 +1,42 @@
-"""The small skin of the tests of ``rebuild``, its frames, and links that bring them."""
+"""The small skin of `tests.recording.helpers`, a touch that moves over it, and what its buses carry."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bus.link import State
 from bus.messages import to_logged_frames
 from dbc.contract import Contract
-from dbc.frame import Frames, frames
-from tests.rebuild.conftest import contract, force_n, layout_file, messages, sums
-
-__all__ = ["contract", "force_n", "layout_file", "sums"]
-
-#: Wall clock minus CLOCK_MONOTONIC in the tests.
-OFFSET_NS = 1_699_999_000_000_000_000
+from dbc.frame import Frames
+from nodes.electronics import Electronics
+from skin.layout import parse_layout
+from tests.recording.helpers import CYCLES, LAYOUT, OFFSET_NS, FakeLink, messages
 
 
-class FakeLink:
-    """A link that brings what is put into `coming`."""
+@pytest.fixture(scope="session")
+def contract() -> Contract:
+    return Contract.from_layout(parse_layout(LAYOUT, "small.toml"))
 
-    def __init__(self) -> None:
-        self.coming: list[Frames] = []
-        self.state = State.ACTIVE
-        self.dropped = 0
-        self.sent: list[Frames] = []
 
-    def fileno(self) -> int:
-        raise AssertionError("a recorder does not wait for frames")
+@pytest.fixture
+def layout_file(tmp_path: Path) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_bytes(LAYOUT)
+    return path
 
-    def receive(self) -> Frames:
-        return self.coming.pop(0) if self.coming else frames(0)
 
-    def send(self, burst: Frames) -> int:
-        raise AssertionError("a recorder sends nothing")
+@pytest.fixture(scope="session")
+def force_n() -> np.ndarray:
+    """A bump of 10 mN that wanders, shape (cycles, 16, 16)."""
+    k, i, j = np.indices((CYCLES, 16, 16))
+    return (0.01 * np.exp(-((i - 6 - k / 5) ** 2 + (j - 8) ** 2) / 6)).astype(np.float32)
 
-    def close(self) -> None:
-        """Nothing to leave."""
+
+@pytest.fixture(scope="session")
+def sums(contract: Contract, force_n: np.ndarray) -> np.ndarray:
+    """What the nodes measure, counts, shape (cycles, m)."""
+    electronics = Electronics(contract.layout.taxels, noise_n=0.0)
+    return np.stack([contract.phi.forward(electronics.read(each)) for each in force_n]).astype(np.int32)
 
 
 @pytest.fixture(scope="session")

@@ -32,8 +32,7 @@ def replay(source: Path, out: Path, offset_ns: int, layout: Path) -> Replay:
     solver = make_engine(skin, None)[0]
     sink = McapSink(out, contract, 1, offset_ns)
     replayed = Replay(skin, solver, Silent, [SinkOutput(sink)], sink=sink, offset_ns=offset_ns)
-    names = [bus.name for bus in skin.bus]
-    replayed.run(steps_of(source, contract, names, named_by_user=False), StopSignal(), float("inf"))
+    replayed.run(steps_of(source, contract), StopSignal(), float("inf"))
     sink.close()
     return replayed
 

@@ -13,7 +13,7 @@ from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
-from tests.recording.conftest import OFFSET_NS
+from tests.recording.helpers import OFFSET_NS
 from tests.recording.test_export import COUNT, SET_NS, pixels, run
 from tests.ros2 import reader
 

@@ -14,7 +14,7 @@ from recording.export_command import export
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
-from tests.recording.conftest import OFFSET_NS
+from tests.recording.helpers import OFFSET_NS
 from touch.sources import recording
 
 COUNT = 4

@@ -29,7 +29,7 @@ from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from skin.service import StopSignal
 from tests.processes import free_endpoint
-from tests.recording.conftest import OFFSET_NS, FakeLink
+from tests.recording.helpers import OFFSET_NS, FakeLink
 
 START_NS = 1_700_000_000_000_000_000
 

@@ -16,18 +16,19 @@ from classifier.service import ClassifierService
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from gateway.playback import play
-from rebuild.command import rebuild
+from rebuild.rebuild_command import rebuild
 from reconstructor.engine import Reconstructor
 from reconstructor.service import ReconstructorService
 from recording.recorder import Recorder
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink, open_sink
+from recording.step_kinds import FramesStep, MeasurementStep
 from recording.steps import steps_of
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from skin.service import StopSignal
 from tests.adaptive_messages import adaptive_measurement
 from tests.gateway.boards import small_adaptive
-from tests.recording.conftest import OFFSET_NS, FakeLink
+from tests.recording.helpers import OFFSET_NS, FakeLink
 
 #: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
 #: cycles without an image. Its offsets change every four cycles.
@@ -132,8 +133,7 @@ def replayed(contract: Contract, tmp_path: Path) -> Callable[..., tuple[Replay, 
             sink=sink,
             offset_ns=offset_ns,
         )
-        names = [bus.name for bus in contract.layout.bus]
-        replay.run(steps_of(source, contract, names, named_by_user=False, every=every), StopSignal(), float("inf"))
+        replay.run(steps_of(source, contract, every=every), StopSignal(), float("inf"))
         sink.close()
         return replay, out
 
@@ -180,15 +180,15 @@ def test_sums_come_from_the_frames(
     """A frame that the recorder lost is missing, and the report tells."""
     damaged, lost = tmp_path / "damaged.mcap", [0]
     sink = McapSink(damaged, contract, 1, OFFSET_NS)
-    for step in steps_of(run, contract, ["left", "right"], named_by_user=False):
-        if step.topic is None:
-            bus, seen = step.message
-            if bus == 1 and len(seen) and not lost[0]:
+    for step in steps_of(run, contract):
+        if isinstance(step, FramesStep):
+            seen = step.frames
+            if step.bus == 1 and len(seen) and not lost[0]:
                 place = int(np.flatnonzero(seen["can_id"] != 0x80)[7])
                 seen, lost[0] = np.delete(seen, place), 1
-            sink.frames(bus, seen, step.time_ns, OFFSET_NS)
-        else:
-            sink.message(step.topic, step.time_ns, msgspec.msgpack.encode(step.message))
+            sink.frames(step.bus, seen, step.time_ns, OFFSET_NS)
+        elif isinstance(step, MeasurementStep):
+            sink.message(MEASUREMENT, step.time_ns, msgspec.msgpack.encode(step.measurement))
     sink.close()
     replay, out = replayed(damaged)
     assert replay.report.measurements.equal == replay.report.measurements.made - 1
@@ -264,8 +264,8 @@ def test_frames_alone_take_stored_offsets_and_a_recorded_run_has_its_own(
     calibrator = Calibrator(contract.layout, offsets_n=offsets * contract.layout.taxels.newton_per_count, tares=False)
 
     def measured(source: Path) -> list[Measurement]:
-        steps = steps_of(source, contract, [], named_by_user=False, calibrator=calibrator)
-        return [step.message for step in steps if step.topic is MEASUREMENT]
+        steps = steps_of(source, contract, calibrator=calibrator)
+        return [step.measurement for step in steps if isinstance(step, MeasurementStep)]
 
     found = measured(path)
     assert found
@@ -286,8 +286,7 @@ def with_measurement(contract: Contract, path: Path, measurement: Measurement, s
 
 
 def played(path: Path, contract: Contract) -> list[Measurement]:
-    steps = steps_of(path, contract, [], named_by_user=False)
-    return [step.message for step in steps if step.topic is MEASUREMENT]
+    return [step.measurement for step in steps_of(path, contract) if isinstance(step, MeasurementStep)]
 
 
 @pytest.mark.heavy

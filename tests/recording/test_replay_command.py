@@ -10,7 +10,7 @@ from dbc.frame import frames
 from recording import replay_command
 from recording.replay_command import replay
 from recording.sinks import McapSink
-from tests.recording.conftest import OFFSET_NS
+from tests.recording.helpers import OFFSET_NS
 
 
 @pytest.mark.heavy

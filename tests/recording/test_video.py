@@ -14,7 +14,7 @@ from recording.drawing import LINE, Drawing
 from recording.export_command import export
 from recording.sinks import McapSink
 from recording.video import TICK_S
-from tests.recording.conftest import OFFSET_NS
+from tests.recording.helpers import OFFSET_NS
 from viewer.state import FRESH_S
 
 #: Times of the images; 40 ms are lost between the second and third, and 2 s before the last.

@@ -1,29 +1,28 @@
 """``skin rebuild``: the images of a whole recording or CAN log."""
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-from cyclopts import Parameter
 
-from bandwidth.logs import of_buses, read_log
+from bus.options import Channels
 from calibration.calibrator import Tare
 from calibration.offline import OffsetSource, calibrated_cycles, make_calibrator
 from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError, RunError
 from canskin.messages import FrameCounts
 from dbc.contract import Contract
-from rebuild.cycles import Cycles
-from rebuild.output import check_out, save_images
-from rebuild.recording import measure_recording
-from rebuild.replay import replay
-from reconstructor.array_api import gpu_library
-from reconstructor.batch import RecordingSolver
+from rebuild.cycles import Cycles, decode_log, measure_forces
+from rebuild.image_file import check_out, save_images
+from reconstructor.array_api import BatchSolver, gpu_library
+from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
+from recording.steps import frames_of_log
 from skin.layout import load_layout, require_one_state
 from skin.output import RECORDING_SUFFIX
 from skin.recording_options import ArrayNames, FullScale
@@ -32,6 +31,14 @@ from skin.terminal import progress
 
 #: ``--calibration none``: take nothing off.
 NO_CALIBRATION: Final = Path("none")
+#: Images between two turns of the progress bar.
+CHUNK: Final = 64
+
+Bools = npt.NDArray[np.bool_]
+Sums = npt.NDArray[np.float32]
+Images = npt.NDArray[np.float32]
+#: Makes the images of sums and their validity, each of shape (cycles, m), and tells its progress.
+_Solve = Callable[[Sums, Bools, Callable[[int], None]], Images]
 #: First words of a .csv log of python-can.
 _CAN_CSV: Final = b"timestamp,arbitration_id"
 
@@ -43,7 +50,7 @@ def rebuild(
     layout: Path | None = None,
     device: Literal["cpu", "gpu"] = "cpu",
     solver: SolverOptions | None = None,
-    channel: Annotated[list[str] | None, Parameter(alias="-c", negative=(), consume_multiple=True)] = None,
+    channel: Channels | None = None,
     array: ArrayNames = None,
     full_scale: FullScale = None,
     calibration: Path | None = None,
@@ -53,9 +60,8 @@ def rebuild(
 
     A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle.
     The offsets in a run of ``skin record`` are taken off. A recording is measured as in the nodes, one frame per
-    cycle. Images of ``live``, ``variation``, ``paper-contourlet`` and of most wavelets equal those of ``skin
-    reconstruct``. With Haar and D4, eight parts of the recording are solved together; with ``paper`` on a GPU, up to
-    256 parts.
+    cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and at the beginnings of the up to 256
+    parts that are solved there together.
 
     Parameters
     ----------
@@ -94,25 +100,16 @@ def rebuild(
     contract = Contract.from_layout(skin)
     stored = None if calibration == NO_CALIBRATION else calibration
     calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")
-    taxels = contract.layout.taxels
     options = solver or SolverOptions()
     settings = options.settings()
-    library = gpu_library() if device == "gpu" else None
-    solve = RecordingSolver(
-        contract.phi,
-        taxels.rows,
-        taxels.columns,
-        settings,
-        noise_n=options.clipped_noise_n(contract.layout),
-        samples=1 if is_recording else contract.layout.samples_per_sync,  # a recording has one frame for each cycle
-        library=library,
-    )
+    # A recording of forces has one frame for each cycle.
+    solve = _solver(contract, options, device, samples=1 if is_recording else skin.samples_per_sync)
     cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
     if calibrator is None and calibration is None and source.suffix.lower() == RECORDING_SUFFIX:
         cycles = _as_live(contract, source, cycles)
     if calibrator is not None:
         cycles = _calibrated(contract, cycles, calibrator)
-    say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, {solve.method}, on the {device}")
+    say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {device}")
     images = _solved(contract, solve, cycles)
     metadata = {
         "format": "canskin images 1",
@@ -175,7 +172,7 @@ def _check_options(
 
 def _measured(contract: Contract, source: Path, array: list[str] | None, full_scale: float | None) -> Cycles:
     with progress(f"measuring {source.name}", None) as bar:
-        cycles = measure_recording(contract, source, array, full_scale, bar.advance)
+        cycles = measure_forces(contract, source, array, full_scale, bar.advance)
     say("rebuild", f"{len(cycles.valid)} frames of {source.name} measured")
     return cycles
 
@@ -188,15 +185,9 @@ def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycl
     RunError
         If no block of any cycle is valid.
     """
-    layout = contract.layout
-    names = channel or [bus.name for bus in layout.bus]
-    if len(names) > len(layout.bus):
-        raise InputError(f"expected up to {len(layout.bus)} channels, one for each bus of the layout, got {len(names)}")
     with progress(f"reading {source.name}", None) as bar:
-        logged = of_buses(
-            layout, names, read_log(source, lambda line: say("rebuild", line)), source, named_by_user=bool(channel)
-        )
-        cycles, counts = replay(contract, logged, bar.advance)
+        logged = frames_of_log(contract.layout, source, channel, lambda line: say("rebuild", line))
+        cycles, counts = decode_log(contract, logged, bar.advance)
     if not cycles.valid.any():
         raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")
     complete = int(cycles.valid[:, contract.phi.has_sums].all(axis=1).sum())
@@ -210,14 +201,41 @@ def _counted(counts: FrameCounts) -> str:
     return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
 
 
-def _solved(contract: Contract, solver: RecordingSolver, cycles: Cycles) -> npt.NDArray[np.float32]:
+def _solver(contract: Contract, options: SolverOptions, device: str, *, samples: int) -> _Solve:
+    """Return what makes the images of all cycles.
+
+    Raises
+    ------
+    InputError
+        If the options do not fit the layout or the device, or there is no GPU.
+    """
+    phi, taxels, settings = contract.phi, contract.layout.taxels, options.settings()
+    noise_n = options.clipped_noise_n(contract.layout)
+    if device == "gpu":
+        library = gpu_library()
+        return BatchSolver(phi, taxels.rows, taxels.columns, settings, library=library, noise_n=noise_n).solve_recording
+    engine = Reconstructor(phi, taxels.rows, taxels.columns, settings, noise_n=noise_n, samples=samples)
+
+    def solve(sums_n: Sums, valid: Bools, advance: Callable[[int], None]) -> Images:
+        engine.restart()
+        images = np.empty((len(sums_n), taxels.rows, taxels.columns), np.float32)
+        for cycle in range(len(sums_n)):
+            images[cycle] = engine.solve(sums_n[cycle], valid[cycle])
+            if cycle % CHUNK == CHUNK - 1:
+                advance(CHUNK)
+        return images
+
+    return solve
+
+
+def _solved(contract: Contract, solve: _Solve, cycles: Cycles) -> Images:
     """Return the images, and log the time."""
-    sums = np.multiply(cycles.counts, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
+    sums_n = np.multiply(cycles.counts, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
     valid = cycles.valid[:, contract.phi.block_of_sum]
-    solver.solve(sums[:1], valid[:1])  # compiles the solver, or loads the compiled solver
+    solve(sums_n[:1], valid[:1], lambda _: None)  # compiles the solver, or loads the compiled solver
     started_s = time.perf_counter()
-    with progress("solving", len(sums)) as bar:
-        images = solver.solve(sums, valid, bar.advance)
+    with progress("solving", len(sums_n)) as bar:
+        images = solve(sums_n, valid, bar.advance)
     elapsed_s = time.perf_counter() - started_s
     say("rebuild", f"{len(images)} images in {elapsed_s:.2f} s: {len(images) / elapsed_s:.0f} images/s")
     return images
