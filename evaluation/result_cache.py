@@ -25,9 +25,11 @@ _FOLDERS: Final = (
     "bandwidth",
     "bus",
     "nodes",
+    "gateway",
     "reconstructor",
     "classifier",
     "touch",
+    "demo",
     "evaluation",
 )
 _LIBRARIES: Final = ("numpy", "scipy", "numba", "scikit-learn", "PyWavelets")

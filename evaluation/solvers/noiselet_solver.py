@@ -26,7 +26,7 @@ from reconstructor.kernels.contourlet_transform import synthesise, transpose
 from reconstructor.kernels.haar import shrink_tensor
 from reconstructor.kernels.problem import checked
 from reconstructor.kernels.steps import aligned, deliver, load
-from reconstructor.kernels.transforms import FAST_MATH, Flat
+from reconstructor.kernels.transforms import FAST_MATH, Flat, transpose_image
 from reconstructor.settings import SolverSettings
 from skin.compiled import njit
 
@@ -85,24 +85,16 @@ def _butterflies(work: Flat, pairs: Steps, width: int) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _turn(target: Flat, source: Flat, rows: int, columns: int) -> None:
-    """Transpose (rows, columns)."""
-    for column in range(columns):
-        for row in range(rows):
-            target[column * rows + row] = source[row * columns + column]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def _gram(work: Flat, problem: _Problem, scratch: _Scratch) -> None:
     """Replace the image by Φᵀ(Φ work - y) / L, with the rows of weight 0 left out."""
     turned = scratch.turned
     _butterflies(work, problem.down, problem.columns)
-    _turn(turned, work, problem.rows, problem.columns)
+    transpose_image(turned, work, problem.rows, problem.columns)
     _butterflies(turned, problem.across, problem.rows)
     for k in range(turned.size):
         turned[k] = scratch.gain[k] * turned[k] - scratch.target[k]
     _butterflies(turned, problem.across, problem.rows)
-    _turn(work, turned, problem.columns, problem.rows)
+    transpose_image(work, turned, problem.columns, problem.rows)
     _butterflies(work, problem.down, problem.columns)
 
 
@@ -116,7 +108,7 @@ def _solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: _Problem, sc
         _gram(slope, problem, scratch)
         for k in range(slope.size):
             slope[k] = ahead[k] - slope[k]
-        shrink_tensor(slope, problem.columns, 1, problem.numbers[1], problem.numbers[2])
+        shrink_tensor(slope, problem.columns, problem.numbers[1], problem.numbers[2])
         for k in range(slope.size):
             ahead[k] = slope[k] + problem.momentum[turn] * (slope[k] - estimate[k])
             estimate[k] = slope[k]

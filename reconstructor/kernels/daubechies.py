@@ -7,7 +7,7 @@ low half of a level is first and contiguous; the next level uses this half only.
 from typing import Any, Final
 
 from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
-from reconstructor.kernels.transforms import FAST_MATH, Flat
+from reconstructor.kernels.transforms import FAST_MATH, Flat, transpose_image
 from skin.compiled import njit
 
 #: Rows of working memory: gain, target, ahead, work, image, other.
@@ -44,11 +44,11 @@ def _shrink_tensor(image: Flat, other: Flat, problem: Problem, threshold: Any, t
     """Replace the image by Ψ soft(Ψᵀ image) with the tensor D4."""
     rows, columns = problem.rows, problem.columns
     _analyse(image, other, rows, columns, taps)
-    _transpose(other, image, rows, columns)
+    transpose_image(other, image, rows, columns)
     _analyse(other, image, columns, rows, taps)
     _soft(other, threshold)
     _synthesise(other, image, columns, rows, taps)
-    _transpose(image, other, columns, rows)
+    transpose_image(image, other, columns, rows)
     _synthesise(image, other, rows, columns, taps)
 
 
@@ -84,7 +84,7 @@ def _shrink_pyramid(image: Flat, other: Flat, problem: Problem, threshold: Any, 
         _split(other[:size], image[:size], width, taps)
         for start in (0, half):
             part = image[start : start + half]
-            _transpose(part, other[start : start + half], height // 2, width)
+            transpose_image(part, other[start : start + half], height // 2, width)
             _split(other[start : start + half], part, height // 2, taps)
         image[:size] = other[:size]
         height, width = width // 2, height // 2
@@ -96,17 +96,9 @@ def _shrink_pyramid(image: Flat, other: Flat, problem: Problem, threshold: Any, 
         for start in (0, half):
             part, spare = image[start : start + half], other[start : start + half]
             _join(spare, part, height // 2, taps)
-            _transpose(part, spare, width, height // 2)
+            transpose_image(part, spare, width, height // 2)
         _join(other[:size], image[:size], width, taps)
         image[:size] = other[:size]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _transpose(target: Flat, source: Flat, rows: int, columns: int) -> None:
-    """Set target, (columns, rows), to the transpose of source, (rows, columns)."""
-    for j in range(columns):
-        for i in range(rows):
-            target[j * rows + i] = source[i * columns + j]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)

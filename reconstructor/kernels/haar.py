@@ -38,7 +38,7 @@ def solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scra
         if problem.levels:
             _shrink_pyramid(image, problem.levels, threshold, half)
         else:
-            _shrink_tensor(image, problem.columns, threshold, root_half)
+            shrink_tensor(image, problem.columns, threshold, root_half)
         gather(work, image, problem.tables[1, shift])
         advance(estimate, floor, problem.momentum[turn], scratch)
     return count
@@ -72,7 +72,7 @@ def _shrink_pyramid(work: Flat, levels: int, threshold: Any, half: Any) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _shrink_tensor(work: Flat, columns: int, threshold: Any, root_half: Any) -> None:
+def shrink_tensor(work: Flat, columns: int, threshold: Any, root_half: Any) -> None:
     """Replace the image by Ψ soft(Ψᵀ image) with the tensor Haar; `work` in the order of `tensor_addresses`."""
     _analyse(work, work.size, columns, root_half)
     _analyse(work, columns, 1, root_half)
