@@ -1,16 +1,22 @@
 """One measurement: a classifier trained on a signal, and how often it is right on perturbations it never met."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from classifier.coarse_sums import classified_phi
 from classifier.dagsvm import DagSvm
+from classifier.samples import simulate_sums
 from classifier.validation import Chosen, choose_C, global_scale, part_of
-from evaluation.observations import LABELS, OBJECTS, Split, draw_split, signal
+from evaluation.observations import LABELS, OBJECTS, Indices, Split, draw_split, signal, true_force_n
+from evaluation.recognition.printed import FULL
 from evaluation.result import Row
 from reconstructor.checks import Values
+from skin.layout import load_layout
+from skin.taxel import NOISE_N
 
 #: C is chosen from these.
 C_GRID: Final = (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
@@ -39,18 +45,33 @@ def measure_accuracy(
     See `evaluation.observations.signal` and `evaluation.observations.draw_split`.
     """
     values = signal(kind, size, draw, meshes, seed)
-    gram = np.asarray(values, np.float32) @ np.asarray(values, np.float32).T if size >= GRAM_FROM else None
     accuracies, confusion = [], np.zeros((OBJECTS, OBJECTS))
-    for number in splits:
-        split = draw_split(number, development, validation, seed)
-        chosen, X = trained(values, split, gram)
-        trained_on = split.training
-        said = chosen.machine.predict(part_of(X, split.test, trained_on, chosen.machine))
-        true = LABELS[split.test]
+    for said, true in decisions(values, [draw_split(number, development, validation, seed) for number in splits]):
         np.add.at(confusion, (true, said), 1 / len(splits))
         accuracies.append(float(np.mean(said == true)))
     shares = confusion / confusion.sum(axis=1, keepdims=True)
     return {"accuracy": accuracies, "confusion": np.round(shares, 4).tolist()}
+
+
+def measure_adaptive(*, splits: Sequence[int], meshes: str | None, seed: int) -> Row:
+    """Return the accuracy of the paper's classifier on the test set of each split, and the number of ``sums``.
+
+    The sums are those that the classifier takes of the shipped layout ``adaptive``, with what the nodes leave of the
+    noise, see `classifier.samples.simulate_sums`.
+    """
+    layout = load_layout(Path("adaptive"), adaptive=True)
+    rng = np.random.default_rng(seed)
+    sums = simulate_sums(true_force_n(meshes), layout, classified_phi(layout), NOISE_N, rng).astype(np.float32)
+    found = decisions(sums, [draw_split(number, *FULL, seed) for number in splits])
+    return {"accuracy": [float(np.mean(said == true)) for said, true in found], "sums": sums.shape[1]}
+
+
+def decisions(values: Values, splits: Sequence[Split]) -> Iterator[tuple[Indices, Indices]]:
+    """Yield for each split what the paper's classifier, trained on the split, says of the test set, and the truth."""
+    gram = np.asarray(values, np.float32) @ np.asarray(values, np.float32).T if values.shape[1] >= GRAM_FROM else None
+    for split in splits:
+        chosen, X = trained(values, split, gram)
+        yield chosen.machine.predict(part_of(X, split.test, split.training, chosen.machine)), LABELS[split.test]
 
 
 def trained(values: Values, split: Split, gram: npt.NDArray[np.float32] | None = None) -> tuple[Chosen, Values]:

@@ -13,12 +13,11 @@ from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale
 from evaluation.observations import LABELS, Split, all_rows, draw_split, drawn_sbhe, measured, sensed
 from evaluation.recognition.accuracy import score, trained
+from evaluation.recognition.printed import FULL
 from evaluation.result import Row
 from reconstructor.checks import Values
 from skin.measurement import Sbhe
 
-#: Development and validation set as in the paper's figure over signal size.
-SHARES: Final = (0.4, 0.2)
 CYCLES: Final = 4
 LOST_RATIO: Final = 0.1
 _C_GRID: Final = (1.0, 10.0, 100.0)
@@ -35,7 +34,7 @@ def measure_method(*, method: str, size: int, draw: int, splits: Sequence[int], 
     values = measured(phi, sensed(meshes, seed))
     accuracies, plain = [], []
     for number in splits:
-        split = draw_split(number, *SHARES, seed)
+        split = draw_split(number, *FULL, seed)
         chosen, X = trained(values, split)
         plain.append(score(chosen.machine.predict, X, split))
         accuracies.append(METHODS[method](_Task(phi, values, split, draw, meshes, seed)))

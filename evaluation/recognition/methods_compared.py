@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from classifier.cache import TOUCHES_PER_OBJECT
-from evaluation.recognition.adaptive import measure_adaptive
+from evaluation.recognition.accuracy import measure_adaptive
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
 from evaluation.recognition.pictures import draw_gains, gain_row
@@ -75,18 +75,10 @@ def _method_rows(options: Options) -> list[Row]:
 def _adaptive_rows(options: Options) -> list[Row]:
     """Return the row of adaptive sums: `DRAWS` splits, because Φ is the layout's."""
     cells: list[Row] = [{"splits": list(range(1 if options.quick else DRAWS)), **options.shared}]
-    results = measure_cells(measure_adaptive, cells, options, "adaptive sums")
+    (result,) = measure_cells(measure_adaptive, cells, options, "adaptive sums")
+    percent = [100 * each for each in result["accuracy"]]
     return [
-        {
-            "what": "adaptive sums, group 0 of each block",
-            "sums": result["sums"],
-            "runs": len(result["accuracy"]),
-            "ours": round(100 * float(np.mean(result["accuracy"])), 2),
-            **dict.fromkeys(("plain", "gain")),
-            "least": round(100 * min(result["accuracy"]), 2),
-            "most": round(100 * max(result["accuracy"]), 2),
-        }
-        for result in results
+        gain_row("adaptive sums, group 0 of each block", result["sums"], runs=len(percent), ours=percent, parts=percent)
     ]
 
 
@@ -135,17 +127,8 @@ def _sixteen_rows(options: Options) -> list[Row]:
         named = f"live, our shapes of the paper's 16, {stroke}, samples a cycle {samples}"
         for share, what in _SHARES.items():
             percent = [100 * each[share] for each in group]
-            rows.append(
-                {
-                    "what": f"{named}: {what}",
-                    "sums": sums,
-                    "runs": extent["touches"] * len(group),
-                    "ours": round(float(np.mean(percent)), 2),
-                    **dict.fromkeys(("plain", "gain")),
-                    "least": round(min(percent), 2),
-                    "most": round(max(percent), 2),
-                }
-            )
+            runs = extent["touches"] * len(group)
+            rows.append(gain_row(f"{named}: {what}", sums, runs=runs, ours=percent, parts=percent))
     return rows
 
 
@@ -158,10 +141,4 @@ _SHARES: Final = {
 
 
 def _live_row(what: str, cell: Row, result: Row, share: str) -> Row:
-    return {
-        "what": what,
-        "sums": result["sums"],
-        "runs": cell["touches"],
-        "ours": round(100 * result[share], 2),
-        **dict.fromkeys(("plain", "gain", "least", "most")),
-    }
+    return gain_row(what, result["sums"], runs=cell["touches"], ours=100 * result[share])

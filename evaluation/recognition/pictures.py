@@ -54,20 +54,20 @@ def draw_confusions(matrices: Mapping[str, Any], names: Sequence[str]) -> "Figur
     return figure
 
 
-def gain_row(what: str, sums: int, *, runs: int, ours: Any, plain: Any, parts: Sequence[float]) -> Row:
+def gain_row(what: str, sums: int, *, runs: int, ours: Any, plain: Any = None, parts: Sequence[float] = ()) -> Row:
     """Return a row: mean accuracy of a method and of the plain one, percent, and the range over `parts`.
 
-    `ours` and `plain` are numbers, or arrays with one for each run.
+    `ours` and `plain` are numbers, or arrays with one for each run. Without `plain` or `parts` their columns are None.
     """
     return {
         "what": what,
         "sums": sums,
         "runs": runs,
         "ours": round(float(np.mean(ours)), 2),
-        "plain": round(float(np.mean(plain)), 2),
-        "gain": round(float(np.mean(ours - plain)), 2),
-        "least": round(min(parts), 2),
-        "most": round(max(parts), 2),
+        "plain": None if plain is None else round(float(np.mean(plain)), 2),
+        "gain": None if plain is None else round(float(np.mean(ours - plain)), 2),
+        "least": round(min(parts), 2) if parts else None,
+        "most": round(max(parts), 2) if parts else None,
     }
 
 

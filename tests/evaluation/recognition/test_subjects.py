@@ -10,8 +10,7 @@ import pytest
 from canskin.errors import InputError
 from classifier.decide import Decision
 from evaluation.recognition import classification, methods_compared, sixteen
-from evaluation.recognition.accuracy import measure_accuracy
-from evaluation.recognition.adaptive import measure_adaptive
+from evaluation.recognition.accuracy import measure_accuracy, measure_adaptive
 from evaluation.recognition.live import measure_live
 from evaluation.recognition.methods import METHODS, measure_method
 from evaluation.recognition.sixteen import measure_sixteen, skin_of
@@ -104,7 +103,7 @@ def test_the_sixteen_pressed_as_in_the_paper_are_recognised_live() -> None:
 
 def test_blocks_without_sums_are_never_valid_live(monkeypatch: pytest.MonkeyPatch) -> None:
     class Watching:
-        def __init__(self, _model: None, phi: Sbhe) -> None:
+        def __init__(self, _model: str, phi: Sbhe) -> None:
             self._phi = phi
 
         def decide(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], _cycle: int) -> Decision:
@@ -112,8 +111,8 @@ def test_blocks_without_sums_are_never_valid_live(monkeypatch: pytest.MonkeyPatc
             assert valid.tolist() == self._phi.has_sums.tolist()
             return Decision("cup", 1.0)
 
-    monkeypatch.setattr(sixteen, "Classifier", Watching)
-    monkeypatch.setattr(sixteen, "train", lambda *_, **__: None)
+    monkeypatch.setattr("demo.chain.Classifier", Watching)
+    monkeypatch.setattr(sixteen, "train", lambda *_, **__: "a model")
     monkeypatch.setattr(sixteen, "load_touches", lambda *_, **__: (None, None))
     assert not skin_of(16, 1, 0).phi().has_sums.all()
     found = measure_sixteen(stroke="press", sums=16, samples=1, draw=0, touches=1, per_object=1, seed=0)
