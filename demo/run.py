@@ -49,7 +49,7 @@ class Run:
     def __init__(self, layout: Layout, options: DemoOptions, folder: Path) -> None:
         self._layout = layout
         self._options = options
-        self._score = Score(layout)
+        self.score = Score(layout)
         self._folder = folder
         self._supervisor = Supervisor(folder)
         self._alive: set[str] = set()
@@ -88,15 +88,15 @@ class Run:
             for name in ("gateway", "nodes") if self._layout.sending == "synchronous" else ("nodes", "gateway"):
                 self._supervisor.stop(name)
                 time.sleep(TURN_S)  # wait for the last frames and counters
-        return self._score.report()
+        return self.score.report()
 
     def save_picture(self, report: Report) -> Report | None:
         """Save the picture if there was contact; return the report with its path, None if the file was not written."""
-        if self._score.snapshot is None:
+        if self.score.snapshot is None:
             return report
         path, taxels = self._options.picture, self._layout.taxels
         try:
-            save_picture(self._score.snapshot, taxels.force_max_n, path, noisy=bool(report.sensor_adds_noise))
+            save_picture(self.score.snapshot, taxels.force_max_n, path, noisy=bool(report.sensor_adds_noise))
         except OSError as error:  # print the figures without the picture
             say("demo", f"{path}: cannot write the picture: {error.strerror or error}")
             return None
@@ -113,12 +113,12 @@ class Run:
 
     def _listen(self, fabric: Fabric) -> None:
         for topic, handler in (
-            (GATEWAY, self._score.take_gateway),
-            (NODES, self._score.take_nodes),
-            (TRUTH, self._score.take_truth),
-            (MEASUREMENT, self._score.take_measurement),
-            (IMAGE, self._score.take_image),
-            (LABEL, self._score.take_label),
+            (GATEWAY, self.score.take_gateway),
+            (NODES, self.score.take_nodes),
+            (TRUTH, self.score.take_truth),
+            (MEASUREMENT, self.score.take_measurement),
+            (IMAGE, self.score.take_image),
+            (LABEL, self.score.take_label),
         ):
             fabric.subscribe(topic, handler)
         fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
@@ -182,7 +182,7 @@ class Run:
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
                 self._ask_images(elapsed_s)
-            self._score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
+            self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
 
     def _ask_images(self, elapsed_s: float) -> None:
         """Ask for images now and then, where a skin that recognises first leaves that to programs."""
@@ -198,7 +198,7 @@ class Run:
         patience_s, is_ready = time.monotonic() + READY_PATIENCE_S, False
         while not self._has_started() and not stop.wait(TURN_S / 5):
             self._supervisor.look()
-            if not is_ready and self._score.gateway is not None:
+            if not is_ready and self.score.gateway is not None:
                 patience_s, is_ready = time.monotonic() + FIRST_CYCLE_PATIENCE_S, True
             if time.monotonic() > patience_s:
                 why = "no cycle came from the gateway" if is_ready else "gateway did not become ready"
@@ -206,11 +206,11 @@ class Run:
 
     def _has_started(self) -> bool:
         """Tell whether SYNC has."""
-        return self._score.gateway is not None and self._score.gateway.cycles > 0
+        return self.score.gateway is not None and self.score.gateway.cycles > 0
 
     def _line(self) -> str:
         """Return the state of the run in one line."""
-        gateway, score = self._score.gateway, self._score
+        gateway, score = self.score.gateway, self.score
         parts = [""]
         if gateway:
             parts = [f"cycle {gateway.cycles}, {gateway.cycles_complete} complete"]

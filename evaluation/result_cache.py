@@ -80,7 +80,7 @@ def _remembering(measure: Callable[..., Row], folder: Path | None) -> Any:
     """Return `measure` with a memory in a folder; results of other code lie in another."""
     if folder is None:
         return measure
-    place = folder / "results" / _code()
+    place = folder / "results" / code_digest()
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -89,7 +89,7 @@ def _remembering(measure: Callable[..., Row], folder: Path | None) -> Any:
 
 
 @cache
-def _code() -> str:
+def code_digest() -> str:
     """Return a digest of our own source and of the libraries' versions."""
     digest = hashlib.sha256(" ".join(map(version, _LIBRARIES)).encode())
     for name in _FOLDERS:

@@ -28,10 +28,11 @@ def run(rounds: int) -> dict[str, Any]:
     the test set gets the label that a walk of the graph, step by step, gives it.
     """
     with threadpool_limits(1):
-        return {"rows": [_row(size, rounds) for size in SIZES]}
+        return {"rows": [measure_size(size, rounds) for size in SIZES]}
 
 
-def _row(size: int, rounds: int) -> dict[str, Any]:
+def measure_size(size: int, rounds: int) -> dict[str, Any]:
+    """Return the row of `run` for a number of sums."""
     split = draw_split(0, 0.4, 0.2, _SEED)
     values = measured(phi_of("sbhe", size, 0), sensed(None, _SEED)).astype(np.float64)
     values *= global_scale(values[split.development])

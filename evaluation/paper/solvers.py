@@ -114,7 +114,7 @@ def measure(*, name: str, meshes: str | None, step: int, seed: int) -> Row:
     warm = solve(before, iterations=WARM)
     best = objective(phi, psi, sums_n, solve(sums_n, iterations=EXACT, start=warm), PENALTY)
     solvers = make_solvers(phi, psi, sums_n)
-    cost_s = _costs_s(solvers)
+    cost_s = costs_s(solvers)
     runs: list[Row] = []
     for each in solvers:
         counts = {budget: max(1, round(budget * cost_s[PAPERS] / cost_s[each.method])) for budget in BUDGETS}
@@ -190,7 +190,7 @@ def _smoothed(phi: Operator, psi: Basis, sums_n: Values, smallest_n: float, coun
     return smoothed_l0(phi, psi, sums_n, tolerance_n=TOLERANCE_N, smallest_n=smallest_n, shrink=shrink, inner=inner)
 
 
-def _costs_s(solvers: Sequence[Solver]) -> dict[str, float]:
+def costs_s(solvers: Sequence[Solver]) -> dict[str, float]:
     """Return the least time of one iteration of each method, all taking turns."""
     least: dict[str, float] = {}
     for _ in range(REPEATS):

@@ -9,14 +9,9 @@ from demo.processor_time import ProcessorTime, processor_time, ratios
 from demo.report import Percentiles
 from demo.score import Score
 from tests.adaptive_messages import LAYOUT
+from tests.demo.helpers import pixels
 
 MS = 1_000_000
-
-
-def pixels(force_n: float, error_n: float = 0.0) -> bytes:
-    grid = np.zeros((64, 64), "<f4")
-    grid[:8] = force_n
-    return (grid + np.float32(error_n)).astype("<f4").tobytes()
 
 
 def truth(time_ms: int, force_n: float = 0.01, label: str = "cup") -> Truth:

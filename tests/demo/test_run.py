@@ -27,7 +27,7 @@ def run_with_contact(picture: Path, folder: Path) -> Run:
     )
     run = Run(LAYOUT, options, folder)
     force_n = np.full((64, 64), 0.01, np.float32)
-    run._score.snapshot = Snapshot(force_n, force_n, force_n)
+    run.score.snapshot = Snapshot(force_n, force_n, force_n)
     return run
 
 

@@ -9,16 +9,10 @@ from canskin.messages import BusState, FrameCounts, GatewayStatus, Image, Label,
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
 from skin.layout import load_layout
+from tests.demo.helpers import pixels
 
 LAYOUT = load_layout()
-SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
 PERIOD_NS = 10_000_000
-
-
-def pixels(force_n: float, error_n: float = 0.0) -> bytes:
-    grid = np.zeros(SHAPE, "<f4")
-    grid[:8] = force_n
-    return (grid + np.float32(error_n)).astype("<f4").tobytes()
 
 
 def truth(cycle: int, force_n: float = 0.01, label: str = "cup") -> Truth:

@@ -51,7 +51,7 @@ def test_a_damaged_result_is_measured_again(tmp_path: Path) -> None:
 def test_other_code_is_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = Options(out=tmp_path)
     measure_cells(double, CELLS, options, "cells")
-    monkeypatch.setattr("evaluation.result_cache._code", lambda: "changed")
+    monkeypatch.setattr("evaluation.result_cache.code_digest", lambda: "changed")
     measure_cells(double, CELLS, options, "cells")
     assert _calls == [3, 1, 2, 3, 1, 2]
 

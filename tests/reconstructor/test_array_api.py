@@ -14,7 +14,7 @@ from reconstructor.bases import haar_tensor
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import PAPER, SolverSettings
 from skin.measurement import Sbhe, sbhe
-from tests.reconstructor.conftest import Scene, psnr_db
+from tests.reconstructor.helpers import Scene, psnr_db
 from tests.reconstructor.reference import Shrinkage, fista_image
 
 PHI = sbhe(512, 128, block_size=16, selection="uniform", seed=3)

@@ -7,7 +7,7 @@ from canskin.errors import InputError
 from reconstructor.engine import Reconstructor
 from skin.clipping import ClipCorrection
 from skin.measurement import Sbhe
-from tests.reconstructor.conftest import NOISE_N, Scene, psnr_db, sense
+from tests.reconstructor.helpers import NOISE_N, Scene, psnr_db, sense
 
 ALL_VALID = np.ones(1024, np.bool_)
 

@@ -9,7 +9,7 @@ from canskin.errors import InputError
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, SolverSettings, preset
 from skin.measurement import Sbhe
-from tests.reconstructor.conftest import Scene, ball, psnr_db, sense
+from tests.reconstructor.helpers import Scene, ball, psnr_db, sense
 
 ALL_VALID = np.ones(1024, np.bool_)
 

@@ -1,15 +1,12 @@
 """Known gains of taxels are taken off the images."""
 
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from canskin.fabric import Mailbox
-from canskin.messages import IMAGE, Image, Topic
 from reconstructor.command import load_gains
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
@@ -19,26 +16,10 @@ from skin.defects import Mismatch, SumGains
 from skin.frontend import with_gains
 from skin.layout import load_layout
 from skin.psnr import psnr_db
-from tests.reconstructor.test_service import LAYOUT, measurement
+from tests.reconstructor.helpers import LAYOUT, Images, measurement
 
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
 GAINS = np.random.default_rng(1).normal(1, 0.1, SHAPE).clip(0.5)
-
-
-class Images:
-    """Takes what a service publishes."""
-
-    def __init__(self) -> None:
-        self.made: list[np.ndarray] = []
-        self.messages: list[Image] = []
-
-    def publish(self, topic: Topic, message: Any) -> None:
-        if topic is IMAGE:
-            self.messages.append(message)
-            self.made.append(np.frombuffer(message.pixels, "<f4").reshape(SHAPE))
-
-    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox:
-        return Mailbox(depth)
 
 
 def psnr_of_a_slide(gains: np.ndarray, known: np.ndarray | None) -> float:

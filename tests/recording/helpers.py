@@ -1,15 +1,21 @@
 """A small skin on two buses, logs of its frames, and links that bring them."""
 
 from pathlib import Path
+from typing import Any
 
 import can
+import msgspec
 import numpy as np
+import pytest
 
 from bus.link import State
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement, Topic
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
+from recording.sinks import McapSink
+from skin.mcap_file import read_entries
 
 LAYOUT = b"""
 name = "small"
@@ -32,6 +38,8 @@ CYCLES = 12
 START_S = 1_700_000_000.0
 #: Wall clock minus CLOCK_MONOTONIC in the tests.
 OFFSET_NS = 1_699_999_000_000_000_000
+#: Cycles of `write_run`, and by so much the wall clock is set during cycle 2.
+COUNT, SET_NS = 4, 7_000
 
 
 def messages(contract: Contract, sums: np.ndarray) -> list[can.Message]:
@@ -82,3 +90,63 @@ class FakeLink:
 
     def close(self) -> None:
         """Nothing to leave."""
+
+
+def pixels(cycle: int) -> np.ndarray:
+    return np.arange(256, dtype="<f4").reshape(16, 16) * cycle * 1e-5
+
+
+def write_run(path: Path, contract: Contract) -> Path:
+    """Write a recording of messages alone: measurements, images, contacts and labels of `COUNT` cycles."""
+    sink = McapSink(path, contract, 1, OFFSET_NS)
+    for cycle in range(1, COUNT + 1):
+        stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10, "sampled_error_ns": cycle}
+        valid = bytes([cycle > 1] * 16)
+        contact = Contact(
+            identity=3,
+            row=1.5,
+            column=2.5,
+            force_n=0.25,
+            peak_n=0.1,
+            taxels=4,
+            top=1,
+            bottom=2,
+            left=2,
+            right=3,
+            onset_mono_ns=10,
+        )
+        for topic, message in (
+            (
+                MEASUREMENT,
+                Measurement(
+                    **stamps,
+                    usable=b"\1" * 5 + b"\0" + b"\1" * (128 - 6) if cycle == 2 else b"",
+                    sums=np.full(128, cycle, "<i4").tobytes(),
+                    valid=valid,
+                    fingerprint=contract.phi.fingerprint,
+                    wall_offset_ns=OFFSET_NS + SET_NS * (cycle > 2),
+                ),
+            ),
+            (
+                IMAGE,
+                Image(
+                    **stamps,
+                    published_mono_ns=0,
+                    pixels=pixels(cycle).tobytes(),
+                    valid=valid,
+                    valid_sums=7,
+                    solve_s=0.0,
+                ),
+            ),
+            (CONTACTS, Contacts(**stamps, contacts=[contact] * (cycle == 2), ended=[], find_s=0.0)),
+            (LABEL, Label(**stamps, label="cup", confidence=0.5, valid_sums=7)),
+        ):
+            sink.message(topic, cycle, msgspec.msgpack.encode(message))
+    sink.close()
+    return path
+
+
+def messages_of(path: Path, topic: Topic) -> list[Any]:
+    """Return the messages of a topic in a recording."""
+    decode = msgspec.msgpack.Decoder(topic.message).decode
+    return [decode(entry.data) for entry in read_entries(path, pytest.fail) if entry.topic == topic.name]

@@ -28,7 +28,7 @@ from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from skin.service import StopSignal
 from tests.adaptive_messages import adaptive_measurement
 from tests.gateway.boards import small_adaptive
-from tests.recording.helpers import OFFSET_NS, FakeLink
+from tests.recording.helpers import OFFSET_NS, FakeLink, messages_of
 
 #: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
 #: cycles without an image. Its offsets change every four cycles.
@@ -140,26 +140,21 @@ def replayed(contract: Contract, tmp_path: Path) -> Callable[..., tuple[Replay, 
     return play_again
 
 
-def messages(path: Path, topic: Topic) -> list[Any]:
-    decode = msgspec.msgpack.Decoder(topic.message).decode
-    return [decode(entry.data) for entry in read_entries(path, pytest.fail) if entry.topic == topic.name]
-
-
 def test_all_is_as_live(run: Path, replayed: Callable[..., tuple[Replay, Path]], sums: np.ndarray) -> None:
     replay, out = replayed(run)
-    assert messages(out, MEASUREMENT) == messages(run, MEASUREMENT)
-    assert messages(out, LABEL) == messages(run, LABEL)
+    assert messages_of(out, MEASUREMENT) == messages_of(run, MEASUREMENT)
+    assert messages_of(out, LABEL) == messages_of(run, LABEL)
 
     def same(image: Image) -> Image:
         return msgspec.structs.replace(image, solve_s=0.0)
 
-    assert list(map(same, messages(out, IMAGE))) == list(map(same, messages(run, IMAGE)))
-    assert len(messages(out, CONTACTS)) == len(messages(run, CONTACTS)) == len(sums) - len(SKIPPED)
-    assert messages(run, CONTACTS)[-1].contacts == messages(out, CONTACTS)[-1].contacts != []
-    found = {each.cycle: each for each in messages(out, CONTACTS)}
-    for each in messages(run, CONTACTS):
+    assert list(map(same, messages_of(out, IMAGE))) == list(map(same, messages_of(run, IMAGE)))
+    assert len(messages_of(out, CONTACTS)) == len(messages_of(run, CONTACTS)) == len(sums) - len(SKIPPED)
+    assert messages_of(run, CONTACTS)[-1].contacts == messages_of(out, CONTACTS)[-1].contacts != []
+    found = {each.cycle: each for each in messages_of(out, CONTACTS)}
+    for each in messages_of(run, CONTACTS):
         assert found[each.cycle].contacts == each.contacts
-    assert len({bool(each.doubtful) for each in messages(out, IMAGE)}) == 2
+    assert len({bool(each.doubtful) for each in messages_of(out, IMAGE)}) == 2
     report = replay.report
     assert (report.measurements.made, report.measurements.equal) == (len(sums), len(sums))
     assert report.images.equal == report.images.compared == len(sums) - len(SKIPPED)
@@ -169,8 +164,8 @@ def test_all_is_as_live(run: Path, replayed: Callable[..., tuple[Replay, Path]],
 def test_a_new_recording_can_be_replayed_itself(run: Path, replayed: Callable[..., tuple[Replay, Path]]) -> None:
     once = replayed(run)[1]
     replay, twice = replayed(once)
-    assert messages(twice, MEASUREMENT) == messages(run, MEASUREMENT)
-    assert [each.pixels for each in messages(twice, IMAGE)] == [each.pixels for each in messages(run, IMAGE)]
+    assert messages_of(twice, MEASUREMENT) == messages_of(run, MEASUREMENT)
+    assert [each.pixels for each in messages_of(twice, IMAGE)] == [each.pixels for each in messages_of(run, IMAGE)]
     assert replay.report.images.equal == replay.report.images.made > 0
 
 
@@ -192,9 +187,8 @@ def test_sums_come_from_the_frames(
     sink.close()
     replay, out = replayed(damaged)
     assert replay.report.measurements.equal == replay.report.measurements.made - 1
-    wrong = [
-        each for each, live in zip(messages(out, MEASUREMENT), messages(run, MEASUREMENT), strict=True) if each != live
-    ]
+    pairs = zip(messages_of(out, MEASUREMENT), messages_of(run, MEASUREMENT), strict=True)
+    wrong = [each for each, live in pairs if each != live]
     assert wrong[0].valid.count(0) == 2
 
 
@@ -220,8 +214,8 @@ def test_messages_that_the_recorder_lost_change_nothing(
     run: Path, replayed: Callable[..., tuple[Replay, Path]], tmp_path: Path, topic: Topic
 ) -> None:
     _, out = replayed(without(run, tmp_path / "lossy.mcap", topic, LATE_CYCLE))
-    assert messages(out, MEASUREMENT) == messages(run, MEASUREMENT)
-    assert [each.pixels for each in messages(out, IMAGE)] == [each.pixels for each in messages(run, IMAGE)]
+    assert messages_of(out, MEASUREMENT) == messages_of(run, MEASUREMENT)
+    assert [each.pixels for each in messages_of(out, IMAGE)] == [each.pixels for each in messages_of(run, IMAGE)]
 
 
 def test_another_solver_uses_every_measurement(run: Path, replayed: Callable[..., tuple[Replay, Path]]) -> None:
@@ -244,11 +238,11 @@ def test_a_log_has_the_sums_of_its_frames(
             sink.frames(bus, seen, int(seen["time_ns"][-1]) + OFFSET_NS, OFFSET_NS)
         sink.close()
         replay, out = replayed(tmp_path / name, OFFSET_NS if name == "three.mcap" else 0)
-        made = messages(out, MEASUREMENT)
+        made = messages_of(out, MEASUREMENT)
         np.testing.assert_array_equal([np.frombuffer(each.sums, "<i4") for each in made], sums)
         assert all(each.valid == b"\1" * 16 for each in made)
         assert replay.report.measurements.compared == 0
-        pixels.append([each.pixels for each in messages(out, IMAGE)])
+        pixels.append([each.pixels for each in messages_of(out, IMAGE)])
     assert pixels[0] == pixels[1] == pixels[2]
 
 
@@ -333,7 +327,7 @@ def test_a_recording_of_another_layout_is_refused(
 
 
 def test_measurements_without_frames_are_played(run: Path, contract: Contract, tmp_path: Path) -> None:
-    recorded = messages(run, MEASUREMENT)[0]
+    recorded = messages_of(run, MEASUREMENT)[0]
     path = with_measurement(contract, tmp_path / "one.mcap", recorded, frames(0))
     assert recorded.bus_sampled_ns
     assert played(path, contract) == [recorded]

@@ -20,8 +20,7 @@ from skin.layout import layout_text
 from tests.gateway.boards import BoardWorld, small_adaptive
 from tests.gateway.test_disturbances import Losing
 from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract
-from tests.recording.helpers import OFFSET_NS
-from tests.recording.test_replay import messages
+from tests.recording.helpers import OFFSET_NS, messages_of
 
 #: Frames of a bus follow each other by so much, on the clock of the recorder.
 FRAME_NS = 130_000
@@ -135,13 +134,13 @@ def replayed(folder: Path, name: str) -> tuple[list[Measurement], list[Image]]:
     offset = str(OFFSET_NS if name.endswith(".mcap") else 0)
     command = [sys.executable, "-m", "tests.recording.replaying", folder / name, out, offset, folder / "small.toml"]
     subprocess.run(command, check=True)
-    return messages(out, MEASUREMENT), messages(out, IMAGE)
+    return messages_of(out, MEASUREMENT), messages_of(out, IMAGE)
 
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", FORMATS)
 def test_same_bytes(folder: Path, name: str) -> None:
-    measured, images = messages(folder / FORMATS[0], MEASUREMENT), messages(folder / FORMATS[0], IMAGE)
+    measured, images = messages_of(folder / FORMATS[0], MEASUREMENT), messages_of(folder / FORMATS[0], IMAGE)
     invalid = np.array([list(each.valid) for each in measured]) == 0
     assert invalid.sum(axis=0).tolist() == [2, 2, 0, 2]  # late: its cycle and the next; reset; lost, and the next cycle
     again, images_again = replayed(folder, name)
@@ -171,7 +170,7 @@ def test_adaptive_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) 
             world.wires[0].loses = Losing(world.wires[0].gateway, 0.3, seed=1)
         recorded.step()
     recorded.close()
-    measured, images = messages(tmp_path / "run.mcap", MEASUREMENT), messages(tmp_path / "run.mcap", IMAGE)
+    measured, images = messages_of(tmp_path / "run.mcap", MEASUREMENT), messages_of(tmp_path / "run.mcap", IMAGE)
     assert len({each.sums for each in measured}) > 30
     assert [each.sampled_error_ns for each in images] == [each.sampled_error_ns for each in measured]
     assert not all(all(each.known) for each in measured[-300:])  # the node was reset

@@ -7,6 +7,6 @@ from evaluation.bench import classify
 
 @pytest.mark.heavy
 def test_compiled_decision_is_the_graphs() -> None:
-    row = classify._row(64, rounds=1)
+    row = classify.measure_size(64, rounds=1)
     assert row["same_labels"]
     assert row["accuracy"] > 0.97

@@ -127,7 +127,7 @@ def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyP
 @pytest.mark.slow
 def test_solvers_get_the_same_time_and_the_same_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
     cost_s = {"FISTA": 0.002, "FISTA, exact step": 0.002, "ADMM": 0.004, "smoothed L0": 0.001}
-    monkeypatch.setattr(solvers, "_costs_s", lambda _: cost_s)
+    monkeypatch.setattr(solvers, "costs_s", lambda _: cost_s)
     runs = solvers.measure(name="golf-ball", meshes=None, step=2500, seed=0)["runs"]
     for each in runs:
         count = {"ADMM": (2, 5, 10, 25, 50), "smoothed L0": (10, 20, 40, 100, 200)}.get(each["method"], solvers.BUDGETS)
@@ -157,7 +157,7 @@ def test_the_cost_of_an_iteration_is_the_least_of_all_that_were_timed(monkeypatc
 
         return Solver(method, name, run)  # type: ignore[arg-type]
 
-    found = solvers._costs_s([solver("one", "a"), solver("two", "b"), solver("two", "c")])
+    found = solvers.costs_s([solver("one", "a"), solver("two", "b"), solver("two", "c")])
     assert found == pytest.approx({"one": 0.3, "two": 0.1})
 
 

@@ -12,7 +12,7 @@ from reconstructor.bases import Contourlet, daubechies4_pyramid, haar_pyramid, h
 from reconstructor.fista import fista, largest_eigenvalue, objective
 from reconstructor.kernels.contourlet import CompiledContourlet
 from skin.measurement import sbhe
-from tests.reconstructor.conftest import ball
+from tests.reconstructor.helpers import ball
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
 NOISELET = noiselet(16, 16, 64, seed=3)

@@ -1,0 +1,93 @@
+"""A golf ball in closed form, measurements of forces, and what refuses wrong input."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from canskin.errors import InputError
+from canskin.fabric import Mailbox
+from canskin.messages import IMAGE, Image, Measurement, Topic
+from skin.layout import Layout, load_layout
+from skin.measurement import Sbhe
+
+LAYOUT: Layout = load_layout()
+NAN, INF = float("nan"), float("inf")
+PITCH_M = 0.004
+BALL_RADIUS_M = 0.02133 + 0.002
+FORCE_MAX_N = 0.02
+NOISE_N = 0.001
+
+
+class Scene(NamedTuple):
+    """True forces, noisy taxels, both (frames, 64, 64) in newtons, and their sums (frames, m)."""
+
+    true: np.ndarray
+    sensor: np.ndarray
+    sums: np.ndarray
+
+
+def ball(x_m: float, y_m: float, depth_m: float) -> np.ndarray:
+    """Force of every taxel under a golf ball; its compression in metres on springs of 1 N/m."""
+    place = (np.arange(64) - 31.5) * PITCH_M
+    distance_squared = (place[None, :] - x_m) ** 2 + (place[:, None] - y_m) ** 2
+    height = np.sqrt(np.maximum(BALL_RADIUS_M**2 - distance_squared, 0)) - BALL_RADIUS_M
+    return np.maximum(0, depth_m + height)
+
+
+def sense(phi: Sbhe, true: np.ndarray, seed: int = 0) -> Scene:
+    noise = np.random.default_rng(seed).normal(0, NOISE_N, true.shape)
+    sensor = np.clip(true + noise, 0, FORCE_MAX_N).astype(np.float32)
+    sums = np.asarray(phi.forward(sensor.reshape(len(true), -1)), np.float32)
+    return Scene(true, sensor, sums)
+
+
+def psnr_db(images: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """PSNR of every frame against 0.02 N (section V of the paper)."""
+    return 10 * np.log10(FORCE_MAX_N**2 / np.mean((images - true) ** 2, axis=(1, 2)))
+
+
+def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None) -> Measurement:
+    phi = LAYOUT.phi()
+    counts = np.round(force_n / LAYOUT.taxels.newton_per_count).astype(np.uint16)
+    valid = np.ones(phi.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
+    sums = phi.block_sums(counts.reshape(-1)).astype("<i4") * phi.sums_of_blocks(valid != 0)
+    return Measurement(
+        cycle=cycle,
+        sync_counter=cycle % 240 + 1,
+        sampled_mono_ns=1000 * cycle,
+        sums=sums.astype("<i4").tobytes(),
+        valid=valid.tobytes(),
+        fingerprint=phi.fingerprint,
+    )
+
+
+class Images:
+    """Takes what a service publishes; `mailboxes` has those that the service asked for."""
+
+    def __init__(self) -> None:
+        self.mailboxes: list[Mailbox[Any]] = []
+        self.made: list[np.ndarray] = []
+        self.messages: list[Image] = []
+
+    def publish(self, topic: Topic, message: Any) -> None:
+        if topic is IMAGE:
+            self.messages.append(message)
+            self.made.append(np.frombuffer(message.pixels, "<f4").reshape((LAYOUT.taxels.rows, LAYOUT.taxels.columns)))
+
+    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox:
+        self.mailboxes.append(Mailbox(depth))
+        return self.mailboxes[-1]
+
+
+def spoilt(values: np.ndarray, value: float) -> np.ndarray:
+    made = np.array(values)
+    made.flat[3] = value
+    return made
+
+
+def one_line(call: Callable[[], Any], says: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        call()
+    assert "\n" not in str(caught.value)
