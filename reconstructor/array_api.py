@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from reconstructor.bases import Separable, wavelet_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
-from reconstructor.settings import NO_WAVELETS, SolverSettings
+from reconstructor.settings import SolverSettings
 from skin.clipping import ClipCorrection
 from skin.extras import not_installed
 from skin.measurement import Sbhe, fast_hadamard
@@ -84,8 +84,8 @@ class BatchSolver:
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         check_grid_of(phi, rows, columns)
-        psi = None if settings.prior in NO_WAVELETS else wavelet_basis(settings.prior, rows, columns)
-        if not isinstance(psi, Separable) or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
+        is_tensor = settings.prior.endswith("-tensor")
+        if not is_tensor or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
             raise InputError(
                 "a GPU needs a prior of the form 'tensor' without spins, scaled start and temporal filter, "
                 f"as the solver 'paper' has them: got {settings}"
@@ -98,7 +98,7 @@ class BatchSolver:
         self._threshold = settings.penalty_n * self._step
         self._nonnegative = settings.nonnegative
         self._momentum = [float(weight) for weight in momentum(settings.iterations)]
-        self._down, self._across = (self._send(matrix) for matrix in (psi.rows_matrix, psi.columns_matrix))
+        self._down, self._across = map(self._send, wavelet_basis(settings.prior, rows, columns).steps[0])
         self._hadamard = self._send(fast_hadamard(np.eye(phi.block_size)))
         self._order = library.asarray(phi.order)
         self._place = library.asarray(np.argsort(phi.order))

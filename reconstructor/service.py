@@ -88,7 +88,7 @@ class ReconstructorService:
         if self._phi.shape[0] >= self._phi.blocks:
             request_real_time()
         else:
-            yield_processor()  # so few sums give poor images: the label counts
+            yield_processor()  # fewer sums than blocks give poor images: the label counts
         while not stop.is_set():
             measurement = self._mailbox.get(PATIENCE_S)
             if measurement is not None:

@@ -11,7 +11,7 @@ from evaluation.bench.limit import measure_limit
 from evaluation.bench.peers import dense, peers
 from evaluation.bench.problem import Method, Problem, compare, make_problem
 from evaluation.result import Row
-from reconstructor.bases import haar_pyramid
+from reconstructor.bases import make_basis
 from reconstructor.checks import Values
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
@@ -25,7 +25,9 @@ OURS: Final = "canskin"
 def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […], "contourlet": […], "limit": {…}}``; rows as in the verb's docstring."""
     with threadpool_limits(1):
-        haar = _rows(make_problem(haar_pyramid(64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds)
+        haar = _rows(
+            make_problem(make_basis("haar-pyramid", 64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds
+        )
         psi = CompiledContourlet(64, 64)
         eigenvalue = largest_eigenvalue(load_layout().phi(), psi)
         contourlet = _rows(make_problem(psi, PAPER_CONTOURLET.penalty_n, eigenvalue), _contourlet, dense, rounds)

@@ -32,12 +32,12 @@ OFFSET_RATIO: Final = 0.13
 #: Noise of a sum of the boards' averages, and its memory.
 SUM_NOISE_N: Final = 0.36e-3
 NOISE_MEMORY_S: Final = 0.25
-#: Forces and images come every so many cycles.
+#: Cycles between two forces, and between two images.
 STEP_CYCLES: Final = 5
 #: A taxel without touch shows a ghost above this force, or above this part of the largest true force.
 GHOST_N: Final = 1e-3
 GHOST_PART: Final = 0.05
-#: Taxels so far from a touch count as touched, and for so long after it: boards average.
+#: Taxels count as touched within `MARGIN` of a touch, and until `RELEASE_S` after it: boards average.
 MARGIN: Final = 2
 RELEASE_S: Final = 0.5
 #: A touch is missed where less than this part of its force is felt.
@@ -48,7 +48,7 @@ RIGHT_N: Final = 0.3e-3
 STEPS_N: Final = (-5e-3, -2e-3, 2e-3, 5e-3)
 SIDES: Final = (4, 12, 20)
 _BOARD: Final = 5
-#: References are a square of so many taxels in each corner; boards with thermometers tell their temperature so often.
+#: Side of the square of references in each corner, taxels; time between two temperatures of a board.
 REFERENCE_SIDE: Final = 3
 TEMPERATURES_S: Final = 5.0
 #: Scenes that are drawn, for each that ``rivals`` draws.

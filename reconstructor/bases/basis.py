@@ -1,8 +1,6 @@
 """The interface of all bases."""
 
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Protocol
 
 from reconstructor.checks import Values
 
@@ -22,11 +20,6 @@ class Basis(Protocol):
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the coefficients."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Dtype of the entries of Ψ."""
         ...
 
     def forward(self, image: Values) -> Values:

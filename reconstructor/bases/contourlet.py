@@ -40,11 +40,6 @@ class Contourlet:
         self.levels, self.order = bank(rows, LEVELS)
         self.pair = pyramid_pair(rows)
 
-    @property
-    def dtype(self) -> np.dtype[np.float64]:
-        """float64: the entries are real numbers."""
-        return np.dtype(np.float64)
-
     def analyse(self, image: Values) -> Values:
         """Return coefficients whose synthesis is `image`, shape (5n/4,): the toolbox's ``pdfbdec``."""
         check_values("image", image, self.image_shape)

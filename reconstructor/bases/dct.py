@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
@@ -26,11 +25,6 @@ class Dct:
     def __init__(self, rows: int, columns: int) -> None:
         check_grid(rows, columns)
         self.image_shape = self.shape = (rows, columns)
-
-    @property
-    def dtype(self) -> np.dtype[np.float64]:
-        """float64: the entries are real numbers."""
-        return np.dtype(np.float64)
 
     def forward(self, image: Values) -> Values:
         """Return the coefficients, shape (rows, columns)."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from canskin.errors import InputError
-from reconstructor.bases.separable import DAUBECHIES_4, HAAR
+from reconstructor.bases.wavelets import DAUBECHIES_4, HAAR
 from reconstructor.checks import Values, check_grid_of, placed
 from reconstructor.fista import momentum
 from reconstructor.kernels.addresses import (

@@ -38,7 +38,7 @@ CYCLES = 12
 START_S = 1_700_000_000.0
 #: Wall clock minus CLOCK_MONOTONIC in the tests.
 OFFSET_NS = 1_699_999_000_000_000_000
-#: Cycles of `write_run`, and by so much the wall clock is set during cycle 2.
+#: Cycles of `write_run`, and the change of the wall clock during cycle 2.
 COUNT, SET_NS = 4, 7_000
 
 

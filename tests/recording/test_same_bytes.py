@@ -22,7 +22,7 @@ from tests.gateway.test_disturbances import Losing
 from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract
 from tests.recording.helpers import OFFSET_NS, messages_of
 
-#: Frames of a bus follow each other by so much, on the clock of the recorder.
+#: Time between two frames of a bus on the clock of the recorder.
 FRAME_NS = 130_000
 FORMATS = ("run.mcap", "run.log", "run.asc")
 

@@ -8,7 +8,7 @@ from canskin.errors import InputError
 from evaluation.solvers.baselines import admm, smoothed_l0
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.pursuit import basis_pursuit
-from reconstructor.bases import Contourlet, daubechies4_pyramid, haar_pyramid, haar_tensor
+from reconstructor.bases import Contourlet, make_basis
 from reconstructor.fista import fista, largest_eigenvalue, objective
 from reconstructor.kernels.contourlet import CompiledContourlet
 from skin.measurement import sbhe
@@ -28,7 +28,7 @@ def sparse_image(psi: object, count: int = 10) -> np.ndarray:
 @pytest.mark.heavy
 @pytest.mark.parametrize("phi", [PHI, NOISELET])
 def test_admm_and_fista_find_the_same_minimum(phi: object) -> None:
-    psi, penalty_n = haar_pyramid(16, 16), 0.01 * phi.norm_squared / 16
+    psi, penalty_n = make_basis("haar-pyramid", 16, 16), 0.01 * phi.norm_squared / 16
     sums = phi.forward(psi.adjoint(sparse_image(psi)).ravel()) + np.random.default_rng(0).normal(0, 0.002, 64)
     seen: list[int] = []
     theirs = admm(
@@ -47,7 +47,7 @@ def test_admm_and_fista_find_the_same_minimum(phi: object) -> None:
     assert seen == list(range(1, 1501))
 
 
-@pytest.mark.parametrize("psi", [haar_tensor(16, 16), daubechies4_pyramid(16, 16)])
+@pytest.mark.parametrize("psi", [make_basis("haar-tensor", 16, 16), make_basis("d4-pyramid", 16, 16)])
 def test_smoothed_l0_finds_a_sparse_image_from_a_quarter_of_its_sums(psi: object) -> None:
     s = sparse_image(psi)
     found = smoothed_l0(
@@ -57,7 +57,7 @@ def test_smoothed_l0_finds_a_sparse_image_from_a_quarter_of_its_sums(psi: object
 
 
 def test_smoothed_l0_leaves_the_noise_unexplained() -> None:
-    psi = haar_tensor(16, 16)
+    psi = make_basis("haar-tensor", 16, 16)
     noise = np.random.default_rng(1).normal(0, 0.005, 64)
     sums = NOISELET.forward(psi.adjoint(sparse_image(psi)).ravel()) + noise
     tolerance = float(np.linalg.norm(noise))
@@ -68,7 +68,7 @@ def test_smoothed_l0_leaves_the_noise_unexplained() -> None:
 
 @pytest.mark.heavy
 def test_largest_eigenvalue() -> None:
-    exact = largest_eigenvalue(PHI, haar_tensor(16, 16))
+    exact = largest_eigenvalue(PHI, make_basis("haar-tensor", 16, 16))
     assert exact == pytest.approx(16, rel=2e-4)
     psi = Contourlet(16, 16)
     dense = np.stack([PHI.forward(psi.adjoint(row).ravel()) for row in np.eye(320)], axis=1)
