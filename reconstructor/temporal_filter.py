@@ -4,7 +4,8 @@
 noise need not be known:
 
 * While the touch moves, ȳ lags, and successive innovations are correlated. While the touch rests, they are not. The
-  gain rises and falls with the correlation of successive innovations over all sums, as Mehra (1970) adapts a Kalman filter.
+  gain rises and falls with the correlation of successive innovations over all sums, as Mehra (1970) adapts a Kalman
+  filter.
 * A sudden change makes the innovation much larger than the noise floor. Then the gain goes to 1 at once.
 
 A missing sum keeps its average; its weight is multiplied by 1 - g in each cycle. So old sums vanish quickly while the

@@ -1,0 +1,43 @@
+"""The chain in one process: sums of touched nodes give the image of the touch."""
+
+import numpy as np
+
+from demo.chain import REST_S, Nodes, Receivers
+from skin.layout import parse_layout
+from skin.psnr import psnr_db
+from skin.sources import Frame
+
+LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32\n[sampling]\nrate_hz = 1000.0\n", "small.toml")
+REST_CYCLES = round(REST_S * LAYOUT.sync.rate_hz)
+
+
+class Bump:
+    """Nothing touches for `REST_S`, then a bump of 10 mN."""
+
+    has_noise = False
+
+    def frame(self, step: int) -> Frame:
+        i, j = np.indices((32, 32))
+        touch = 0.01 * np.exp(-((i - 12) ** 2 + (j - 20) ** 2) / 20)
+        return Frame((touch * (step >= REST_CYCLES)).astype(np.float32), "bump" * (step >= REST_CYCLES))
+
+
+def test_images_are_closer_to_the_forces_than_the_sensors() -> None:
+    nodes, receivers = Nodes(LAYOUT, Bump(), seed=1), Receivers(LAYOUT)
+    for _ in range(REST_CYCLES + 20):
+        measurement = nodes.measurement(nodes.sample())
+        image = receivers.image(receivers.read(measurement))
+        truth = nodes.truth()
+    assert truth.label == "bump"
+    assert (measurement.cycle, measurement.sync_counter) == (nodes.cycle, nodes.counter)
+    assert measurement.sampled_mono_ns == nodes.time_ns == nodes.cycle * 10_000_000
+    true_n, sensor_n = (np.frombuffer(each, "<f4").reshape(32, 32) for each in (truth.true, truth.sensor))
+    force_max_n = LAYOUT.taxels.force_max_n
+    assert psnr_db(true_n, image, force_max_n) > psnr_db(true_n, sensor_n, force_max_n) + 10
+
+
+def test_the_same_seed_gives_the_same_sums() -> None:
+    first, again, other = (Nodes(LAYOUT, Bump(), seed=seed) for seed in (1, 1, 2))
+    sums = [np.stack([each.sample() for _ in range(3)]) for each in (first, again, other)]
+    np.testing.assert_array_equal(sums[0], sums[1])
+    assert (sums[0] != sums[2]).any()
