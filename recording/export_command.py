@@ -90,21 +90,10 @@ def export(
 
 
 def export_recording(source: Path, *, to: Format = "npz", out: Path | None = None) -> None:
-    """Write the images, measurements, contacts, labels and truth of a recording as arrays, or the images as a video.
+    """Write a recording as arrays, as a video or for other programs; see `export`.
 
     Of arrays all is read into memory: 100 MB for a minute of images of the default skin. For the images of a CAN log
     see ``skin rebuild``, for the messages ``skin replay --out``.
-
-    Parameters
-    ----------
-    source
-        A recording (.mcap).
-    to
-        ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip; needs the
-        extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: see
-        `recording.video.save_video`. ``ros2``: a bag of ROS 2. ``rerun``, ``foxglove``: a file for their viewers.
-    out
-        New file; of a csv the names of the tables are added. Default: the name of the recording.
 
     Raises
     ------
