@@ -7,14 +7,15 @@ A contact is a region of neighbouring taxels with force. From one image to the n
   follows the valley between them. So both keep their identities, and have them when they part.
 * A contact that has no peak of its own beside another one has joined it. When the other one parts, the piece is the
   contact that joined last.
-* The regions of one touch often grow together after the onset: a contact younger than `ContactSettings.join_s` joins
+* The regions of one touch often grow together after the onset: a contact younger than `JOIN_S` joins
   the oldest contact of its region for good.
-* A contact without a region is remembered for `ContactSettings.memory_s`, so that one bad image does not end it.
+* A contact without a region is remembered for `MEMORY_S`, so that one bad image does not end it.
 """
 
 from dataclasses import dataclass
 from itertools import groupby
 from operator import attrgetter
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,52 +24,18 @@ from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
 from reconstructor.kernels.regions import FEATURES, find_regions, measure_parts, number_parts, spread_owners
 
-
-@dataclass(frozen=True)
-class ContactSettings:
-    """What counts as a contact.
-
-    Attributes
-    ----------
-    edge_n : float
-        Taxels above this force belong to a region, newtons.
-    keep_n : float
-        A contact lasts while a taxel is above this force.
-    onset_n : float
-        A contact begins when a taxel is above this force.
-    join_s : float
-        A contact younger than this joins an older one that it meets; seconds.
-    peak_ratio : float
-        A contact has a peak of its own while its largest force is more than this times the force of the pass to the
-        next.
-    memory_s : float
-        How long a contact without a region is remembered.
-    reach : float
-        How far from its last place a remembered contact may come back, in taxels.
-
-    Raises
-    ------
-    InputError
-        If the forces are not 0 <= edge <= keep <= onset, or a number is negative.
-    """
-
-    edge_n: float = 0.0005
-    keep_n: float = 0.001
-    onset_n: float = 0.002
-    join_s: float = 0.5
-    peak_ratio: float = 1.05
-    memory_s: float = 0.05
-    reach: float = 4.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.edge_n <= self.keep_n <= self.onset_n:
-            raise InputError(
-                "expected forces with 0 <= edge_n <= keep_n <= onset_n, got"
-                f" edge_n {self.edge_n:g}, keep_n {self.keep_n:g}, onset_n {self.onset_n:g}"
-            )
-        for name in ("join_s", "peak_ratio", "memory_s", "reach"):
-            if not getattr(self, name) >= 0:
-                raise InputError(f"expected {name} of 0 or above, got {getattr(self, name):g}")
+#: Taxels above `EDGE_N` newtons belong to a region. A contact begins when a taxel is above `ONSET_N`, and lasts while
+#: a taxel is above `KEEP_N`.
+EDGE_N: Final = 0.0005
+KEEP_N: Final = 0.001
+ONSET_N: Final = 0.002
+#: A contact younger than this joins an older one that it meets.
+JOIN_S: Final = 0.5
+#: A contact has a peak of its own while its largest force is more than this times the force of the pass to the next.
+PEAK_RATIO: Final = 1.05
+#: How long a contact without a region is remembered, and how far from its last place it may come back, in taxels.
+MEMORY_S: Final = 0.05
+REACH: Final = 4.0
 
 
 @dataclass(eq=False)
@@ -135,11 +102,9 @@ class ContactTracker:
     ----------
     rows, columns : int
         The grid.
-    settings : ContactSettings, optional
     """
 
-    def __init__(self, rows: int, columns: int, settings: ContactSettings | None = None) -> None:
-        self.settings = settings or ContactSettings()
+    def __init__(self, rows: int, columns: int) -> None:
         shape = self._shape = rows, columns
         #: Of each taxel, 1 + the place of its contact in `_tracks`; 0 without a contact.
         self._owners = np.zeros(shape, np.int32)
@@ -180,7 +145,7 @@ class ContactTracker:
         """
         if image.shape != self._shape:
             raise InputError(f"expected an image of {self._shape} taxels, got {image.shape}")
-        if self._is_over(self._now_ns, now_ns):
+        if _is_over(self._now_ns, now_ns):
             self._lost += self._tracks
             self._tracks = []
             self._owners[:] = 0
@@ -197,13 +162,9 @@ class ContactTracker:
         """Compile the kernels, or take them from the cache; before the first image."""
         ContactTracker(*self._shape).take(np.full(self._shape, 0.01, np.float32), 0)
 
-    def _is_over(self, seen_ns: int, now_ns: int) -> bool:
-        return now_ns - seen_ns > 1e9 * self.settings.memory_s
-
     def _cut(self, image: npt.NDArray[np.floating]) -> list[_Part]:
         """Cut the image into parts, one for each pair of region and earlier contact."""
-        settings = self.settings
-        find_regions(image, settings.edge_n, settings.keep_n, self._regions, self._queue)
+        find_regions(image, EDGE_N, KEEP_N, self._regions, self._queue)
         spread_owners(image, self._regions, self._owners, self._seeds)
         count = number_parts(self._regions, self._owners, self._parts, self._pairs)
         table = np.empty((count, FEATURES))
@@ -217,7 +178,7 @@ class ContactTracker:
         free = []
         for part in sorted(parts, key=attrgetter("force_n"), reverse=True):
             part.track = gone.pop(part.owner, None)
-            if part.track is None and part.peak_n > self.settings.onset_n:
+            if part.track is None and part.peak_n > ONSET_N:
                 free.append(part)
         self._lost += gone.values()
         for part in free:
@@ -235,7 +196,7 @@ class ContactTracker:
     def _remembered(self, part: _Part) -> _Track | None:
         """Take the nearest lost contact within reach."""
         distances = [(each.row - part.row) ** 2 + (each.column - part.column) ** 2 for each in self._lost]
-        if not distances or min(distances) > self.settings.reach**2:
+        if not distances or min(distances) > REACH**2:
             return None
         return self._lost.pop(distances.index(min(distances)))
 
@@ -265,11 +226,11 @@ class ContactTracker:
         """Return the part that this one joins, if any."""
         if part is not oldest and self._is_young(part):
             return oldest
-        has_peak = part.peak_n > self.settings.peak_ratio * part.pass_n
+        has_peak = part.peak_n > PEAK_RATIO * part.pass_n
         return None if has_peak or neighbour is part else neighbour
 
     def _is_young(self, part: _Part) -> bool:
-        return part.track is None or self._now_ns - part.track.onset_ns < 1e9 * self.settings.join_s
+        return part.track is None or self._now_ns - part.track.onset_ns < 1e9 * JOIN_S
 
     def _give(self, part: _Part, host: _Part, *, may_part: bool) -> None:
         """Join a part to another one."""
@@ -337,7 +298,7 @@ class ContactTracker:
 
     def _forget(self) -> None:
         """End the contacts that have been without a region for too long, and forget those that had joined them."""
-        over = [each for each in self._lost if self._is_over(each.seen_ns, self._now_ns)]
+        over = [each for each in self._lost if _is_over(each.seen_ns, self._now_ns)]
         self._lost = [each for each in self._lost if each not in over]
         self._ended += [EndedContact(each.identity, each.onset_ns, each.seen_ns) for each in over]
         alive = {each.identity for each in (*self._tracks, *self._lost, *self._joined)}
@@ -347,3 +308,8 @@ class ContactTracker:
 def _age(part: _Part) -> tuple[float, int]:
     """Sort the oldest contact first, parts without a contact last."""
     return (part.track.onset_ns, part.track.identity) if part.track else (float("inf"), 0)
+
+
+def _is_over(seen_ns: int, now_ns: int) -> bool:
+    """Tell whether a contact that was last seen at a time is forgotten now."""
+    return now_ns - seen_ns > 1e9 * MEMORY_S

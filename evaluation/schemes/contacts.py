@@ -16,7 +16,7 @@ from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SIDE, SLIDES, Touch
 from evaluation.schemes.sums import run_sums
-from reconstructor.contacts import ContactSettings, ContactTracker
+from reconstructor.contacts import ONSET_N, ContactTracker
 from skin.layout import Taxels, load_layout
 from skin.taxel import to_counts
 from touch.contact import Force, Grid, Pose, press
@@ -32,8 +32,6 @@ MEETING_PRESS_TICKS: Final = 300
 #: Where the balls begin and how near they come, metres from the middle of the skin.
 MEETING_FAR_M: Final = 0.06
 MEETING_NEAR_M: Final = 0.026
-#: A touch counts while the largest true force is above the onset.
-_ONSET_N: Final = ContactSettings().onset_n
 _EIGHT: Final = np.ones((3, 3))
 
 
@@ -50,7 +48,7 @@ class _Truth:
         for force_n in self.objects:
             labels, count = ndimage.label(force_n[tick] > 0, _EIGHT)
             feet = (np.where(labels == foot, force_n[tick], 0) for foot in range(1, count + 1))
-            found += [foot for foot in feet if foot.max() > _ONSET_N]
+            found += [foot for foot in feet if foot.max() > ONSET_N]
         return found
 
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
-from reconstructor.contacts import ContactSettings, ContactTracker
+from reconstructor.contacts import ContactTracker
 
 ROWS, COLUMNS = 32, 48
 PERIOD_NS = 10_000_000
@@ -31,8 +31,8 @@ NOTHING = np.zeros((ROWS, COLUMNS), np.float32)
 class Run:
     """A tracker that is shown one image after the other."""
 
-    def __init__(self, contact_settings: ContactSettings | None = None) -> None:
-        self.tracker = ContactTracker(ROWS, COLUMNS, contact_settings)
+    def __init__(self) -> None:
+        self.tracker = ContactTracker(ROWS, COLUMNS)
         self.now_ns = 0
         self.ended: list[EndedContact] = []
 
@@ -200,14 +200,6 @@ def test_a_contact_is_doubtful_while_half_of_its_force_is_on_doubtful_taxels() -
     assert since(50, doubtful) == [50, 0]  # from now on
     assert since(60, none) == since(70, None) == [0, 0]
     assert since(80, ~doubtful) == [80, 80]
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"edge_n": 0.003}, {"onset_n": 0.0001}, {"edge_n": -1.0}, {"join_s": -1.0}, {"reach": float("nan")}]
-)
-def test_settings_that_contradict_each_other_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(InputError, match=next(iter(wrong))):
-        ContactSettings(**wrong)
 
 
 def test_an_image_of_another_shape_is_refused() -> None:
