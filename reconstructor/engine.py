@@ -58,8 +58,6 @@ class Reconstructor:
     samples : int
         Samples of each taxel from one SYNC to the next (`skin.layout.Layout.samples_per_sync`). Where there are more
         than one, sums come averaged and without the bias of clipping, and `noise_n` has to be left out or 0.
-    dtype : float32 or float64
-        Of all arithmetic.
 
     Raises
     ------
@@ -76,9 +74,8 @@ class Reconstructor:
         *,
         noise_n: float | None = None,
         samples: int = 1,
-        dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        self._kernel = make_solver(phi, rows, columns, settings, dtype=dtype)
+        self._kernel = make_solver(phi, rows, columns, settings)
         if noise_n and samples > 1:
             raise InputError(
                 f"nodes that average (sampling.rate_hz of the layout) undo the bias of clipping themselves:"

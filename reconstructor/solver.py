@@ -1,18 +1,13 @@
 """The choice of a compiled solver."""
 
-import numpy as np
-import numpy.typing as npt
-
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
 
 
-def make_solver(
-    phi: Sbhe, rows: int, columns: int, settings: SolverSettings, *, dtype: npt.DTypeLike = np.float32
-) -> FusedSolver | ContourletSolver:
-    """Return the compiled solver of a prior.
+def make_solver(phi: Sbhe, rows: int, columns: int, settings: SolverSettings) -> FusedSolver | ContourletSolver:
+    """Return the compiled solver of a prior, in float32.
 
     Raises
     ------
@@ -20,4 +15,4 @@ def make_solver(
         If the grid or the settings do not fit.
     """
     solver = ContourletSolver if settings.prior == "contourlet" else FusedSolver
-    return solver(phi, rows, columns, settings, dtype=dtype)
+    return solver(phi, rows, columns, settings)

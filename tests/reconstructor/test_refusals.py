@@ -312,7 +312,6 @@ def test_reconstructor(sums: np.ndarray, valid: np.ndarray, says: str) -> None:
     [
         ({"noise_n": -1.0}, "above 0"),
         ({"noise_n": NAN}, "above 0"),
-        ({"dtype": np.int8}, "float32 or float64, got int8"),
     ],
 )
 def test_options_of_the_reconstructor(options: dict[str, Any], says: str) -> None:
