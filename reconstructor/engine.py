@@ -88,11 +88,6 @@ class Reconstructor:
         self._settings = settings
         self._estimate = self._kernel.new_estimate()
 
-    @property
-    def gain(self) -> float:
-        """The gain of the temporal filter in the last cycle, 0 to 1; always 1 without the filter."""
-        return self._filter.gain
-
     def solve(
         self, sums_n: npt.NDArray[np.floating[Any]], valid_sums: npt.NDArray[np.bool_]
     ) -> npt.NDArray[np.float32]:
