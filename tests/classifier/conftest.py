@@ -8,21 +8,9 @@ import pytest
 
 from classifier.model import Model
 from classifier.training import TrainingOptions, train
-from skin.layout import Layout, parse_layout
+from skin.layout import Layout
 from skin.measurement import Sbhe
-
-SMALL = b"""
-[taxels]
-rows = 32
-columns = 32
-[measurement]
-sums = 512
-[sync]
-rate_hz = 20.0
-[[bus]]
-name = "bus0"
-nodes = 32
-"""
+from tests.layouts import small_layout
 
 
 class Touches(NamedTuple):
@@ -47,7 +35,7 @@ def draw(count: int, seed: int, least_n: float = 0.004) -> Touches:
 
 @pytest.fixture(scope="session")
 def layout() -> Layout:
-    return parse_layout(SMALL, "small")
+    return small_layout(32, 32, measurement={"sums": 512}, sync={"rate_hz": 20.0})
 
 
 @pytest.fixture(scope="session")

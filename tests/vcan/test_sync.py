@@ -14,8 +14,8 @@ from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from skin.layout import load_layout
-from tests.identity import IDENTITIES
-from tests.processes import PATIENCE_S, Processes, slow_layout
+from tests.layouts import IDENTITIES, slow_layout
+from tests.processes import PATIENCE_S, Processes
 from tests.vcan.chain import RATE_HZ, complete, running_chain, valid
 
 CYCLES = 60
