@@ -1,5 +1,6 @@
 """The link to a bus of `skin bus`: packets of FRAME records on a local socket."""
 
+import contextlib
 import socket
 import time
 from collections.abc import Sequence
@@ -207,8 +208,7 @@ class ArbitratedLink(ReconnectingLink):
         try:
             connection.settimeout(GREETING_S)
             connection.connect(fspath(self._path))
-            connection.send(pack(Kind.HELLO, msgspec.json.encode(self._hello)))
-            self.welcome = self._read_welcome(connection.recv(MAX_PACKET))
+            self.welcome = self._read_welcome(self._greet(connection))
             connection.setblocking(False)
         except ProtocolError as error:
             connection.close()
@@ -218,6 +218,13 @@ class ArbitratedLink(ReconnectingLink):
             raise
         self._sent[:] = self._returned[:] = 0
         return connection
+
+    def _greet(self, connection: socket.socket) -> bytes:
+        """Send HELLO and return the answer."""
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # a bus that is full refuses unasked
+            connection.send(pack(Kind.HELLO, msgspec.json.encode(self._hello)))
+            return connection.recv(MAX_PACKET)
+        return connection.recv(MAX_PACKET)
 
     def _read_welcome(self, packet: bytes) -> Welcome:
         header, payload = unpack(packet)
