@@ -22,7 +22,7 @@ from bus.protocol import (
     Welcome,
     check_frames,
     pack,
-    pad_lengths,
+    padded,
     socket_path,
     unpack,
     unpack_frames,
@@ -30,7 +30,7 @@ from bus.protocol import (
 )
 from bus.reconnecting import ReconnectingLink
 from canskin.errors import BusError, Stopped
-from dbc.frame import ECHO, FD, Frames, frames
+from dbc.frame import ECHO, Frames, frames
 from skin.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
@@ -118,9 +118,7 @@ class ArbitratedLink(ReconnectingLink):
             If no controller could send a frame.
         """
         check_frames(burst, fd=self.welcome.data_bitrate is not None)
-        if (burst["flags"] & FD).any():
-            burst = burst.copy()
-            pad_lengths(burst)
+        burst = padded(burst)
         with self._lock:
             connection = self._reopened()
             if connection is None:
@@ -171,9 +169,8 @@ class ArbitratedLink(ReconnectingLink):
         self._state = State(min(header.state, State.BUS_OFF))
         self._dropped = header.dropped
         own = arrived["flags"] & ECHO != 0
-        if not own.any():
-            return arrived
-        self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)
+        if own.any():
+            self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)
         return arrived
 
     def _connect_within(self, wait_s: float, stop: StopSignal) -> socket.socket:
