@@ -42,7 +42,7 @@ def reports(events: Events, kind: ErrorClass) -> list[int]:
 
 
 def once(monkeypatch: pytest.MonkeyPatch, *after_ns: int) -> None:
-    """Disturb the first frames so long after their start."""
+    """Disturb the first frames, `after_ns` after the start of each."""
     left = [*after_ns]
     monkeypatch.setattr(FaultSchedule, "draw_error_ns", lambda *_: left.pop(0) if left else None)
 

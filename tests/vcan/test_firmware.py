@@ -18,6 +18,7 @@ from gateway.loop import GatewayLoop
 from nodes.firmware_segment import FirmwareSegment
 from tests.firmware.twins import CountWitness
 from tests.layouts import IDENTITIES, small_layout
+from tests.vcan.chain import valid
 
 #: Rates, the highest first: a slow guest does not keep the first.
 RATES_HZ = (100.0, 50.0, 20.0, 5.0)
@@ -89,10 +90,6 @@ class Skin:
         while not (self.measured and valid(self.measured[-1]).all()):
             assert time.monotonic() < until_s, "no complete cycle"
             self.turn()
-
-
-def valid(measurement: Measurement) -> np.ndarray:
-    return np.frombuffer(measurement.valid, np.uint8) == 1
 
 
 @contextmanager
