@@ -188,11 +188,10 @@ def _are_plain(burst: Frames) -> bool:
 
 
 def padded(burst: Frames) -> Frames:
-    """Return the frames with the lengths of CAN FD frames rounded up to lengths that have a DLC."""
-    is_fd = burst["flags"] & FD != 0
-    if is_fd.any():
+    """Return the frames with lengths rounded up to lengths that have a DLC; only CAN FD frames change."""
+    if (burst["length"] > CLASSIC_BYTES).any():
         burst = burst.copy()
-        burst["length"][is_fd] = padded_length(burst["length"][is_fd])
+        burst["length"] = padded_length(burst["length"])
     return burst
 
 

@@ -322,6 +322,7 @@ def test_a_killed_process_is_noticed_and_a_new_one_is_found() -> None:
         with linked("a", "b") as (a, b):
             a.send(frame(0x181))
             collect(b, 1)
+            a.send(burst(range(200)))  # the new process knows nothing of them
             first.kill()
             first.wait()
             await_state(a, State.LOST)
@@ -332,8 +333,8 @@ def test_a_killed_process_is_noticed_and_a_new_one_is_found() -> None:
             try:
                 await_state(a, State.ACTIVE)
                 await_state(b, State.ACTIVE)
-                a.send(frame(0x182))
-                assert collect(b, 1)["can_id"][-1] == 0x182
+                assert a.send(burst(range(0x100, 0x200))) == 256
+                assert collect(b, 256)["can_id"][-1] == 0x1FF
             finally:
                 second.send_signal(signal.SIGTERM)
                 said = second.communicate(timeout=PATIENCE_S)[1]
