@@ -3,11 +3,11 @@
 import numpy as np
 
 from demo.chain import REST_S, Nodes, Receivers
-from skin.layout import parse_layout
 from skin.psnr import psnr_db
 from skin.sources import Frame
+from tests.layouts import small_layout
 
-LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32\n[sampling]\nrate_hz = 1000.0\n", "small.toml")
+LAYOUT = small_layout(32, 32, sampling={"rate_hz": 1000.0})
 REST_CYCLES = round(REST_S * LAYOUT.sync.rate_hz)
 
 

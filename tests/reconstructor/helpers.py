@@ -11,6 +11,7 @@ from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, Image, Measurement, Topic
 from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
+from tests import messages as make
 
 LAYOUT: Layout = load_layout()
 NAN, INF = float("nan"), float("inf")
@@ -53,9 +54,8 @@ def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None
     counts = np.round(force_n / LAYOUT.taxels.newton_per_count).astype(np.uint16)
     valid = np.ones(phi.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
     sums = phi.block_sums(counts.reshape(-1)).astype("<i4") * phi.sums_of_blocks(valid != 0)
-    return Measurement(
-        cycle=cycle,
-        sync_counter=cycle % 240 + 1,
+    return make.measurement(
+        cycle,
         sampled_mono_ns=1000 * cycle,
         sums=sums.astype("<i4").tobytes(),
         valid=valid.tobytes(),

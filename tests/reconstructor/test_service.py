@@ -24,8 +24,8 @@ from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
 from skin.layout import load_layout
 from skin.service import StopSignal
-from tests import adaptive_messages
-from tests.adaptive_messages import adaptive_measurement
+from tests.layouts import ADAPTIVE_SKIN
+from tests.messages import adaptive_measurement
 from tests.reconstructor.helpers import LAYOUT, Images, Scene, measurement
 
 
@@ -90,7 +90,7 @@ def test_images_of_fewer_sums_than_blocks_let_other_services_go_first(
 
 def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
     image = Exchange(hub).image_of(measurement(7, golf.sensor[30]))
-    assert (image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (8, 7000, 1024)
+    assert (image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (7, 7000, 1024)
     assert image.valid == bytes([1]) * 128
     assert image.solve_s > 0
     assert image.published_mono_ns <= time.monotonic_ns()
@@ -185,27 +185,28 @@ def test_extreme_counts_do_no_harm(service: ReconstructorService, golf: Scene) -
 
 
 def test_adaptive_sums_give_an_image_of_what_is_known(golf: Scene) -> None:
-    exchange, layout = Images(), adaptive_messages.LAYOUT
+    exchange, layout = Images(), ADAPTIVE_SKIN
     service = ReconstructorService(layout, AdaptiveReconstructor(layout), exchange)
     known = np.ones((128, 32), np.bool_)
     known[40], known[50, 7] = False, False
-    service.take(adaptive_measurement(golf.true[30], known, cycle=7, sync_counter=3, sampled_mono_ns=5))
+    service.take(adaptive_measurement(golf.true[30], known, layout=layout, cycle=7, sync_counter=3, sampled_mono_ns=5))
     (image,) = exchange.messages
     assert (image.cycle, image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (7, 3, 5, 4096 - 33)
     assert np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0).tolist() == [40, 50]
     assert np.sqrt(np.mean((exchange.made[0] - golf.true[30]) ** 2)) < 2e-4
     service.take(measurement(8, golf.sensor[30]))
-    service.take(msgspec.structs.replace(adaptive_measurement(golf.true[30]), known=b"", states=b"", since_ns=b""))
+    whole = adaptive_measurement(golf.true[30], layout=layout)
+    service.take(msgspec.structs.replace(whole, known=b"", states=b"", since_ns=b""))
     assert service.refused == 2
     assert len(exchange.messages) == 1
 
 
 def test_of_adaptive_measurements_only_the_newest_counts(golf: Scene) -> None:
-    exchange, layout = Images(), adaptive_messages.LAYOUT
+    exchange, layout = Images(), ADAPTIVE_SKIN
     service = ReconstructorService(layout, AdaptiveReconstructor(layout), exchange)
     (mailbox,) = exchange.mailboxes
     for cycle in (9, 10):
-        mailbox.put(adaptive_measurement(golf.true[30], cycle=cycle))
+        mailbox.put(adaptive_measurement(golf.true[30], layout=layout, cycle=cycle))
     assert service.overrun == 1
     assert mailbox.get().cycle == 10
 

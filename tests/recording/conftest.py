@@ -9,19 +9,19 @@ from bus.messages import to_logged_frames
 from dbc.contract import Contract
 from dbc.frame import Frames
 from nodes.electronics import Electronics
-from skin.layout import parse_layout
-from tests.recording.helpers import CYCLES, LAYOUT, OFFSET_NS, FakeLink, messages
+from tests.layouts import layout_toml, small_layout
+from tests.recording.helpers import CYCLES, OFFSET_NS, SMALL, FakeLink, messages, write_run
 
 
 @pytest.fixture(scope="session")
 def contract() -> Contract:
-    return Contract.from_layout(parse_layout(LAYOUT, "small.toml"))
+    return Contract.from_layout(small_layout(16, 16, **SMALL))
 
 
 @pytest.fixture
 def layout_file(tmp_path: Path) -> Path:
     path = tmp_path / "small.toml"
-    path.write_bytes(LAYOUT)
+    path.write_text(layout_toml(16, 16, **SMALL))
     return path
 
 
@@ -58,3 +58,9 @@ def links(contract: Contract) -> dict[int, FakeLink]:
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
+
+
+@pytest.fixture
+def run(contract: Contract, out: Path) -> Path:
+    """A recording of messages alone."""
+    return write_run(out, contract)

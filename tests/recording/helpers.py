@@ -9,31 +9,23 @@ import numpy as np
 import pytest
 
 from bus.link import State
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement, Topic
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Topic
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from recording.sinks import McapSink
 from skin.mcap_file import read_entries
+from tests import messages as make
+from tests.layouts import buses
 
-LAYOUT = b"""
-name = "small"
-[taxels]
-rows = 16
-columns = 16
-[measurement]
-block_size = 16
-sums = 128
-[sync]
-identity = "alternating"
-[[bus]]
-name = "left"
-nodes = 8
-[[bus]]
-name = "right"
-nodes = 8
-"""
+#: Tables of the small skin of 16 x 16 taxels.
+SMALL: dict[str, Any] = {
+    "name": "small",
+    "measurement": {"block_size": 16, "sums": 128},
+    "sync": {"identity": "alternating"},
+    "bus": buses(8, 8, names=("left", "right")),
+}
 CYCLES = 12
 START_S = 1_700_000_000.0
 #: Wall clock minus CLOCK_MONOTONIC in the tests.
@@ -102,23 +94,11 @@ def write_run(path: Path, contract: Contract) -> Path:
     for cycle in range(1, COUNT + 1):
         stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10, "sampled_error_ns": cycle}
         valid = bytes([cycle > 1] * 16)
-        contact = Contact(
-            identity=3,
-            row=1.5,
-            column=2.5,
-            force_n=0.25,
-            peak_n=0.1,
-            taxels=4,
-            top=1,
-            bottom=2,
-            left=2,
-            right=3,
-            onset_mono_ns=10,
-        )
+        contact = make.contact(identity=3, row=1.5, column=2.5, force_n=0.25)
         for topic, message in (
             (
                 MEASUREMENT,
-                Measurement(
+                make.measurement(
                     **stamps,
                     usable=b"\1" * 5 + b"\0" + b"\1" * (128 - 6) if cycle == 2 else b"",
                     sums=np.full(128, cycle, "<i4").tobytes(),
@@ -129,17 +109,15 @@ def write_run(path: Path, contract: Contract) -> Path:
             ),
             (
                 IMAGE,
-                Image(
+                make.image(
                     **stamps,
-                    published_mono_ns=0,
                     pixels=pixels(cycle).tobytes(),
                     valid=valid,
                     valid_sums=7,
-                    solve_s=0.0,
                 ),
             ),
-            (CONTACTS, Contacts(**stamps, contacts=[contact] * (cycle == 2), ended=[], find_s=0.0)),
-            (LABEL, Label(**stamps, label="cup", confidence=0.5, valid_sums=7)),
+            (CONTACTS, make.contacts(**stamps, contacts=[contact] * (cycle == 2))),
+            (LABEL, make.label(**stamps, confidence=0.5, valid_sums=7)),
         ):
             sink.message(topic, cycle, msgspec.msgpack.encode(message))
     sink.close()

@@ -13,13 +13,8 @@ from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
-from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels, write_run
+from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from tests.ros2 import reader
-
-
-@pytest.fixture
-def run(contract: Contract, out: Path) -> Path:
-    return write_run(out, contract)
 
 
 @pytest.fixture

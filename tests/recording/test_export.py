@@ -14,13 +14,8 @@ from recording.export_command import export
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
-from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels, write_run
+from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from touch.sources import recording
-
-
-@pytest.fixture
-def run(contract: Contract, out: Path) -> Path:
-    return write_run(out, contract)
 
 
 def test_npz(run: Path, contract: Contract) -> None:

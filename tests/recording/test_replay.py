@@ -26,8 +26,9 @@ from recording.step_kinds import FramesStep, MeasurementStep
 from recording.steps import steps_of
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from skin.service import StopSignal
-from tests.adaptive_messages import adaptive_measurement
+from tests import messages as make
 from tests.gateway.boards import small_adaptive
+from tests.messages import adaptive_measurement
 from tests.recording.helpers import OFFSET_NS, FakeLink, messages_of
 
 #: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
@@ -52,8 +53,8 @@ class Live:
 
 def label_of(measurement: Measurement) -> Label:
     """A classifier of the test: it names the number of valid blocks."""
-    return Label(
-        cycle=measurement.cycle,
+    return make.label(
+        measurement.cycle,
         sync_counter=measurement.sync_counter,
         sampled_mono_ns=measurement.sampled_mono_ns,
         sampled_error_ns=measurement.sampled_error_ns,

@@ -18,8 +18,9 @@ from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.test_disturbances import Losing
-from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract
+from tests.gateway.helpers import Losing
+from tests.gateway.world import PERIOD_S, EndOfWire, World
+from tests.layouts import small_contract
 from tests.recording.helpers import OFFSET_NS, messages_of
 
 #: Time between two frames of a bus on the clock of the recorder.

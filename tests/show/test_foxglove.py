@@ -23,8 +23,7 @@ from show.foxglove_canvas import FoxgloveCanvas
 from show.target import Address
 from skin.service import StopSignal
 from skin.wall_times import CLOCKS, Clocks
-from tests.recording.helpers import OFFSET_NS
-from tests.recording.test_export import COUNT, SET_NS, pixels
+from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from tests.viewer.conftest import Messages
 
 

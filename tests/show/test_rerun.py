@@ -19,8 +19,7 @@ from show.command import draw_live
 from show.rerun_canvas import RerunCanvas
 from skin.service import StopSignal
 from skin.wall_times import CLOCKS, Clocks
-from tests.recording.helpers import OFFSET_NS
-from tests.recording.test_export import COUNT, SET_NS, pixels
+from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from tests.viewer.conftest import Messages
 
 
