@@ -10,7 +10,7 @@ import numpy.typing as npt
 from calibration.calibrator import Calibrator, Tare
 from calibration.windows import Bools
 from canskin.errors import InputError
-from canskin.messages import Measurement
+from canskin.messages import CycleMeasurement, Measurement
 from skin.calibration_file import load_calibration
 from skin.layout import Layout
 from skin.measured_sums import decode_measurement
@@ -107,7 +107,7 @@ def measurement_of(
     if time_ns is None:
         time_ns = round((cycle + 1) * layout.sync.period_s * 1e9)
     whole = np.ones(layout.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
-    return Measurement(
+    return CycleMeasurement(
         cycle=cycle + 1,
         sync_counter=next_counter(cycle),
         sampled_mono_ns=time_ns,

@@ -13,7 +13,7 @@ from canskin.calibration_messages import Region
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.frame import Frame, FrameBuilder
-from canskin.messages import Measurement, Topic
+from canskin.messages import CycleMeasurement, Topic
 from canskin.skin import Frames, Health, Skin
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
@@ -109,7 +109,7 @@ class SimulatedSkin(Skin):
             self._counter = counter = next_counter(self._counter)
             now_ns = time.monotonic_ns()
             sums = self._boards.sample(counter, now_ns)
-            measurement = Measurement(
+            measurement = CycleMeasurement(
                 cycle=self._cycle,
                 sync_counter=counter,
                 sampled_mono_ns=now_ns,

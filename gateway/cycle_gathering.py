@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from canskin.messages import FrameCounts, Measurement
+from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
@@ -121,7 +121,7 @@ class CycleGathering:
         times = gathered.times
         self.published += 1
         self.complete += gathered.complete
-        return Measurement(
+        return CycleMeasurement(
             cycle=sync.number,
             sync_counter=sync.counter,
             sampled_mono_ns=times.mono_ns,

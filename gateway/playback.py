@@ -16,7 +16,7 @@ import numpy as np
 from bus.link import State
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
-from canskin.messages import GatewayStatus, Measurement
+from canskin.messages import AdaptiveMeasurement, GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
@@ -24,6 +24,7 @@ from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.gathering import Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
+from skin.measured_sums import check_measurement
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
@@ -228,7 +229,7 @@ class AdaptivePlayback:
         """Take frames of a bus, in bus order."""
         self._frames[bus] = np.concatenate((self._frames[bus], logged))
 
-    def measured(self, recorded: Measurement) -> Measurement:
+    def measured(self, recorded: AdaptiveMeasurement) -> AdaptiveMeasurement:
         """Return a recorded measurement with the sums that its frames give; all of these frames have been fed."""
         self._now_s += _ADAPTIVE_TURN_S
         newest_ns = np.frombuffer(recorded.bus_sampled_ns, "<i8")
@@ -237,7 +238,7 @@ class AdaptivePlayback:
             end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
             self._loop.take(bus, waiting[:end], self._now_s, stamp_error_ns=None)
             self._frames[bus] = waiting[end:]
-        (made,) = self._loop.measurements(self._now_s)
+        made = check_measurement(self._loop.measurements(self._now_s)[0], self._phi, AdaptiveMeasurement)
         is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
         sums, live = (np.frombuffer(each.sums, "<i4") for each in (made, recorded))
         self._is_told |= ~is_known | (is_held & (sums == live))

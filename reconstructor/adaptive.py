@@ -3,7 +3,6 @@
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import BlockState
 from reconstructor.walsh import WalshReconstructor
 from skin.layout import Layout
 from skin.measured_sums import AdaptiveSums
@@ -41,7 +40,6 @@ class AdaptiveReconstructor:
         """Compile the solver, or load the compiled solver."""
         blocks, size = self._shape
         nothing = np.zeros(size * blocks, np.int32)
-        states, since_ns = np.full(blocks, BlockState.FRESH, np.uint8), np.zeros(blocks, np.int64)
         for known in (np.arange(nothing.size) > 0, np.ones(nothing.size, np.bool_)):
-            self.solve(AdaptiveSums(nothing, np.ones(blocks, np.bool_), known, states, since_ns, NOISE_N))
+            self.solve(AdaptiveSums(nothing, np.ones(blocks, np.bool_), known, NOISE_N))
         self._walsh.reset()

@@ -14,7 +14,20 @@ import numpy as np
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement, Topic
+from canskin.messages import (
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    MEASUREMENT,
+    NODES,
+    TRUTH,
+    AdaptiveMeasurement,
+    CycleMeasurement,
+    Image,
+    Label,
+    Measurement,
+    Topic,
+)
 from dbc.contract import Contract
 from dbc.stored_frames import from_bytes
 from gateway.playback import AdaptivePlayback, Playback, play
@@ -29,7 +42,7 @@ from skin.mcap_file import (
     read_topics,
     wall_offset_ns,
 )
-from skin.measured_sums import check_adaptive, check_fingerprint, check_measurement, used_blocks
+from skin.measured_sums import check_fingerprint, check_measurement, used_blocks
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.sync_counter import next_counter
@@ -155,7 +168,7 @@ class _Recorded:
         tells_frames = contract.layout.sending == "adaptive" and self._measures
         self._uses_frames = has_frames and not tells_frames
         self._adaptive = AdaptivePlayback(contract, range(len(contract.layout.bus))) if tells_frames else None
-        self._of_frames: deque[tuple[int, Measurement]] = deque()
+        self._of_frames: deque[tuple[int, AdaptiveMeasurement]] = deque()
         #: Without counter a SYNC is known by its time alone.
         self._is_counted = contract.sync_overflow > 0
         self._far_ns = round((_FAR_CYCLES if self._is_counted else 0.5) * contract.layout.sync.period_s * 1e9)
@@ -233,10 +246,10 @@ class _Recorded:
 
     def _check(self, measurement: Measurement) -> None:
         """Raise InputError if a measurement does not fit the layout."""
-        check = check_measurement if self._adaptive is None else check_adaptive
+        kind = CycleMeasurement if self._adaptive is None else AdaptiveMeasurement
         found, expected = len(measurement.bus_sampled_ns), 8 * len(self._buses)
         with self._naming():
-            check(measurement, self._contract.phi)
+            check_measurement(measurement, self._contract.phi, kind)
             if found not in {0, expected}:
                 raise InputError(f"bus_sampled_ns of {found} bytes, expected {expected}, or none")
 

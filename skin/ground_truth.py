@@ -10,7 +10,7 @@ from typing import Final, Generic, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import Image, Label, Measurement, Truth
+from canskin.messages import CycleMeasurement, Image, Label, Truth
 from skin.layout import Layout
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -30,7 +30,7 @@ TRUTHS_KEPT: Final = 64
 #: Adaptive: a truth stands for this time to each side; one comes each 10 ms.
 NEAR_NS: Final = 10_000_000
 
-Made = TypeVar("Made", Measurement, Image, Label)
+Made = TypeVar("Made", CycleMeasurement, Image, Label)
 
 
 class Pairs(Protocol[Made]):
@@ -155,7 +155,7 @@ class NearestTruths:
         return found
 
 
-def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: float) -> bool:
+def of_one_cycle(message: CycleMeasurement | Image | Label, truth: Truth, period_s: float) -> bool:
     """Tell whether a message and a truth belong to the same SYNC: by its counter, or by its time if nodes read none."""
     later_s = (truth.sampled_mono_ns - message.sampled_mono_ns) * 1e-9
     if truth.sync_counter:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from canskin.messages import BlockState, Measurement
+from canskin.messages import AdaptiveMeasurement, BlockState
 from skin.layout import Layout, load_layout
 
 LAYOUT: Layout = load_layout(Path("adaptive"), adaptive=True)
@@ -14,7 +14,7 @@ PHI = LAYOUT.phi()
 
 def adaptive_measurement(
     force_n: np.ndarray, known: np.ndarray | None = None, layout: Layout = LAYOUT, **changed: Any
-) -> Measurement:
+) -> AdaptiveMeasurement:
     """Return what the gateway would publish of these forces; `known`: bool, (blocks, block size)."""
     phi = layout.phi()
     counts = np.rint(force_n.reshape(-1) / layout.taxels.newton_per_count).astype(np.int32)
@@ -29,7 +29,7 @@ def adaptive_measurement(
         "fingerprint": phi.fingerprint,
         "noise_n": 1e-3,
     }
-    return Measurement(
+    return AdaptiveMeasurement(
         sums=sums.astype("<i4").tobytes(),
         valid=valid.astype(np.uint8).tobytes(),
         known=known.astype(np.uint8).tobytes(),

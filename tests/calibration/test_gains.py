@@ -9,7 +9,7 @@ import pytest
 from calibration.gain_files import stored_gains
 from calibration.gains import Gains, defects_of, find_gains
 from canskin.errors import InputError, RunError
-from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from canskin.messages import IMAGE, MEASUREMENT, CycleMeasurement, Image
 from skin.calibration_file import StoredCalibration, encoded, load_calibration, save_calibration, store
 from skin.defects import Mismatch, SumGains
 from skin.frontend import with_gains
@@ -129,7 +129,7 @@ def recording(
         stamps = {"cycle": cycle - restart if cycle > restart else cycle, "sync_counter": 1, "sampled_mono_ns": cycle}
         valid = b"\1" * PHI.blocks
         counts = np.rint(sums_n / newton_per_count).astype("<i4") + offsets
-        made = Measurement(
+        made = CycleMeasurement(
             **stamps,
             sums=counts.tobytes(),
             valid=valid,

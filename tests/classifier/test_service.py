@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canskin.fabric import Fabric, Mailbox
-from canskin.messages import LABEL, MEASUREMENT, Label, Measurement, Topic
+from canskin.messages import LABEL, MEASUREMENT, CycleMeasurement, Label, Measurement, Topic
 from classifier.decide import Classifier, Decision
 from classifier.model import Model
 from classifier.samples import simulate_sums
@@ -37,7 +37,7 @@ def service(hub: Fabric, endpoint: str, model: Model, phi: Sbhe) -> Iterator[Cla
 def measurement(layout: Layout, phi: Sbhe, unseen: tuple[np.ndarray, np.ndarray]) -> Measurement:
     force_n, _ = unseen  # the second is a plate
     sums = simulate_sums(force_n[1:2], layout, phi, 0.001, np.random.default_rng(0))[0]
-    return Measurement(
+    return CycleMeasurement(
         cycle=7,
         sync_counter=9,
         sampled_mono_ns=123,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canskin.description import Description
-from canskin.messages import Contact, Contacts, Image, Label, Measurement
+from canskin.messages import Contact, Contacts, CycleMeasurement, Image, Label, Measurement
 from canskin.session import LOG
 
 ROWS, COLUMNS, BLOCKS = 4, 4, 2
@@ -78,7 +78,7 @@ def measurement(cycle: int, valid: bytes = bytes((1, 1)), **changed: object) -> 
         "valid": valid,
         "fingerprint": "0123456789abcdef",
     }
-    return Measurement(**{**about, **changed})
+    return CycleMeasurement(**{**about, **changed})
 
 
 def image(cycle: int, valid: bytes = bytes((1, 1))) -> Image:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
-from canskin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
+from canskin.messages import BusState, CycleMeasurement, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
 from skin.layout import load_layout
@@ -140,7 +140,7 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
 def test_the_sampling_instant_is_compared_with_that_of_the_nodes(score: Score) -> None:
     for cycle in range(1, 101):
         instant_ns = cycle * PERIOD_NS
-        measurement = Measurement(
+        measurement = CycleMeasurement(
             cycle=cycle,
             sync_counter=(cycle - 1) % 240 + 1,
             sampled_mono_ns=instant_ns + 7_000,

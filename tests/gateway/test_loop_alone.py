@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bus.link import Send, State
-from canskin.messages import FrameCounts, Measurement
+from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, Frames, frames
 from gateway.gathering import Gathering, Health, Sync
@@ -19,7 +19,7 @@ from tests.bus.harness import frame
 
 
 def measurement(cycle: int) -> Measurement:
-    return Measurement(cycle=cycle, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"", fingerprint="")
+    return CycleMeasurement(cycle=cycle, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"", fingerprint="")
 
 
 @dataclass

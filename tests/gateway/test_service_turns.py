@@ -9,7 +9,7 @@ import pytest
 
 from bus.link import Link, State
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
-from canskin.messages import GATEWAY, MEASUREMENT, FrameCounts, GatewayStatus, Measurement, Topic
+from canskin.messages import GATEWAY, MEASUREMENT, CycleMeasurement, FrameCounts, GatewayStatus, Measurement, Topic
 from canskin.state_messages import ImagesReply, ImagesRequest
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
@@ -157,7 +157,7 @@ def _patched(built: Turns, monkeypatch: pytest.MonkeyPatch) -> Turns:
 
 
 def measurement(cycle: int) -> Measurement:
-    return Measurement(cycle=cycle, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"", fingerprint="")
+    return CycleMeasurement(cycle=cycle, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"", fingerprint="")
 
 
 @pytest.mark.parametrize(

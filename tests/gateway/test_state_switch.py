@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from bus.link import Send
-from canskin.messages import Measurement
+from canskin.messages import CycleMeasurement, Measurement
 from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames
 from gateway.state_switch import StateSwitch
@@ -177,7 +177,7 @@ def test_a_later_request_that_lasts_longer_counts(skin: Skin) -> None:
 
 def measured(*, whole: bool = True, images: bool = True) -> Measurement:
     phi = (CONTRACT.phi if images else CONTRACT.states[1].phi).fingerprint
-    return Measurement(
+    return CycleMeasurement(
         cycle=1, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"\1\1\1" + bytes((whole,)), fingerprint=phi
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canskin.calibration_messages import CalibrationState
-from canskin.messages import MEASUREMENT, Measurement, Topic
+from canskin.messages import MEASUREMENT, CycleMeasurement, Measurement, Topic
 from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
 from canskin.state_messages import ImagesReply, ImagesRequest
 from dbc.board import board
@@ -288,7 +288,7 @@ def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
     for cycle in range(round(300 / period_s)):
         now_s = cycle * period_s
         sums = np.rint(drift_n_per_s * now_s / newton_per_count).astype("<i4")
-        each = Measurement(
+        each = CycleMeasurement(
             cycle=cycle,
             sync_counter=1,
             sampled_mono_ns=round((100 + now_s) * 1e9),

@@ -15,7 +15,7 @@ import pytest
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
+from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, CycleMeasurement, Image, Measurement
 from reconstructor import command
 from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.command import make_engine
@@ -36,7 +36,7 @@ def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None
     counts = np.round(force_n / LAYOUT.taxels.newton_per_count).astype(np.uint16)
     valid = np.ones(phi.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
     sums = phi.block_sums(counts.reshape(-1)).astype("<i4") * phi.sums_of_blocks(valid != 0)
-    return Measurement(
+    return CycleMeasurement(
         cycle=cycle,
         sync_counter=cycle % 240 + 1,
         sampled_mono_ns=1000 * cycle,

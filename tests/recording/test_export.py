@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, CycleMeasurement, Image, Label
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
@@ -48,7 +48,7 @@ def run(contract: Contract, out: Path) -> Path:
         for topic, message in (
             (
                 MEASUREMENT,
-                Measurement(
+                CycleMeasurement(
                     **stamps,
                     usable=b"\1" * 5 + b"\0" + b"\1" * (128 - 6) if cycle == 2 else b"",
                     sums=np.full(128, cycle, "<i4").tobytes(),

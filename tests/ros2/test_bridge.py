@@ -18,7 +18,7 @@ from zenoh_ros2_sdk.utils import ros2_to_dds_type
 
 from canskin.calibration_messages import CALIBRATION, CalibrationReply
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Measurement
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, CycleMeasurement
 from canskin.messages import Topic as FabricTopic
 from ros2.bridge import Bridge
 from ros2.names import RELIABLE, SENSOR_DATA
@@ -77,7 +77,7 @@ class Setup:
     def clocks(self) -> None:
         self.publish(
             MEASUREMENT,
-            Measurement(
+            CycleMeasurement(
                 cycle=1,
                 sync_counter=1,
                 sampled_mono_ns=SAMPLED_NS,
