@@ -67,7 +67,7 @@ def classify(
     from classifier.service import AdaptiveClassifierService, ClassifierService, most_waiting
 
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     phi, classified = skin.phi(), classified_phi(skin)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
@@ -163,7 +163,7 @@ def train(
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     skin train --choose 16 --layout-out palm-16.toml --features sums
     """
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     names = _named(objects)
     if touches < 0 or seed < 0:
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")

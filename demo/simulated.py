@@ -25,7 +25,7 @@ from reconstructor.contacts import ContactTracker
 from reconstructor.service import ReconstructorService
 from skin.clock import wall_offset
 from skin.description import describe
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_sending
 from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_names, step_rate_hz
 from skin.sync_counter import next_counter
 
@@ -43,10 +43,9 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
     """
     if isinstance(objects, str):
         raise InputError(f"objects: expected a list of names, such as ['{objects}'], got '{objects}'")
-    skin = load_layout(None if layout is None else Path(layout), adaptive=True)
+    skin = load_layout(None if layout is None else Path(layout))
     skin = msgspec.structs.replace(skin, recognition=None)  # every cycle is one of images
-    if skin.sending == "adaptive":
-        raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
+    require_sending(skin, "synchronous", "simulate() is", "use 'skin demo'")
     if objects is not None and not objects:
         raise InputError("objects: expected a list of names, got an empty list")
     return SimulatedSkin(skin, list(object_names(objects or DEFAULT_OBJECTS)), seed)

@@ -51,7 +51,7 @@ def reconstruct(
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     engine, about = make_engine(skin, solver)
     known = load_gains(gains, skin)
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))

@@ -87,7 +87,7 @@ def replay(
     _check(source, speed, out)
     stop = StopSignal().install()
     is_recording = source.suffix.lower() == RECORDING_SUFFIX
-    skin = load_layout(source if is_recording and layout is None else layout, adaptive=True)
+    skin = load_layout(source if is_recording and layout is None else layout)
     require_one_state(skin, "'skin replay'")
     if channel and (is_recording or len(channel) > len(skin.bus)):
         raise InputError(f"--channel: expected up to {len(skin.bus)} channels of a log; a recording names its buses")

@@ -167,12 +167,12 @@ def of_one_cycle(message: CycleMeasurement | Image | Label, truth: Truth, period
 
 def image_pairs(layout: Layout) -> Pairs[Image]:
     """Return what finds the pairs of images and truths of a skin."""
-    return ShownImages() if layout.sending == "adaptive" else Pairing(layout.shortest_period_s)
+    return Pairing(layout.shortest_period_s) if layout.sends.in_cycles else ShownImages()
 
 
 def label_pairs(layout: Layout) -> Pairs[Label]:
     """Return what finds the pairs of labels and truths of a skin."""
-    return NearestTruths() if layout.sending == "adaptive" else Pairing(layout.shortest_period_s)
+    return Pairing(layout.shortest_period_s) if layout.sends.in_cycles else NearestTruths()
 
 
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from canskin.messages import AdaptiveMeasurement, BlockState
 from skin.layout import Layout, load_layout
 
-LAYOUT: Layout = load_layout(Path("adaptive"), adaptive=True)
+LAYOUT: Layout = load_layout(Path("adaptive"))
 PHI = LAYOUT.phi()
 
 

@@ -27,7 +27,7 @@ class Silent(ClassifierService):
 
 def replay(source: Path, out: Path, offset_ns: int, layout: Path) -> Replay:
     """Replay a recording or a log into a new recording."""
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     contract = Contract.from_layout(skin)
     solver = make_engine(skin, None)[0]
     sink = McapSink(out, contract, 1, offset_ns)
