@@ -89,6 +89,7 @@ class AdaptiveGathering:
 
     #: See `gateway.gathering.Gathering`.
     in_flight = 0
+    replay_step_ns = 10_000_000
     disturbance = f"no sums start in the {PAUSE_MS} ms after each SYNC"
 
     def __init__(

@@ -29,6 +29,7 @@ class CycleGathering:
 
     #: See `gateway.gathering.Gathering`.
     may_sleep_until_s = float("-inf")
+    replay_step_ns = None
     disturbance = "its cycles are not valid"
 
     def __init__(self, contract: Contract) -> None:

@@ -88,6 +88,11 @@ class Gathering(Protocol):
         ...
 
     @property
+    def replay_step_ns(self) -> int | None:
+        """Time between two looks at the measurements in a replay; None: they are due by frames and SYNCs alone."""
+        ...
+
+    @property
     def disturbance(self) -> str:
         """What another SYNC producer does to the sums of its bus."""
         ...

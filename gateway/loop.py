@@ -89,7 +89,7 @@ class GatewayLoop:
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering: Gathering
-        if contract.layout.sending == "adaptive":
+        if not contract.layout.sends.in_cycles:
             self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz)
         elif contract.recognition is not None:
             self.gathering = StateGathering(contract)

@@ -29,8 +29,6 @@ from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
-#: Time between two measurements of adaptive sums.
-_ADAPTIVE_NS: Final = 10_000_000
 #: Between two adaptive measurements in a recording, on a clock of its own: longer than any period between two.
 _ADAPTIVE_TURN_S: Final = 10.0
 #: Time stamps of the gateway and of the recorder differ by less. The shortest frame takes longer.
@@ -80,7 +78,6 @@ class Playback:
         self._grace_ns = round((1 + GRACE) * contract.layout.sync.period_s * 1e9) + 1_000
         self._is_counted = contract.sync_overflow > 0
         self._near_ns = round(contract.layout.sync.period_s * 1e9 / 2)
-        self._is_adaptive = contract.layout.sending == "adaptive"
         sends = dict.fromkeys(sorted(buses), len)  # all is accepted, nothing is sent
         self._loop = GatewayLoop(contract, sends, start_ns * 1e-9, say=lambda _: None, complain=lambda _: None)
         for node in contract.nodes:
@@ -172,10 +169,11 @@ class Playback:
 
     def _go_to(self, time_ns: int, ends: Mapping[int, int] | None = None) -> None:
         """Use the frames before a time, of some buses those before a place, and make the measurements that are due."""
-        if self._is_adaptive:
-            for step_ns in range(self._now_ns + _ADAPTIVE_NS, time_ns, _ADAPTIVE_NS):
-                self._take_until(step_ns, {})
-                self._measure(step_ns)
+        step_ns = self._loop.gathering.replay_step_ns
+        if step_ns is not None:
+            for between_ns in range(self._now_ns + step_ns, time_ns, step_ns):
+                self._take_until(between_ns, {})
+                self._measure(between_ns)
         self._take_until(time_ns, ends or {})
         self._measure(time_ns)
 

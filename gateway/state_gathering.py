@@ -27,6 +27,7 @@ class StateGathering:
 
     #: See `gateway.gathering.Gathering`.
     may_sleep_until_s = float("-inf")
+    replay_step_ns = None
     disturbance = CycleGathering.disturbance
 
     def __init__(self, contract: Contract) -> None:
