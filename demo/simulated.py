@@ -20,9 +20,8 @@ from classifier.decide import Classifier
 from classifier.service import ClassifierService
 from dbc.packing import packing
 from nodes.sampler import new_sampler
-from reconstructor.command import make_engine
-from reconstructor.contacts import ContactTracker
-from reconstructor.service import ReconstructorService
+from reconstructor.imaging import make_imager
+from reconstructor.service import ReconstructorService, warm_up
 from skin.clock import wall_offset
 from skin.description import describe
 from skin.layout import Layout, load_layout, require_sending
@@ -71,14 +70,13 @@ class SimulatedSkin(Skin):
 
     def __init__(self, skin: Layout, objects: list[str], seed: int) -> None:
         super().__init__(describe(skin), float("inf"))
-        taxels, phi = skin.taxels, skin.phi()
-        engine, _ = make_engine(skin, None)
-        engine.warm_up()
-        ContactTracker(taxels.rows, taxels.columns).warm_up()
+        phi = skin.phi()
+        imager = make_imager(skin)
+        warm_up(skin, imager)
         self._boards = new_sampler(skin, phi, load_objects(skin, names=objects, seed=seed, rest_s=REST_S), seed=seed)
         self._packing = packing(skin)
         self._messages = _Messages()
-        self._reconstructor = ReconstructorService(skin, engine, self._messages)
+        self._reconstructor = ReconstructorService(skin, imager, self._messages)
         trained = find_or_train(skin, phi, known_objects(objects))
         self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages, keeps_time=False)
         self._builder = FrameBuilder(self.layout)

@@ -17,11 +17,9 @@ from classifier.decide import Classifier
 from classifier.modelfile import load_model
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from dbc.contract import Contract
-from reconstructor.adaptive import AdaptiveReconstructor
-from reconstructor.command import load_gains, make_engine
-from reconstructor.contacts import ContactTracker
-from reconstructor.engine import Reconstructor
+from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
+from reconstructor.service import warm_up
 from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
 from recording.steps import Step, steps_of
@@ -94,8 +92,8 @@ def replay(
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if is_recording else 0
     calibrator = make_calibrator(skin, calibration, tare, "replay")
-    engine, about = _engine(skin, solver)
-    known = load_gains(gains, skin)
+    imager = make_imager(skin, solver, gains)
+    warm_up(skin, imager)
     classifier = _classifier_maker(skin, model)
     names = channel or [bus.name for bus in skin.bus]
     steps = steps_of(
@@ -110,8 +108,8 @@ def replay(
         mark = contract.phi.fingerprint
         fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
         fabric.answer(DESCRIPTION, Describing(skin))
-    say("replay", f"{source.name}: {about}")
-    played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns, gains=known)
+    say("replay", f"{source.name}: {imager.about}")
+    played = Replay(skin, imager, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns)
     _run(played, steps, stop, speed or (1.0 if fabric else float("inf")), sink, fabric, out)
     for line in played.report.lines():
         say("replay", line)
@@ -166,14 +164,6 @@ def _check(source: Path, speed: float | None, out: Path | None) -> None:
         check_new_path(out, "recording")
     if not source.is_file():
         raise InputError(f"no file '{source}': expected a recording of 'skin record', or a CAN log")
-
-
-def _engine(skin: Layout, solver: SolverOptions | None) -> tuple[Reconstructor | AdaptiveReconstructor, str]:
-    """Return the solver, compiled, and words for the log."""
-    engine, about = make_engine(skin, solver)
-    engine.warm_up()
-    ContactTracker(skin.taxels.rows, skin.taxels.columns).warm_up()
-    return engine, about
 
 
 def _classifier_maker(

@@ -10,9 +10,7 @@ import msgspec
 from canskin.fabric import Exchange, Fabric, Mailbox
 from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
-from reconstructor.adaptive import AdaptiveReconstructor
-from reconstructor.engine import Reconstructor
-from reconstructor.gains import KnownGains
+from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
 from recording.sinks import Sink
 from recording.steps import Step
@@ -114,31 +112,28 @@ class Replay:
     Parameters
     ----------
     layout : Layout
-    solver : Reconstructor or AdaptiveReconstructor
+    imager : Imager
     make_classifier : callable
         Returns the classifier's service on this exchange.
     outputs : iterable of Output
     sink : Sink, optional
         Receives the frames, whose clock is `offset_ns` behind the wall clock.
-    gains : KnownGains, optional
-        See `reconstructor.service.ReconstructorService`.
     """
 
     def __init__(
         self,
         layout: Layout,
-        solver: Reconstructor | AdaptiveReconstructor,
+        imager: Imager,
         make_classifier: Callable[[Exchange], ClassifierService | AdaptiveClassifierService],
         outputs: Iterable[Output],
         *,
         sink: Sink | None = None,
         offset_ns: int = 0,
-        gains: KnownGains | None = None,
     ) -> None:
         self.report = Report()
         self._outputs = list(outputs)
         self._sink, self._offset_ns = sink, offset_ns
-        self._reconstructor = ReconstructorService(layout, solver, self, gains=gains, clock_ns=self._published_ns)
+        self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns)
         self._classifier = make_classifier(self)
         self._now_ns = self._label_ns = 0
         self._step: Step | None = None

@@ -17,7 +17,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from gateway.playback import play
 from rebuild.command import rebuild
-from reconstructor.engine import Reconstructor
+from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from recording.recorder import Recorder
 from recording.replaying import Replay, SinkOutput
@@ -95,7 +95,7 @@ def run(contract: Contract, bus_frames: dict[int, Frames], links: dict[int, Fake
         links, sink, {0: "left", 1: "right"}, wall_ns=lambda: now[0] + OFFSET_NS, mono_ns=lambda: now[0]
     )
     live = Live(recorder)
-    service = ReconstructorService(contract.layout, Reconstructor(contract.phi, 16, 16), live, clock_ns=lambda: now[0])
+    service = ReconstructorService(contract.layout, make_imager(contract.layout), live, clock_ns=lambda: now[0])
     for part in play(contract, bus_frames):
         for bus, seen in part.frames.items():
             links[bus].coming.append(seen)
@@ -126,7 +126,7 @@ def replayed(contract: Contract, tmp_path: Path) -> Callable[..., tuple[Replay, 
         sink = McapSink(out, contract, 1, offset_ns)
         replay = Replay(
             contract.layout,
-            Reconstructor(contract.phi, 16, 16),
+            make_imager(contract.layout),
             lambda _: StubClassifier(),
             [SinkOutput(sink)],
             sink=sink,
