@@ -178,7 +178,8 @@ class _Recorded:
         self._waiting: list[Step] = []
         self._unpaired: dict[int, deque[Measurement]] = {}
         self._images: Answers[Image] = Answers(self._near_ns, is_followed=IMAGE.name in topics and not every)
-        self._labels: Answers[Label] = Answers(self._near_ns, is_followed=LABEL.name in topics)
+        # Labels of adaptive sums have a clock of their own.
+        self._labels: Answers[Label] = Answers(self._near_ns, is_followed=LABEL.name in topics and not tells_frames)
         #: The measurement that was played last, and the time of the newest that was read.
         self._before: Measurement | None = None
         self._measured_ns = 0
@@ -233,7 +234,8 @@ class _Recorded:
         elif entry.topic == IMAGE.name:
             self._images.keep(message)
         elif entry.topic == LABEL.name:
-            self._labels.keep(message)
+            if self._adaptive is None:
+                self._labels.keep(message)
         else:
             self._add(entry.time_ns, _AS_RECORDED[entry.topic], message)
 

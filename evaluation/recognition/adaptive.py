@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from classifier.coarse_sums import classified_phi
 from classifier.samples import simulate_sums
+from classifier.used_sums import classified_phi
 from classifier.validation import part_of
 from evaluation.observations import LABELS, draw_split, true_force_n
 from evaluation.recognition.accuracy import trained

@@ -9,12 +9,12 @@ import pytest
 
 from canskin.errors import ModelError
 from canskin.fabric import Fabric
-from classifier.coarse_sums import classified_phi
 from classifier.decide import FORGET_CYCLES, Classifier
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
 from classifier.service import AdaptiveClassifierService
 from classifier.training import TrainingOptions, train
+from classifier.used_sums import classified_phi
 from skin.layout import Layout, parse_layout
 from skin.measurement import places
 from tests.adaptive_messages import adaptive_measurement
