@@ -207,7 +207,7 @@ class Score:
 
     def _sample_age_ms(self) -> float | None:
         """Return the bound of the age of an adaptive sample at the end of its frame."""
-        if self.layout.sending == "synchronous":
+        if self.layout.sends.in_cycles:
             return None
         return round(max(sample_age_ns(bus) for bus in self.layout.bus) * 1e-6, 3)
 

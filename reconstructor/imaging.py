@@ -1,53 +1,22 @@
 """Images of measurements: of one cycle after another, or of the newest adaptive sums."""
 
-import time
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from canskin.messages import Measurement
-from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.adaptive import AdaptiveImager
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.options import SolverOptions
 from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
-from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
-
-#: An image in newtons, shape (rows, columns), the number of sums used, and the time of the solver in seconds.
-Solved = tuple[npt.NDArray[np.float32], int, float]
-
-
-class Imager(Protocol):
-    """Makes images of the measurements of one skin.
-
-    Attributes
-    ----------
-    about : str
-        Words for the log.
-    depth : int
-        Most measurements that wait during a solve; a longer queue would only make images older.
-    reader : MeasurementReader
-    """
-
-    about: str
-    depth: ClassVar[int]
-    reader: MeasurementReader[Any]
-
-    def warm_up(self) -> None:
-        """Compile the solver, or load the compiled solver."""
-        ...
-
-    def solve(self, measurement: Measurement) -> Solved | None:
-        """Return the image of a measurement; None if the measurement is refused."""
-        ...
+from skin.measured_sums import MeasuredSums, decode_measurement
 
 
 class CycleImager:
-    """Images of cycles; see `Imager`.
+    """Images of cycles.
 
     Parameters
     ----------
@@ -60,9 +29,19 @@ class CycleImager:
     ------
     InputError
         If the options do not fit the skin.
+
+    Attributes
+    ----------
+    about : str
+        Words for the log.
+    depth : int
+        Most measurements that wait during a solve; a longer queue would only make images older.
+    decode : callable
+        Decodes a measurement.
     """
 
-    depth: ClassVar[int] = 4
+    depth = 4
+    decode = staticmethod(decode_measurement)
 
     def __init__(self, layout: Layout, options: SolverOptions | None = None, gains: KnownGains | None = None) -> None:
         chosen, phi, taxels = options or SolverOptions(), layout.phi(), layout.taxels
@@ -80,43 +59,20 @@ class CycleImager:
         self.warm_up = self._solver.warm_up
         self._newton_per_count = np.float32(taxels.newton_per_count)
         self._gains = None if gains is None else GainCorrection(phi, gains)
-        self.reader = MeasurementReader(phi, "reconstructor", decode_measurement)
 
-    def solve(self, measurement: Measurement) -> Solved | None:
-        """See `Imager`."""
-        sums = self.reader.read(measurement)
-        if sums is None:
-            return None
-        started_s = time.perf_counter()
+    def solve(self, sums: MeasuredSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+        """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        valid_sums = sums.valid_sums
-        if self._gains is not None:
-            sums_n, valid_sums = self._gains.apply(sums_n, valid_sums)
+        if self._gains is None:
+            return self._solver.solve(sums_n, sums.valid_sums), sums.valid_sums
+        sums_n, valid_sums = self._gains.apply(sums_n, sums.valid_sums)
         image = self._solver.solve(sums_n, valid_sums)
-        if self._gains is not None:
-            self._gains.keep(image)
-        return image, int(np.count_nonzero(valid_sums)), time.perf_counter() - started_s
+        self._gains.keep(image)
+        return image, valid_sums
 
 
-class AdaptiveImager:
-    """Images of adaptive sums; see `Imager`. Only the newest measurement counts: it holds all that those before had."""
-
-    about = "adaptive sums"
-    depth: ClassVar[int] = 1
-
-    def __init__(self, layout: Layout) -> None:
-        self._solver = AdaptiveReconstructor(layout)
-        self.warm_up = self._solver.warm_up
-        self.reader = MeasurementReader(layout.phi(), "reconstructor", decode_adaptive)
-
-    def solve(self, measurement: Measurement) -> Solved | None:
-        """See `Imager`."""
-        sums = self.reader.read(measurement)
-        if sums is None:
-            return None
-        started_s = time.perf_counter()
-        image = self._solver.solve(sums)
-        return image, int(np.count_nonzero(sums.known)), time.perf_counter() - started_s
+#: What makes the images of a skin.
+Imager = CycleImager | AdaptiveImager
 
 
 def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Path | None = None) -> Imager:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from canskin.sums import doubtful_taxels
 from reconstructor.contacts import ContactTracker
 from reconstructor.imaging import Imager
 from skin.layout import Layout
-from skin.measured_sums import used_blocks
+from skin.measured_sums import MeasurementReader, used_blocks
 from skin.service import StopSignal, request_real_time, yield_processor
 
 #: Period of the check of the stop signal while no measurement comes.
@@ -60,6 +60,7 @@ class ReconstructorService:
         self.images = 0
         self._clock_ns = clock_ns
         self._imager = imager
+        self._reader: MeasurementReader[Any] = MeasurementReader(layout.phi(), "reconstructor", imager.decode)
         self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
         self._phi = layout.phi()
         self._fabric = fabric
@@ -68,7 +69,7 @@ class ReconstructorService:
     @property
     def refused(self) -> int:
         """Number of measurements with another Φ or other sizes."""
-        return self._imager.reader.refused
+        return self._reader.refused
 
     @property
     def overrun(self) -> int:
@@ -88,11 +89,12 @@ class ReconstructorService:
 
     def take(self, measurement: Measurement) -> None:
         """Solve and publish one measurement, or refuse it."""
-        solved = self._imager.solve(measurement)
-        if solved is not None:
-            self._publish(measurement, *solved)
-
-    def _publish(self, measurement: Measurement, image: Image_n, valid_sums: int, solve_s: float) -> None:
+        sums = self._reader.read(measurement)
+        if sums is None:
+            return
+        started_s = time.perf_counter()
+        image, used_sums = self._imager.solve(sums)
+        solve_s = time.perf_counter() - started_s
         self.images += 1
         message = Image(
             cycle=measurement.cycle,
@@ -102,7 +104,7 @@ class ReconstructorService:
             published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
             valid=used_blocks(measurement, self._phi).tobytes(),
-            valid_sums=valid_sums,
+            valid_sums=int(np.count_nonzero(used_sums)),
             solve_s=solve_s,
             number=self.images,
             doubtful=measurement.doubtful,
