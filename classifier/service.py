@@ -37,11 +37,9 @@ def make_service(
     classifier: Classifier, layout: Layout, fabric: Exchange, wake: Callable[[str], None] = lambda _label: None
 ) -> "ClassifierService | AdaptiveClassifierService":
     """Return what labels the measurements of a skin; `wake` is called with each label of a cycle."""
-    classified = classified_phi(layout)
-    if not layout.sends.in_cycles:
-        return AdaptiveClassifierService(classifier, layout.phi(), classified, fabric)
-    topic, rate_hz = MEASUREMENT if layout.recognition is None else RECOGNITION, 1 / layout.shortest_period_s
-    return ClassifierService(classifier, classified, fabric, topic=topic, wake=wake, waiting=most_waiting(rate_hz))
+    if layout.sends.in_cycles:
+        return ClassifierService(classifier, layout, fabric, wake=wake)
+    return AdaptiveClassifierService(classifier, layout, fabric)
 
 
 def most_waiting(rate_hz: float) -> int:
@@ -103,30 +101,25 @@ class ClassifierService(_Service[MeasuredSums]):
     Parameters
     ----------
     classifier : Classifier
-    phi : Sbhe
-        The Φ of the model.
+    layout : Layout
     fabric : Exchange
-    topic : Topic
-        Of the measurements.
     wake : callable
         Called with each label.
     keeps_time : bool
         Whether measurements come as they are sampled; else labels settle over cycles, whatever their times.
-    waiting : int
-        Number of measurements that may wait, see `most_waiting`.
     """
 
     def __init__(
         self,
         classifier: Classifier,
-        phi: Sbhe,
+        layout: Layout,
         fabric: Exchange,
         *,
-        topic: Topic = MEASUREMENT,
         wake: Callable[[str], None] = lambda _label: None,
         keeps_time: bool = True,
-        waiting: int = _LEAST_WAITING,
     ) -> None:
+        phi, topic = classified_phi(layout), MEASUREMENT if layout.recognition is None else RECOGNITION
+        waiting = most_waiting(1 / layout.shortest_period_s)
         super().__init__(classifier, phi, decode_measurement, fabric, topic, waiting=waiting)
         self._keeps_time = keeps_time
         self._wake = wake
@@ -166,16 +159,13 @@ class AdaptiveClassifierService(_Service[AdaptiveSums]):
     Parameters
     ----------
     classifier : Classifier
-    phi : Sbhe
-        The Φ of the skin.
-    classified : Sbhe
-        The Φ of the model, see `classifier.used_sums`.
+    layout : Layout
     fabric : Exchange
     """
 
-    def __init__(self, classifier: Classifier, phi: Sbhe, classified: Sbhe, fabric: Exchange) -> None:
-        super().__init__(classifier, phi, decode_adaptive, fabric, MEASUREMENT, waiting=1)
-        self._places = places(phi, classified)
+    def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
+        super().__init__(classifier, layout.phi(), decode_adaptive, fabric, MEASUREMENT, waiting=1)
+        self._places = places(layout.phi(), classified_phi(layout))
         self._newest: Measurement | None = None
         self._cycle = self._repeated = 0
         self._due_ns: int | None = None

@@ -18,7 +18,7 @@ from canskin.messages import CycleMeasurement, GatewayStatus, Image, Label, Meas
 from dbc.contract import sample_age_ns
 from demo.report import NodeMissing, Percentiles, Report
 from demo.state_score import StateScore
-from skin.ground_truth import Pairing, Pairs, image_pairs, in_contact, label_pairs
+from skin.ground_truth import ImagePairs, LabelPairs, Pairing, image_pairs, in_contact, label_pairs
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 
@@ -83,8 +83,8 @@ class Score:
     snapshot: Snapshot | None = None
     last_label: Label | None = None
     cpu_ratio: dict[str, float] = field(default_factory=dict)
-    _images: Pairs[Image] = field(init=False)
-    _labels: Pairs[Label] = field(init=False)
+    _images: ImagePairs = field(init=False)
+    _labels: LabelPairs = field(init=False)
     _measurements: Pairing[CycleMeasurement] = field(init=False)
     _states: StateScore = field(default_factory=StateScore)
     _peak_n: float = 0.0

@@ -78,7 +78,7 @@ class SimulatedSkin(Skin):
         self._messages = _Messages()
         self._reconstructor = ReconstructorService(skin, imager, self._messages)
         trained = find_or_train(skin, phi, known_objects(objects))
-        self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages, keeps_time=False)
+        self._classifier = ClassifierService(Classifier(trained, phi), skin, self._messages, keeps_time=False)
         self._builder = FrameBuilder(self.layout)
         self._counter = 0
         self._valid = phi.has_sums.tobytes()

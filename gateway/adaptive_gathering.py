@@ -87,7 +87,7 @@ class AdaptiveGathering:
         Most measurements in a second, when there is news, and least, see `publishing_rates`.
     """
 
-    #: See `gateway.gathering.Gathering`.
+    #: See `gateway.cycle_gathering.CycleGathering`.
     in_flight = 0
     replay_step_ns = 10_000_000
     disturbance = f"no sums start in the {PAUSE_MS} ms after each SYNC"

@@ -27,9 +27,11 @@ class CycleGathering:
     collector : Collector
     """
 
-    #: See `gateway.gathering.Gathering`.
+    #: Until when frames may wait unread: no measurement is made before.
     may_sleep_until_s = float("-inf")
+    #: Time between two looks at the measurements in a replay; None: they are due by frames and SYNCs alone.
     replay_step_ns = None
+    #: What another SYNC producer does to the sums of its bus.
     disturbance = "its cycles are not valid"
 
     def __init__(self, contract: Contract) -> None:

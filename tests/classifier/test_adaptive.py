@@ -44,7 +44,7 @@ def coarse_model(touches: Touches) -> Model:
 @pytest.fixture
 def service(endpoint: str, coarse_model: Model) -> Iterator[AdaptiveClassifierService]:
     fabric = Fabric("small", "classifier", endpoint, hub=True)
-    yield AdaptiveClassifierService(Classifier(coarse_model, CLASSIFIED), PHI, CLASSIFIED, fabric)
+    yield AdaptiveClassifierService(Classifier(coarse_model, CLASSIFIED), LAYOUT, fabric)
     fabric.close()
 
 

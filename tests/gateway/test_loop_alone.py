@@ -11,9 +11,9 @@ from bus.link import Send, State
 from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, Frames, frames
-from gateway.gathering import Gathering, Health, Sync
+from gateway.gathering import Health, Sync
 from gateway.load import LoadMeter
-from gateway.loop import GatewayLoop
+from gateway.loop import GatewayLoop, Gathering
 from gateway.nmt_master import NmtMaster
 from tests.bus.harness import frame
 
