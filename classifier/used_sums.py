@@ -1,6 +1,6 @@
 """Which sums the classifier uses, and what noise is in them: sums of cycles, or the coarse ones of adaptive boards."""
 
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ class CycleSums:
     """The sums of a cycle: all, or those of recognition."""
 
     #: See `classifier.features.Smoothed`.
-    means: ClassVar[bool] = False
+    means = False
 
     def phi(self, layout: Layout) -> Sbhe:
         """Return the Φ of these sums."""
@@ -39,7 +39,7 @@ class CycleSums:
 class CoarseSums:
     """Of adaptive sums group 0 of each block: the sums that show means of 2 x 2 taxels."""
 
-    means: ClassVar[bool] = True
+    means = True
 
     def phi(self, layout: Layout) -> Sbhe:
         """See `CycleSums`."""
