@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import Final, Generic
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -12,14 +12,7 @@ from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement
 from classifier.decide import FORGET_CYCLES, Classifier, Decision
 from classifier.used_sums import classified_phi
 from skin.layout import Layout
-from skin.measured_sums import (
-    AdaptiveSums,
-    MeasuredSums,
-    MeasurementReader,
-    Sums,
-    decode_adaptive,
-    decode_measurement,
-)
+from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Sbhe, places
 from skin.service import StopSignal
 
@@ -47,7 +40,7 @@ def most_waiting(rate_hz: float) -> int:
     return max(_LEAST_WAITING, round(_WAITING_S * rate_hz))
 
 
-class _Service(Generic[Sums]):
+class _Service:
     """What both services share.
 
     Attributes
@@ -56,19 +49,11 @@ class _Service(Generic[Sums]):
         Number of labels.
     """
 
-    def __init__(
-        self,
-        classifier: Classifier,
-        phi: Sbhe,
-        decode: Callable[[Measurement, Sbhe], Sums],
-        fabric: Exchange,
-        topic: Topic,
-        *,
-        waiting: int,
-    ) -> None:
+    _reader: MeasurementReader[Any]
+
+    def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Exchange, topic: Topic, *, waiting: int) -> None:
         self.labelled = 0
         self._classifier = classifier
-        self._reader = MeasurementReader(phi, "classifier", decode)
         self._sums_of_block = np.diff(phi.starts)
         self._named_sums = phi.shape[0] if topic is RECOGNITION else 0
         self._fabric = fabric
@@ -95,7 +80,7 @@ class _Service(Generic[Sums]):
         )
 
 
-class ClassifierService(_Service[MeasuredSums]):
+class ClassifierService(_Service):
     """Labels the measurements of one skin, cycle by cycle.
 
     Parameters
@@ -119,8 +104,8 @@ class ClassifierService(_Service[MeasuredSums]):
         keeps_time: bool = True,
     ) -> None:
         phi, topic = classified_phi(layout), MEASUREMENT if layout.recognition is None else RECOGNITION
-        waiting = most_waiting(1 / layout.shortest_period_s)
-        super().__init__(classifier, phi, decode_measurement, fabric, topic, waiting=waiting)
+        super().__init__(classifier, phi, fabric, topic, waiting=most_waiting(1 / layout.shortest_period_s))
+        self._reader = MeasurementReader(phi, "classifier", decode_measurement)
         self._keeps_time = keeps_time
         self._wake = wake
 
@@ -150,7 +135,7 @@ class ClassifierService(_Service[MeasuredSums]):
         return [] if label is None else [label]
 
 
-class AdaptiveClassifierService(_Service[AdaptiveSums]):
+class AdaptiveClassifierService(_Service):
     """Labels the newest sums of a skin with adaptive sending, every `PERIOD_S`.
 
     While no measurement comes, the newest stands, so a label settles as quickly on a skin that has nothing to send. The
@@ -164,7 +149,8 @@ class AdaptiveClassifierService(_Service[AdaptiveSums]):
     """
 
     def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
-        super().__init__(classifier, layout.phi(), decode_adaptive, fabric, MEASUREMENT, waiting=1)
+        super().__init__(classifier, layout.phi(), fabric, MEASUREMENT, waiting=1)
+        self._reader = MeasurementReader(layout.phi(), "classifier", decode_adaptive)
         self._places = places(layout.phi(), classified_phi(layout))
         self._newest: Measurement | None = None
         self._cycle = self._repeated = 0
