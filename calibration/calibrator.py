@@ -98,7 +98,7 @@ class Calibrator:
         taxels, self._phi = layout.taxels, layout.phi()
         self._shape = taxels.rows, taxels.columns
         #: Whether offsets are measured and followed here, and not by the boards.
-        self._is_own = layout.sending == "synchronous"
+        self._is_own = not layout.sends.boards_keep_zero
         self._tares = tares
         self._say = say
         self._newton_per_count, self._force_max_n = taxels.newton_per_count, taxels.force_max_n

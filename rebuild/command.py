@@ -24,7 +24,7 @@ from rebuild.replay import replay
 from reconstructor.array_api import gpu_library
 from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
-from skin.layout import load_layout, require_one_state
+from skin.layout import load_layout, require_one_state, require_sending
 from skin.output import RECORDING_SUFFIX
 from skin.recording_options import ArrayNames, FullScale
 from skin.service import say
@@ -91,6 +91,7 @@ def rebuild(
         layout = source
     skin = load_layout(layout)
     require_one_state(skin, "'skin rebuild'")
+    require_sending(skin, "synchronous", "'skin rebuild' is", "'skin replay --out' makes the images of adaptive sums")
     contract = Contract.from_layout(skin)
     stored = None if calibration == NO_CALIBRATION else calibration
     calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")

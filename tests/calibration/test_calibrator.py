@@ -149,7 +149,7 @@ def test_without_tare_stored_offsets_stay() -> None:
 
 def test_nodes_with_adaptive_sending_have_their_own_zero() -> None:
     """The zero here begins with 0: there is nothing to take off."""
-    layout = load_layout(Path("adaptive"), adaptive=True)
+    layout = load_layout(Path("adaptive"))
     made = Calibrator(layout)
     assert made.state is FOLLOWING
     assert made.offsets_n is not None

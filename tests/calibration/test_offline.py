@@ -113,4 +113,4 @@ def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"it\.json: has no offsets of sums"):
         make_calibrator(LAYOUT, path, "never", "test")
     with pytest.raises(InputError, match="adaptive boards"):
-        make_calibrator(load_layout(Path("adaptive"), adaptive=True), None, "at-start", "test")
+        make_calibrator(load_layout(Path("adaptive")), None, "at-start", "test")

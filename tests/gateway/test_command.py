@@ -97,7 +97,7 @@ def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(
 ) -> None:
     parts = Parts(monkeypatch)
     path = tmp_path / "it.json"
-    save_calibration(path, store(load_layout(Path("adaptive"), adaptive=True)))
+    save_calibration(path, store(load_layout(Path("adaptive"))))
     with pytest.raises(InputError, match="the calibration of another layout"):
         command.gateway(calibration=path)
     save_calibration(path, store(load_layout(), gains=np.ones(4096)))

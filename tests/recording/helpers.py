@@ -60,5 +60,5 @@ def run(contract: Contract, out: Path) -> Path:
 
 
 def messages(path: Path, topic: Topic) -> list[Any]:
-    decode = msgspec.msgpack.Decoder(topic.message).decode
+    decode = topic.decoder()
     return [decode(entry.data) for entry in read_entries(path, pytest.fail) if entry.topic == topic.name]
