@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canskin.fabric import Fabric, Mailbox
-from canskin.messages import LABEL, MEASUREMENT, CycleMeasurement, Label, Measurement, Topic
+from canskin.messages import LABEL, MEASUREMENT, Label, Measurement, Topic
 from classifier.decide import Classifier, Decision
 from classifier.model import Model
 from classifier.samples import simulate_sums

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from bus.link import Send
-from canskin.messages import CycleMeasurement, Measurement
+from canskin.messages import Measurement
 from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames
 from gateway.state_switch import StateSwitch

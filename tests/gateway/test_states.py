@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canskin.calibration_messages import CalibrationState
-from canskin.messages import MEASUREMENT, CycleMeasurement, Measurement, Topic
+from canskin.messages import MEASUREMENT, Measurement, Topic
 from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
 from canskin.state_messages import ImagesReply, ImagesRequest
 from dbc.board import board

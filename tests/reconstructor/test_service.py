@@ -15,7 +15,7 @@ import pytest
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, CycleMeasurement, Image, Measurement
+from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from reconstructor import command
 from reconstructor.engine import Reconstructor
 from reconstructor.imaging import make_imager
