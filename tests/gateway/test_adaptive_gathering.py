@@ -309,7 +309,7 @@ def test_frames_that_came_with_the_end_of_the_proof_are_not_used(adaptive: Contr
     world.wires[0].gateway.is_held = False
     board.speaks = False
     world.run(2 * STEP_S)
-    assert world.gateway.masters[0].nodes[1].trusted
+    assert world.gateway.masters[0].nodes[1].in_use
     assert board.sent
     assert states(world.measured[-1])[0] == DEAD
     assert not known_of(world.measured[-1], 0).any()

@@ -132,7 +132,7 @@ def skip_pauses(world: World) -> None:
     """Check that no node is left out for longer than the longest pause; go on as if that pause were over."""
     for master in world.gateway.masters.values():
         for each in master.nodes.values():
-            if not each.trusted:
+            if not each.in_use:
                 assert each.prove_at_s <= world.now_s + LATER_S
                 each.prove_at_s, each.tries = min(each.prove_at_s, world.now_s), 0
 

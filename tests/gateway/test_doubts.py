@@ -86,7 +86,7 @@ class Boards:
                 self.hear(*self._answers.pop())
 
     def trusted(self) -> list[int]:
-        return [node_id for node_id, node in self.master.nodes.items() if node.trusted]
+        return [node_id for node_id, node in self.master.nodes.items() if node.in_use]
 
 
 @pytest.fixture
@@ -250,11 +250,11 @@ def test_heartbeat_from_before_the_start_is_no_news_for_a_short_while(boards: Bo
     boards.hear(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
     boards.run(0.5, beating=False)
     assert boards.trusted() == [1, 2]
-    trusted_s = boards.master.nodes[1].trusted_s
-    boards.now_s = trusted_s + UNDER_WAY_S - TOO_SOON_S
+    used_since_s = boards.master.nodes[1].used_since_s
+    boards.now_s = used_since_s + UNDER_WAY_S - TOO_SOON_S
     boards.hear(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
     assert boards.trusted() == [1, 2]
-    boards.now_s = trusted_s + UNDER_WAY_S + TOO_SOON_S
+    boards.now_s = used_since_s + UNDER_WAY_S + TOO_SOON_S
     boards.hear(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
     assert boards.trusted() == [2]
 

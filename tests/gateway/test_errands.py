@@ -39,7 +39,7 @@ def test_lost_answers_do_not_block_the_proof(boards: BoardWorld) -> None:
     boards.boards[1].speaks = False
     lose(boards, 0)
     boards.run(8.0)
-    assert boards.gateway.masters[0].nodes[2].trusted
+    assert boards.gateway.masters[0].nodes[2].in_use
     assert states(boards.measured[-1])[1] == BlockState.STALE
     assert not boards.lines
 

@@ -149,9 +149,9 @@ def test_node_is_awaited_from_its_start_on(small: Contract) -> None:
     assert world.gateway.gathering.collector.expected.tolist() == [True, True, True, False]
     world.wires[1].loses = None
     world.segments[1].nodes[1].boot(world.now_s)
-    while not world.gateway.masters[1].nodes[2].trusted:
+    while not world.gateway.masters[1].nodes[2].in_use:
         world.step()
-        awaited, trusted = world.gateway.gathering.collector.expected[3], world.gateway.masters[1].nodes[2].trusted
+        awaited, trusted = world.gateway.gathering.collector.expected[3], world.gateway.masters[1].nodes[2].in_use
         assert awaited or not trusted
 
 

@@ -14,7 +14,7 @@ from dbc.frame import ECHO, ERROR, Frames, frames
 from gateway.gathering import Gathering, Health, Sync
 from gateway.load import LoadMeter
 from gateway.loop import GatewayLoop
-from gateway.nmt_master import NmtMaster
+from gateway.nmt_master import NmtMaster, NodeState
 from tests.bus.harness import frame
 
 
@@ -191,7 +191,7 @@ def test_frames_and_losses_go_to_the_gathering_and_an_empty_look_does_not(alone:
 
 def test_the_gathering_hears_of_a_doubt_before_the_frames_behind_it(alone: Alone) -> None:
     node = alone.loop.masters[1].nodes[2]
-    node.trusted = True
+    node.state = NodeState.IN_USE
     alone.told.trust = lambda node, *, proven: alone.told.calls.append(f"{node.bus} {node.node_id} {proven}")  # type: ignore[method-assign]
     alone.loop.take(1, np.concatenate([frame(0x702, b"\0"), frame(0x182)]), 102.0, stamp_error_ns=None)
     assert alone.told.calls == ["1 2 False", "take 2 of 1 at 102, gap False, None"]

@@ -7,7 +7,7 @@ from dbc.canopen import NmtState
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
 from dbc.indices import OD_SIGNATURE
-from gateway.node_record import NodeRecord
+from gateway.nmt_master import NodeRecord, NodeState
 from tests.gateway.test_doubts import Boards
 
 NMT, EMCY, ANSWER, REQUEST, HEARTBEAT = 0x000, 0x080, 0x580, 0x600, 0x700
@@ -100,16 +100,16 @@ def test_a_start_that_waits_in_the_controller_excuses_old_heartbeats_for_a_secon
     node = skin.node(1)
     node.started_ns = None
     for excused_s in (1.0, 1.499):
-        skin.now_s = node.trusted_s + excused_s
+        skin.now_s = node.used_since_s + excused_s
         skin.beat(1, PRE)
         assert skin.trusted() == [1, 2]
-    skin.now_s = node.trusted_s + 1.501
+    skin.now_s = node.used_since_s + 1.501
     skin.beat(1, PRE)
     assert skin.trusted() == [2]
 
 
 def test_a_start_that_went_late_excuses_no_heartbeat_after_that(skin: Listening) -> None:
-    skin.now_s = skin.node(1).trusted_s + 1.6
+    skin.now_s = skin.node(1).used_since_s + 1.6
     skin.node(1).started_ns = ns(skin.now_s - 0.1)
     skin.beat(1, PRE)
     assert skin.trusted() == [2]
@@ -188,7 +188,7 @@ def test_a_node_is_silent_a_second_and_a_half_after_its_heartbeat(skin: Listenin
 
 def test_a_node_that_is_heard_again_is_asked_at_once(skin: Listening) -> None:
     node = skin.node(1)
-    node.nmt, node.trusted, node.tries, node.prove_at_s = SILENT, False, 6, skin.now_s + 40
+    node.nmt, node.state, node.tries, node.prove_at_s = SILENT, NodeState.WAITING, 6, skin.now_s + 40
     skin.beat(1, PRE)
     assert (node.nmt, node.tries, node.prove_at_s) == (PRE, 0, skin.now_s)
     node.tries, node.prove_at_s = 6, skin.now_s + 40

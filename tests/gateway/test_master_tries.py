@@ -47,10 +47,10 @@ def test_a_silent_node_is_not_given_up_in_words(skin: Listening) -> None:
 def test_tries_are_forgotten_after_ten_seconds_in_use(skin: Listening) -> None:
     node = skin.node(1)
     node.tries = 4
-    node.trusted_s = node.proven_s = node.heard_s = skin.now_s
+    node.used_since_s = node.proven_s = node.heard_s = skin.now_s
     skin.master.tick(skin.now_s + 1)
     assert node.tries == 4
-    node.trusted_s = skin.now_s - 9.5
+    node.used_since_s = skin.now_s - 9.5
     skin.master.tick(skin.now_s + 1.02)
     assert node.tries == 0
 

@@ -131,7 +131,7 @@ def test_every_try_is_a_fresh_one_after_a_stable_time(world: World) -> None:
         world.nmt(0, NmtCommand.STOP, 1)
         world.run(3 * PERIOD_S)
         world.until_whole(SOON_S)
-        world.gateway.masters[0].nodes[1].trusted_s -= STABLE_S  # the time itself takes long
+        world.gateway.masters[0].nodes[1].used_since_s -= STABLE_S  # the time itself takes long
         world.run(2 * PERIOD_S)
 
 
@@ -159,25 +159,25 @@ class TestHeartbeatAfterStart:
     def test_no_news_where_it_was_under_way_however_late_it_is_read(self, small: Contract) -> None:
         world = self.started(small)
         self.beat(world, 0.2)
-        assert world.gateway.masters[0].nodes[1].trusted
+        assert world.gateway.masters[0].nodes[1].in_use
 
     def test_no_news_before_the_start_was_on_the_bus(self, small: Contract) -> None:
         world = self.started(small)
         world.gateway.masters[0].nodes[1].started_ns = None
         self.beat(world, 0.0)
-        assert world.gateway.masters[0].nodes[1].trusted
+        assert world.gateway.masters[0].nodes[1].in_use
 
     def test_news_later_on_the_bus(self, small: Contract) -> None:
         world = self.started(small)
         self.beat(world, 0.4)
-        assert not world.gateway.masters[0].nodes[1].trusted
+        assert not world.gateway.masters[0].nodes[1].in_use
 
     def test_news_when_the_start_is_never_on_the_bus(self, small: Contract) -> None:
         world = self.started(small)
         world.gateway.masters[0].nodes[1].started_ns = None
         world.now_s += SILENT_AFTER_S
         self.beat(world, 0.0)
-        assert not world.gateway.masters[0].nodes[1].trusted
+        assert not world.gateway.masters[0].nodes[1].in_use
 
 
 def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:

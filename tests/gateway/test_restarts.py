@@ -185,26 +185,6 @@ def test_a_node_is_in_use_for_two_rounds_of_proofs_and_three_attempts(bench: Ben
     assert bench.lines[0] == "node 1 on bus0 not proven for 5 s"
 
 
-def test_a_refused_node_is_read_again_after_a_minute(bench: Bench) -> None:
-    right = bench.signature
-    bench.hear(0x701, b"\0")
-    bench.master.nodes[1].refusal = "1018h:1 differs"
-    bench.master.nodes[1].prove_at_s = bench.now_s + 60.0
-    assert bench.master.refused == [1]
-    assert bench.master.awaited == []
-    bench.hear(0x701, b"\x05")
-    bench.go(0.02)
-    assert bench.commands[-1][1:] == (0x80, 1)  # its PDOs may be those of another node
-    told = len(bench.commands)
-    bench.go(0.05)
-    assert len(bench.commands) == told
-    assert bench.signature == right
-    bench.go(58.9)
-    assert bench.master.refused == [1]
-    bench.go(2.0)
-    assert (bench.master.refused, bench.trusted) == ([], True)
-
-
 @pytest.mark.parametrize(
     ("command", "lost"),
     [
