@@ -22,14 +22,14 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 
-def window_s(period_s: float) -> float:
+def mean_window_s(period_s: float) -> float:
     """Return the length of a window, seconds, of cycles `period_s` apart."""
     return max(WINDOW_S, LEAST_CYCLES * period_s)
 
 
 def tare_s(period_s: float) -> float:
     """Return for how long a skin must be untouched for its zero, seconds."""
-    return TARE_WINDOWS * window_s(period_s)
+    return TARE_WINDOWS * mean_window_s(period_s)
 
 
 def change(means_n: Floats) -> Floats:
@@ -88,7 +88,7 @@ class WindowMeans:
     """
 
     def __init__(self, sums: int, period_s: float, newton_per_count: float) -> None:
-        self.length_ns = round(1e9 * window_s(period_s))
+        self.length_ns = round(1e9 * mean_window_s(period_s))
         self._cycles = self.length_ns * 1e-9 / period_s
         self._newton_per_count = newton_per_count
         self._begin_ns = self._end_ns = 0

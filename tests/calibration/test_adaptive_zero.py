@@ -15,7 +15,7 @@ from dbc.contract import Contract
 from skin.frontend import sum_step_n
 from skin.measured_sums import decode_adaptive
 from tests.adaptive_messages import LAYOUT, PHI, adaptive_measurement
-from tests.calibration.skins import pressed
+from tests.calibration.helpers import pressed
 
 LAW, IS_MEAN = Contract.from_layout(LAYOUT).law, PHI.row_of_sum == 0
 KNEE_N = np.where(IS_MEAN, LAW.mean_knee_n, LAW.knee_n)

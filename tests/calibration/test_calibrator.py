@@ -11,7 +11,7 @@ from canskin.calibration_messages import CalibrationState, CalibrationStatus, Ze
 from skin.clipping import IDLE_MEAN
 from skin.layout import load_layout, parse_layout
 from skin.taxel import NOISE_N as SENSOR_NOISE_N
-from tests.calibration.skins import (
+from tests.calibration.helpers import (
     COUNTS,
     LAYOUT,
     NOISE_N,
@@ -196,7 +196,7 @@ def test_cycles_are_asked_for_after_sixty_windows_without_any(
     skin = Skin(Calibrator(LAYOUT))
     last = skin.run(6.0, still(OFFSETS + force))
     assert skin.calibrator.state is state
-    window_ns, at_ns = skin.calibrator._windows.length_ns, last.sampled_mono_ns
+    window_ns, at_ns = 250 * MS, last.sampled_mono_ns
     gaps = [gap for gap in range(80) if skin.calibrator.needs_cycles(at_ns + gap * window_ns)]
     assert gaps[0] == pytest.approx(60, abs=2)
     asked_ns = at_ns + gaps[-1] * window_ns
@@ -243,36 +243,6 @@ def test_a_part_of_the_sums_gets_its_offsets() -> None:
     assert offsets_of(applied) == COUNTS[places].tolist()
     assert applied.usable == b"\1\0\1"
     assert skin.made.apply(msgspec.structs.replace(part, usable=b""), places).usable == b""
-
-
-def test_a_gap_of_whole_windows_is_skipped() -> None:
-    """A drift of ten counts a window goes on through five windows without cycles."""
-    skin = Cycles()
-    skin.run(14.1, drift=10.0)
-    skin.cycle += 50
-    applied = skin.run(0.1, drift=10.0)
-    expected = COUNTS + 10.0 * (skin.cycle - 1) / 10
-    assert np.abs(np.array(offsets_of(applied)) - expected).max() <= 3
-    skin.run(6, drift=10.0)
-    assert np.abs(np.array(offsets_of(skin.run(0.1, drift=10.0))) - (expected + 61)).max() <= 3
-
-
-def test_cycles_are_needed_while_a_zero_is_measured_and_after_sixty_windows() -> None:
-    skin = Cycles()
-    window_ns = 250 * MS
-    assert skin.made.needs_cycles(0)
-    skin.run(10.1)
-    newest_ns = 2400 * MS
-    assert not skin.made.needs_cycles(newest_ns + 60 * window_ns)
-    assert skin.made.needs_cycles(newest_ns + 60 * window_ns + 1)
-    asked_ns = newest_ns + 60 * window_ns + 1
-    # Without cycles they are asked for again and again; with a new window, for four in all.
-    skin.cycle = asked_ns // (25 * MS)
-    skin.run(1.1)
-    assert skin.made.needs_cycles(asked_ns + 4 * window_ns - 1)
-    assert not skin.made.needs_cycles(asked_ns + 4 * window_ns)
-    off = Cycles(tares=False)
-    assert not off.made.needs_cycles(10**12)
 
 
 def test_before_the_first_window_nothing_is_known() -> None:
