@@ -66,7 +66,8 @@ class OpenCycles:
 
     def waiting(self, counter: int) -> npt.NDArray[np.intp]:
         """Return how many frames a cycle waits for, shape (buses,); a view."""
-        return self._waiting[slot_of(counter)]
+        waiting: npt.NDArray[np.intp] = self._waiting[slot_of(counter)]
+        return waiting
 
     def spoil_bus(self, bus: int) -> None:
         """Use no sums of a bus in the open cycles, nor in the next cycle."""
@@ -79,7 +80,8 @@ class OpenCycles:
 
     def spoilt(self, counter: int, rows: Rows) -> npt.NDArray[np.bool_]:
         """Tell whose sums are not to be used in a cycle."""
-        return self._spoilt[slot_of(counter), rows]
+        spoilt: npt.NDArray[np.bool_] = self._spoilt[slot_of(counter), rows]
+        return spoilt
 
     def take(self, counter: int, bus: int, row: Rows, payload: npt.NDArray[np.uint8]) -> int:
         """Keep the frames of a bus that came in an open cycle; return how many came for the first time.

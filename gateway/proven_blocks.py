@@ -33,4 +33,5 @@ class ProvenBlocks:
 
     def during(self, slot: int) -> npt.NDArray[np.bool_]:
         """Return the blocks that were proven during all of the cycle of a slot, shape (blocks,); a view."""
-        return self._all_cycle[slot]
+        proven: npt.NDArray[np.bool_] = self._all_cycle[slot]
+        return proven

@@ -122,9 +122,3 @@ def test_windows_and_zeros_take_as_long_as_the_guide_says() -> None:
     """A quarter of a second, or 8 cycles; eight of them for a zero: 2 s, or 64 cycles."""
     assert [mean_window_s(period_s) for period_s in (0.001, 0.01, 0.05, 1.0)] == [0.25, 0.25, 0.4, 8.0]
     assert [tare_s(period_s) for period_s in (0.01, 0.05)] == [2.0, 3.2]
-
-
-
-
-
-

@@ -15,6 +15,7 @@ from dbc.frame import ERROR
 from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
 from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
+from gateway.gathering import Health
 from skin.layout import parse_layout
 from tests.bus.harness import frame
 from tests.gateway.boards import SMALL, STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
@@ -70,14 +71,26 @@ def test_measurements_come_at_the_rates_that_were_asked_for(adaptive: Contract) 
 
 
 @pytest.mark.parametrize(
-    ("rates_hz", "said"),
-    [((0.5, None), "--max-rate"), ((2000, None), "--max-rate"), ((100, 200), "--min-rate"), ((None, 0), "--min-rate")],
+    ("asked", "rates"),
+    [
+        ((None, None), (1000.0, 10.0)),
+        ((5.0, None), (5.0, 5.0)),
+        ((1.0, 1.0), (1.0, 1.0)),
+        ((1000.0, 1000.0), (1000.0, 1000.0)),
+        ((0.999, None), None),
+        ((1000.1, None), None),
+        ((None, 0.999), None),
+        ((20.0, 20.1), None),
+    ],
 )
-def test_rates_out_of_range_are_refused(rates_hz: tuple[float | None, float | None], said: str) -> None:
-    assert publishing_rates(None, None) == (1000, 10)
-    assert publishing_rates(5, None) == (5, 5)
-    with pytest.raises(InputError, match=said):
-        publishing_rates(*rates_hz)
+def test_rates_are_one_to_a_thousand_hertz(
+    asked: tuple[float | None, float | None], rates: tuple[float, float] | None
+) -> None:
+    if rates is None:
+        with pytest.raises(InputError):
+            publishing_rates(*asked)
+    else:
+        assert publishing_rates(*asked) == rates
 
 
 def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
@@ -367,3 +380,25 @@ def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> 
     assert after.foreign >= before.foreign + 3
     assert boards.complaints == ["another SYNC producer on bus0: no sums start in the 2 ms after each SYNC"]
     assert states(boards.measured[-1]) == [QUIET] * 4
+
+
+def test_the_newest_frame_of_each_bus_is_told(boards: BoardWorld) -> None:
+    first = boards.measured[0]
+    assert np.frombuffer(first.bus_sampled_ns, "<i8").tolist() == [0, 0]
+    boards.run(0.2)
+    before = np.frombuffer(boards.measured[-1].bus_sampled_ns, "<i8")
+    boards.touch(1, seed=5)
+    boards.run(0.2)
+    ended_ns = np.frombuffer(boards.measured[-1].bus_sampled_ns, "<i8")
+    assert ended_ns[0] > before[0]
+    assert ended_ns[1] == before[1]
+    assert boards.measured[-1].sampled_mono_ns == ended_ns.max()
+
+
+def test_frames_of_nobody_are_foreign(boards: BoardWorld) -> None:
+    before = boards.gateway.gathering.counts.foreign
+    strange = np.concatenate([frame(0x080, b"\1"), frame(0x7FF, b"\1")])
+    boards.gateway.gathering.take(0, strange, Health(), boards.now_s)
+    assert boards.gateway.gathering.counts.foreign == before + 2
+    assert boards.gateway.gathering.take_foreign_syncs(0) == 1
+    assert boards.gateway.gathering.take_foreign_syncs(0) == 0
