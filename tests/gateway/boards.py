@@ -30,7 +30,7 @@ from nodes.adaptive.sending import (
 from skin.layout import parse_layout
 from skin.walsh import GROUPS, grouped_rows
 from tests.bus.harness import frame
-from tests.gateway.world import Wire
+from tests.gateway.helpers import Wire
 
 #: Four patches of 4 x 8 taxels on two buses.
 SMALL = """

@@ -18,7 +18,7 @@ from tests.adaptive_messages import LAYOUT as ADAPTIVE
 from tests.adaptive_messages import adaptive_measurement
 from tests.calibration.helpers import pressed
 from tests.gateway.boards import small_adaptive
-from tests.gateway.world import World, small_contract
+from tests.gateway.helpers import World, small_contract
 
 
 class Asked:

@@ -4,7 +4,7 @@ import pytest
 
 from canskin.messages import SILENT
 from dbc.canopen import HEARTBEAT_BASE, NmtCommand, NmtState
-from tests.gateway.world import World, small_contract, valid
+from tests.gateway.helpers import World, small_contract, valid
 from tests.identity import IDENTITIES
 
 

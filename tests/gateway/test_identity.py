@@ -13,8 +13,7 @@ from gateway.collector import Collector
 from gateway.command import require_order
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
-from tests.gateway.test_loop import until_sync
-from tests.gateway.world import PERIOD_S, World, small_contract, valid
+from tests.gateway.helpers import PERIOD_S, World, small_contract, until_sync, valid
 from tests.identity import IDENTITIES
 
 PERIOD_NS = round(PERIOD_S * 1e9)

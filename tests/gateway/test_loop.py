@@ -11,7 +11,7 @@ from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from dbc.indices import OD_SIGNATURE
 from gateway.loop import LOOK_PERIOD_S
-from tests.gateway.world import PERIOD_S, STEP_S, EndOfWire, World, small_contract, valid
+from tests.gateway.helpers import PERIOD_S, STEP_S, EndOfWire, World, small_contract, until_sync, valid
 
 
 def is_sum(each: np.void) -> bool:
@@ -27,13 +27,6 @@ def cut(world: World, bus: int, node_id: int) -> None:
         and each["can_id"] & 0x7F == node_id
         and each["can_id"] != SYNC_COB_ID
     )
-
-
-def until_sync(world: World) -> None:
-    """Go on until a SYNC has been sent; the cycle stays open where a bus is held."""
-    sent = world.gateway.sync.sent
-    while world.gateway.sync.sent == sent:
-        world.step()
 
 
 def test_counter_comes_round_without_a_gap(world: World) -> None:

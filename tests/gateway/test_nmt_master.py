@@ -27,7 +27,7 @@ from gateway.nmt_master import DIALOGUES, PAUSES_S, TICK_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from skin.layout import parse_layout
 from tests.bus.harness import frame
-from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract, valid
+from tests.gateway.helpers import PERIOD_S, EndOfWire, World, small_contract, valid
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.

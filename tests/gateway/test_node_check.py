@@ -20,7 +20,7 @@ from nodes.sampler import new_sampler
 from nodes.synchronous_segment import SynchronousSegment
 from tests.bus.harness import frame
 from tests.gateway.boards import Board
-from tests.gateway.world import Shaking, Wire, small_contract
+from tests.gateway.helpers import Shaking, Wire, small_contract
 from tests.identity import IDENTITIES, with_identity
 
 STEP_S = 0.005

@@ -23,7 +23,7 @@ from gateway.nmt_master import TICK_S, NmtMaster, NodeRecord
 from gateway.sdo import Read, SdoTimeoutError, Transfer
 from skin.layout import load_layout, parse_layout
 from tests.bus.harness import frame
-from tests.gateway.world import small_contract
+from tests.gateway.helpers import small_contract
 
 #: The times that docs/bus.md promises.
 PROOF_PERIOD_S = 2.0

@@ -12,7 +12,7 @@ from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
 from gateway.sdo import SdoDialogue, Write
 from skin.layout import load_layout
-from tests.gateway.world import small_contract
+from tests.gateway.helpers import small_contract
 
 
 class Master:

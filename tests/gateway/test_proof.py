@@ -16,36 +16,13 @@ from dbc.indices import (
     OD_SYNC_OVERFLOW,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
     OD_WINDOW_US,
     SIGNATURE_SAVE,
 )
 from gateway.proof import prove
 from gateway.sdo import Read, SdoAbortedError
 from skin.layout import parse_layout
-from tests.gateway.world import PERIOD_S, SMALL, STEP_S, World, small_contract, valid
-
-
-def little(value: int, size: int = 4) -> bytes:
-    return value.to_bytes(size, "little")
-
-
-def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: bool = False) -> None:
-    """Swap the first two sums of a TPDO, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
-    node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
-    cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
-    entries = [each.data for each in configuration(world.contract, node) if each.index == OD_TPDO_MAPPING + tpdo]
-    count, first, second = entries[0], *(entries[2:0:-1] if back else entries[1:3])
-    communication, mapping = OD_TPDO_COMMUNICATION + tpdo, OD_TPDO_MAPPING + tpdo
-    for index, subindex, data in (
-        (communication, 1, little(cob_id | 0x8000_0000)),
-        (mapping, 0, b"\0"),
-        (mapping, 1, second),
-        (mapping, 2, first),
-        (mapping, 0, count),
-        (communication, 1, little(cob_id)),
-    ):
-        world.write(bus, node_id, index, subindex, data)
+from tests.gateway.helpers import PERIOD_S, SMALL, STEP_S, World, little, small_contract, swap_mapping, valid
 
 
 def deaf_to_writes(world: World, bus: int) -> None:

@@ -10,7 +10,9 @@ from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames
 from gateway.state_switch import StateSwitch
 from tests.bus.harness import frame
-from tests.gateway.test_states import CONTRACT
+from tests.gateway.helpers import two_states
+
+CONTRACT = two_states()
 
 #: Far from the next SYNC.
 FAR_S = 1e9

@@ -14,7 +14,6 @@ from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
 from canskin.state_messages import ImagesReply, ImagesRequest
 from dbc.board import board
 from dbc.canopen import STATE_COB_ID, SYNC_COB_ID, NmtCommand
-from dbc.contract import Contract
 from dbc.database import database
 from dbc.dictionary import SkinState
 from dbc.indices import OD_STATE
@@ -22,16 +21,9 @@ from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
 from skin.calibration_file import new_calibration
-from tests.gateway.world import EndOfWire, World, small_contract, valid
+from tests.gateway.helpers import EndOfWire, World, two_states, valid
 
-#: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.
-RECOGNISES = "sums = 32\n[recognition]\nrows = [[0, {0}], [1, {1}], [2, {2}]]\nrate_hz = 100.0"
 FAST_S = 0.01
-
-
-def two_states() -> Contract:
-    rows = [small_contract().phi.rows_of(block)[block] for block in range(3)]
-    return small_contract(measurement=RECOGNISES.format(*rows))
 
 
 CONTRACT = two_states()

@@ -11,7 +11,7 @@ from gateway.calibration import GatewayCalibration
 from gateway.temperatures import PERIOD_S
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, ZeroDrift
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.world import World, small_contract
+from tests.gateway.helpers import World, small_contract
 
 READ = b"\x40" + OD_TEMPERATURE.to_bytes(2, "little")
 

@@ -18,8 +18,7 @@ from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.test_disturbances import Losing
-from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract
+from tests.gateway.helpers import PERIOD_S, EndOfWire, Losing, World, small_contract
 from tests.recording.conftest import OFFSET_NS
 from tests.recording.test_replay import messages
 

@@ -1,5 +1,6 @@
 """A whole skin in one thread: real nodes and the real gateway on wires of arrays, with a clock that the test moves."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,13 +8,18 @@ from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from hypothesis import HealthCheck, Phase, settings
 
 from bus.link import State
 from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
+from dbc.configuration import configuration
 from dbc.contract import Contract
+from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, Frames, frames
+from dbc.indices import OD_RESTORE, OD_STORE, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
 from gateway.loop import GatewayLoop
+from gateway.nmt_master import LATER_S, PAUSES_S
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.synchronous_segment import SynchronousSegment
@@ -338,3 +344,127 @@ class World:
 
 def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:
     return np.frombuffer(measurement.valid, np.uint8) == 1
+
+
+def until_sync(world: World) -> None:
+    """Go on until a SYNC has been sent; the cycle stays open where a bus is held."""
+    sent = world.gateway.sync.sent
+    while world.gateway.sync.sent == sent:
+        world.step()
+
+
+#: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.
+RECOGNISES = "sums = 32\n[recognition]\nrows = [[0, {0}], [1, {1}], [2, {2}]]\nrate_hz = 100.0"
+
+
+def two_states() -> Contract:
+    rows = [small_contract().phi.rows_of(block)[block] for block in range(3)]
+    return small_contract(measurement=RECOGNISES.format(*rows))
+
+
+def little(value: int, size: int = 4) -> bytes:
+    return value.to_bytes(size, "little")
+
+
+def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: bool = False) -> None:
+    """Swap the first two sums of a TPDO, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
+    node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
+    cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
+    entries = [each.data for each in configuration(world.contract, node) if each.index == OD_TPDO_MAPPING + tpdo]
+    count, first, second = entries[0], *(entries[2:0:-1] if back else entries[1:3])
+    communication, mapping = OD_TPDO_COMMUNICATION + tpdo, OD_TPDO_MAPPING + tpdo
+    for index, subindex, data in (
+        (communication, 1, little(cob_id | 0x8000_0000)),
+        (mapping, 0, b"\0"),
+        (mapping, 1, second),
+        (mapping, 2, first),
+        (mapping, 0, count),
+        (communication, 1, little(cob_id)),
+    ):
+        world.write(bus, node_id, index, subindex, data)
+
+
+#: Disturbances in each of the four cases: the same ones in every run, or as many random ones as wanted.
+DISTURBANCES = int(os.environ.get("SKIN_DISTURBANCES", "2600"))
+
+
+RANDOM = settings(
+    derandomize="SKIN_DISTURBANCES" not in os.environ,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+    phases=(Phase.explicit, Phase.generate),  # to shrink an example takes longer than all tests
+)
+
+
+#: After the last disturbance and the pause of a node that is out: a heartbeat, another pause, a proof that runs out.
+BOUND_S = 1.0 + max(PAUSES_S) + 5.0
+
+
+class Losing:
+    """Loses frames at random at one end of a wire; own frames always come back."""
+
+    def __init__(self, end: EndOfWire, ratio: float, seed: int) -> None:
+        self._end, self._ratio, self._random = end, ratio, np.random.default_rng(seed)
+
+    def __call__(self, end: EndOfWire, each: np.void) -> bool:
+        return end is self._end and not each["flags"] & ECHO and self._random.random() < self._ratio
+
+
+def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
+    """Do one thing to the skin; return the blocks it may have changed."""
+    match what:
+        case ("write" | "write in segments" as how, (bus, node_id), (index, subindex, size), data):
+            write = world.write if how == "write" else world.write_in_segments
+            write(bus, node_id, index, subindex, data.ljust(size, b"\0")[:size])
+        case ("request", (bus, node_id), command, (index, subindex, _), data):
+            world.request(bus, node_id, command, index, subindex, data)
+        case ("swap", (bus, node_id), tpdo):
+            swap_mapping(world, bus, node_id, tpdo % len(world.contract.nodes[0].tpdos))
+        case ("pattern", (bus, node_id), pattern):
+            world.write(bus, node_id, 0x2021, 0, bytes((pattern,)))
+        case ("nmt", bus, command, node_id):
+            world.nmt(bus, command, node_id)
+            return [bus * 2, bus * 2 + 1]
+        case ("store", (bus, node_id)):
+            world.write(bus, node_id, OD_STORE, 1, little(SIGNATURE_SAVE))
+        case ("restore", (bus, node_id)):
+            world.write(bus, node_id, OD_RESTORE, 1, little(SIGNATURE_LOAD))
+        case ("sync", bus, counter):
+            world.wires[bus].put(0x80, bytes((counter,)))
+            return [bus * 2, bus * 2 + 1]
+        case ("lose", bus, ratio, seed):
+            wire: Wire = world.wires[bus]
+            wire.loses = Losing(wire.gateway if gateway_loses else wire.nodes, ratio, seed)
+            return []
+        case _:
+            return []
+    return [bus * 2 + node_id - 1]
+
+
+def drive(world: World, actions: list[tuple], *, gateway_loses: bool, pause_s: float = STEP_S) -> None:
+    """Disturb a skin again and again, `pause_s` apart; then let it become whole."""
+    world.until_whole(2.0)
+    changed_s = np.full(world.contract.phi.blocks, -np.inf)
+    limit_s = max(master.proof_limit_s for master in world.gateway.masters.values())
+    for what in actions:
+        for block in disturb(world, what, gateway_loses=gateway_loses):
+            changed_s[block] = world.now_s
+        for each in world.run(pause_s):
+            for block in world.wrong_blocks(each):
+                ago_s = world.now_s - changed_s[block]
+                assert gateway_loses, f"block {block} is wrong"
+                assert ago_s < limit_s, f"block {block} is wrong, changed {ago_s:.2f} s ago"
+    for wire in world.wires:
+        wire.loses = None
+    world.run(SILENT_AFTER_S)  # the next heartbeat shows a command that the gateway has lost
+    skip_pauses(world)
+    world.until_whole(BOUND_S)
+
+
+def skip_pauses(world: World) -> None:
+    """Check that no node is left out for longer than the longest pause; go on as if that pause were over."""
+    for master in world.gateway.masters.values():
+        for each in master.nodes.values():
+            if not each.in_use:
+                assert each.prove_at_s <= world.now_s + LATER_S
+                each.prove_at_s, each.tries = min(each.prove_at_s, world.now_s), 0
