@@ -6,6 +6,7 @@ settles what stands on the skin, and when that has gone.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Literal
 
 import msgspec
@@ -189,7 +190,8 @@ class Calibrator:
         self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
         self._defects = DefectFinder(phi, taxels.columns, QUIET_COUNTS * sum_step_n(layout), say)
         self._taring = Taring(self._finder, least_noise_n(layout))
-        self._temperature = TemperatureModel(phi.blocks)
+        temperature = TemperatureModel(phi.blocks)
+        self._new_zero = partial(FollowedZero, layout, self._finder, temperature, self._windows.length_ns)
         self._log = ZeroLog(say, taxels.columns, taxels.force_max_n)
         self._corrections = Corrections(layout)
         self._followed: FollowedZero | None = None
@@ -219,7 +221,8 @@ class Calibrator:
         """Take stored offsets, shape (m,), newtons; NaN for unknown ones."""
         known = np.isfinite(offsets_n)
         self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
-        self._begin(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, ZeroSupport.STORED)
+        level_n = np.where(known, offsets_n, 0.0)
+        self._use(self._new_zero(level_n, np.zeros(known.size), known, ZeroSupport.STORED, self._newest_ns))
         if not self._tares:
             self.state = CalibrationState.LOADED
 
@@ -338,11 +341,12 @@ class Calibrator:
             return status
         zero, doubt, support = self._followed.zero, self._followed.doubt, self._followed.support
         known_n = zero.follower.level_n[zero.follower.known]
+        per_s = 1e9 / self._windows.length_ns
         return msgspec.structs.replace(
             status,
             known_sums=known_n.size,
             offset_rms_n=rms(known_n),
-            drift_rms_n_per_s=rms(zero.follower.slope_n) * (1e9 / self._windows.length_ns),
+            drift_rms_n_per_s=rms(zero.follower.slope_n) * per_s,
             held_blocks=int(zero.held.sum()),
             zero_support=support.of_blocks.tobytes(),
             zero_mono_ns=support.since_ns.astype("<i8").tobytes(),
@@ -378,9 +382,12 @@ class Calibrator:
         known, level_n = found.known, found.level_n - self._noise.bias_n
         slope_n = found.slope_n if self._tares else np.zeros_like(level_n)  # nothing follows the drift then
         support = ZeroSupport.TOLD if self._taring.forced else ZeroSupport.MEASURED
-        offsets_n = np.where(known, level_n, 0.0)
-        begun = self._begin(offsets_n, slope_n, known, support, age=TARE_WINDOWS, noise_n=found.noise_n)
+        level_n = np.where(known, level_n, 0.0)
+        begun = self._new_zero(
+            level_n, slope_n, known, support, self._newest_ns, age=TARE_WINDOWS, noise_n=found.noise_n
+        )
         begun.centre_ns = self._newest_ns
+        self._use(begun)
         self._end(
             f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
             f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise.noise_n:.2f} mN"
@@ -427,37 +434,14 @@ class Calibrator:
     def _drop(self) -> None:
         """Go on without a zero; where the boards take theirs off, with a zero of 0."""
         if self._is_own:
-            self._followed = None
-            self._corrections.take(None, tares=self._tares)
+            self._use(None)
             return
         zeros = np.zeros(self._phi.shape[0])
-        self._begin(zeros, zeros, zeros == 0, ZeroSupport.STORED, age=1)
+        self._use(self._new_zero(zeros, zeros, zeros == 0, ZeroSupport.STORED, self._newest_ns, age=1))
         if self._tares:
             self.state = CalibrationState.FOLLOWING
 
-    def _begin(
-        self,
-        level_n: Floats,
-        slope_n: Floats,
-        known: Bools,
-        support: ZeroSupport,
-        *,
-        age: int = 0,
-        noise_n: float = 0.0,
-    ) -> FollowedZero:
-        """Begin with a zero."""
-        self._followed = FollowedZero(
-            self._layout,
-            self._finder,
-            self._temperature,
-            self._windows.length_ns,
-            level_n=level_n,
-            slope_n=slope_n,
-            known=known,
-            support=support,
-            time_ns=self._newest_ns,
-            age=age,
-            noise_n=noise_n,
-        )
-        self._corrections.take(self._followed, tares=self._tares)
-        return self._followed
+    def _use(self, followed: FollowedZero | None) -> None:
+        """Go on with another zero."""
+        self._followed = followed
+        self._corrections.take(followed, tares=self._tares)

@@ -107,18 +107,18 @@ class FollowedZero:
         Whether a force was doubtful before the newest window.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0917 - one half is given once
         self,
         layout: Layout,
         finder: FieldFinder,
         temperature: TemperatureModel,
         length_ns: int,
-        *,
         level_n: Floats,
         slope_n: Floats,
         known: Bools,
         support: ZeroSupport,
         time_ns: int,
+        *,
         age: int = 0,
         noise_n: float = 0.0,
     ) -> None:

@@ -11,7 +11,7 @@ WINDOW_S: Final = 0.25
 LEAST_CYCLES: Final = 8
 #: Windows over which the zero is measured.
 TARE_WINDOWS: Final = 8
-#: A sum counts after it has been valid for so long: nodes that average learn their noise first.
+#: From the moment a sum is valid until it counts: nodes that average learn their noise first.
 SETTLE_S: Final = 0.5
 #: Part of a window's cycles in which a sum has to be valid to count.
 LEAST_PART: Final = 0.5

@@ -64,18 +64,12 @@ _Action = Callable[["NmtMaster", "NodeRecord", float, str], None]
 class NodeState(IntEnum):
     """How far a node has come; from `IN_USE` on, its sums are used."""
 
-    #: Not in use: never heard, lost, or silent. The next proof begins after a pause.
-    WAITING = auto()
-    #: Not in use, and a proof is under way.
-    CHECKED = auto()
-    #: Not in use: its configuration is not that of the layout. It is proven again after a minute.
-    REFUSED = auto()
-    #: Refused, and a proof is under way.
-    REFUSED_CHECKED = auto()
-    #: Proven and started.
-    IN_USE = auto()
-    #: In use, and proven again in its turn.
-    IN_USE_CHECKED = auto()
+    WAITING = auto()  #: Not in use: never heard, lost, or silent. The next proof begins after a pause.
+    CHECKED = auto()  #: Not in use, and a proof is under way.
+    REFUSED = auto()  #: Not in use: its configuration is not that of the layout. It is proven again after a minute.
+    REFUSED_CHECKED = auto()  #: Refused, and a proof is under way.
+    IN_USE = auto()  #: Proven and started.
+    IN_USE_CHECKED = auto()  #: In use, and proven again in its turn.
 
 
 #: States with an open proof, and of nodes whose sums must not be used.
@@ -86,34 +80,20 @@ _REFUSED: Final = (NodeState.REFUSED, NodeState.REFUSED_CHECKED)
 class Event(Enum):
     """What happens to a node."""
 
-    #: The time of its next proof has come.
-    DUE = auto()
-    #: The proof has found a difference, and goes on.
-    DIFFERENT = auto()
-    #: The proof has ended: the configuration is right.
-    RIGHT = auto()
-    #: The proof has ended: the configuration is wrong, and stays so.
-    WRONG = auto()
-    #: The proof has ended without an answer.
-    UNANSWERED = auto()
-    #: Boot-up message.
-    BOOTED = auto()
-    #: First heartbeat after silence.
-    HEARD = auto()
-    #: A heartbeat, or a command of another master, says that the node has left OPERATIONAL.
-    LEFT = auto()
-    #: A refused node is OPERATIONAL.
-    RUNNING = auto()
-    #: The heartbeat is overdue.
-    LOST = auto()
-    #: The newest proof is too old.
-    OUTDATED = auto()
-    #: The node answers every SYNC with the PDOs of the other phase.
-    SWAPPED = auto()
-    #: Another master writes the configuration.
-    WRITTEN = auto()
-    #: Another master uses the SDO channel: a node answers one client at a time.
-    BUSY = auto()
+    DUE = auto()  #: The time of its next proof has come.
+    DIFFERENT = auto()  #: The proof has found a difference, and goes on.
+    RIGHT = auto()  #: The proof has ended: the configuration is right.
+    WRONG = auto()  #: The proof has ended: the configuration is wrong, and stays so.
+    UNANSWERED = auto()  #: The proof has ended without an answer.
+    BOOTED = auto()  #: Boot-up message.
+    HEARD = auto()  #: First heartbeat after silence.
+    LEFT = auto()  #: A heartbeat, or a command of another master, says that the node has left OPERATIONAL.
+    RUNNING = auto()  #: A refused node is OPERATIONAL.
+    LOST = auto()  #: The heartbeat is overdue.
+    OUTDATED = auto()  #: The newest proof is too old.
+    SWAPPED = auto()  #: The node answers every SYNC with the PDOs of the other phase.
+    WRITTEN = auto()  #: Another master writes the configuration.
+    BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
 
 
 @dataclass

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gateway.calibration
+from calibration.calibrator import Calibrator
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState
 from canskin.errors import InputError
 from canskin.messages import Measurement
@@ -220,8 +221,13 @@ def test_adaptive_boards_look_after_their_zero() -> None:
 def test_adaptive_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """However often they come: the newest hold, also when their newest frame is old."""
     calibration, looks = GatewayCalibration(Contract.from_layout(ADAPTIVE)), list[int]()
-    take = calibration._calibrator.take
-    monkeypatch.setattr(calibration._calibrator, "take", lambda each: (looks.append(each.sampled_mono_ns), take(each)))
+    take = Calibrator.take
+
+    def look(calibrator: Calibrator, each: Measurement) -> None:
+        looks.append(each.sampled_mono_ns)
+        take(calibrator, each)
+
+    monkeypatch.setattr(Calibrator, "take", look)
     force_n, replies = pressed(20, 20, 9, 0.005), list[CalibrationReply]()
     came = adaptive_measurement(force_n, layout=ADAPTIVE, sampled_mono_ns=1)
     for milliseconds in range(6000):

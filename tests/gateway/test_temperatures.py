@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.calibrator import Calibrator
 from dbc.canopen import SDO_REQUEST_BASE
 from dbc.indices import OD_TEMPERATURE
 from gateway.calibration import GatewayCalibration
@@ -23,7 +24,7 @@ class Warm:
         self.world = world
         self.calibration = GatewayCalibration(world.contract, tares=False)
         self.taken: list[np.ndarray] = []
-        monkeypatch.setattr(self.calibration._calibrator, "take_temperatures", self.taken.append)
+        monkeypatch.setattr(Calibrator, "take_temperatures", lambda _, kelvin: self.taken.append(kelvin))
 
     def run(self, seconds: float) -> np.ndarray:
         until_s = self.world.now_s + seconds
