@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bus.error_frames import ErrorClass
 from bus.link import State
 from canskin.errors import InputError
 from canskin.messages import BlockState
@@ -11,7 +10,6 @@ from dbc.adaptive import GROUP_SUMS, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
-from dbc.frame import ERROR
 from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
 from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
@@ -211,28 +209,6 @@ def test_controller_that_was_off_the_bus_makes_it_stale(boards: BoardWorld, why:
     assert boards.until_whole(1.0) <= 0.05
     assert [len(board.asked) for board in boards.boards] == [0, 0, 1, 1]
     assert holds_what_boards_hold(boards)
-
-
-@pytest.mark.parametrize(
-    ("why", "control"), [(ErrorClass.BUS_OFF, 0), (ErrorClass.RESTARTED, 0), (ErrorClass.CONTROLLER, 0x01)]
-)
-def test_controller_reports_a_gap_that_is_over(boards: BoardWorld, why: ErrorClass, control: int) -> None:
-    """Bus-off and return within one turn, or an overflow of the controller's own buffer."""
-    at_rest(boards)
-    report = frame(int(why), bytes((0, control, 0, 0, 0, 0, 0, 0)), ERROR)
-    boards.gateway.take(0, report, boards.now_s, stamp_error_ns=0)
-    (came,) = boards.gateway.measurements(boards.gateway.due_s)
-    assert states(came) == [STALE, STALE, QUIET, QUIET]
-    boards.until_whole(0.1)
-
-
-def test_other_reports_of_the_controller_change_nothing(boards: BoardWorld) -> None:
-    at_rest(boards)
-    boards.gateway.take(
-        0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s, stamp_error_ns=0
-    )
-    boards.run(0.2)
-    assert states(boards.measured[-1]) == [QUIET] * 4
 
 
 def test_fine_frame_that_does_not_fit_has_its_group_asked_for(boards: BoardWorld) -> None:

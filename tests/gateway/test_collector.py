@@ -127,31 +127,6 @@ def test_syncs_that_waited_in_the_controller_spoil_their_bus() -> None:
     assert late.valid[32:].all()
 
 
-@pytest.mark.parametrize(("gap_ns", "is_valid"), [(3_999_999, False), (4_000_000, True)])
-def test_syncs_closer_than_four_tenths_of_a_period_spoil_their_bus(gap_ns: int, is_valid: bool) -> None:
-    collector = new_collector()
-    for counter, end_ns in ((1, 50_000_000), (2, 50_000_000 + gap_ns)):
-        collector.open(counter)
-        start = echo(counter)
-        start["time_ns"] = end_ns
-        collector.take(0, np.concatenate((start, burst(0, counter))), 0)
-    assert collector.close(2).valid[:32].all() == is_valid
-
-
-def test_node_that_answers_with_the_other_phase_five_times_is_found_once() -> None:
-    collector, found = new_collector(), []
-    for counter in range(1, 12):
-        collector.open(counter)
-        sent, other = burst(0, counter), burst(0, next_counter(counter))
-        of_node_3 = TABLE.node[TABLE.row_of[0, sent["can_id"]]] == 2
-        collector.take(0, np.concatenate((echo(counter), sent[~of_node_3], other[of_node_3])), 0)
-        collector.close(counter)
-        found.append(collector.take_swapped())
-        assert collector.take_swapped() == []
-    assert [counter for counter, nodes in enumerate(found, 1) if nodes == [2]] == [5, 10]
-    assert sum(map(len, found)) == 2
-
-
 def changed(sent: Frames, **values: int) -> Frames:
     """Return the first frame of a burst with other `flags` or `length`."""
     frame_0 = sent[:1].copy()

@@ -208,17 +208,6 @@ def test_skin_of_can_fd_becomes_whole() -> None:
     assert (counts.missing, counts.malformed, counts.late) == (0, 0, 0)
 
 
-def test_bus_that_refuses_syncs_says_why_once_and_when_it_is_over(world: World) -> None:
-    end: EndOfWire = world.wires[0].gateway
-    end.takes = False
-    world.run(3 * PERIOD_S)
-    assert not valid(world.measured[-1])[:2].any()
-    assert valid(world.measured[-1])[2:].all()
-    end.takes = True
-    world.run(PERIOD_S)
-    assert [line for line in world.lines if "SYNC" in line] == ["bus0 takes SYNC again, after 3 that it did not take"]
-
-
 def test_analogue_sums_at_the_end_of_their_converter_are_not_usable() -> None:
     world = World(small_contract(taxels='frontend = "analogue"'))
     world.until_whole(2.0)
