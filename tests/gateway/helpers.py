@@ -23,43 +23,15 @@ from gateway.nmt_master import LATER_S, PAUSES_S
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.synchronous_segment import SynchronousSegment
-from skin.layout import parse_layout
 from skin.measurement import Sbhe
 from skin.sources import Frame
 from skin.taxel import to_counts
 from tests.bus.harness import frame
+from tests.layouts import small_contract
 
-#: Four blocks of 32 taxels, two sums in each of two frames per block, on two buses.
-SMALL = """
-name = "small"
-{top}
-[taxels]
-rows = 8
-columns = 16
-{taxels}
-[measurement]
-{measurement}
-[sync]
-rate_hz = 20.0
-identity = "{identity}"
-[[bus]]
-name = "bus0"
-{bus}
-[[bus]]
-name = "bus1"
-{bus}
-"""
 PERIOD_S = 0.05
 #: Nodes look at time between two SYNCs only.
 STEP_S = PERIOD_S / 2
-
-
-def small_contract(
-    top: str = "", bus: str = "nodes = 2", identity: str = "window", measurement: str = "sums = 32", taxels: str = ""
-) -> Contract:
-    """Return the contract of the small skin, with more lines at its `top` or in `taxels`, or others in its tables."""
-    text = SMALL.format(top=top, bus=bus, identity=identity, measurement=measurement, taxels=taxels)
-    return Contract.from_layout(parse_layout(text.encode(), "small"))
 
 
 class Shaking:
@@ -353,13 +325,11 @@ def until_sync(world: World) -> None:
         world.step()
 
 
-#: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.
-RECOGNISES = "sums = 32\n[recognition]\nrows = [[0, {0}], [1, {1}], [2, {2}]]\nrate_hz = 100.0"
-
-
 def two_states() -> Contract:
-    rows = [small_contract().phi.rows_of(block)[block] for block in range(3)]
-    return small_contract(measurement=RECOGNISES.format(*rows))
+    """Return a skin with five SYNCs of recognition in a period of images; one of its four nodes has no sum in it."""
+    phi = small_contract().phi
+    rows = [[block, int(phi.rows_of(block)[block])] for block in range(3)]
+    return small_contract(recognition={"rows": rows, "rate_hz": 100.0})
 
 
 def little(value: int, size: int = 4) -> bytes:

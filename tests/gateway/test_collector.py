@@ -15,7 +15,7 @@ from gateway.collector import Collector, Gathered
 from skin.layout import load_layout
 from skin.sync_counter import next_counter
 from tests.bus.harness import frame
-from tests.identity import alternating
+from tests.layouts import alternating
 
 CONTRACT = Contract.from_layout(alternating(load_layout()))
 TABLE = CONTRACT.table

@@ -14,6 +14,7 @@ from gateway import command
 from skin.calibration_file import new_calibration, save_calibration
 from skin.layout import load_layout
 from skin.service import StopSignal
+from tests.layouts import ADAPTIVE_SKIN
 
 
 class Parts:
@@ -97,7 +98,7 @@ def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(
 ) -> None:
     parts = Parts(monkeypatch)
     path = tmp_path / "it.json"
-    save_calibration(path, new_calibration(load_layout(Path("adaptive"), adaptive=True)))
+    save_calibration(path, new_calibration(ADAPTIVE_SKIN))
     with pytest.raises(InputError, match="the calibration of another layout"):
         command.gateway(calibration=path)
     save_calibration(path, new_calibration(load_layout(), gains=np.ones(4096)))

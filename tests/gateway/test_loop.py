@@ -11,7 +11,8 @@ from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from dbc.indices import OD_SIGNATURE
 from gateway.loop import LOOK_PERIOD_S
-from tests.gateway.helpers import PERIOD_S, STEP_S, EndOfWire, World, small_contract, until_sync, valid
+from tests.gateway.helpers import PERIOD_S, STEP_S, EndOfWire, World, until_sync, valid
+from tests.layouts import buses, small_contract
 
 
 def is_sum(each: np.void) -> bool:
@@ -190,7 +191,7 @@ def test_node_that_sends_sums_is_awaited_though_its_heartbeat_is_lost(world: Wor
 
 
 def test_all_blocks_of_a_node_are_used_and_given_up_together() -> None:
-    world = World(small_contract(bus="nodes = 1\nblocks_per_node = 2"))
+    world = World(small_contract(bus=buses(1, 1, blocks_per_node=2)))
     world.until_whole(2.0)
     world.nmt(0, NmtCommand.STOP, 1)
     came = world.run(2 * PERIOD_S)
@@ -200,7 +201,7 @@ def test_all_blocks_of_a_node_are_used_and_given_up_together() -> None:
 
 
 def test_skin_of_can_fd_becomes_whole() -> None:
-    world = World(small_contract(bus="nodes = 1\nblocks_per_node = 2\nfd = true\ndata_bitrate = 4000000"))
+    world = World(small_contract(bus=buses(1, 1, blocks_per_node=2, fd=True, data_bitrate=4_000_000)))
     world.until_whole(2.0)
     came = world.run(1.0)
     assert all(valid(each).all() and not world.wrong_blocks(each) for each in came)
@@ -209,7 +210,7 @@ def test_skin_of_can_fd_becomes_whole() -> None:
 
 
 def test_analogue_sums_at_the_end_of_their_converter_are_not_usable() -> None:
-    world = World(small_contract(taxels='frontend = "analogue"'))
+    world = World(small_contract(taxels={"frontend": "analogue"}))
     world.until_whole(2.0)
     found = set()
     for each in world.run(1.0):

@@ -15,7 +15,7 @@ from gateway.nmt_master import TICK_S, NmtMaster, NodeRecord
 from gateway.sdo import Read, SdoTimeoutError, Transfer
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.gateway.helpers import small_contract
+from tests.layouts import buses, small_contract
 
 #: The times that docs/bus.md promises.
 PROOF_PERIOD_S = 2.0
@@ -408,7 +408,7 @@ def test_a_proof_holds_from_its_oldest_read(small: Contract) -> None:
 
 def alone() -> Boards:
     """Return the only node of a bus, proven, whose proofs begin every 2 s."""
-    built = Boards(small_contract(bus="nodes = 1\nblocks_per_node = 2"))
+    built = Boards(small_contract(bus=buses(1, 1, blocks_per_node=2)))
     built.run(0.5)
     assert built.trusted() == [1]
     return built
@@ -509,7 +509,7 @@ class Bench:
     """The gateway's NMT master, and node 1, which answers what it is asked at once; alone on its bus."""
 
     def __init__(self) -> None:
-        contract = small_contract(bus="nodes = 1\nblocks_per_node = 2")
+        contract = small_contract(bus=buses(1, 1, blocks_per_node=2))
         (node,) = contract.on_bus(0)
         self.signature = expected_signature(configuration(contract, node))
         self.now_s = 0.0

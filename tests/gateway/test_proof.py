@@ -1,5 +1,7 @@
 """What a node's PDOs carry is proven before it counts."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -21,8 +23,8 @@ from dbc.indices import (
 )
 from gateway.proof import prove
 from gateway.sdo import Read, SdoAbortedError
-from skin.layout import parse_layout
-from tests.gateway.helpers import PERIOD_S, SMALL, STEP_S, World, little, small_contract, swap_mapping, valid
+from tests.gateway.helpers import PERIOD_S, STEP_S, World, little, swap_mapping, valid
+from tests.layouts import small_contract
 
 
 def deaf_to_writes(world: World, bus: int) -> None:
@@ -50,7 +52,7 @@ def test_swapped_mapping_that_was_saved_never_counts(world: World) -> None:
 
 
 def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
-    world = World(small_contract('configure = "refuse"'))
+    world = World(small_contract(configure="refuse"))
     world.until_whole(2.0)
     swap_mapping(world, 0, 1)
     check(world, 3.0)
@@ -68,7 +70,7 @@ def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
 @pytest.mark.parametrize("started", [False, True], ids=["doubted", "started by another master"])
 def test_refused_node_sends_nothing_under_identifiers_of_another_node(started: bool) -> None:
     """Else its sums would be those of a node that misses a SYNC."""
-    world = World(small_contract('configure = "refuse"'))
+    world = World(small_contract(configure="refuse"))
     world.until_whole(2.0)
     first, second = world.contract.on_bus(0)
     for place, (tpdo, other) in enumerate(zip(second.tpdos, first.tpdos, strict=True)):
@@ -212,19 +214,18 @@ def test_another_device_is_refused_by_name(small: Contract, index: int, answer: 
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("changed", "words"),
     [
-        (("[sync]", "[encoding]\noffset_binary = true\n[sync]"), "2005h:0 (Encoding"),
-        (("sums = 32", "sums = 32\nseed = 2"), "2002h:0 (Fingerprint"),
-        (("[taxels]", '[taxels]\nfrontend = "analogue"'), "2005h:0 (Encoding"),
+        ({"encoding": {"offset_binary": True}}, "2005h:0 (Encoding"),
+        ({"measurement": {"seed": 2}}, "2002h:0 (Fingerprint"),
+        ({"taxels": {"frontend": "analogue"}}, "2005h:0 (Encoding"),
     ],
     ids=["encoding", "seed of Φ", "front end"],
 )
 def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
-    small: Contract, change: tuple[str, str], words: str
+    small: Contract, changed: dict[str, Any], words: str
 ) -> None:
-    text = SMALL.format(top="", bus="nodes = 2", identity="window", measurement="sums = 32", taxels="")
-    other = Contract.from_layout(parse_layout(text.replace(*change).encode(), "other"))
+    other = small_contract(**changed)
     world = World(small, built=other)
     world.segments[1] = world.new_segment(1, small)
     world.segments[1].boot(world.now_s)

@@ -21,6 +21,7 @@ from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
 from skin.calibration_file import new_calibration
+from tests import messages as make
 from tests.gateway.helpers import EndOfWire, World, two_states, valid
 
 FAST_S = 0.01
@@ -280,9 +281,8 @@ def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
     for cycle in range(round(300 / period_s)):
         now_s = cycle * period_s
         sums = np.rint(drift_n_per_s * now_s / newton_per_count).astype("<i4")
-        each = Measurement(
-            cycle=cycle,
-            sync_counter=1,
+        each = make.measurement(
+            cycle,
             sampled_mono_ns=round((100 + now_s) * 1e9),
             sums=sums.tobytes(),
             valid=np.full(phi.blocks, came, np.uint8).tobytes(),  # not in the first cycle of images
