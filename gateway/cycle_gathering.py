@@ -11,9 +11,10 @@ from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
-from gateway.collector import Collector, slot_of
+from gateway.collector import Collector
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
+from gateway.open_cycles import slot_of
 
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9

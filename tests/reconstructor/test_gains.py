@@ -13,7 +13,7 @@ from canskin.messages import IMAGE, Image, Topic
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.imaging import CycleImager, load_gains, make_imager
 from reconstructor.service import ReconstructorService
-from skin.calibration_file import save_calibration, store
+from skin.calibration_file import new_calibration, save_calibration
 from skin.defects import Mismatch, SumGains
 from skin.frontend import with_gains
 from skin.layout import Sampling, load_layout
@@ -61,11 +61,11 @@ def test_gains_cost_little_when_they_are_known() -> None:
 
 def test_gains_come_from_a_calibration(tmp_path: Path) -> None:
     path = tmp_path / "gains.json"
-    save_calibration(path, store(LAYOUT, gains=GAINS.ravel()))
+    save_calibration(path, new_calibration(LAYOUT, gains=GAINS.ravel()))
     loaded = load_gains(path, LAYOUT)
     np.testing.assert_array_equal(loaded.taxels, GAINS.ravel())
     assert loaded.sums is None
-    save_calibration(path, store(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums)))
+    save_calibration(path, new_calibration(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums)))
     with pytest.raises(InputError, match="has no gains of taxels"):
         load_gains(path, LAYOUT)
     with pytest.raises(InputError, match="synchronous"):

@@ -18,8 +18,7 @@ from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.helpers import Losing
-from tests.gateway.world import PERIOD_S, EndOfWire, World
+from tests.gateway.helpers import PERIOD_S, EndOfWire, Losing, World
 from tests.layouts import small_contract
 from tests.recording.conftest import OFFSET_NS
 from tests.recording.helpers import messages
