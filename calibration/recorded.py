@@ -42,8 +42,7 @@ class RecordedOffsets:
         for entry in read_entries(path, lambda _: None):
             if entry.topic != MEASUREMENT.name:
                 continue
-            recorded: Measurement = decode(entry.data)
-            check_measurement(recorded, phi)
+            recorded = check_measurement(decode(entry.data), phi, Measurement)
             used = recorded.offsets, recorded.usable
             if used != (self._used[-1] if self._used else (b"", b"")):
                 self._from_ns.append(recorded.sampled_mono_ns + offset_ns - early_ns)

@@ -14,6 +14,7 @@ from classifier.model import Model
 from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
+from classifier.used_sums import USED_SUMS
 from skin.measurement import Sbhe
 
 #: Weight of the newest cycle in the settled decision: two clear cycles in a row change the label.
@@ -67,7 +68,8 @@ class Classifier:
         about = model.metadata
         self._model = model
         self._labels = (*about.classes, "")
-        self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=about.sending == "adaptive")
+        means = USED_SUMS[about.sending].means
+        self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=means)
         self._newest = NewestSums(phi, about.cycles)
         self._features = np.zeros(model.offset.size)
         self._completion: Completion | None = None

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import Measurement, Truth
+from canskin.messages import CycleMeasurement, Measurement, Truth
 from classifier.decide import Classifier
 from classifier.model import Model
 from dbc.packing import packing
@@ -61,9 +61,9 @@ class Nodes:
         self.time_ns = self._clock_ns()
         return self._sampler.sample(self.counter, self.time_ns)
 
-    def measurement(self, counts: npt.NDArray[np.int32]) -> Measurement:
+    def measurement(self, counts: npt.NDArray[np.int32]) -> CycleMeasurement:
         """Return the measurement of the newest cycle; no frame was lost."""
-        return Measurement(
+        return CycleMeasurement(
             cycle=self.cycle,
             sync_counter=self.counter,
             sampled_mono_ns=self.time_ns,

@@ -105,7 +105,7 @@ def demo(
         picture=picture,
         firmware=firmware,
     )
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     options.check(skin)
     try:
         with run_folder() as folder:

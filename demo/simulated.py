@@ -19,12 +19,11 @@ from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from classifier.service import ClassifierService
 from demo.chain import REST_S, Nodes
-from reconstructor.command import make_engine
-from reconstructor.contacts import ContactTracker
-from reconstructor.service import ReconstructorService
+from reconstructor.imaging import make_imager
+from reconstructor.service import ReconstructorService, warm_up
 from skin.clock import wall_offset
 from skin.description import describe
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_sending
 from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_names, step_rate_hz
 
 
@@ -38,10 +37,9 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
     """
     if isinstance(objects, str):
         raise InputError(f"objects: expected a list of names, such as ['{objects}'], got '{objects}'")
-    skin = load_layout(None if layout is None else Path(layout), adaptive=True)
+    skin = load_layout(None if layout is None else Path(layout))
     skin = msgspec.structs.replace(skin, recognition=None)  # every cycle is one of images
-    if skin.sending == "adaptive":
-        raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
+    require_sending(skin, "synchronous", "simulate() is", "use 'skin demo'")
     if objects is not None and not objects:
         raise InputError("objects: expected a list of names, got an empty list")
     return SimulatedSkin(skin, list(object_names(objects or DEFAULT_OBJECTS)), seed)
@@ -67,16 +65,15 @@ class SimulatedSkin(Skin):
 
     def __init__(self, skin: Layout, objects: list[str], seed: int) -> None:
         super().__init__(describe(skin), float("inf"))
-        taxels, phi = skin.taxels, skin.phi()
-        engine, _ = make_engine(skin, None)
-        engine.warm_up()
-        ContactTracker(taxels.rows, taxels.columns).warm_up()
+        phi = skin.phi()
+        imager = make_imager(skin)
+        warm_up(skin, imager)
         source = load_objects(skin, names=objects, seed=seed, rest_s=REST_S)
         self._nodes = Nodes(skin, source, seed=seed, clock_ns=time.monotonic_ns)
         self._messages = _Messages()
-        self._reconstructor = ReconstructorService(skin, engine, self._messages)
+        self._reconstructor = ReconstructorService(skin, imager, self._messages)
         trained = find_or_train(skin, phi, known_objects(objects))
-        self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages, keeps_time=False)
+        self._classifier = ClassifierService(Classifier(trained, phi), skin, self._messages, keeps_time=False)
         self._builder = FrameBuilder(self.layout)
         self._lock = threading.Lock()
         for _ in range(round(REST_S * step_rate_hz(skin))):

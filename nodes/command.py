@@ -119,7 +119,7 @@ def nodes(
         except OSError as error:
             raise InputError(f"--store {store}: expected a folder that can be written: {error.strerror}") from error
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     defects = parse_defects(defect or (), seed, is_analogue=skin.taxels.is_analogue)
     defects |= parse_drifts(drift or (), seed, skin)
     contract = Contract.from_layout(skin)

@@ -23,7 +23,7 @@ from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from recording.steps import frames_of_log
-from skin.layout import load_layout, require_one_state
+from skin.layout import load_layout, require_one_state, require_sending
 from skin.output import RECORDING_SUFFIX
 from skin.recording_options import ArrayNames, FullScale
 from skin.service import say
@@ -97,6 +97,7 @@ def rebuild(
         layout = source
     skin = load_layout(layout)
     require_one_state(skin, "'skin rebuild'")
+    require_sending(skin, "synchronous", "'skin rebuild' is", "'skin replay --out' makes the images of adaptive sums")
     contract = Contract.from_layout(skin)
     stored = None if calibration == NO_CALIBRATION else calibration
     calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")

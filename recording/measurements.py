@@ -3,13 +3,13 @@
 from collections import deque
 from collections.abc import Collection, Iterable
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
 from calibration.calibrator import Calibrator
-from canskin.messages import GATEWAY, Measurement
+from canskin.messages import GATEWAY, AdaptiveMeasurement, CycleMeasurement, Measurement
 from dbc.contract import Contract
 from dbc.frame import Frames
 from gateway.playback import AdaptivePlayback, Playback
@@ -28,10 +28,15 @@ _FAR_CYCLES: Final = 120
 class RecordedMeasurements:
     """The measurements as they were recorded."""
 
+    #: Of the recorded measurements.
+    kind: type[Measurement] = CycleMeasurement
+    #: Whether a label is that of one measurement.
+    have_labels = True
+
     def take_frames(self, bus: int, seen: Frames) -> None:
         """Take frames of a bus, in bus order."""
 
-    def take(self, time_ns: int, recorded: Measurement) -> list[MeasurementStep]:
+    def take(self, time_ns: int, recorded: Any) -> list[MeasurementStep]:
         """Take a recorded measurement; return the steps that need no further frames."""
         return [MeasurementStep(time_ns, recorded, recorded, recorded)]
 
@@ -118,13 +123,13 @@ class RunMeasurements(FrameMeasurements):
         #: Without counter a SYNC is known by its time alone.
         self._is_counted = contract.sync_overflow > 0
         self._far_ns = round((_FAR_CYCLES if self._is_counted else 0.5) * contract.layout.sync.period_s * 1e9)
-        self._unpaired: dict[int, deque[Measurement]] = {}
+        self._unpaired: dict[int, deque[CycleMeasurement]] = {}
         #: The header of the newest cycle, and the time of the newest measurement that was read.
-        self._before: Measurement | None = None
+        self._before: CycleMeasurement | None = None
         self._measured_ns = 0
         self._unmatched = 0
 
-    def take(self, time_ns: int, recorded: Measurement) -> list[MeasurementStep]:
+    def take(self, time_ns: int, recorded: CycleMeasurement) -> list[MeasurementStep]:
         """Take a recorded measurement, which waits for its frames."""
         del time_ns
         self._measured_ns = recorded.sampled_mono_ns
@@ -159,7 +164,7 @@ class RunMeasurements(FrameMeasurements):
         sums[~self._contract.phi.sums_of_blocks(valid != 0)] = 0
         return msgspec.structs.replace(header, sums=sums.tobytes(), valid=valid.tobytes(), fingerprint=made.fingerprint)
 
-    def _recorded(self, made: Measurement) -> Measurement | None:
+    def _recorded(self, made: Measurement) -> CycleMeasurement | None:
         """Return the recorded measurement of the same SYNC."""
         candidates = self._unpaired.get(self._counter(made), deque())
         while candidates and made.sampled_mono_ns - candidates[0].sampled_mono_ns > self._far_ns:
@@ -172,7 +177,7 @@ class RunMeasurements(FrameMeasurements):
         """Return the counter by which a SYNC is known; 0 if its frame has none."""
         return measurement.sync_counter if self._is_counted else 0
 
-    def _header_between(self, made: Measurement) -> Measurement | None:
+    def _header_between(self, made: Measurement) -> CycleMeasurement | None:
         """Return the header of a measurement that was lost between two others: one cycle after the one before.
 
         Its nodes count as proven as in the cycle before. None if it does not follow that cycle, or none follows.
@@ -218,15 +223,18 @@ class RunMeasurements(FrameMeasurements):
 class AdaptiveMeasurements(RecordedMeasurements):
     """Recorded adaptive measurements with the sums of their frames: each tells which frames were in its sums."""
 
+    kind = AdaptiveMeasurement
+    have_labels = False  # labels have a clock of their own
+
     def __init__(self, contract: Contract, buses: Collection[int]) -> None:
         self._playback = AdaptivePlayback(contract, buses)
-        self._waiting: deque[tuple[int, Measurement]] = deque()
+        self._waiting: deque[tuple[int, AdaptiveMeasurement]] = deque()
 
     def take_frames(self, bus: int, seen: Frames) -> None:
         """Take frames of a bus, in bus order."""
         self._playback.feed(bus, seen)
 
-    def take(self, time_ns: int, recorded: Measurement) -> list[MeasurementStep]:
+    def take(self, time_ns: int, recorded: AdaptiveMeasurement) -> list[MeasurementStep]:
         """Take a recorded measurement, which waits for its frames if it tells which they are."""
         if not recorded.bus_sampled_ns:
             return super().take(time_ns, recorded)

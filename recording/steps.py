@@ -36,7 +36,7 @@ from skin.mcap_file import (
     read_topics,
     wall_offset_ns,
 )
-from skin.measured_sums import check_adaptive, check_fingerprint, check_measurement
+from skin.measured_sums import check_fingerprint, check_measurement
 from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
@@ -44,6 +44,9 @@ from skin.service import say
 _ANSWERS_NS: Final = 15_000_000_000
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
 _AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
+
+#: Adds a step: `_Recorded._add`.
+_Add = Callable[..., None]
 
 
 def steps_of(
@@ -140,14 +143,15 @@ class _Recorded:
         #: Times of one SYNC differ by less: the recorder has time stamps of its own.
         near_ns = round(0.5 * contract.layout.sync.period_s * 1e9)
         self._images: Answers[Image] = Answers(near_ns, is_followed=IMAGE.name in topics and not every)
-        self._labels: Answers[Label] = Answers(near_ns, is_followed=LABEL.name in topics)
+        has_labels = LABEL.name in topics and self._measurements.have_labels
+        self._labels: Answers[Label] = Answers(near_ns, is_followed=has_labels)
 
     def _measurements_of(self, topics: set[str], calibrator: Calibrator | None) -> RecordedMeasurements:
         contract, buses = self._contract, self._buses.values()
         has_frames = any(topic.startswith(FRAMES) for topic in topics)
         if MEASUREMENT.name not in topics:
             return FrameMeasurements(contract, buses, wall_offset_ns(self._path), calibrator=calibrator)
-        if contract.layout.sending == "adaptive":
+        if not contract.layout.sends.in_cycles:
             return AdaptiveMeasurements(contract, buses)
         return RunMeasurements(contract, buses, wall_offset_ns(self._path)) if has_frames else RecordedMeasurements()
 
@@ -182,7 +186,8 @@ class _Recorded:
         elif entry.topic == IMAGE.name:
             self._images.keep(message)
         elif entry.topic == LABEL.name:
-            self._labels.keep(message)
+            if self._measurements.have_labels:
+                self._labels.keep(message)
         else:
             self._add(MessageStep(entry.time_ns, _AS_RECORDED[entry.topic], message))
 
@@ -225,10 +230,9 @@ class _Recorded:
 
     def _check(self, measurement: Measurement) -> None:
         """Raise InputError if a measurement does not fit the layout."""
-        check = check_adaptive if self._contract.layout.sending == "adaptive" else check_measurement
         found, expected = len(measurement.bus_sampled_ns), 8 * len(self._buses)
         with self._naming():
-            check(measurement, self._contract.phi)
+            check_measurement(measurement, self._contract.phi, self._measurements.kind)
             if found not in {0, expected}:
                 raise InputError(f"bus_sampled_ns of {found} bytes, expected {expected}, or none")
 

@@ -9,9 +9,10 @@ import numpy as np
 import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
-from skin.layout_checks import ADAPTIVE_SAMPLING_HZ, ADAPTIVE_SYNC_HZ, IDENTITY_MAX, check
+from skin.layout_checks import IDENTITY_MAX, check
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
 from skin.output import RECORDING_SUFFIX
+from skin.sending import IN_CYCLES, SENDINGS, Sending, SendingName
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 from skin.wiring import within_patches
@@ -39,8 +40,6 @@ DATA_BITRATE_MAX: Final = 8_000_000
 
 #: Product code of boards whose maker has no vendor number: the characters "SKIN".
 PRODUCT_CODE: Final = 0x534B_494E
-#: Default: one sum for this number of taxels; adaptive nodes send one sum for each taxel.
-SUMS_PART: Final = 4
 #: Default: the smallest number of buses with at most this number of nodes, each of one block.
 NODES_PER_BUS: Final = 32
 #: Widths of a sum in a PDO.
@@ -202,7 +201,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     name: Name = "skin"
     configure: Literal["write", "refuse"] = "write"
     # Sums at every SYNC, or whenever they carry news.
-    sending: Literal["synchronous", "adaptive"] = "synchronous"
+    sending: SendingName = "synchronous"
     taxels: Taxels = msgspec.field(default_factory=Taxels)
     measurement: PhiParameters = msgspec.field(default_factory=PhiParameters)
     sync: Sync = msgspec.field(default_factory=Sync)
@@ -212,6 +211,11 @@ class Layout(_Table, frozen=True, kw_only=True):
     recognition: Recognition | None = None
     device: Device = msgspec.field(default_factory=Device)
     bus: Annotated[list[Bus], msgspec.Meta(min_length=1)]
+
+    @property
+    def sends(self) -> Sending:
+        """What the way of sending means for the skin."""
+        return SENDINGS[self.sending]
 
     @property
     def blocks(self) -> int:
@@ -247,7 +251,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     @property
     def is_stock(self) -> bool:
         """Whether boards with any CANopen stack can keep the bus protocol: sums in each cycle, one set of TPDOs."""
-        return self.sending == "synchronous" and self.sync.identity == "window"
+        return self.sends.in_cycles and self.sync.identity == "window"
 
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
@@ -273,14 +277,8 @@ class Layout(_Table, frozen=True, kw_only=True):
         return sum(self._held[:bus])
 
 
-def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
+def load_layout(path: Path | None = None) -> Layout:
     """Read a layout: a file, that of a recording, or, by its bare name, one of `SHIPPED`; without a path, the default.
-
-    Parameters
-    ----------
-    path : Path, optional
-    adaptive : bool
-        The caller knows adaptive sending; all other callers refuse a layout that has it.
 
     Raises
     ------
@@ -288,12 +286,19 @@ def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
         If the file cannot be read, or a key is wrong, missing or unknown; the message names the path of the key.
     """
     name = "default" if path is None else str(path)
-    layout = parse_layout(*_read(path, name))
-    if layout.sending == "adaptive" and not adaptive:
-        raise LayoutError(
-            f'{name}: this verb does not know adaptive sending: expected sending = "synchronous" - at `$.sending`'
-        )
-    return layout
+    return parse_layout(*_read(path, name))
+
+
+def require_sending(layout: Layout, sending: SendingName, what: str, why: str) -> None:
+    """Check that a layout has the way of sending that a verb or an option is for.
+
+    Raises
+    ------
+    InputError
+        If it has another; `what` names the verb or option, `why` gives the reason, or says what to do.
+    """
+    if layout.sending != sending:
+        raise InputError(f"{what} for {sending} sending: {why}")
 
 
 def require_one_state(layout: Layout, what: str) -> None:
@@ -352,19 +357,19 @@ def parse_layout(content: bytes, origin: str) -> Layout:
 
 def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     """Fill in the defaults that depend on other keys: rates of adaptive sending, sums, buses."""
-    if tables.get("sending") == "adaptive":
-        for name, rate_hz in (("sync", ADAPTIVE_SYNC_HZ), ("sampling", ADAPTIVE_SAMPLING_HZ)):
-            table = tables.setdefault(name, {})
-            if isinstance(table, dict):  # else the check of the whole layout names the path
-                table.setdefault("rate_hz", rate_hz)
+    sends = SENDINGS.get(str(tables.get("sending")), IN_CYCLES)
+    for name, rate_hz in sends.default_rates_hz.items():
+        table = tables.setdefault(name, {})
+        if isinstance(table, dict):  # else the check of the whole layout names the path
+            table.setdefault("rate_hz", rate_hz)
     try:
         taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
         parameters = msgspec.convert(tables.get("measurement", {}), PhiParameters)
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
     blocks = max(1, taxels.count // parameters.block_size)
-    part = 1 if tables.get("sending") == "adaptive" else SUMS_PART
-    sums = blocks * max(1, parameters.block_size // part) if parameters.rows is None else len(parameters.rows)
+    of_block = max(1, parameters.block_size // sends.taxels_per_sum)
+    sums = blocks * of_block if parameters.rows is None else len(parameters.rows)
     tables.setdefault("measurement", {}).setdefault("sums", sums)
     buses = -(-blocks // NODES_PER_BUS)
     if "taxels" in tables:  # without taxels and buses the file is no layout

@@ -12,12 +12,8 @@ from skin.wiring import check_patch
 if TYPE_CHECKING:
     from skin.layout import Layout, Recognition
 
-#: Adaptive sending: taxels of a block, SYNC and sampling rate, and nodes of a bus: each has 32 identifiers of its own,
-#: and on CAN FD 8.
-#: The times of `dbc.adaptive.SendingRule` and of the nodes' filter are those of 1000 samples a second.
+#: Adaptive sending: taxels of a block, and nodes of a bus: each has 32 identifiers of its own, and on CAN FD 8.
 ADAPTIVE_BLOCK: Final = 32
-ADAPTIVE_SYNC_HZ: Final = 10.0
-ADAPTIVE_SAMPLING_HZ: Final = 1000.0
 ADAPTIVE_NODES: Final = 32
 ADAPTIVE_FD_NODES: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
@@ -37,6 +33,8 @@ def check(layout: "Layout") -> None:
         If a value is not allowed beside the others; the message names the path of the key.
     """
     _check_measurement(layout)
+    if not layout.sends.in_cycles:
+        _check_adaptive(layout)
     sampled_hz = layout.sampling.rate_hz
     if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
@@ -52,8 +50,6 @@ def check(layout: "Layout") -> None:
         )
     if layout.recognition is not None:
         _check_recognition(layout, layout.recognition)
-    if layout.sending == "adaptive":
-        _check_adaptive(layout)
 
 
 def _check_measurement(layout: "Layout") -> None:
@@ -95,8 +91,6 @@ def _check_frontend(layout: "Layout") -> None:
     """Check what an analogue front end needs: sums in each cycle, no averages of taxels, enough codes."""
     if not layout.taxels.is_analogue:
         return
-    if layout.sending == "adaptive":
-        raise LayoutError("adaptive sending expects 'digital', got 'analogue' - at `$.taxels.frontend`")
     if layout.samples_per_sync > 1:
         raise LayoutError(
             "an analogue front end has no taxels to average: leave the key out, or expected"
@@ -118,7 +112,7 @@ def _check_untouchable(layout: "Layout") -> None:
 
 
 def _check_recognition(layout: "Layout", state: "Recognition") -> None:
-    if layout.sending != "synchronous" or layout.sync.identity != "window":
+    if not layout.is_stock:
         raise LayoutError('recognition needs `sending = "synchronous"` and `identity = "window"` - at `$.recognition`')
     if layout.sampling.rate_hz is not None:
         raise LayoutError("recognition and averages of samples exclude each other - at `$.sampling.rate_hz`")
@@ -146,11 +140,12 @@ def _check_adaptive(layout: "Layout") -> None:
     """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, identifiers."""
     measurement = layout.measurement
     wanted = {
+        "taxels.frontend": (layout.taxels.frontend, "digital"),
         "measurement.wiring": (measurement.wiring, "board"),
         "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
         "measurement.sums": (measurement.sums, layout.taxels.count),
-        "sync.rate_hz": (layout.sync.rate_hz, ADAPTIVE_SYNC_HZ),
-        "sampling.rate_hz": (layout.sampling.rate_hz, ADAPTIVE_SAMPLING_HZ),
+        "sync.rate_hz": (layout.sync.rate_hz, layout.sends.default_rates_hz["sync"]),
+        "sampling.rate_hz": (layout.sampling.rate_hz, layout.sends.default_rates_hz["sampling"]),
     }
     for path, (got, expected) in wanted.items():
         if got != expected:

@@ -247,7 +247,7 @@ def wall_offset_ns(path: Path) -> int:
 
 def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     """Return what decodes the messages of a topic of a recording; it raises InputError for one that does not fit."""
-    decode = msgspec.msgpack.Decoder(topic.message).decode
+    decode = topic.decoder()
 
     def decoded(data: bytes) -> Any:
         try:

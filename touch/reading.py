@@ -121,7 +121,7 @@ def _read_mcap(path: Path, name: str) -> Counts:
         raise InputError(f"'{path}' has no array '{name}': expected one of {', '.join(offered)}")
     topic, attribute = IN_MCAP[name]
     decode = message_decoder(path, topic)
-    taxels = load_layout(path, adaptive=True).taxels
+    taxels = load_layout(path).taxels
     entries = (
         entry.data for entry in read_entries(path, lambda line: say("recording", line)) if entry.topic == topic.name
     )

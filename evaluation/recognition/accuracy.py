@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from classifier.coarse_sums import classified_phi
 from classifier.dagsvm import DagSvm
 from classifier.samples import simulate_sums
+from classifier.used_sums import classified_phi
 from classifier.validation import Chosen, choose_C, global_scale, part_of
 from evaluation.observations import LABELS, OBJECTS, Indices, Split, draw_split, signal, true_force_n
 from evaluation.recognition.printed import FULL
@@ -59,7 +59,7 @@ def measure_adaptive(*, splits: Sequence[int], meshes: str | None, seed: int) ->
     The sums are those that the classifier takes of the shipped layout ``adaptive``, with what the nodes leave of the
     noise, see `classifier.samples.simulate_sums`.
     """
-    layout = load_layout(Path("adaptive"), adaptive=True)
+    layout = load_layout(Path("adaptive"))
     rng = np.random.default_rng(seed)
     sums = simulate_sums(true_force_n(meshes), layout, classified_phi(layout), NOISE_N, rng).astype(np.float32)
     found = decisions(sums, [draw_split(number, *FULL, seed) for number in splits])

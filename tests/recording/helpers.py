@@ -126,5 +126,5 @@ def write_run(path: Path, contract: Contract) -> Path:
 
 def messages_of(path: Path, topic: Topic) -> list[Any]:
     """Return the messages of a topic in a recording."""
-    decode = msgspec.msgpack.Decoder(topic.message).decode
+    decode = topic.decoder()
     return [decode(entry.data) for entry in read_entries(path, pytest.fail) if entry.topic == topic.name]
