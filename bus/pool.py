@@ -31,7 +31,3 @@ class FramePool:
         gathered: Frames = self.slots[list(numbers)]
         self._free.extend(numbers)
         return gathered
-
-    def free(self, numbers: Sequence[int]) -> None:
-        """Free slots without reading their frames."""
-        self._free.extend(numbers)
