@@ -46,13 +46,14 @@ def departures(
     taken, seconds = whole_cycles(seen)
     lines = [*_load(planned, load), *foreign(load), *errors(seen)]
     syncs = int(is_sync(seen).sum())
+    rest: list[str] = []
     if isinstance(planned, BusPlan):
-        unchecked, rest = "cycles cannot be told apart", ()
+        unchecked = "cycles cannot be told apart"
         with_syncs = [*_cycles(contract, bus, taken), *_late(contract, bus, taken, planned)] if syncs > 1 else []
     else:
-        sums = sum_frames(contract, bus, taken)
+        unchecked, sums = "pauses cannot be checked", sum_frames(contract, bus, taken)
         ended_ns = int(taken["time_ns"][0]) + round(seconds * 1e9)
-        unchecked, rest = "pauses cannot be checked", (*_unrefined(sums), *_silent(sums, planned, ended_ns))
+        rest = [*_unrefined(sums), *_silent(sums, planned, ended_ns)]
         with_syncs = [*_paused(contract, bus, taken)] if syncs > 1 else []
     if syncs > 1:
         lines += [*sync(contract, taken, seconds), *with_syncs]

@@ -11,7 +11,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from skin.layout import Layout, load_layout, require_one_state
 from skin.service import StopSignal, say
-from skin.terminal import Json, print_json
+from skin.terminal import Json
 
 
 def load(
@@ -59,16 +59,12 @@ def load(
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
     contract = Contract.from_layout(skin)
     sending = sending_of(contract)
-    plans, loads = sending.plan(contract), []
+    plans = sending.plan(contract)
+    loads = {number: measure(contract, number, frames, plans[number]) for number, frames in seen.items()}
     for number, frames in seen.items():
-        load_ = measure(contract, number, frames, plans[number])
-        for line in misfits(contract, number, frames, load_):
+        for line in misfits(contract, number, frames, loads[number]):
             say("load", line)
-        loads.append(sending.sort(contract, number, frames, load_))
-    if json_:
-        print_json({"buses": [sending.flat(each) for each in loads]})
-    else:
-        sending.print_loads(loads)
+    sending.print_loads(contract, seen, loads, as_json=json_)
 
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:

@@ -219,14 +219,16 @@ class Identifiers:
 
     def is_sums(self, taken: Frames) -> npt.NDArray[np.bool_]:
         """Tell which frames have the identifier of sums."""
-        found: npt.NDArray[np.bool_] = is_plain(taken) & (taken["can_id"] <= BASE_ID_MASK)
-        return found & self._is_sums[taken["can_id"] & BASE_ID_MASK]
+        can_id = taken["can_id"]
+        found: npt.NDArray[np.bool_] = self._is_sums[can_id & BASE_ID_MASK] & (can_id <= BASE_ID_MASK)
+        return found & is_plain(taken)
 
     def is_right(self, taken: Frames) -> npt.NDArray[np.bool_]:
         """Tell which frames have the identifier, length and format of sums."""
         can_id = taken["can_id"] & BASE_ID_MASK
-        right: npt.NDArray[np.bool_] = self.is_sums(taken) & (taken["length"] == self._length[can_id])
-        return right & (taken["flags"] & (FD | BRS) == self._flags[can_id])
+        has_format = taken["flags"] & (FD | BRS) == self._flags[can_id]
+        right: npt.NDArray[np.bool_] = has_format & (taken["length"] == self._length[can_id])
+        return right & self.is_sums(taken)
 
 
 def _by_node(identifiers: list[IdentifierLoad]) -> list[NodeLoad]:

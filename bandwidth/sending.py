@@ -1,10 +1,10 @@
 """What the way of sending decides of plans and loads: boards that send in every cycle, or when they have news."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bandwidth.adaptive_log import AdaptiveLoad, measure_adaptive
+from bandwidth.adaptive_log import measure_adaptive
 from bandwidth.adaptive_plan import AdaptiveBusPlan, plan_adaptive
 from bandwidth.alternatives import alternatives
 from bandwidth.measured import BusLoad
@@ -15,6 +15,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.packing import rounding_error_n
+from skin.terminal import print_json
 
 
 class InCycles:
@@ -55,20 +56,15 @@ class InCycles:
             print("\nimages")
         print_plan(plans[:buses], alternatives(contract.layout, allowed))
 
-    def sort(self, contract: Contract, bus: int, seen: Frames, load: BusLoad) -> BusLoad:
-        """Return the load as it is."""
-        del contract, bus, seen
-        return load
-
-    def flat(self, load: Any) -> object:
-        """Return the load as it is."""
-        return load
-
-    def print_loads(self, loads: Sequence[Any]) -> None:
-        """Print the loads by identifier."""
+    def print_loads(
+        self, contract: Contract, seen: Mapping[int, Frames], loads: Mapping[int, BusLoad], *, as_json: bool
+    ) -> None:
+        """Print the loads by identifier; `seen` and `loads` are by number of the bus."""
         from bandwidth.tables import print_loads
 
-        print_loads(loads)
+        del contract, seen
+        found = list(loads.values())
+        print_json({"buses": found}) if as_json else print_loads(found)
 
 
 class OnNews:
@@ -97,20 +93,20 @@ class OnNews:
         del contract, allowed
         print_adaptive_plan(plans)
 
-    def sort(self, contract: Contract, bus: int, seen: Frames, load: BusLoad) -> AdaptiveLoad:
-        """Return the load by kind and level."""
-        return measure_adaptive(contract, bus, seen, load)
-
-    def flat(self, load: Any) -> object:
-        """Return the fields of the bus, with levels, and nodes by what their frames say."""
-        fields = {field.name: getattr(load.bus, field.name) for field in dataclasses.fields(load.bus)}
-        return fields | {"levels": load.levels, "nodes": load.nodes}
-
-    def print_loads(self, loads: Sequence[Any]) -> None:
+    def print_loads(
+        self, contract: Contract, seen: Mapping[int, Frames], loads: Mapping[int, BusLoad], *, as_json: bool
+    ) -> None:
         """Print the loads by kind and level, and by node."""
         from bandwidth.tables import print_adaptive_loads
 
-        print_adaptive_loads(loads)
+        found = [measure_adaptive(contract, number, frames, loads[number]) for number, frames in seen.items()]
+        if not as_json:
+            print_adaptive_loads(found)
+            return
+        names = [field.name for field in dataclasses.fields(BusLoad)]
+        flat = [{name: getattr(each.bus, name) for name in names} for each in found]
+        own = [{"levels": each.levels, "nodes": each.nodes} for each in found]
+        print_json({"buses": [common | more for common, more in zip(flat, own, strict=True)]})
 
 
 def sending_of(contract: Contract) -> InCycles | OnNews:

@@ -13,7 +13,7 @@ from dbc.frame import Frames, frame_bytes
 from evaluation.schemes.judge import Images
 from evaluation.schemes.scenes import IDLE_TICKS_SHORT, NEWTON_PER_COUNT, SIDE, TAXELS, Touch
 from evaluation.schemes.sums import SOLVED_NS
-from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry_polled, lines_of, patches
+from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry_polled, patches
 from gateway.adaptive_state import new_sums, take_all
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
@@ -73,17 +73,17 @@ def _received(sent: Frames, nodes: int, ticks: int, *, is_fd: bool) -> Force:
     return known_n
 
 
-def run_adaptive(counts: Counts, idle: Counts, lines: Sequence[Bus] | None = None) -> AdaptiveRun:
+def run_adaptive(counts: Counts, idle: Counts, lines: Sequence[Bus]) -> AdaptiveRun:
     """Run the skin of 64 x 64 taxels on its buses.
 
     Parameters
     ----------
     counts, idle : arrays of int16, shape (ticks, 4096)
         What every taxel reads each millisecond, and what it read before, while nothing touched: nodes learn from that.
-    lines : sequence of Bus, optional
-        Other buses than classic ones of 1 Mbit/s: as many, with as many nodes.
+    lines : sequence of Bus
+        Those of `lines_of`, with other bit rates if wanted.
     """
-    lines, held, ticks = lines or lines_of(SIDE), patches(SIDE), len(counts)
+    held, ticks = patches(SIDE), len(counts)
     cells = held.reshape(-1, held.shape[2])
     node_filter = PatchFilter(_learned(idle, cells))
     _settle(node_filter, idle, cells)

@@ -14,6 +14,7 @@ OURS: Final = Adaptive()
 THRESHOLDS_N: Final = (0.2e-3, 0.3e-3, 0.5e-3, 0.8e-3, 1.2e-3)
 SCHEMES: Final[tuple[Scheme, ...]] = (
     OURS,
+    Adaptive(is_fd=True),
     Sums(),
     Scan(SIDE),
     Scan(SIDE, "solved"),
@@ -102,7 +103,7 @@ def wins_and_losses(shown: list[Row]) -> str:
     lines = []
     for (touch,), mine in grouped(shown, "touch").items():
         ours = next(row for row in mine if row["scheme"] == OURS.name)
-        others = [row for row in mine if row is not ours]
+        others = [row for row in mine if not row["scheme"].startswith(OURS.name)]
         best = max(others, key=lambda row: float(row["psnr_mean_db"]))
         gain_db = ours["psnr_mean_db"] - best["psnr_mean_db"]
         worse = [] if gain_db > 0 else ["PSNR"]

@@ -5,6 +5,7 @@ from functools import cache, lru_cache
 from typing import Final, Literal
 
 import numpy as np
+from msgspec.structs import replace
 
 from dbc.contract import Contract
 from evaluation.result import Row
@@ -14,11 +15,12 @@ from evaluation.schemes.judge import Images, Updates, quality
 from evaluation.schemes.scan import CELLS_PENALTY_N, SCAN_PENALTY_N, ScanRun, refined, run_scan, smoothed
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS, Scene, Touch
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent
+from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, lines_of
 from skin.layout import load_layout
 from touch.coarse_arrays import averaged
 from touch.contact import Force
 
+FD_BITRATE: Final = 5_000_000
 #: Bits of a value of a scan: the converter's.
 SCAN_BITS: Final = 10
 #: Nothing is sampled more often than the recorded touches are.
@@ -61,16 +63,22 @@ class Shown:
 
 @dataclass(frozen=True)
 class Adaptive:
-    """Adaptive sums: one setting for every touch; noise is learned from the idle skin."""
+    """Adaptive sums: one setting for every touch; noise is learned from the idle skin.
+
+    `is_fd`: on CAN FD buses of 1 and 5 Mbit/s in place of classic ones.
+    """
+
+    is_fd: bool = False
 
     @property
     def name(self) -> str:
         """What it is called in a table."""
-        return "adaptive sums"
+        return "adaptive sums" + (", CAN FD" if self.is_fd else "")
 
     def show(self, touch: Touch) -> Shown:
         """Send the news of `touch`, with whatever bits they take."""
-        run = run_adaptive(touch.load().counts, idle_of(touch))
+        lines = [replace(line, fd=True, data_bitrate=FD_BITRATE) if self.is_fd else line for line in lines_of(SIDE)]
+        run = run_adaptive(touch.load().counts, idle_of(touch), lines)
         return Shown(run.sent, run.latency_ns, run.images(touch.arrives(len(run.sent.frames))), None)
 
 

@@ -83,7 +83,7 @@ class SimulatedNodes:
     def take(self, ended: Frames, unsent: Frames) -> None:
         """Take note of sums that were sent, and of those that come back."""
         for place in self._place_of[unsent["can_id"]].tolist():
-            give_back(*divmod(place, TPDOS), self.groups, self._controllers)
+            give_back(place // TPDOS, place % TPDOS, self.groups, self._controllers)
         places = self._place_of[ended["can_id"]]
         places = places[places >= 0]
         if not len(places):
@@ -104,8 +104,8 @@ class SimulatedNodes:
         if not is_due or period % SYNC_SAMPLES < PAUSE_MS:
             return self._burst[:0]
         room, nodes = self._room, len(sums_n)
-        parts = self._law, self.groups, self._controllers, self._has_due, room
-        count = choose(0, nodes, period, now_ns + SAMPLE_NS, _MOST_FRAMES, sums_n, *parts)
+        made = self._law, self.groups, self._controllers, self._has_due, room
+        count = int(choose(0, nodes, period, now_ns + SAMPLE_NS, _MOST_FRAMES, sums_n, *made))
         burst, node, group = self._burst[:count], room.node[:count], room.tpdo[:count] % GROUPS
         burst["can_id"], burst["length"], burst["data"] = room.can_id[:count], room.length[:count], room.payload[:count]
         since = self.groups.since[node]
@@ -160,4 +160,5 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
     simulated = SimulatedNodes(line, contract.law, sample)
     wire = SimulatedBus(line.bitrate, line.data_bitrate)
     sent = poll(wire, simulated, sync_frames(samples), samples, SAMPLE_NS)
-    return sent[sent["can_id"] != SYNC_COB_ID]
+    sums: Frames = sent[sent["can_id"] != SYNC_COB_ID]
+    return sums

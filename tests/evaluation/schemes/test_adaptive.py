@@ -10,7 +10,7 @@ from evaluation.schemes.adaptive import AdaptiveRun, run_adaptive
 from evaluation.schemes.judge import quality
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, TAXELS
 from evaluation.schemes.sums import SOLVED_NS
-from evaluation.schemes.wire import TICK_NS
+from evaluation.schemes.wire import TICK_NS, lines_of
 
 TICKS = 150
 
@@ -30,7 +30,7 @@ def true_n() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def run(true_n: np.ndarray) -> AdaptiveRun:
-    return run_adaptive(sampled(true_n, 0), sampled(np.zeros((400, TAXELS), np.float32), 1))
+    return run_adaptive(sampled(true_n, 0), sampled(np.zeros((400, TAXELS), np.float32), 1), lines_of(64))
 
 
 def test_every_frame_belongs_to_somebody_and_no_tpdo_follows_sync_at_once(run: AdaptiveRun) -> None:
