@@ -10,12 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from bus.arbitration import clash_bits
 from bus.confinement import Confinement
 from bus.controller import Controller
 from bus.faults import Fault, FaultSchedule, Odds
 from bus.outbox import OTHERS, OWNER, Events
-from bus.pending import Waiting
+from bus.pending import Waiting, clash_bits
 from bus.station import Counts, Station, Stations
 from bus.transmit_queues import TransmitQueues
 from dbc.frame import Frames

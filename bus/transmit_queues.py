@@ -5,11 +5,9 @@ from itertools import count
 
 import numpy as np
 
-from bus.arbitration import arbitration_keys
 from bus.controller import Controller
-from bus.outbox import DISCARDED, OTHERS, OWNER, Outbox
-from bus.pending import Pending, Waiting
-from bus.pool import FramePool
+from bus.outbox import DISCARDED, OTHERS, OWNER, FramePool, Outbox
+from bus.pending import Pending, Waiting, arbitration_keys
 from bus.station import Counts, Station
 from dbc.frame import Frames
 

@@ -61,7 +61,7 @@ class Options:
         return self.draws or (1 if self.quick else draws)
 
 
-class Figure(NamedTuple):
+class Finding(NamedTuple):
     """A number of ours, how many measurements are behind it, and the paper's number, None where the paper has none."""
 
     ours: float

@@ -7,7 +7,7 @@ import numpy as np
 from classifier.descent import descend
 from evaluation.bench.timing import race
 from evaluation.observations import OBJECTS, TAXELS
-from evaluation.result import Figure, Options, Row
+from evaluation.result import Finding, Options, Row
 from evaluation.result_cache import measure_cells
 
 #: Turns in which decisions are timed.
@@ -15,11 +15,11 @@ ROUNDS, QUICK_ROUNDS = 20, 5
 SUMS: Final = 64
 
 
-def claimed(options: Options) -> dict[str, Figure]:
+def claimed(options: Options) -> dict[str, Finding]:
     """Return how much longer a decision takes from all taxels than from sums."""
     asked = {"rounds": QUICK_ROUNDS if options.quick else ROUNDS, "seed": options.seed}
     (times,) = measure_cells(measure_decisions, [asked], options, "decisions", jobs=1)
-    return {"decision": Figure(times["taxels_us"] / times["sums_us"], asked["rounds"])}
+    return {"decision": Finding(times["taxels_us"] / times["sums_us"], asked["rounds"])}
 
 
 def measure_decisions(*, rounds: int, seed: int) -> Row:

@@ -20,7 +20,7 @@ from evaluation.paper.tables import (
     measure_sensor,
     measure_times,
 )
-from evaluation.result import Figure, Options, Row
+from evaluation.result import Finding, Options, Row
 from evaluation.result_cache import measure_cells
 
 #: Draws of Φ and of the noise, without --draws.
@@ -29,7 +29,7 @@ DRAWS: Final = 2
 FROM_ZERO: Final = 100
 
 
-def claimed(options: Options) -> dict[str, Figure]:
+def claimed(options: Options) -> dict[str, Finding]:
     """Return gains over the sensor and PSNR, dB, and images a second, by the words for each basis."""
     draws, bases = options.draws_or(DRAWS), get_args(BasisName)
     stride = QUICK_STRIDES if options.quick else {basis: STRIDES[basis, TABLE_ITERATIONS] for basis in bases}
@@ -45,16 +45,16 @@ def claimed(options: Options) -> dict[str, Figure]:
     sensor_db = _means(measure_cells(measure_sensor, sensed, options, "sensor"), len(OBJECTS), draws)
     steps = QUICK_TIMED_STEPS if options.quick else TIMED_STEPS
     (times_ms,) = measure_cells(measure_times, [{**options.shared, "steps": steps}], options, "times", jobs=1)
-    found, runs = {"from zero": Figure(convergence(options)[FROM_ZERO][0], 1)}, len(OBJECTS) * draws
+    found, runs = {"from zero": Finding(convergence(options)[FROM_ZERO][0], 1)}, len(OBJECTS) * draws
     for basis, level_db in zip(bases, image_db, strict=True):
         printed_db = np.array([TABLE_TWO[name, "sbhe", TABLE_SUMS][basis].mean for name in OBJECTS])
         gain_db, printed_gain_db = level_db - sensor_db, printed_db - [SENSOR[name].mean for name in OBJECTS]
         printed_ms = mean(TABLE_THREE[name, basis, TABLE_ITERATIONS].ms for name in OBJECTS)
         found |= {
-            f"gain {basis}": Figure(gain_db.mean(), runs, printed_gain_db.mean()),
-            f"least gain {basis}": Figure(gain_db.min(), runs, printed_gain_db.min()),
-            f"PSNR {basis}": Figure(level_db.mean(), runs, printed_db.mean()),
-            f"rate {basis}": Figure(1e3 / times_ms[f"{basis} {TABLE_ITERATIONS}"], steps, 1e3 / printed_ms),
+            f"gain {basis}": Finding(gain_db.mean(), runs, printed_gain_db.mean()),
+            f"least gain {basis}": Finding(gain_db.min(), runs, printed_gain_db.min()),
+            f"PSNR {basis}": Finding(level_db.mean(), runs, printed_db.mean()),
+            f"rate {basis}": Finding(1e3 / times_ms[f"{basis} {TABLE_ITERATIONS}"], steps, 1e3 / printed_ms),
         }
     return found
 

@@ -12,7 +12,7 @@ from bandwidth.plan import plan
 from bandwidth.wiring import wiring
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from evaluation.result import Figure, Options, Row
+from evaluation.result import Finding, Options, Row
 from evaluation.result_cache import measure_cells
 from evaluation.schemes import frontend
 from evaluation.schemes.judge import quality
@@ -26,9 +26,6 @@ from skin.taxel import FORCE_MAX_N
 
 #: Milliseconds of a slide for a quick look.
 QUICK_TICKS: Final = 1200
-#: The paper's cycles a second, and its taxels for each sum.
-PAPER_RATE_HZ: Final = 100.0
-PAPER_COMPRESSION: Final = 4.0
 #: Front ends that are compared: a converter for each taxel, and one of as many bits for each sum.
 DIGITAL: Final = frontend.Effect("digital", is_digital=True)
 ANALOGUE: Final = {
@@ -37,23 +34,23 @@ ANALOGUE: Final = {
 }
 
 
-def claimed(options: Options) -> dict[str, Figure]:
+def claimed(options: Options) -> dict[str, Finding]:
     """Return cycles and bits of the default skin, PSNR of front ends, dB, and ratios of wires."""
     return _skin(options) | _converters(options) | _wires()
 
 
-def _skin(options: Options) -> dict[str, Figure]:
+def _skin(options: Options) -> dict[str, Finding]:
     asked = {"ticks": QUICK_TICKS if options.quick else SLIDE_TICKS, **options.shared}
     found = measure_cells(measure_skin, [{"name": name, **asked} for name in SLIDES], options, "skin")
     layout, cycles = load_layout(), sum(each["cycles"] for each in found)
     complete = sum(each["complete"] for each in found) / cycles
     return {
-        "live gain": Figure(mean(each["image_db"] - each["sensor_db"] for each in found), cycles),
-        "complete cycles": Figure(layout.sync.rate_hz * complete, cycles, PAPER_RATE_HZ),
-        "carried cycles": Figure(mean_rate_hz(layout), 1, PAPER_RATE_HZ),
-        "carried cycles of 64": Figure(mean_rate_hz(load_layout(Path("recognition"))), 1),
-        "compression": Figure(layout.taxels.count / layout.measurement.sums, 1, PAPER_COMPRESSION),
-        "bits": Figure(mean(each["scan_kbit_per_s"] / each["sums_kbit_per_s"] for each in found), cycles),
+        "live gain": Finding(mean(each["image_db"] - each["sensor_db"] for each in found), cycles),
+        "complete cycles": Finding(layout.sync.rate_hz * complete, cycles),
+        "carried cycles": Finding(mean_rate_hz(layout), 1),
+        "carried cycles of 64": Finding(mean_rate_hz(load_layout(Path("recognition"))), 1),
+        "compression": Finding(layout.taxels.count / layout.measurement.sums, 1),
+        "bits": Finding(mean(each["scan_kbit_per_s"] / each["sums_kbit_per_s"] for each in found), cycles),
     }
 
 
@@ -62,7 +59,7 @@ def mean_rate_hz(layout: Layout) -> float:
     return min(bus.max_rate_hz_random for bus in plan(Contract.from_layout(layout)))
 
 
-def _converters(options: Options) -> dict[str, Figure]:
+def _converters(options: Options) -> dict[str, Finding]:
     asked = {
         "speed": frontend.QUICK_SPEED if options.quick else frontend.SPEED,
         "size": load_layout().measurement.block_size,
@@ -71,16 +68,16 @@ def _converters(options: Options) -> dict[str, Figure]:
     digital, *analogue = measure_cells(frontend.measure, cells, options, "front ends")
     skin = load_layout(Path("analogue"))
     return {
-        name: Figure(each["psnr_db"] - digital["psnr_db"], each["frames"])
+        name: Finding(each["psnr_db"] - digital["psnr_db"], each["frames"])
         for name, each in zip(ANALOGUE, analogue, strict=True)
-    } | {"conversions": Figure(skin.taxels.count / skin.measurement.sums, 1, PAPER_COMPRESSION)}
+    } | {"conversions": Finding(skin.taxels.count / skin.measurement.sums, 1)}
 
 
-def _wires() -> dict[str, Figure]:
+def _wires() -> dict[str, Finding]:
     layout = load_layout()
     phi, taxels = layout.phi(), layout.taxels
     star_m = star_length_m(phi.taxels_of_blocks, taxels.columns, taxels.pitch_m)
-    return {"chains": Figure(taxels.count / phi.blocks, 1), "star": Figure(star_m / wiring(layout).wires_m, 1)}
+    return {"chains": Finding(taxels.count / phi.blocks, 1), "star": Finding(star_m / wiring(layout).wires_m, 1)}
 
 
 def measure_skin(*, name: str, ticks: int, meshes: str | None, seed: int) -> Row:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bus.arbitration import clash_bits
+from bus.pending import clash_bits
 from dbc.frame import FD, Frames
 from tests.bus.harness import frame
 
