@@ -8,7 +8,8 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.frame_bits import frame_time_ns
 from evaluation.schemes.adaptive import AdaptiveRun, run_adaptive
 from evaluation.schemes.judge import quality
-from evaluation.schemes.scenes import NEWTON_PER_COUNT, TAXELS
+from evaluation.schemes.scenes import NEWTON_PER_COUNT, SHAKING, SLAP, TAXELS, Touch
+from evaluation.schemes.schemes import Adaptive, measure_scheme
 from evaluation.schemes.sums import SOLVED_NS
 from evaluation.schemes.wire import TICK_NS, lines_of
 
@@ -64,3 +65,15 @@ def test_lost_frames_cost_quality_until_the_refresh(run: AdaptiveRun, true_n: np
     assert np.mean((part[-1] - true_n[-1]) ** 2) < 2 * np.mean((whole[-1] - true_n[-1]) ** 2)
     nothing = run.images(np.zeros(len(arrives), np.bool_)).force_n
     assert not nothing.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "psnr_db", "kbit_per_s"),
+    [("golf-ball", 53.6, 79), ("granola-box", 48.0, 418), (SLAP, 57.3, 183), (SHAKING, 36.0, 2862)],
+)
+def test_touches_without_meshes_have_the_figures_of_the_documents(name: str, psnr_db: float, kbit_per_s: float) -> None:
+    """Of docs/adaptive.md and docs/bandwidth.md; a new figure is to be changed there, too."""
+    found = measure_scheme(Adaptive(), Touch(name))
+    assert round(found["psnr_mean_db"], 1) == pytest.approx(psnr_db, abs=0.11)
+    assert found["kbit_per_s"] == pytest.approx(kbit_per_s, rel=0.01)

@@ -80,8 +80,6 @@ def test_recommended_layouts_are_planned_without_a_problem(tmp_path: Path) -> No
         assert not any(plan.problems for plan in plans)
         assert max(plan.load_worst for plan in plans) == pytest.approx(row["load_worst"], abs=6e-4)
         assert (layout.sync.rate_hz, layout.measurement.sums) == (row["rate_hz"], row["sums"])
-    for picture in found.pictures:
-        picture.draw().savefig(tmp_path / "surface.png")
 
 
 def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
