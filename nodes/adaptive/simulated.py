@@ -13,7 +13,6 @@ from dbc.adaptive_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import ECHO, Frames, frame_bytes, frames
-from nodes.adaptive.boards import tpdo_places
 from nodes.adaptive.controllers import (
     NO_COB_ID,
     choose,
@@ -67,7 +66,8 @@ class SimulatedNodes:
         cob_ids = FIRST_COB_ID + NODES * tpdos + np.arange(line.nodes)[:, None]
         self._controllers.cob_id[:] = np.where(line.fd & (tpdos % GROUPS > 0), NO_COB_ID, cob_ids)
         self._place_of = np.full(BASE_ID_MASK + 1, -1, np.int64)
-        tpdo_places(self._controllers.cob_id, 0, self._place_of)
+        node, tpdo = np.nonzero(self._controllers.cob_id)
+        self._place_of[self._controllers.cob_id[node, tpdo]] = node * TPDOS + tpdo
         self._rules = np.tile(np.array([SendingRule()], np.float64), (line.nodes, 1))
         self._is_operational, self._has_due = np.ones(line.nodes, np.bool_), np.zeros(line.nodes, np.bool_)
         self._room, self._burst = frame_buffer(_MOST_FRAMES), frames(_MOST_FRAMES)
