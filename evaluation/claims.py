@@ -1,10 +1,13 @@
 """``skin evaluate claims``: every claim of the paper's abstract and conclusion, and what is measured here."""
 
-from importlib import import_module
 from typing import Final, Literal, NamedTuple
 
+from evaluation.bench.claimed import claimed as processing
+from evaluation.paper.claimed import claimed as images
 from evaluation.paper.printed import RATE_HZ
+from evaluation.recognition.claimed import claimed as recognition
 from evaluation.result import Finding, Options, Result, Row, beside
+from evaluation.schemes.claimed import claimed as hardware
 
 
 class Claim(NamedTuple):
@@ -21,13 +24,8 @@ class Claim(NamedTuple):
     paper: float | None = None
 
 
-#: What makes the figures: modules with a function ``claimed`` of the options, which returns figures by name.
-MAKERS: Final = (
-    "evaluation.paper.claimed",
-    "evaluation.schemes.claimed",
-    "evaluation.recognition.claimed",
-    "evaluation.bench.claimed",
-)
+#: Functions of the options that make figures, by name.
+MAKERS: Final = (images, hardware, recognition, processing)
 #: Taxels for each sum in the paper.
 COMPRESSION: Final = 4.0
 AS_GOOD: Final = "1024 sums are as good as all 4096 taxels"
@@ -111,7 +109,7 @@ def evaluate(options: Options) -> Result:
     """Return a row for each claim and quantity."""
     made: dict[str, Finding] = {}
     for maker in MAKERS:
-        made |= import_module(maker).claimed(options)
+        made |= maker(options)
     rows: list[Row] = []
     for claim in CLAIMS:
         figure = made[claim.figure]
