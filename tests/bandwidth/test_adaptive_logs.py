@@ -15,6 +15,7 @@ from dbc.adaptive import FIRST_COB_ID, TPDOS
 from dbc.contract import Contract
 from dbc.frame import BRS, FD, Frames
 from skin.layout import load_layout
+from tests import layouts
 from tests.bandwidth.adaptive_bus import run_bus
 
 Run = Callable[..., tuple[int, str, str]]
@@ -125,11 +126,7 @@ def test_wrong_input_is_one_line_and_status_2(skin: Run, arguments: list[str], s
 @pytest.mark.heavy
 def test_a_slow_bus_does_not_fit_and_says_how_many_nodes_would(skin: Run, tmp_path: Path) -> None:
     path = tmp_path / "slow.toml"
-    lines = "".join(f'[[bus]]\nname = "b{bus}"\nnodes = 32\nbitrate = 250000\n' for bus in range(4))
-    path.write_text(
-        'sending = "adaptive"\n[taxels]\nrows = 64\ncolumns = 64\npitch_m = 0.004\n[measurement]\nwiring = "board"\n'
-        + lines
-    )
+    path.write_text(layouts.layout_toml(64, 64, **layouts.ADAPTIVE, bus=layouts.buses(*4 * [32], bitrate=250_000)))
     status, out, _ = skin("plan", path)
     assert status == 1
     # 32 nodes x 4 groups x 135 bits of 4 µs.

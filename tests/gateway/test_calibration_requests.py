@@ -13,7 +13,7 @@ from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, node_values
 from skin.calibration_file import encoded, parse_calibration, store
 from tests.gateway.boards import small_adaptive
-from tests.gateway.world import small_contract
+from tests.layouts import small_contract
 
 
 class Writing:

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
-from tests.viewer.test_state import texts
+from tests.viewer.helpers import texts
 from viewer.state import ViewState
 
 

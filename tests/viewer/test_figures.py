@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canskin.messages import Image, Truth
+from canskin.messages import Image
 from skin.ground_truth import REMEMBERED, Pairing
 from skin.psnr import psnr_db
+from tests import messages as make
 from viewer.state import ViewState
 from viewer.window import Window
 
@@ -114,17 +115,9 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
     for kind, cycle in order:
         common: dict[str, Any] = {"sync_counter": cycle, "sampled_mono_ns": cycle * 10_000_000}
         if kind == "image":
-            rest: dict[str, Any] = {
-                "cycle": cycle,
-                "published_mono_ns": 0,
-                "pixels": b"",
-                "valid": b"",
-                "valid_sums": 0,
-                "solve_s": 0.0,
-            }
-            pairs += [truth.sync_counter for _, truth in pairing.take(Image(**common, **rest))]
+            pairs += [truth.sync_counter for _, truth in pairing.take(make.image(cycle, **common))]
         else:
-            truth = Truth(step=cycle, true=b"", sensor=b"", label="", **common)
+            truth = make.truth(cycle, **common)
             pairs += [image.cycle for image, _ in pairing.take_truth(truth)]
     assert sorted(pairs) == list(range(1, 9))
 

@@ -8,6 +8,7 @@ import pytest
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.peers import Peer, new_peer
+from tests.viewer.helpers import texts
 from viewer.state import PEERS, PROCESSES, SERVICES, ViewState
 
 EPOCH_S = 1000.0
@@ -16,10 +17,6 @@ EPOCH_S = 1000.0
 @pytest.fixture
 def state(messages: Any) -> ViewState:
     return ViewState(messages.layout, EPOCH_S)
-
-
-def texts(state: ViewState, now_s: float, level: str = "error") -> list[str]:
-    return [notice.text for notice in state.snapshot(now_s)[0].notices if notice.level == level]
 
 
 def test_nothing_is_shown_before_anything_came(state: ViewState) -> None:
