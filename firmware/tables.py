@@ -65,13 +65,14 @@ class ObjectTable:
 class Build:
     """What the C sources of one board are made from.
 
-    `frame_ns` is the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of an
-    adaptive board.
+    `is_adaptive` tells whether the board sends sums when they carry news. `frame_ns` is the longest time of one of its
+    frames. `frame_bits` are those of a coarse and a fine frame of an adaptive board.
     """
 
     node: NodeContract
     board: Board
     objects: ObjectTable
+    is_adaptive: bool
     frame_ns: int
     frame_bits: tuple[int, int]
 
@@ -86,15 +87,24 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
     """
     if contract.layout.taxels.is_analogue:
         raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
-    of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
-    return [Build(node, board(contract, node), _object_table(contract, node), *of_bus[node.bus]) for node in nodes]
+    is_adaptive = contract.layout.sending == "adaptive"
+    sizes = _adaptive_frame_sizes if is_adaptive else _frame_sizes
+    of_bus = {bus: sizes(contract, bus) for bus in {node.bus for node in nodes}}
+    return [
+        Build(node, board(contract, node), _object_table(contract, node), is_adaptive, *of_bus[node.bus])
+        for node in nodes
+    ]
 
 
 def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     """Return `frame_ns` and `frame_bits` of `Build` for the boards of a bus."""
     line = contract.layout.bus[bus]
-    if contract.layout.sending != "adaptive":
-        return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
+    return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
+
+
+def _adaptive_frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
+    """Return the same for adaptive boards."""
+    line = contract.layout.bus[bus]
     coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 
@@ -140,7 +150,6 @@ def _is_sums(index: int) -> bool:
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``board.h``: sizes that hold every one of `boards`."""
-    is_adaptive = contract.layout.sending == "adaptive"
     sizes: dict[str, tuple[object, str]] = {
         "SKIN_BOARDS": (len(boards), "boards of board.c"),
         "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
@@ -148,9 +157,9 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_SUMS": (max(1, *(each.node.sums for each in boards)), "sums of a board"),
         "SKIN_TPDOS": (max(1, *(_tpdos(each.node) for each in boards)), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
-        "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
+        "SKIN_ADAPTIVE": (int(boards[0].is_adaptive), "whether sums are sent when they carry news"),
         "SKIN_SAMPLES": (
-            1 if is_adaptive else contract.layout.samples_per_sync,
+            1 if boards[0].is_adaptive else contract.layout.samples_per_sync,
             "samples of each taxel in a cycle; more than 1 are averaged",
         ),
         "SKIN_WATCHED": (HEARTBEATS_WATCHED, "entries of 1016h"),

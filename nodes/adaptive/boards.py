@@ -8,8 +8,9 @@ import numpy.typing as npt
 
 from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
 from dbc.adaptive_filter import IDLE_SAMPLES, SETTLING_SAMPLES, Floats
-from dbc.contract import Contract, sum_frame_bits
-from dbc.frame import Frames, frame_bytes
+from dbc.canopen import BASE_ID_MASK
+from dbc.contract import Contract, frame_flags, sum_frame_bits
+from dbc.frame import Frames, frame_bytes, frames
 from dbc.indices import (
     OD_BUDGET,
     OD_COARSE,
@@ -20,19 +21,20 @@ from dbc.indices import (
     OD_TAXEL_NOISE,
 )
 from nodes.adaptive.controllers import (
+    NO_COB_ID,
     REFUSED,
     SENT,
-    Chosen,
     choose,
     compile_all,
     decide_all,
+    frame_buffer,
     give_back,
     new_controllers,
     take_echoes,
 )
 from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
-from nodes.adaptive.patch_boards import PatchBoards
+from nodes.adaptive.patch_boards import MOST_FRAMES, PatchBoards
 from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2, present_codes
 from skin.sources import TaxelSource
 from skin.walsh import GROUPS, grouped_rows
@@ -51,7 +53,13 @@ class AdaptiveBoards(PatchBoards):
         for _ in range(SETTLING_SAMPLES):
             self._filter.take(self._sensors.sample(0))
         compile_all(self._law)
-        nodes, lines = len(blocks), [contract.layout.bus[contract.nodes[block].bus] for block in blocks]
+        nodes, self._bus_of = len(blocks), {block: contract.nodes[block].bus for block in blocks}
+        lines = [contract.layout.bus[bus] for bus in self._bus_of.values()]
+        self._flags = {bus: frame_flags(contract.layout.bus[bus]) for bus in self._rows}
+        self._node_id = np.array([contract.nodes[block].node_id for block in blocks], np.uint16)
+        self._room, self._burst = frame_buffer(MOST_FRAMES), frames(MOST_FRAMES)
+        #: TPDOS · node + TPDO of an identifier on each bus, -1 for all others.
+        self._place_of = {bus: np.full(BASE_ID_MASK + 1, -1, np.int64) for bus in self._rows}
         self._groups = new_groups(nodes, np.array([line.fd for line in lines]))
         bits = [[sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] for line in lines]
         self._controllers = new_controllers(np.array(bits, np.int64).reshape(nodes, 2))
@@ -110,10 +118,6 @@ class AdaptiveBoards(PatchBoards):
 
     # --- frames ---------------------------------------------------------------------------------------------
 
-    def row(self, block: int) -> int:
-        """Return the place of a block among these boards."""
-        return self._row[block]
-
     def set_operational(self, block: int, is_operational: bool) -> None:
         """Let a node send; it begins with all its groups. Or end that."""
         row = self._row[block]
@@ -124,26 +128,38 @@ class AdaptiveBoards(PatchBoards):
 
     def set_tpdos(self, block: int, cob_id: Sequence[int], inhibit: Sequence[int]) -> None:
         """Set identifier, or `NO_COB_ID`, and inhibit time in samples of a node's TPDOs."""
-        row = self._row[block]
+        row, bus = self._row[block], self._bus_of[block]
         self._controllers.cob_id[row], self._controllers.inhibit[row] = cob_id, inhibit
+        place_of, rows = self._place_of[bus], self._rows[bus]
+        place_of[:] = -1
+        for each in range(rows.start, rows.stop):
+            of_node = self._controllers.cob_id[each]
+            used = of_node != NO_COB_ID
+            place_of[of_node[used]] = each * TPDOS + np.flatnonzero(used)
 
-    def choose(self, first: int, last: int, until_ns: int, most: int, room: Chosen) -> int:
-        """Make the most urgent frames of boards `first` to `last` - 1, at most `most`, and return how many."""
-        if not self._has_due[first:last].any():
-            return 0
+    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+        """Make the most urgent frames of the boards of a bus, at most `most`, which expire at `until_ns`."""
+        rows, room = self._rows[bus], self._room
+        if not self._has_due[rows].any():
+            return self._burst[:0]
         parts = self._filter.sums_n, self._law, self._groups, self._controllers, self._has_due, room
-        return int(choose(first, last, self._now, until_ns, most, *parts))
+        count = int(choose(rows.start, rows.stop, self._now, until_ns, most, *parts))
+        burst = self._burst[:count]
+        burst["time_ns"], burst["expires_ns"], burst["flags"] = now_ns, until_ns, self._flags[bus]
+        burst["can_id"], burst["port"] = room.can_id[:count], self._node_id[room.node[:count]]
+        burst["length"], burst["data"] = room.length[:count], room.payload[:count]
+        return burst
 
-    def refuse(self, nodes: npt.NDArray[np.int64], tpdos: npt.NDArray[np.int64]) -> None:
-        """Take note of frames that found no room in a transmit queue."""
-        for row, tpdo in zip(nodes.tolist(), tpdos.tolist(), strict=True):
-            give_back(row, tpdo, self._groups, self._controllers)
-            self._controllers.counts[row, REFUSED] += 1
+    def refuse(self, block: int, tpdo: int) -> None:
+        """Take note of a frame of a TPDO that found no room in a transmit queue."""
+        row = self._row[block]
+        give_back(row, tpdo, self._groups, self._controllers)
+        self._controllers.counts[row, REFUSED] += 1
 
-    def take_echoes(self, arrived: Frames, place_of: npt.NDArray[np.int64]) -> tuple[int, int]:
+    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
         """Take note of the nodes' own frames, see `nodes.adaptive.controllers.take_echoes`."""
         parts = self._now, self._rules, self._law, self._groups, self._controllers
-        sent, others = take_echoes(frame_bytes(arrived), place_of, *parts)
+        sent, others = take_echoes(frame_bytes(arrived), self._place_of[bus], *parts)
         return int(sent), int(others)
 
     # --- objects --------------------------------------------------------------------------------------------
@@ -218,11 +234,3 @@ class AdaptiveBoards(PatchBoards):
         for block, row in self._row.items():
             sums[block * size + order] = np.rint(self._filter.sums_n[row] / self._taxels.newton_per_count)
         return sums
-
-
-def tpdo_places(cob_ids: npt.NDArray[np.int64], first: int, places: npt.NDArray[np.int64]) -> None:
-    """Write which TPDO an identifier belongs to: `cob_ids` of shape (nodes, TPDOS), of boards from `first` on."""
-    places[:] = -1
-    for row, of_node in enumerate(cob_ids, first):
-        used = of_node > 0
-        places[of_node[used]] = row * TPDOS + np.flatnonzero(used)

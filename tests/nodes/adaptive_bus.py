@@ -9,7 +9,8 @@ from dbc.contract import Contract
 from dbc.frame import FD, Frames
 from gateway.adaptive_state import BusSums, new_sums, take
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.segment import AdaptiveSegment
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
 from tests.bus.harness import frame
 from tests.nodes.links import ArrayLink
@@ -45,7 +46,8 @@ class Bus:
         self.boards = AdaptiveBoards(contract, blocks, self.source, noise_n=0.0, **options)  # type: ignore[arg-type]
         self.link = ArrayLink()
         self.complaints: list[str] = []
-        self.segment = AdaptiveSegment(contract, 0, IDS, self.link.send, self.boards, complain=self.complaints.append)
+        nodes = VirtualBoards(contract, 0, IDS, self.boards)
+        self.segment = Segment(contract, 0, nodes, self.boards, self.link.send, complain=self.complaints.append)
         self.now_s = 100.0
         self.received: BusSums = new_sums(NODES)
         self.is_fd = contract.layout.bus[0].fd

@@ -9,7 +9,7 @@ from dbc.contract import Contract
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment
-from nodes.synchronous_segment import SynchronousSegment
+from nodes.virtual_boards import VirtualBoards
 from skin.layout import load_layout
 from tests.nodes.adaptive_bus import Bus
 from tests.nodes.links import ArrayLink, Still
@@ -51,6 +51,7 @@ def new_segment(
     """Return nodes of bus0, booted."""
     if sampler is None:
         sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
-    built = SynchronousSegment(contract, 0, node_ids, link.send, sampler, complain=complain, store=store)
+    boards = VirtualBoards(contract, 0, node_ids, sampler, store=store)
+    built = Segment(contract, 0, boards, sampler, link.send, complain=complain)
     built.boot(0.0)
     return built

@@ -51,7 +51,7 @@ def test_values_at_the_ends_of_their_ranges(index: int, allowed: list[float], re
 )
 def test_a_wrong_signature_is_told_from_a_wrong_value(segment: Segment, index: int, code: int) -> None:
     with pytest.raises(SdoAbortedError) as refused:
-        check_write(segment.nodes[0].local, index, 1, 99)
+        check_write(segment.boards.nodes[0].local, index, 1, 99)
     assert refused.value.code == code
 
 

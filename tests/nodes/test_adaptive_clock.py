@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from dbc.contract import Contract
+from dbc.frame import Frames, frames
 from nodes.adaptive.patch_boards import PatchBoards
 from skin.layout import load_layout
 from skin.sources import Frame
@@ -39,6 +40,12 @@ class Ticks(PatchBoards):
     def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:
         self.decisions.append((now_ns, passed_ns, skipped))
         return self.answer
+
+    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+        return frames(0)
+
+    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
+        return 0, len(arrived)
 
 
 class Source(Still):

@@ -5,13 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc.adaptive import LOST_NS, TPDOS
+from dbc.adaptive import LOST_NS
 from dbc.adaptive_filter import LEAST_NOISE_N
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
-from nodes.adaptive.boards import tpdo_places
+from nodes.adaptive.news import PAUSE_NS
 from nodes.adaptive.patch_boards import CATCH_UP
-from nodes.adaptive.timing import PAUSE_NS
 from skin.layout import load_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.bus.harness import frame
@@ -206,13 +205,3 @@ def test_truth_is_told_for_every_step_of_the_touch(bus: Bus) -> None:
     sensor_n = np.frombuffer(truths[-1].sensor, "<f4")
     cells = bus.contract.phi.taxels_of_blocks[[node.block for node in bus.contract.on_bus(0)[: len(IDS)]]]
     assert np.abs(sensor_n[cells] - np.clip(bus.source.force_n.ravel()[cells], 0, 0.02)).max() < 2e-5
-
-
-def test_an_identifier_of_no_tpdo_belongs_to_none() -> None:
-    places, cob_ids = np.zeros(0x800, np.int64), np.zeros((2, TPDOS), np.int64)
-    cob_ids[0, 3], cob_ids[1, 0] = 0x181, 0x182
-    tpdo_places(cob_ids, 5, places)
-    assert {int(each): int(places[each]) for each in np.flatnonzero(places >= 0)} == {
-        0x181: 5 * TPDOS + 3,
-        0x182: 6 * TPDOS,
-    }

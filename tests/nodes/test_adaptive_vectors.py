@@ -16,8 +16,9 @@ from gateway.adaptive_state import new_sums, take
 from nodes.adaptive import patch_boards
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.noise import IdleStatistics
-from nodes.adaptive.segment import AdaptiveSegment
-from nodes.vectors import vector_files
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
+from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
 from tests.nodes.links import ArrayLink, Still
@@ -66,7 +67,8 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
     assert boards.read(0, 0x2035, 0) == settled["board_noise_n"]
     assert np.array_equal(boards._filter.sums_n[0], np.float32(settled["sums_n"]))
     link = ArrayLink()
-    segment = AdaptiveSegment(contract, 0, {1}, link.send, boards, complain=lambda _: None)
+    nodes = VirtualBoards(contract, 0, {1}, boards)
+    segment = Segment(contract, 0, nodes, boards, link.send, complain=lambda _: None)
     now_s = 100.0
     segment.boot(now_s)
     segment.take(frame(0, b"\x01\x01"), now_s)

@@ -4,7 +4,7 @@ import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -16,9 +16,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.indices import OD_REFRESH
 from firmware.library import Firmware
-from nodes import service
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.firmware import FirmwarePatches
 from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
@@ -228,49 +226,23 @@ def test_before_it_is_known_which_cycle_comes_next_nothing_is_sampled_ahead(link
     assert not prepared
 
 
-def test_each_kind_of_boards_gets_its_kind_of_segment(
-    contract: Contract, links: dict[int, ReadyLink], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_boards_are_nodes_in_python_or_those_of_the_firmware(
+    contract: Contract, links: dict[int, ReadyLink], tmp_path: Path
 ) -> None:
-    made: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
-
-    def stand_in(name: str) -> Any:
-        def build(*given: Any, **named: Any) -> str:
-            made.append((name, given, named))
-            return name
-
-        return build
-
-    for name in ("FirmwareSegment", "AdaptiveFirmwareSegment", "AdaptiveSegment", "SynchronousSegment"):
-        monkeypatch.setattr(service, name, stand_in(name))
-
-    class Patches(FirmwarePatches):
-        def __init__(self) -> None:
-            """Compile nothing."""
-
-    class Adaptive(AdaptiveBoards):
-        def __init__(self) -> None:
-            """Learn nothing."""
-
-    firmware = cast("Firmware", "compiled")
     electronics = Electronics(contract.layout.taxels, noise_n=0.0)
+    sampler = Sampler(contract.phi, Still(contract), electronics)
+    made = NodesService(contract, links, {0: {1}, 1: {2}}, sampler, store=tmp_path)
+    assert [set(segment.boards.node_ids) for segment in made.segments.values()] == [{1}, {2}]
+
+    class Compiled:
+        """Firmware whose boards are the number of their bus."""
+
+        def boards(self, bus: int) -> int:
+            return bus
+
     counts = CountSampler(contract.phi, Still(contract), electronics)
-    sums = Sampler(contract.phi, Still(contract), electronics)
-    for boards, compiled, kind in (
-        (counts, firmware, "FirmwareSegment"),
-        (Patches(), firmware, "AdaptiveFirmwareSegment"),
-        (Adaptive(), None, "AdaptiveSegment"),
-        (sums, None, "SynchronousSegment"),
-        (counts, None, "SynchronousSegment"),
-    ):
-        made.clear()
-        built = NodesService(contract, links, {0: {1}, 1: {2}}, boards, store=tmp_path, firmware=compiled)
-        assert built.segments == {0: kind, 1: kind}
-        for bus, (_, given, named) in enumerate(made):
-            assert given[:2] == (contract, bus)
-            assert links[bus].send in given
-            assert boards in given
-            assert ({bus + 1} in given) == (compiled is None)
-            assert named.get("store") == (tmp_path if compiled is None else None)
+    made = NodesService(contract, links, {0: {1}, 1: {2}}, counts, firmware=cast("Firmware", Compiled()))
+    assert [segment.boards for segment in made.segments.values()] == [0, 1]
 
 
 def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, ReadyLink]) -> None:

@@ -25,11 +25,11 @@ def set_up(
     ):
         assert write(segment, link, 0x1800, subindex, value, size) == 0
     give(segment, link, frame(0, bytes((START, 1))))
-    return segment.nodes[0].tpdos[0]
+    return segment.boards.nodes[0].tpdos[0]
 
 
 def change_sums(segment: Segment, by: int) -> None:
-    segment.nodes[0]._boards.sums[:] += by
+    segment.boards.nodes[0]._hardware.sums[:] += by
 
 
 def map_sum_and_error_register(segment: Segment, link: ArrayLink) -> None:
@@ -78,7 +78,7 @@ def test_acyclic_pdo_is_sent_at_a_sync_after_a_change(segment: Segment, link: Ar
 def test_event_driven_pdo_keeps_its_inhibit_time_to_the_microsecond(
     segment: Segment, link: ArrayLink, every: int
 ) -> None:
-    tpdo, node = set_up(segment, link, every=every, inhibit_100us=7), segment.nodes[0].local
+    tpdo, node = set_up(segment, link, every=every, inhibit_100us=7), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
     change_sums(segment, 1)
     assert tpdo.at_event(10.000_699, node) is None
@@ -87,7 +87,7 @@ def test_event_driven_pdo_keeps_its_inhibit_time_to_the_microsecond(
 
 
 def test_event_timer_is_kept_to_the_microsecond(segment: Segment, link: ArrayLink) -> None:
-    tpdo, node = set_up(segment, link, every=255, event_ms=20), segment.nodes[0].local
+    tpdo, node = set_up(segment, link, every=255, event_ms=20), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
     assert tpdo.at_event(10.019_999, node) is None
     assert tpdo.at_event(10.020_001, node) is not None
@@ -118,8 +118,8 @@ def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink) ->
         assert write(segment, link, 0x1A00, place, entry, 4) == 0
     assert write(segment, link, 0x1A00, 0, 3, 1) == 0
     set_up(segment, link, every=1)
-    segment.nodes[0]._boards.sums[:2] = -1, -2
-    payload = segment.nodes[0].tpdos[0].payload(segment.nodes[0].local)
+    segment.boards.nodes[0]._hardware.sums[:2] = -1, -2
+    payload = segment.boards.nodes[0].tpdos[0].payload(segment.boards.nodes[0].local)
     assert payload.hex() == "ffff00feff"
     assert read(segment, link, 1, 0x2100, 2) == 0xFFFE
 
@@ -149,7 +149,7 @@ def test_a_pdo_with_another_object_has_its_turns_too(segment: Segment, link: Arr
     set_up(segment, link, every=240, start=9)
     assert sent_at(segment, link, 8, 9, 10, 240) == [9]
     tpdo = set_up(segment, link, every=254)
-    assert {tpdo.at_sync(0, segment.nodes[0].local) for _ in range(255)} == {None}
+    assert {tpdo.at_sync(0, segment.boards.nodes[0].local) for _ in range(255)} == {None}
 
 
 @pytest.mark.parametrize(("every", "is_plain"), [(0, False), (1, True), (240, True), (254, False), (255, False)])
@@ -160,7 +160,7 @@ def test_cyclic_pdos_of_sums_are_sent_together(segment: Segment, link: ArrayLink
 
 
 def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink) -> None:
-    tpdo, node = set_up(segment, link, every=255, inhibit_100us=5000, event_ms=1000), segment.nodes[0].local
+    tpdo, node = set_up(segment, link, every=255, inhibit_100us=5000, event_ms=1000), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
     change_sums(segment, 1)
     assert tpdo.at_event(10.5, node) is not None
@@ -169,7 +169,7 @@ def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink) -> Non
 
 
 def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
-    found = read_tpdos(segment.nodes[0].local, {300: None, 2: 1, 301: 0, 1: None})
+    found = read_tpdos(segment.boards.nodes[0].local, {300: None, 2: 1, 301: 0, 1: None})
     assert [(tpdo.cob_id, tpdo.state) for tpdo in found] == [(0x281, 1), (0x181, None)]
 
 
@@ -185,7 +185,7 @@ def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
     ],
 )
 def test_a_pdo_that_cannot_be_sent_does_not_exist(segment: Segment, cob_id: int, entries: tuple[int, ...]) -> None:
-    local = segment.nodes[0].local
+    local = segment.boards.nodes[0].local
 
     def put(cob_id: int, entries: tuple[int, ...]) -> list[int]:
         local.data_store[0x1800] = {1: cob_id.to_bytes(4, "little")}
