@@ -1,13 +1,13 @@
 """The adaptive boards of a process: all sample, filter and decide in one pass a millisecond."""
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
-from dbc.adaptive_filter import IDLE_SAMPLES, SETTLING_SAMPLES, Floats
+from dbc.adaptive_filter import Floats
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import Frames, frame_bytes, frames
@@ -21,6 +21,7 @@ from dbc.indices import (
     OD_TAXEL_NOISE,
 )
 from nodes.adaptive.controllers import (
+    DEFAULT_RULE,
     NO_COB_ID,
     REFUSED,
     SENT,
@@ -32,15 +33,12 @@ from nodes.adaptive.controllers import (
     new_controllers,
     take_echoes,
 )
-from nodes.adaptive.filtering import PatchFilter
-from nodes.adaptive.noise import IdleStatistics, Noise
+from nodes.adaptive.filtering import settled_filter
+from nodes.adaptive.noise import Noise
 from nodes.adaptive.patch_boards import MOST_FRAMES, PatchBoards
 from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2, present_codes
 from skin.sources import TaxelSource
 from skin.walsh import GROUPS, grouped_rows
-
-#: As 2031h holds them: REAL32, or whole.
-_DEFAULTS: Final = tuple(float(np.float32(value)) for value in SendingRule())
 
 
 class AdaptiveBoards(PatchBoards):
@@ -49,9 +47,7 @@ class AdaptiveBoards(PatchBoards):
     def __init__(self, contract: Contract, blocks: Sequence[int], source: TaxelSource, **analogue: Any) -> None:
         super().__init__(contract, blocks, source, **analogue)
         self._law = contract.law
-        self._filter = PatchFilter(self._learn())
-        for _ in range(SETTLING_SAMPLES):
-            self._filter.take(self._sensors.sample(0))
+        self._filter = settled_filter(lambda: self._sensors.sample(0))
         compile_all(self._law)
         nodes, self._bus_of = len(blocks), {block: contract.nodes[block].bus for block in blocks}
         lines = [contract.layout.bus[bus] for bus in self._bus_of.values()]
@@ -63,19 +59,10 @@ class AdaptiveBoards(PatchBoards):
         self._groups = new_groups(nodes, np.array([line.fd for line in lines]))
         bits = [[sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] for line in lines]
         self._controllers = new_controllers(np.array(bits, np.int64).reshape(nodes, 2))
-        self._rules = np.tile(np.array(_DEFAULTS), (nodes, 1))
         self._given = np.zeros((2, *self._cells.shape), np.float32)
-        self._is_operational, self._has_due = np.zeros((2, nodes), np.bool_)
         self._noise: Noise | None = None
         self._threshold_n2 = np.zeros(nodes)
         self._is_changed = False
-
-    def _learn(self) -> Noise:
-        """Learn the noise of the untouched skin, as a board does when it is switched on."""
-        statistics = IdleStatistics(*self._cells.shape)
-        for _ in range(IDLE_SAMPLES):
-            statistics.take(self._sensors.sample(0))
-        return statistics.noise()
 
     # --- time ----------------------------------------------------------------------------------------------
 
@@ -99,32 +86,28 @@ class AdaptiveBoards(PatchBoards):
             self._now,
             now_ns,
             passed_ns * 1e-9,
-            self._is_operational,
             self._filter.sums_n,
             self._filter.variance_n2,
             self._threshold_n2,
-            self._rules,
             self._law,
             self._groups,
             self._controllers,
-            self._has_due,
         )
         return bool(due)
 
     def _take_noise(self) -> None:
         self._noise = self._filter.noise
-        ratio = self._rules[:, SendingRule._fields.index("noise_ratio")]
-        self._threshold_n2 = noise_threshold_n2(self._noise.node_n, ratio)
+        self._threshold_n2 = noise_threshold_n2(self._noise.node_n, self._controllers.rule["noise_ratio"])
 
     # --- frames ---------------------------------------------------------------------------------------------
 
     def set_operational(self, block: int, is_operational: bool) -> None:
         """Let a node send; it begins with all its groups. Or end that."""
         row = self._row[block]
-        if is_operational and not self._is_operational[row]:
+        if is_operational and not self._controllers.is_operational[row]:
             for group in range(GROUPS):
                 ask(row, group, self._now, self._groups)
-        self._is_operational[row] = is_operational
+        self._controllers.is_operational[row] = is_operational
 
     def set_tpdos(self, block: int, cob_id: Sequence[int], inhibit: Sequence[int]) -> None:
         """Set identifier, or `NO_COB_ID`, and inhibit time in samples of a node's TPDOs."""
@@ -140,9 +123,9 @@ class AdaptiveBoards(PatchBoards):
     def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
         """Make the most urgent frames of the boards of a bus, at most `most`, which expire at `until_ns`."""
         rows, room = self._rows[bus], self._room
-        if not self._has_due[rows].any():
+        if not self._controllers.has_due[rows].any():
             return self._burst[:0]
-        parts = self._filter.sums_n, self._law, self._groups, self._controllers, self._has_due, room
+        parts = self._filter.sums_n, self._law, self._groups, self._controllers, room
         count = int(choose(rows.start, rows.stop, self._now, until_ns, most, *parts))
         burst = self._burst[:count]
         burst["time_ns"], burst["expires_ns"], burst["flags"] = now_ns, until_ns, self._flags[bus]
@@ -158,7 +141,7 @@ class AdaptiveBoards(PatchBoards):
 
     def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
         """Take note of the nodes' own frames, see `nodes.adaptive.controllers.take_echoes`."""
-        parts = self._now, self._rules, self._law, self._groups, self._controllers
+        parts = self._now, self._law, self._groups, self._controllers
         sent, others = take_echoes(frame_bytes(arrived), self._place_of[bus], *parts)
         return int(sent), int(others)
 
@@ -171,7 +154,7 @@ class AdaptiveBoards(PatchBoards):
             mine[row] = fresh[0]
         self._controllers.made_at[row] = new_controllers(self._controllers.frame_bits[row : row + 1]).made_at[0]
         self._controllers.counts[row] = 0
-        self._is_operational[row] = False
+        self._controllers.is_operational[row] = False
 
     def frames_of(self, block: int) -> tuple[int, int]:
         """Return how many frames a node has sent since its reset, and how many found no room."""
@@ -187,7 +170,7 @@ class AdaptiveBoards(PatchBoards):
                 if int(value) >> group & 1:
                     ask(row, group, self._now, self._groups)
         elif index == OD_SENDING and subindex:
-            self._rules[row, subindex - 1] = value
+            self._controllers.rule[SendingRule._fields[subindex - 1]][row] = value
             self._noise = None
         elif index in (OD_TAXEL_NOISE, OD_COEFFICIENT_NOISE) and subindex:
             self._given[int(index == OD_COEFFICIENT_NOISE), row, subindex - 1] = value
@@ -202,7 +185,7 @@ class AdaptiveBoards(PatchBoards):
         """Set a block to the defaults: calibration, rule of sending, noise that is learned, no budget."""
         super().reset(block)
         row = self._row[block]
-        self._rules[row] = _DEFAULTS
+        self._controllers.rule[row] = DEFAULT_RULE
         self._noise, self._is_changed = None, True
         self._controllers.budget[row] = 0
         if self._given[:, row].any():

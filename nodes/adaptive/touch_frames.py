@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 
 from dbc.adaptive import LEVELS, Companding, SendingRule, decode_cob_id
-from dbc.adaptive_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.contract import Contract, frame_flags
 from dbc.frame import Frames, frames
-from nodes.adaptive.filtering import PatchFilter
-from nodes.adaptive.noise import IdleStatistics
+from nodes.adaptive.filtering import settled_filter
 from nodes.adaptive.sending import (
     NOT_DUE,
     Groups,
@@ -46,12 +45,7 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
     cells = contract.phi.taxels_of_blocks[[node.block for node in nodes]]
     model = TaxelModel(force_max_n=contract.layout.taxels.force_max_n)
     sensors = PatchSensors(calibration, cells, model, source, seed)
-    statistics = IdleStatistics(*cells.shape)
-    for _ in range(IDLE_SAMPLES):
-        statistics.take(sensors.sample(0))
-    patch_filter = PatchFilter(statistics.noise())
-    for _ in range(SETTLING_SAMPLES):
-        patch_filter.take(sensors.sample(0))
+    patch_filter = settled_filter(lambda: sensors.sample(0))
     sensors.touch_from_ns = 0
     line = contract.layout.bus[bus]
     rule, groups = SendingRule(), new_groups(len(nodes), line.fd)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dbc.adaptive import LEVELS, SendingRule
-from nodes.adaptive.urgency import log2_of, urgency
+from nodes.adaptive.sending import log2_of, urgency
 
 RULE = SendingRule()
 #: Ratios of difference over threshold, from just above 1 on.
