@@ -67,7 +67,10 @@ def _filters() -> dict[str, tuple[object, str]]:
         "SKIN_OUTLIER_RATIO": (real(averaging.OUTLIER_RATIO), "most of a squared second difference, over their mean"),
         "SKIN_IDLE_BAND": (real(averaging.IDLE_BAND), "of mean over deviation of an idle taxel"),
         "SKIN_EVENNESS": (real(averaging.EVENNESS), "least of size over square of second differences"),
-        "SKIN_IDLE_TAXELS": (round(1 / averaging.IDLE_PART), "one of so many is idle where noise is learned"),
+        "SKIN_IDLE_TAXELS": (
+            round(1 / averaging.IDLE_PART),
+            "1 / part of the taxels that have to be idle where noise is learned",
+        ),
         "SKIN_LEARNING_GAIN": (real(averaging.LEARNING_GAIN), "part of the difference that noise follows"),
         "SKIN_AVERAGE_DEAD_RATIO": (real(averaging.DEAD_RATIO), "deviations of an average: a force of fewer is 0"),
         "SKIN_CLIPPED_REACH": (real(REACH), "end of the table of the mean of x + N(0, 1) clipped at 0, x from 0"),

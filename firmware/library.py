@@ -35,7 +35,7 @@ _FUNCTIONS: Final = (
     "skin_newest_sums",
     "skin_node_bytes",
 )
-_ADAPTIVE_FUNCTIONS: Final = ("skin_take_counts", "skin_decide_all", "skin_choose", "skin_held")
+_ADAPTIVE_FUNCTIONS: Final = ("skin_take_counts", "skin_decide_all", "skin_choose", "skin_under_way")
 
 _Made = TypeVar("_Made", bound="CompiledBoards")
 
@@ -218,7 +218,7 @@ class CompiledAdaptiveBoards(CompiledBoards):
     @property
     def is_sending(self) -> bool:
         """Whether a controller may hold a frame, or its echo is to be read."""
-        return bool(self._library.skin_held(self._nodes, self._count))
+        return bool(self._library.skin_under_way(self._nodes, self._count))
 
 
 def _milliseconds(now_s: float) -> ctypes.c_uint32:

@@ -1,4 +1,4 @@
-/* The average of what taxels read between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
+/* The average of a taxel's samples between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
  *
  * Five filters with constant gains run on every sample; their mean, weighted by likelihood, is the average. Noise that the
  * sensor clips at 0 is learned from taxels that nothing touches, and its bias is undone. Needs a floating point unit:
