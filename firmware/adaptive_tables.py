@@ -61,6 +61,7 @@ def adaptive_header(contract: Contract) -> str:
     law, count_n = contract.law, contract.layout.taxels.newton_per_count
     reals = sum(1 << place for place, value in enumerate(SendingRule(), 1) if isinstance(value, float))
     high, wide = patch_shape(BLOCK_SUMS)
+    least_n, most_n = adaptive_filter.GIVEN_NOISE_N
     values: dict[str, tuple[object, str]] = {
         "SKIN_PATCH_HIGH": (high, "taxels of a board"),
         "SKIN_PATCH_WIDE": (wide, "side by side"),
@@ -82,10 +83,10 @@ def adaptive_header(contract: Contract) -> str:
         "SKIN_SPAN_COUNT": (len(SPANS), "lengths of the means in which noise is looked at"),
         "SKIN_SPANS": (braced(map(str, SPANS)), "these lengths, samples"),
         "SKIN_LEAST_GIVEN_NOISE_N": (
-            real(adaptive_filter.GIVEN_NOISE_N[0]),
+            real(least_n),
             "least noise that may be given, besides 0",
         ),
-        "SKIN_MOST_GIVEN_NOISE_N": (real(adaptive_filter.GIVEN_NOISE_N[1]), "and most"),
+        "SKIN_MOST_GIVEN_NOISE_N": (real(most_n), "and most"),
         "SKIN_FILTER_MODELS": (_MODELS, "models that run side by side"),
         "SKIN_AVERAGE_COUNT": (len(AVERAGES), "the first of them: averages, which have no slope"),
         "SKIN_CHANGE": (real(SWITCHING / (_MODELS - 1)), "chance of a change to a model"),
@@ -99,10 +100,8 @@ def adaptive_header(contract: Contract) -> str:
         "SKIN_LEAST_IDLE_RATIO": (real(adaptive_filter.IDLE_RATIOS[0]), "mean over deviation of an idle taxel, least"),
         "SKIN_MOST_IDLE_RATIO": (real(adaptive_filter.IDLE_RATIOS[1]), "and most"),
     }
-    rule = [
-        f"    {'float' if isinstance(value, float) else 'uint32_t'} {name};"
-        for name, value in SendingRule()._asdict().items()
-    ]
+    kinds = {float: "float", int: "uint32_t"}
+    rule = [f"    {kinds[type(value)]} {name};" for name, value in SendingRule()._asdict().items()]
     return header(
         "ADAPTIVE_H",
         f"Numbers of adaptive boards of the skin {contract.layout.name}.",

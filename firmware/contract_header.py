@@ -69,7 +69,7 @@ def _filters() -> dict[str, tuple[object, str]]:
         "SKIN_EVENNESS": (real(averaging.EVENNESS), "least of size over square of second differences"),
         "SKIN_IDLE_TAXELS": (
             round(1 / averaging.IDLE_PART),
-            "1 / part of the taxels that have to be idle where noise is learned",
+            "1 / part of the taxels that are idle where noise is learned",
         ),
         "SKIN_LEARNING_GAIN": (real(averaging.LEARNING_GAIN), "part of the difference that noise follows"),
         "SKIN_AVERAGE_DEAD_RATIO": (real(averaging.DEAD_RATIO), "deviations of an average: a force of fewer is 0"),

@@ -13,9 +13,8 @@ from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
 from tests.bus.harness import frame
-from tests.nodes.links import ArrayLink
+from tests.nodes.helpers import START, ArrayLink
 
-START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 IDS = (1, 2, 3, 4)
 
 

@@ -11,7 +11,7 @@ from dbc.frame import Frames, frames
 from nodes.adaptive.patch_boards import PatchBoards
 from skin.layout import load_layout
 from skin.sources import Frame
-from tests.nodes.links import Still
+from tests.nodes.helpers import Still
 
 MS = 1_000_000
 

@@ -12,7 +12,7 @@ from dbc.frame import ECHO, ERROR
 from nodes.adaptive.firmware import FirmwarePatches
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.links import Still
+from tests.nodes.helpers import Still
 
 
 class Counted:

@@ -6,7 +6,7 @@ from dbc.contract import Contract
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.news import WithNews
 from skin.layout import load_layout
-from tests.nodes.links import Still
+from tests.nodes.helpers import Still
 
 MS, SECOND = 1_000_000, 1_000_000_000
 

@@ -14,12 +14,8 @@ from skin.layout import load_layout
 from skin.walsh import GROUPS
 from skin.zero_drift import ZeroDrift
 from tests.bus.harness import frame
-from tests.nodes.adaptive_bus import (
-    RESET_NODE,
-    START,
-    Bus,
-    meanings,
-)
+from tests.nodes.adaptive_bus import Bus, meanings
+from tests.nodes.helpers import RESET_NODE, START
 
 LOAD = 0x6461_6F6C
 

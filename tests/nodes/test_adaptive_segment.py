@@ -14,18 +14,8 @@ from nodes.adaptive.patch_boards import CATCH_UP
 from skin.layout import load_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.bus.harness import frame
-from tests.nodes.adaptive_bus import (
-    IDS,
-    PRE_OPERATIONAL,
-    RESET_COMMUNICATION,
-    RESET_NODE,
-    START,
-    STOP,
-    Bus,
-    back,
-    meanings,
-    sums_of,
-)
+from tests.nodes.adaptive_bus import IDS, Bus, back, meanings, sums_of
+from tests.nodes.helpers import PRE_OPERATIONAL, RESET_COMMUNICATION, RESET_NODE, START, STOP
 
 
 @pytest.fixture(scope="module")

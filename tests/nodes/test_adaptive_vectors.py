@@ -21,7 +21,7 @@ from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.links import ArrayLink, Still
+from tests.nodes.helpers import ArrayLink, Still
 
 pytestmark = pytest.mark.heavy
 
