@@ -5,10 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from dbc.contract import Contract
+from nodes.sampler import Sampler
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.nodes.adaptive_bus import Bus
-from tests.nodes.helpers import ArrayLink, new_segment
+from tests.nodes.helpers import ArrayLink, new_sampler, new_segment
 
 
 @pytest.fixture(scope="session")
@@ -22,9 +23,14 @@ def link() -> ArrayLink:
 
 
 @pytest.fixture
-def segment(contract: Contract, link: ArrayLink) -> Segment:
+def sampler(contract: Contract) -> Sampler:
+    return new_sampler(contract)
+
+
+@pytest.fixture
+def segment(contract: Contract, link: ArrayLink, sampler: Sampler) -> Segment:
     """Nodes 1 to 4 of bus0, booted."""
-    return new_segment(contract, link, {1, 2, 3, 4})
+    return new_segment(contract, link, {1, 2, 3, 4}, sampler=sampler)
 
 
 @pytest.fixture

@@ -64,6 +64,11 @@ class Still:
         return Frame(self.force_n, "")
 
 
+def new_sampler(contract: Contract) -> Sampler:
+    """Return a sampler of the same touch for ever, without noise."""
+    return Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+
+
 def new_segment(
     contract: Contract,
     link: ArrayLink,
@@ -74,8 +79,7 @@ def new_segment(
     store: Path | None = None,
 ) -> Segment:
     """Return nodes of bus0, booted."""
-    if sampler is None:
-        sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = sampler or new_sampler(contract)
     boards = VirtualBoards(contract, 0, node_ids, sampler, store=store)
     built = Segment(contract, 0, boards, sampler, link.send, complain=complain)
     built.boot(0.0)

@@ -21,6 +21,7 @@ class Ticks(PatchBoards):
 
     def __init__(self, contract: Contract) -> None:
         super().__init__(contract, [3, 7], Source(contract))
+        self.cells = contract.phi.taxels_of_blocks[[3, 7]]
         self.samples = 0
         self.decisions: list[tuple[int, int, int]] = []
         self.begun = 0
@@ -129,7 +130,7 @@ def test_a_truth_comes_with_the_first_sample_of_each_step_of_the_touch(boards: T
     assert last is not None
     assert last.sync_counter == 0
     sensor, true = (np.frombuffer(each, "<f4") for each in (last.sensor, last.true))
-    cells = boards._phi.taxels_of_blocks[[3, 7]]
+    cells = boards.cells
     assert not np.delete(sensor, cells.ravel()).any()
     # Boards of a source with noise of its own add none: half a count of 20 mN / 1023.
     assert np.abs(sensor - true)[cells].max() <= 0.51 * 0.02 / 1023

@@ -48,7 +48,7 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
         true_n = walsh_matrix(32) @ np.clip(force_n, 0, 0.02)
         assert np.abs(bus.received.value_n[row] - true_n)[1:].max() < 2 * law.fine_n
         assert abs(bus.received.value_n[row, 0] - true_n[0]) < 32 * LEAST_NOISE_N * 1.6  # an offset within the noise
-        assert np.array_equal(bus.received.value_n[row], bus.boards._groups.known_n[row])
+        assert np.array_equal(bus.received.value_n[row], bus.boards.groups.known_n[row])
     assert not bus.received.counts[1:].any()
     assert bus.segment.frames_sent == bus.received.counts[0]
     assert bus.segment.frames_dropped == 0
@@ -76,7 +76,7 @@ def test_a_frame_that_comes_back_unsent_is_made_anew_of_newer_samples(bus: Bus) 
         bus.link.waiting.clear()
         if len(first):
             break
-    known = bus.boards._groups.known_n.copy()
+    known = bus.boards.groups.known_n.copy()
     bus.now_s += 1e-3
     bus.segment.tick(bus.now_s)
     held = {(node, group) for node, _, group, _ in meanings(first)}
@@ -84,7 +84,7 @@ def test_a_frame_that_comes_back_unsent_is_made_anew_of_newer_samples(bus: Bus) 
     assert not held & {(node, group) for node, _, group, _ in meanings(second)}  # it may still win the bus
     bus.link.waiting.clear()
     bus.give(back(first, ECHO | ERROR), back(second, ECHO | ERROR))
-    assert np.array_equal(bus.boards._groups.known_n, known)
+    assert np.array_equal(bus.boards.groups.known_n, known)
     bus.now_s += 1e-3
     bus.segment.tick(bus.now_s)
     again = sums_of(bus.link.take_sent())
@@ -137,12 +137,12 @@ def test_a_reset_forgets_what_was_sent_and_not_the_noise(contract: Contract) -> 
     bus.run(5)
     bus.sync()
     bus.run(300)
-    assert bus.boards._groups.known_n[0].any()
+    assert bus.boards.groups.known_n[0].any()
     noise = bus.read_real(0x2035)
     for command in (RESET_COMMUNICATION, RESET_NODE):
         bus.give(frame(0, bytes((command, 1))))
-        assert not bus.boards._groups.known_n[0].any()
-        assert bus.boards._groups.known_n[1].any()
+        assert not bus.boards.groups.known_n[0].any()
+        assert bus.boards.groups.known_n[1].any()
         assert bus.read_real(0x2035) == pytest.approx(noise, rel=0.3)
         assert not [each for each in meanings(bus.run(20)) if each[0] == 1]
         bus.give(frame(0, bytes((START, 1))))

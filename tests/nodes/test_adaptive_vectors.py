@@ -65,7 +65,7 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
         learned = [boards.read(0, index, place) for place in range(1, 33)]
         assert learned == np.float32(settled[key]).tolist()
     assert boards.read(0, 0x2035, 0) == settled["board_noise_n"]
-    assert np.array_equal(boards._filter.sums_n[0], np.float32(settled["sums_n"]))
+    assert np.array_equal(boards.filter.sums_n[0], np.float32(settled["sums_n"]))
     link = ArrayLink()
     nodes = VirtualBoards(contract, 0, {1}, boards)
     segment = Segment(contract, 0, nodes, boards, link.send, complain=lambda _: None)
@@ -84,8 +84,8 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
             {"cob_id": int(each["can_id"]), "data": each["data"][: each["length"]].tobytes().hex()} for each in burst
         ]
         assert found == sample["frames"], number
-        assert np.array_equal(boards._filter.sums_n[0], np.float32(sample["sums_n"]))
-        variances_n2 = np.float64(boards._filter.variance_n2[0]).reshape(4, 8).sum(axis=1)
+        assert np.array_equal(boards.filter.sums_n[0], np.float32(sample["sums_n"]))
+        variances_n2 = np.float64(boards.filter.variance_n2[0]).reshape(4, 8).sum(axis=1)
         assert sample["variance_n2"] == pytest.approx(variances_n2.tolist())
         burst["flags"] |= ECHO | ERROR if sample["is_busy"] else ECHO
         segment.take(burst, now_s)

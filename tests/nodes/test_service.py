@@ -2,7 +2,7 @@
 
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import cast
 
@@ -22,7 +22,7 @@ from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.helpers import START, ArrayLink, Still, sync
+from tests.nodes.helpers import START, ArrayLink, Still, new_sampler, sync
 
 
 class ReadyLink(ArrayLink):
@@ -76,7 +76,7 @@ def links() -> Iterator[dict[int, ReadyLink]]:
 def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links: dict[int, ReadyLink]) -> None:
     now_s = 100.0
     published = Published()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     service = NodesService(contract, links, {0: {1}, 1: {2}}, sampler, published, clock=lambda: now_s)
     for segment in service.segments.values():
         segment.boot(now_s)
@@ -139,13 +139,15 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
 
 
 class StopAfter:
-    """A signal that comes after so many turns."""
+    """A signal that comes after a number of turns, and then calls `last`."""
 
-    def __init__(self, turns: int) -> None:
-        self._left = turns
+    def __init__(self, turns: int, last: Callable[[], None] = lambda: None) -> None:
+        self._left, self._last = turns, last
 
     def is_set(self) -> bool:
         self._left -= 1
+        if self._left < 0:
+            self._last()
         return self._left < 0
 
 
@@ -155,25 +157,17 @@ def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]
     block = contract.on_bus(0)[0].block
     boards = AdaptiveBoards(contract, [block], Still(contract))
     service = NodesService(contract, {0: links[0]}, {0: {1}}, boards, published, clock=lambda: now_s)
-    service.run(StopAfter(0))  # type: ignore[arg-type]
-    assert links[0].take_sent()["can_id"].tolist() == [0x701]
-    assert [status.frames_sent for status in published.statuses] == [0]
-    links[0].waiting.clear()
-    service.segments[0].take(frame(0, bytes((START, 0))), now_s)
-    service.turn()
-    assert boards.is_sending
-    links[0].put()
-    service._await_frames()
+    links[0].put(frame(0, bytes((START, 0))))
+    service.run(StopAfter(1, links[0].put))  # type: ignore[arg-type]
     assert not boards.is_sending
-    service.publish_status()
-    assert published.statuses[-1].frames_sent == 4
+    assert [status.frames_sent for status in published.statuses] == [0, 4]
 
 
 def test_the_next_cycle_is_sampled_ahead_when_all_buses_have_had_their_answers(
     contract: Contract, links: dict[int, ReadyLink]
 ) -> None:
     now_s, prepared = 100.0, []
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
     service = NodesService(contract, links, {0: {1}, 1: {1}}, sampler, clock=lambda: now_s)
     for segment in service.segments.values():
@@ -197,7 +191,7 @@ def test_on_a_single_bus_the_next_cycle_is_sampled_ahead_at_once(
     contract: Contract, links: dict[int, ReadyLink]
 ) -> None:
     now_s, prepared = 100.0, []
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     sampler.prepare = lambda: prepared.append(sampler.sums)  # type: ignore[method-assign]
     service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
     service.segments[0].boot(now_s)
@@ -212,7 +206,7 @@ def test_before_it_is_known_which_cycle_comes_next_nothing_is_sampled_ahead(link
     """Of nodes that recognise first, the next step depends on the state."""
     contract = Contract.from_layout(load_layout(Path("recognise-first")))
     now_s, prepared = 100.0, list[float]()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
     service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
     service.segments[0].boot(now_s)
@@ -246,7 +240,7 @@ def test_boards_are_nodes_in_python_or_those_of_the_firmware(
 
 def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, ReadyLink]) -> None:
     now_s, published = 100.0, Published()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     made = NodesService(contract, links, {0: {1, 2}, 1: {2}}, sampler, published, clock=lambda: now_s)
     for segment in made.segments.values():
         segment.boot(now_s)
@@ -263,18 +257,18 @@ def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, Read
 
 def test_statuses_come_every_fifth_of_a_second(contract: Contract, links: dict[int, ReadyLink]) -> None:
     now_s, published = 100.0, Published()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     made = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, published, clock=lambda: now_s)
     counts = []
     for after_s in (0.0, 0.19, 0.2, 0.39, 0.4):
         now_s = 100.0 + after_s
-        made._publish(now_s)
+        made.turn()
         counts.append(len(published.statuses))
     assert counts == [1, 1, 2, 2, 3]
 
 
 def test_without_a_fabric_nothing_is_published(contract: Contract, links: dict[int, ReadyLink]) -> None:
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     made = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: 100.0)
     made.run(StopAfter(2))  # type: ignore[arg-type]
     assert links[0].take_sent()["can_id"].tolist()[0] == 0x701
