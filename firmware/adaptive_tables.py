@@ -11,13 +11,12 @@ import numpy as np
 
 from dbc import adaptive, adaptive_filter
 from dbc.adaptive import BLOCK_SUMS, MEAN_CODES, OTHER_CODES, Companding, SendingRule, coarse_code, coarse_value
-from dbc.adaptive_filter import AVERAGES, HORIZON, SPANS, SWITCHING, TRENDS, make_models, unclip_table
+from dbc.adaptive_filter import SPANS, unclip_table
 from dbc.contract import Contract
 from firmware.c_text import WRITTEN, array, braced, defined, double, header, real
 from skin.clipping import DEAD_RATIO
 from skin.walsh import GROUPS, grouped_rows, haar_matrix, patch_shape, walsh_matrix
 
-_MODELS: Final = len(AVERAGES) + len(TRENDS)
 #: Numbers of `dbc.adaptive` and `dbc.adaptive_filter` that C has under the same names, with ``SKIN_`` before them.
 _WHOLE: Final = {
     "BLOCK_SUMS": "taxels of a board, row by row, and sums in the order of the frames",
@@ -43,7 +42,6 @@ _DOUBLES: Final = {
     "LEAST_PART": "of the number whose logarithm the series tells",
 }
 _REALS: Final = {
-    "HORIZON": "samples that a forecast looks ahead",
     "ROOT_HALF": "square root of 1/2",
     "FOLLOWING": "part of what is left that an offset follows",
     "RATE_N": "most that an offset falls in a sample",
@@ -87,10 +85,6 @@ def adaptive_header(contract: Contract) -> str:
             "least noise that may be given, besides 0",
         ),
         "SKIN_MOST_GIVEN_NOISE_N": (real(most_n), "and most"),
-        "SKIN_FILTER_MODELS": (_MODELS, "models that run side by side"),
-        "SKIN_AVERAGE_COUNT": (len(AVERAGES), "the first of them: averages, which have no slope"),
-        "SKIN_CHANGE": (real(SWITCHING / (_MODELS - 1)), "chance of a change to a model"),
-        "SKIN_STAY": (real(1.0 - SWITCHING), "chance of no change"),
         "SKIN_LOG2_SERIES": (braced(map(double, adaptive_filter.LOG2_SERIES)), "series of the logarithm of urgency"),
         "SKIN_UNCLIP_SCALE": (
             real((adaptive_filter.UNCLIP_POINTS - 1) / adaptive_filter.UNCLIP_REACH),
@@ -127,16 +121,8 @@ def _number(name: str) -> Any:
 
 def adaptive_source(contract: Contract) -> str:
     """Return ``adaptive.c``: the tables of codes and filter."""
-    law, models = contract.law, make_models(HORIZON)
+    law = contract.law
     first, size = _bands()
-    reals = {
-        "skin_gain": models.gain,
-        "skin_slope_gain": models.slope_gain,
-        "skin_half_precision": models.half_precision,
-        "skin_log_spread": models.log_spread,
-        "skin_forecast_variance": models.variance,
-        "skin_unclip_table": unclip_table(),
-    }
     doubles: dict[str, Iterable[float]] = {
         "skin_mean_least": (_least(code, is_mean=True, law=law) for code in range(1, MEAN_CODES + 1)),
         "skin_mean_value": (coarse_value(code, True, law) for code in range(MEAN_CODES + 1)),
@@ -149,7 +135,7 @@ def adaptive_source(contract: Contract) -> str:
         "skin_band_size": size,
     }
     lines = [
-        *(line for name, each in reals.items() for line in array("const float", name, map(real, each), per_line=6)),
+        *array("const float", "skin_unclip_table", map(real, unclip_table()), per_line=6),
         *(
             line
             for name, each in doubles.items()

@@ -7,7 +7,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from canskin.errors import InputError
+from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
+from dbc.averaging import averaging_models
 from dbc.board import Board, board
 from dbc.configuration import configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
@@ -29,7 +33,7 @@ from dbc.indices import (
     split_block,
 )
 from dbc.objects import Object
-from firmware.c_text import WRITTEN, array, defined, header
+from firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
 WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
@@ -150,6 +154,7 @@ def _is_sums(index: int) -> bool:
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``board.h``: sizes that hold every one of `boards`."""
+    is_adaptive = boards[0].is_adaptive
     sizes: dict[str, tuple[object, str]] = {
         "SKIN_BOARDS": (len(boards), "boards of board.c"),
         "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
@@ -157,16 +162,16 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_SUMS": (max(1, *(each.node.sums for each in boards)), "sums of a board"),
         "SKIN_TPDOS": (max(1, *(_tpdos(each.node) for each in boards)), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
-        "SKIN_ADAPTIVE": (int(boards[0].is_adaptive), "whether sums are sent when they carry news"),
+        "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
         "SKIN_SAMPLES": (
-            1 if boards[0].is_adaptive else contract.layout.samples_per_sync,
+            1 if is_adaptive else contract.layout.samples_per_sync,
             "samples of each taxel in a cycle; more than 1 are averaged",
         ),
         "SKIN_WATCHED": (HEARTBEATS_WATCHED, "entries of 1016h"),
         "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
         "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),
     }
-    lines = defined(sizes)
+    lines = defined(sizes | _models(make_models(HORIZON) if is_adaptive else averaging_models(), HORIZON * is_adaptive))
     if len(boards) == 1:
         table = boards[0].board
         lines += [
@@ -176,6 +181,20 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         ]
     parts = ['#include "skin_board.h"', "", *lines, "", "extern const skin_board skin_boards[SKIN_BOARDS];"]
     return header("BOARD_H", f"Sizes of {_names(boards)}.", parts)
+
+
+def _models(models: Models, horizon: float) -> dict[str, tuple[object, str]]:
+    """Return the numbers of the models of ``skin_models.c``."""
+    count = len(models.gain)
+    rows = (braced(map(real, each)) for each in zip(*models, strict=True))
+    return {
+        "SKIN_MODELS": (count, "models that run side by side"),
+        "SKIN_AVERAGE_COUNT": (int(np.count_nonzero(models.slope_gain == 0)), "the first of them: averages"),
+        "SKIN_MODEL_ROWS": (braced(rows, per_line=1), "each as skin_model"),
+        "SKIN_CHANGE": (real(SWITCHING / (count - 1)), "chance of a change to a model in one sample"),
+        "SKIN_STAY": (real(1.0 - SWITCHING), "chance of no change"),
+        "SKIN_HORIZON": (real(horizon), "samples that a forecast looks ahead"),
+    }
 
 
 def board_source(boards: Sequence[Build]) -> str:

@@ -3,9 +3,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Polynomial of 2^f for f from 0 to 1. */
-static const float power[] = SKIN_POWER;
-
 static float least_of(float one, float other)
 {
     return one < other ? one : other;
@@ -14,132 +11,6 @@ static float least_of(float one, float other)
 static float most_of(float one, float other)
 {
     return one > other ? one : other;
-}
-
-/* Mix, predict and update all models; write how surprised each is. */
-static void update(skin_tracks *tracks, const float *sample, float surprise[][SKIN_BLOCK_SUMS])
-{
-    const float change = SKIN_CHANGE, keep = SKIN_STAY - SKIN_CHANGE;
-    float level_mean[SKIN_BLOCK_SUMS] = {0}, slope_mean[SKIN_BLOCK_SUMS] = {0};
-    uint8_t model, c;
-
-    for (model = 0; model < SKIN_FILTER_MODELS; model++) {
-        const float *level = tracks->level[model], *weight = tracks->weight[model];
-
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            level_mean[c] += weight[c] * level[c];
-        }
-        if (model >= SKIN_AVERAGE_COUNT) {
-            const float *slope = tracks->slope[model - SKIN_AVERAGE_COUNT];
-
-            for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-                slope_mean[c] += weight[c] * slope[c];
-            }
-        }
-    }
-    for (model = 0; model < SKIN_FILTER_MODELS; model++) {
-        float *level = tracks->level[model], *weight = tracks->weight[model];
-        const float gain = skin_gain[model], slope_gain = skin_slope_gain[model];
-        const float half_precision = skin_half_precision[model], log_spread = skin_log_spread[model];
-        float mixed_slope[SKIN_BLOCK_SUMS] = {0}, kept[SKIN_BLOCK_SUMS], scale[SKIN_BLOCK_SUMS];
-
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            kept[c] = keep * weight[c];
-            weight[c] = change + kept[c];
-            scale[c] = 1.0f / weight[c];
-        }
-        if (model >= SKIN_AVERAGE_COUNT) {
-            const float *slope = tracks->slope[model - SKIN_AVERAGE_COUNT];
-
-            for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-                mixed_slope[c] = (change * slope_mean[c] + kept[c] * slope[c]) * scale[c];
-            }
-        }
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            const float predicted = (change * level_mean[c] + kept[c] * level[c]) * scale[c] + mixed_slope[c];
-            const float innovation = sample[c] - predicted;
-
-            level[c] = predicted + gain * innovation;
-            mixed_slope[c] += slope_gain * innovation;
-            surprise[model][c] = innovation * innovation * half_precision + log_spread;
-        }
-        if (model >= SKIN_AVERAGE_COUNT) {
-            memcpy(tracks->slope[model - SKIN_AVERAGE_COUNT], mixed_slope, sizeof mixed_slope);
-        }
-    }
-}
-
-/* Multiply the weights by the likelihoods exp(-surprise), relative to the likeliest, and make their sum 1. */
-static void weigh(skin_tracks *tracks, float surprise[][SKIN_BLOCK_SUMS])
-{
-    float least[SKIN_BLOCK_SUMS], total[SKIN_BLOCK_SUMS] = {0}, scale[SKIN_BLOCK_SUMS];
-    int32_t bits[SKIN_BLOCK_SUMS];
-    uint8_t model, c;
-
-    memcpy(least, surprise[0], sizeof least);
-    for (model = 1; model < SKIN_FILTER_MODELS; model++) {
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            least[c] = least_of(surprise[model][c], least[c]);
-        }
-    }
-    for (model = 0; model < SKIN_FILTER_MODELS; model++) {
-        float *weight = tracks->weight[model];
-
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            /* 2^x as exponent bits times a polynomial. */
-            const float exponent = most_of((least[c] - surprise[model][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT);
-            const int32_t cut = (int32_t)exponent, whole = cut - ((float)cut > exponent);
-            const float f = exponent - (float)whole;
-            const float high = power[2] + f * (power[3] + f * (power[4] + f * power[5]));
-
-            bits[c] = (int32_t)((uint32_t)(whole + 127) << 23);
-            scale[c] = power[0] + f * (power[1] + f * high);
-        }
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            float two_to;
-
-            memcpy(&two_to, &bits[c], sizeof two_to);
-            weight[c] *= scale[c] * two_to;
-            total[c] += weight[c];
-        }
-    }
-    for (model = 0; model < SKIN_FILTER_MODELS; model++) {
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            tracks->weight[model][c] = most_of(tracks->weight[model][c] / total[c], SKIN_LEAST_WEIGHT);
-        }
-    }
-}
-
-/* Take one sample of every coefficient, in units of its noise; write forecasts, and their variances. */
-static void step(skin_tracks *tracks, const float *sample, float *forecast, float *variance)
-{
-    float surprise[SKIN_FILTER_MODELS][SKIN_BLOCK_SUMS];
-    uint8_t model, c;
-
-    update(tracks, sample, surprise);
-    weigh(tracks, surprise);
-    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-        forecast[c] = variance[c] = 0;
-    }
-    for (model = 0; model < SKIN_FILTER_MODELS; model++) {
-        const float *level = tracks->level[model], *weight = tracks->weight[model];
-        const float spread = skin_forecast_variance[model];
-
-        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-            variance[c] += weight[c] * spread;
-        }
-        if (model < SKIN_AVERAGE_COUNT) {
-            for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-                forecast[c] += weight[c] * level[c];
-            }
-        } else {
-            const float *slope = tracks->slope[model - SKIN_AVERAGE_COUNT];
-
-            for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-                forecast[c] += weight[c] * (level[c] + SKIN_HORIZON * slope[c]);
-            }
-        }
-    }
 }
 
 /* Undo the bias of clipping at 0 in place. */
@@ -245,11 +116,11 @@ static void use(skin_filter *filter)
             filter->given_coefficient_n[c] > 0 ? filter->given_coefficient_n[c] : filter->learned_coefficient_n[c];
         square += (double)filter->coefficient_n[c] * (double)filter->coefficient_n[c];
         ratio = filter->coefficient_n[c] / before_n;
-        for (model = 0; model < SKIN_FILTER_MODELS; model++) {
+        for (model = 0; model < SKIN_MODELS; model++) {
             tracks->level[model][c] /= ratio;
-            if (model >= SKIN_AVERAGE_COUNT) {
-                tracks->slope[model - SKIN_AVERAGE_COUNT][c] /= ratio;
-            }
+        }
+        for (model = 0; model < SKIN_MODELS - SKIN_AVERAGE_COUNT; model++) {
+            tracks->slope[model][c] /= ratio;
         }
     }
     filter->noise_n = sqrt(square / SKIN_BLOCK_SUMS);
@@ -263,8 +134,7 @@ void skin_filter_begin(skin_filter *filter)
 /* Go over from learning to filtering. */
 static void begin_tracks(skin_filter *filter)
 {
-    skin_tracks *tracks = &filter->u.tracks;
-    uint8_t model, c;
+    uint8_t c;
 
     skin_learned_noise(filter);
     unclip(filter->idle_offset_n, filter->learned_taxel_n);
@@ -272,13 +142,7 @@ static void begin_tracks(skin_filter *filter)
     memcpy(filter->taxel_n, filter->learned_taxel_n, sizeof filter->taxel_n);
     memcpy(filter->coefficient_n, filter->learned_coefficient_n, sizeof filter->coefficient_n);
     for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
-        for (model = 0; model < SKIN_FILTER_MODELS; model++) {
-            tracks->level[model][c] = 0;
-            tracks->weight[model][c] = 1.0f / SKIN_FILTER_MODELS;
-            if (model >= SKIN_AVERAGE_COUNT) {
-                tracks->slope[model - SKIN_AVERAGE_COUNT][c] = 0;
-            }
-        }
+        skin_begin_track(&filter->u.tracks, c, 0);
     }
     use(filter);
 }
@@ -308,7 +172,7 @@ static void take(skin_filter *filter, float *sample_n)
     for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         coefficients[c] /= filter->coefficient_n[c];
     }
-    step(&filter->u.tracks, coefficients, forecast, filter->variance);
+    skin_step(&filter->u.tracks, coefficients, forecast, filter->variance);
     for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         coefficients[c] = forecast[c] * filter->coefficient_n[c];
     }

@@ -8,6 +8,7 @@
 #define SKIN_FILTER_H
 
 #include "skin_codes.h"
+#include "skin_models.h"
 
 /* Sums over the samples of an untouched patch at power-up. */
 typedef struct {
@@ -16,16 +17,10 @@ typedef struct {
     double mean_square[SKIN_SPAN_COUNT][SKIN_BLOCK_SUMS];
 } skin_idle;
 
-/* Every Haar coefficient runs all models; averages have no slope. */
-typedef struct {
-    float level[SKIN_FILTER_MODELS][SKIN_BLOCK_SUMS], slope[SKIN_FILTER_MODELS - SKIN_AVERAGE_COUNT][SKIN_BLOCK_SUMS];
-    float weight[SKIN_FILTER_MODELS][SKIN_BLOCK_SUMS];
-} skin_tracks;
-
 typedef struct {
     union { /* learning ends before filtering begins */
         skin_idle idle;
-        skin_tracks tracks;
+        skin_tracks tracks; /* of every Haar coefficient, in units of its noise */
     } u;
     uint16_t taken; /* samples since power-up, at most SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES */
     float idle_offset_n[SKIN_BLOCK_SUMS]; /* of power-up */
@@ -40,8 +35,6 @@ typedef struct {
     float sums_n[SKIN_BLOCK_SUMS];
 } skin_filter;
 
-extern const float skin_gain[SKIN_FILTER_MODELS], skin_slope_gain[SKIN_FILTER_MODELS], skin_half_precision[SKIN_FILTER_MODELS],
-    skin_log_spread[SKIN_FILTER_MODELS], skin_forecast_variance[SKIN_FILTER_MODELS];
 extern const float skin_unclip_table[SKIN_UNCLIP_POINTS];
 /* Hadamard row of each sum; first coefficient and number of coefficients whose variances make up that of the sum. */
 extern const uint8_t skin_row_of_sum[SKIN_BLOCK_SUMS], skin_band_of_sum[SKIN_BLOCK_SUMS], skin_band_size[SKIN_BLOCK_SUMS];
