@@ -2,6 +2,7 @@
 
 #if SKIN_ADAPTIVE || SKIN_SAMPLES > 1 /* boards that sample at the SYNC only need no models */
 
+#include <stddef.h>
 #include <string.h>
 
 static const skin_model models[SKIN_MODELS] = SKIN_MODEL_ROWS;
@@ -31,129 +32,97 @@ void skin_begin_track(skin_tracks *tracks, uint16_t place, float level)
     }
 }
 
-/* Mix, predict and update all models; write how surprised each is. */
-static void update(skin_tracks *tracks, const float *sample, float surprise[][SKIN_BLOCK_SIZE])
+/* Mix, predict and update one model, whose slope is NULL for an average; write how surprised it is. */
+static void update(const skin_model *model, float *restrict level, float *restrict slope, float *restrict weight,
+                   const float *restrict sample, const float *restrict level_mean, const float *restrict slope_mean,
+                   float *restrict surprise)
 {
     const float change = SKIN_CHANGE, keep = SKIN_STAY - SKIN_CHANGE;
-    float level_mean[SKIN_BLOCK_SIZE] = {0}, slope_mean[SKIN_BLOCK_SIZE] = {0};
     uint16_t c;
-    uint8_t model;
 
-    for (model = 0; model < SKIN_MODELS; model++) {
-        const float *level = tracks->level[model], *weight = tracks->weight[model];
+    for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
+        const float kept = keep * weight[c], likely = change + kept, scale = 1.0f / likely;
+        const float mixed_slope = slope == NULL ? 0 : (change * slope_mean[c] + kept * slope[c]) * scale;
+        const float predicted = (change * level_mean[c] + kept * level[c]) * scale + mixed_slope;
+        const float innovation = sample[c] - predicted;
 
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            level_mean[c] += weight[c] * level[c];
+        level[c] = predicted + model->gain * innovation;
+        if (slope != NULL) {
+            slope[c] = mixed_slope + model->slope_gain * innovation;
         }
-        if (model >= SKIN_AVERAGE_COUNT) {
-            const float *slope = tracks->slope[model - SKIN_AVERAGE_COUNT];
-
-            for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-                slope_mean[c] += weight[c] * slope[c];
-            }
-        }
+        weight[c] = likely;
+        surprise[c] = innovation * innovation * model->half_precision + model->log_spread;
     }
-    for (model = 0; model < SKIN_MODELS; model++) {
-        float *level = tracks->level[model], *weight = tracks->weight[model];
-        const skin_model each = models[model];
-        float mixed_slope[SKIN_BLOCK_SIZE] = {0}, kept[SKIN_BLOCK_SIZE], scale[SKIN_BLOCK_SIZE];
+}
 
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            kept[c] = keep * weight[c];
-            weight[c] = change + kept[c];
-            scale[c] = 1.0f / weight[c];
-        }
-        if (model >= SKIN_AVERAGE_COUNT) {
-            const float *slope = tracks->slope[model - SKIN_AVERAGE_COUNT];
+/* 2^exponent for -120 <= exponent <= 0 as exponent bits times a polynomial, error below 2e-7. */
+static float power_of_two(float exponent)
+{
+    const int32_t cut = (int32_t)exponent, whole = cut - ((float)cut > exponent); /* rounded down */
+    const float f = exponent - (float)whole;
+    const uint32_t bits = (uint32_t)(whole + 127) << 23;
+    float two_to;
 
-            for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-                mixed_slope[c] = (change * slope_mean[c] + kept[c] * slope[c]) * scale[c];
-            }
-        }
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            const float predicted = (change * level_mean[c] + kept[c] * level[c]) * scale[c] + mixed_slope[c];
-            const float innovation = sample[c] - predicted;
-
-            level[c] = predicted + each.gain * innovation;
-            mixed_slope[c] += each.slope_gain * innovation;
-            surprise[model][c] = innovation * innovation * each.half_precision + each.log_spread;
-        }
-        if (model >= SKIN_AVERAGE_COUNT) {
-            memcpy(tracks->slope[model - SKIN_AVERAGE_COUNT], mixed_slope, sizeof mixed_slope);
-        }
-    }
+    memcpy(&two_to, &bits, sizeof two_to);
+    return (power[0] + f * (power[1] + f * (power[2] + f * (power[3] + f * (power[4] + f * power[5]))))) * two_to;
 }
 
 /* Multiply the weights by the likelihoods exp(-surprise), relative to the likeliest, and make their sum 1. */
 static void weigh(skin_tracks *tracks, float surprise[][SKIN_BLOCK_SIZE])
 {
-    float least[SKIN_BLOCK_SIZE], total[SKIN_BLOCK_SIZE] = {0}, scale[SKIN_BLOCK_SIZE];
-    int32_t bits[SKIN_BLOCK_SIZE];
+    float least[SKIN_BLOCK_SIZE], total[SKIN_BLOCK_SIZE] = {0};
     uint16_t c;
-    uint8_t model;
+    uint8_t m;
 
     memcpy(least, surprise[0], sizeof least);
-    for (model = 1; model < SKIN_MODELS; model++) {
+    for (m = 1; m < SKIN_MODELS; m++) {
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            least[c] = least_of(surprise[model][c], least[c]);
+            least[c] = least_of(surprise[m][c], least[c]);
         }
     }
-    for (model = 0; model < SKIN_MODELS; model++) {
-        float *weight = tracks->weight[model];
-
+    for (m = 0; m < SKIN_MODELS; m++) {
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            /* 2^x as exponent bits times a polynomial. */
-            const float exponent = most_of((least[c] - surprise[model][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT);
-            const int32_t cut = (int32_t)exponent, whole = cut - ((float)cut > exponent);
-            const float f = exponent - (float)whole;
-            const float high = power[2] + f * (power[3] + f * (power[4] + f * power[5]));
+            const float exponent = most_of((least[c] - surprise[m][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT);
 
-            bits[c] = (int32_t)((uint32_t)(whole + 127) << 23);
-            scale[c] = power[0] + f * (power[1] + f * high);
-        }
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            float two_to;
-
-            memcpy(&two_to, &bits[c], sizeof two_to);
-            weight[c] *= scale[c] * two_to;
-            total[c] += weight[c];
+            tracks->weight[m][c] *= power_of_two(exponent);
+            total[c] += tracks->weight[m][c];
         }
     }
-    for (model = 0; model < SKIN_MODELS; model++) {
+    for (m = 0; m < SKIN_MODELS; m++) {
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            tracks->weight[model][c] = most_of(tracks->weight[model][c] / total[c], SKIN_LEAST_WEIGHT);
+            tracks->weight[m][c] = most_of(tracks->weight[m][c] / total[c], SKIN_LEAST_WEIGHT);
         }
     }
 }
 
 void skin_step(skin_tracks *tracks, const float *sample, float *forecast, float *variance)
 {
-    float surprise[SKIN_MODELS][SKIN_BLOCK_SIZE];
+    float surprise[SKIN_MODELS][SKIN_BLOCK_SIZE], level_mean[SKIN_BLOCK_SIZE] = {0}, slope_mean[SKIN_BLOCK_SIZE] = {0};
     uint16_t c;
-    uint8_t model;
+    uint8_t m;
 
-    update(tracks, sample, surprise);
+    for (m = 0; m < SKIN_MODELS; m++) {
+        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
+            level_mean[c] += tracks->weight[m][c] * tracks->level[m][c];
+        }
+        for (c = 0; m >= SKIN_AVERAGE_COUNT && c < SKIN_BLOCK_SIZE; c++) {
+            slope_mean[c] += tracks->weight[m][c] * tracks->slope[m - SKIN_AVERAGE_COUNT][c];
+        }
+    }
+    for (m = 0; m < SKIN_MODELS; m++) {
+        update(&models[m], tracks->level[m], m < SKIN_AVERAGE_COUNT ? NULL : tracks->slope[m - SKIN_AVERAGE_COUNT],
+               tracks->weight[m], sample, level_mean, slope_mean, surprise[m]);
+    }
     weigh(tracks, surprise);
     for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
         forecast[c] = variance[c] = 0;
     }
-    for (model = 0; model < SKIN_MODELS; model++) {
-        const float *level = tracks->level[model], *weight = tracks->weight[model];
-        const float spread = models[model].variance;
-
+    for (m = 0; m < SKIN_MODELS; m++) {
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            variance[c] += weight[c] * spread;
-        }
-        if (model < SKIN_AVERAGE_COUNT) {
-            for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-                forecast[c] += weight[c] * level[c];
-            }
-        } else {
-            const float *slope = tracks->slope[model - SKIN_AVERAGE_COUNT];
+            const float slope = m < SKIN_AVERAGE_COUNT ? 0 : tracks->slope[m - SKIN_AVERAGE_COUNT][c];
 
-            for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-                forecast[c] += weight[c] * (level[c] + SKIN_HORIZON * slope[c]);
-            }
+            forecast[c] += tracks->weight[m][c] * (tracks->level[m][c] + SKIN_HORIZON * slope);
+            variance[c] += tracks->weight[m][c] * models[m].variance;
         }
     }
 }

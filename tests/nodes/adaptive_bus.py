@@ -61,7 +61,7 @@ class Bus:
         return self.link.take_sent()
 
     def run(self, ticks: int) -> Frames:
-        """Go on by so many milliseconds; every frame arrives. Return frames of sums, which the receiver has taken."""
+        """Go on by `ticks` milliseconds; every frame arrives. Return frames of sums, which the receiver has taken."""
         sent = []
         for _ in range(ticks):
             self.segment.take(self.link.receive(), self.now_s)

@@ -16,7 +16,7 @@ from tests.nodes.helpers import Still
 
 
 class Counted:
-    """Adaptive boards of one bus that keep the counts they get, and are ready after so many samples."""
+    """Adaptive boards of one bus that keep the counts they get, and are ready after `ready_after` samples."""
 
     def __init__(self, bus: int, ready_after: int) -> None:
         self.bus, self.left = bus, ready_after
