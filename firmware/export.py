@@ -2,14 +2,18 @@
 
 from collections.abc import Sequence
 from importlib.resources import files
+from pathlib import Path
 from string import Template
 from typing import Final
 
+from dbc.choice import choose_nodes
 from dbc.contract import Contract, NodeContract
+from dbc.generate import write_files
 from firmware.adaptive_tables import adaptive_header, adaptive_source
 from firmware.contract_header import contract_header
 from firmware.object_dictionary import od_header, od_source
 from firmware.tables import Build, board_header, board_source, builds
+from skin.layout import load_layout, require_one_state
 
 _SOURCES: Final = files("firmware").joinpath("c")
 
@@ -48,6 +52,26 @@ def export_files(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str,
             f"{folder}/OD.c": od_source(contract, build),
         }
     return found | {"README.md": _readme(contract, boards)}
+
+
+def write_firmware(layout: Path | None, names: list[str], out: Path) -> list[str]:
+    """Write the texts for a layout, with the constants of the nodes of `names` or of all; return the paths.
+
+    Parameters
+    ----------
+    layout : Path or None
+        TOML of the skin; None for the default skin.
+    names : list of str
+        As for `dbc.choice.choose_nodes`.
+    out : Path
+        Folder for the files.
+    """
+    skin = load_layout(layout, adaptive=True)
+    require_one_state(skin, "the firmware in C")
+    contract = Contract.from_layout(skin)
+    chosen = choose_nodes(contract, names, [])
+    nodes = [each for each in contract.nodes if each.node_id in chosen.get(each.bus, ())]
+    return [str(path) for path in write_files(export_files(contract, nodes), out)]
 
 
 def _readme(contract: Contract, boards: Sequence[Build]) -> str:
