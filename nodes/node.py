@@ -54,8 +54,7 @@ from nodes.access import check_write, is_allowed
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
 from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
-from nodes.objects import LocalNode, object_dictionary
-from nodes.outbox import Outbox
+from nodes.objects import LocalNode, Outbox, object_dictionary
 from nodes.storage import Parameters, Storage
 from nodes.tpdo import LiveTpdo, read_tpdos
 

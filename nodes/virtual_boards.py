@@ -31,7 +31,7 @@ from dbc.indices import OD_STATE, OD_SYNC_OVERFLOW, OD_WINDOW_US
 from nodes.burst import Burst
 from nodes.hardware import Hardware
 from nodes.node import SkinNode
-from nodes.outbox import Outbox
+from nodes.objects import Outbox
 from nodes.storage import Storage
 from nodes.tpdo import LiveTpdo
 from nodes.ways import way_of

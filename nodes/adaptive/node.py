@@ -20,7 +20,7 @@ from dbc.objects import Object
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.controllers import NO_COB_ID
 from nodes.node import SkinNode
-from nodes.outbox import Outbox
+from nodes.objects import Outbox
 from nodes.storage import Storage
 
 #: Unit of the inhibit time in a sample.
