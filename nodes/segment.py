@@ -121,11 +121,10 @@ class Segment:
         for node_id in can_id[foreign & is_of_node(can_id, HEARTBEAT_BASE)] - HEARTBEAT_BASE:
             if node_id in self.boards.node_ids:
                 self._complain(f"node-ID {node_id} is on {self._name} twice")
-        first = arrived["data"][:, 0]
-        # Other counters are none of CiA 301, 7.2.5.2.
-        is_counter = (arrived["length"] != 1) | (first >= 1) & (first <= LAST_SYNCHRONOUS)
         begin = 0
-        for sync in np.flatnonzero(foreign & (can_id == SYNC_COB_ID) & is_counter).tolist():
+        for sync in np.flatnonzero(foreign & (can_id == SYNC_COB_ID)).tolist():
+            if arrived["length"][sync] == 1 and not 1 <= arrived["data"][sync, 0] <= LAST_SYNCHRONOUS:
+                continue  # no counter of CiA 301, 7.2.5.2
             self._pass(arrived[begin:sync], now_s)
             self._answer(arrived[sync : sync + 1], now_s)
             begin = sync + 1
