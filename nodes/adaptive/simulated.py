@@ -9,7 +9,7 @@ import numpy.typing as npt
 from bus.polling import poll
 from bus.simulated_bus import SimulatedBus
 from dbc.adaptive import FIRST_COB_ID, NODES, PAUSE_MS, TPDOS, Companding, SendingRule
-from dbc.adaptive_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import ECHO, Frames, frame_bytes, frames
@@ -22,8 +22,7 @@ from nodes.adaptive.controllers import (
     new_controllers,
     take_echoes,
 )
-from nodes.adaptive.filtering import PatchFilter
-from nodes.adaptive.noise import IdleStatistics
+from nodes.adaptive.filtering import settled_filter
 from nodes.adaptive.sending import Integers, Numbers, new_groups, noise_threshold_n2
 from nodes.adaptive.sensors import PatchSensors
 from nodes.electronics import Calibration
@@ -68,8 +67,7 @@ class SimulatedNodes:
         self._place_of = np.full(BASE_ID_MASK + 1, -1, np.int64)
         node, tpdo = np.nonzero(self._controllers.cob_id)
         self._place_of[self._controllers.cob_id[node, tpdo]] = node * TPDOS + tpdo
-        self._rules = np.tile(np.array([SendingRule()], np.float64), (line.nodes, 1))
-        self._is_operational, self._has_due = np.ones(line.nodes, np.bool_), np.zeros(line.nodes, np.bool_)
+        self._controllers.is_operational[:] = True
         self._room, self._burst = frame_buffer(_MOST_FRAMES), frames(_MOST_FRAMES)
         self._burst["flags"] = frame_flags(line)
         self._offered_since = np.full((line.nodes, GROUPS), -1, np.int64)
@@ -91,21 +89,19 @@ class SimulatedNodes:
         self._since.append(self._offered_since[places // TPDOS, places % GROUPS])
         echoes = ended.copy()
         echoes["flags"] |= ECHO
-        parts = self._rules, self._law, self.groups, self._controllers
-        take_echoes(frame_bytes(echoes), self._place_of, self._now, *parts)
+        take_echoes(frame_bytes(echoes), self._place_of, self._now, self._law, self.groups, self._controllers)
 
     def offer(self, period: int) -> Frames:
         """Return the most urgent frames of a sample; none in the pause after a SYNC."""
         self._now = period
         sums_n, variance_n2, noise_n2 = self._sample(period)
         now_ns = period * SAMPLE_NS
-        parts = self._rules, self._law, self.groups, self._controllers, self._has_due
-        is_due = decide_all(period, now_ns, 1e-3, self._is_operational, sums_n, variance_n2, noise_n2, *parts)
+        parts = self._law, self.groups, self._controllers
+        is_due = decide_all(period, now_ns, 1e-3, sums_n, variance_n2, noise_n2, *parts)
         if not is_due or period % SYNC_SAMPLES < PAUSE_MS:
             return self._burst[:0]
         room, nodes = self._room, len(sums_n)
-        made = self._law, self.groups, self._controllers, self._has_due, room
-        count = int(choose(0, nodes, period, now_ns + SAMPLE_NS, _MOST_FRAMES, sums_n, *made))
+        count = int(choose(0, nodes, period, now_ns + SAMPLE_NS, _MOST_FRAMES, sums_n, *parts, room))
         burst, node, group = self._burst[:count], room.node[:count], room.tpdo[:count] % GROUPS
         burst["can_id"], burst["length"], burst["data"] = room.can_id[:count], room.length[:count], room.payload[:count]
         since = self.groups.since[node]
@@ -143,12 +139,7 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
     cells = contract.phi.taxels_of_blocks[[node.block for node in nodes]]
     model = TaxelModel(force_max_n=contract.layout.taxels.force_max_n)
     sensors = PatchSensors(calibration, cells, model, source, seed)
-    statistics = IdleStatistics(*cells.shape)
-    for _ in range(IDLE_SAMPLES):
-        statistics.take(sensors.sample(0))
-    patch_filter = PatchFilter(statistics.noise())
-    for _ in range(SETTLING_SAMPLES):
-        patch_filter.take(sensors.sample(0))
+    patch_filter = settled_filter(lambda: sensors.sample(0))
     sensors.touch_from_ns = 0
 
     def sample(now: int) -> Sample:

@@ -35,7 +35,7 @@ SOON_S = PAUSES_S[0] + 3 * PERIOD_S
 
 
 def state_of(world: World, bus: int, node_id: int) -> NmtState:
-    return next(node.state for node in world.segments[bus].nodes if node.contract.node_id == node_id)
+    return next(node.state for node in world.segments[bus].boards.nodes if node.contract.node_id == node_id)
 
 
 @pytest.mark.parametrize("command", [NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL])
@@ -190,7 +190,7 @@ def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:
 def test_gateway_leaves_nodes_pre_operational(world: World) -> None:
     world.gateway.stop()
     world.carry()
-    assert {node.state for segment in world.segments for node in segment.nodes} == {NmtState.PRE_OPERATIONAL}
+    assert {node.state for segment in world.segments for node in segment.boards.nodes} == {NmtState.PRE_OPERATIONAL}
 
 
 def test_absent_nodes_do_not_keep_sync_waiting(small: Contract) -> None:
@@ -304,7 +304,7 @@ def test_node_that_boots_after_every_start_is_given_up(world: World) -> None:
     world.gateway.sync.stop()
     for _ in range(2400):
         world.step()
-        node = world.segments[0].nodes[0]
+        node = world.segments[0].boards.nodes[0]
         if node.state is NmtState.OPERATIONAL:
             node.boot(world.now_s)
     assert any("node 1 on bus0 given up after 8 tries" in line for line in world.lines)
