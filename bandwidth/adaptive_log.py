@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.measured import BusLoad, is_sum_frame, is_sum_shape, whole_cycles
+from bandwidth.measured import BusLoad, Identifiers, whole_cycles
 from dbc.adaptive import (
     IDENTIFIERS,
     LEVELS,
@@ -93,8 +93,7 @@ class SumFrames:
 
 def sum_frames(contract: Contract, bus: int, taken: Frames) -> SumFrames:
     """Find the well-formed frames of sums of bus number `bus`, and follow what each group holds."""
-    is_fd, mine = contract.layout.bus[bus].fd, taken[is_sum_frame(contract, bus, taken)]
-    mine = mine[is_sum_shape(contract, bus, mine)]
+    is_fd, mine = contract.layout.bus[bus].fd, taken[Identifiers(contract, bus).is_right(taken)]
     parts = np.array([frame_of(int(can_id), is_fd=is_fd) for can_id in mine["can_id"]], np.int64).reshape(-1, 4)
     says, is_zero = np.empty(len(mine), np.int64), np.empty(len(mine), np.bool_)
     payloads = np.ascontiguousarray(mine["data"])

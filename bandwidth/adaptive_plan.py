@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from bandwidth.plan import CAUTION, CYCLES_BUFFERED, RECEIVED_FRAME_BYTES, bus_time
+from bandwidth.plan import CAUTION, CYCLES_BUFFERED, RECEIVED_FRAME_BYTES, bus_time, milliseconds
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
@@ -158,18 +158,18 @@ def _plan_bus(
         load_touched=None if touched is None else min(1.0, idle + touched),
         load_worst=min(1.0, wanted),
         groups_fill=frames_fill * GROUPS // urgency.frames_of_node,
-        coarse_ms=_milliseconds(news_ns),
-        refresh_ms=_milliseconds(urgency.refresh_ns),
-        settled_coarse_ms=_milliseconds(settled_ns[0]),
-        settled_fine_ms=_milliseconds(settled_ns[1]),
-        sdo_response_ms=_milliseconds(service_ns[urgency.streams.is_sdo_response]),
-        heartbeat_response_ms=_milliseconds(beats_ns),
+        coarse_ms=milliseconds(news_ns),
+        refresh_ms=milliseconds(urgency.refresh_ns),
+        settled_coarse_ms=milliseconds(settled_ns[0]),
+        settled_fine_ms=milliseconds(settled_ns[1]),
+        sdo_response_ms=milliseconds(service_ns[urgency.streams.is_sdo_response]),
+        heartbeat_response_ms=milliseconds(beats_ns),
         receive_buffer_frames=buffered,
         receive_buffer_bytes=buffered * RECEIVED_FRAME_BYTES,
         budget_80_bits_per_s=max(0, int(free * line.bitrate / line.nodes)),
         budget=_budget(urgency, idle_worst, budget_bits_per_s) if budget_bits_per_s else None,
         node_plans=[
-            AdaptiveNodePlan(node.node_id, _milliseconds(mine), _milliseconds(beat))
+            AdaptiveNodePlan(node.node_id, milliseconds(mine), milliseconds(beat))
             for node, mine, beat in zip(contract.on_bus(bus), news_ns, beats_ns, strict=True)
         ],
         problems=_problems(urgency, line.name, news_ns, beats_ns),
@@ -180,7 +180,7 @@ def _budget(urgency: Urgency, idle_worst: float, bits_per_s: int) -> BudgetPlan:
     load = idle_worst + urgency.nodes * bits_per_s / urgency.streams.bus.bitrate
     spent = urgency.budgeted(bits_per_s)
     return BudgetPlan(
-        bits_per_s, min(1.0, load), *(_milliseconds(each) for each in (spent.full_ns, spent.coarse_ns, spent.fine_ns))
+        bits_per_s, min(1.0, load), *(milliseconds(each) for each in (spent.full_ns, spent.coarse_ns, spent.fine_ns))
     )
 
 
@@ -197,8 +197,3 @@ def _problems(urgency: Urgency, name: str, news_ns: np.ndarray, beats_ns: np.nda
     if (beats_ns == UNBOUNDED).any():
         found.append(f"{name}: the pauses after SYNC have no room for all SDO transfers and heartbeats")
     return found
-
-
-def _milliseconds(times_ns: "np.ndarray | int | np.integer") -> float | None:
-    longest = int(np.max(times_ns, initial=0))
-    return longest * 1e-6 if 0 < longest < UNBOUNDED else None

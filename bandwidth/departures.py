@@ -2,71 +2,79 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
-from bandwidth.measured import (
-    FOREIGN,
-    BusLoad,
-    cycles_of,
-    is_due,
-    is_plain,
-    is_sync,
-    kind_of,
-    tpdo_rows,
-    whole_cycles,
-)
+from bandwidth.adaptive_log import UNREFINED, SumFrames, sum_frames
+from bandwidth.adaptive_plan import AdaptiveBusPlan
+from bandwidth.measured import FOREIGN, BusLoad, Identifiers, Planned, cycles_of, is_plain, is_sync, whole_cycles
 from bandwidth.plan import BusPlan
-from dbc.canopen import HEARTBEAT_BASE
+from dbc.adaptive import PAUSE_MS, SendingRule
+from dbc.canopen import BASE_ID_MASK, HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from dbc.frame import ERROR, Frames
+from dbc.frame_bits import frame_time_ns
 from skin.ranges import ranges_text
 from skin.sync_counter import next_counter
+from skin.walsh import GROUPS
 
 #: Largest relative difference between the mean SYNC period and the layout's.
 PERIOD_TOLERANCE = 0.01
 #: With more late nodes than this, one line names all: a single late cycle makes all nodes late.
 NAMED_AT_MOST = 4
+#: A group whose sums are not 0 is silent when its refresh is later than planned by this.
+LATE_MS: Final = 100.0
+#: How exactly a log tells when a frame began.
+CLOCK_NS: Final = 100_000
 
 
-def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
+def departures(
+    contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan, load: BusLoad
+) -> list[str]:
     """Return one line for every difference between bus number `bus` and its plan.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-    planned, load : BusPlan, BusLoad
-        Results of `plan` and `measure` for this bus.
+    planned, load : BusPlan or AdaptiveBusPlan, BusLoad
+        Results of a plan and of `measure` for this bus.
     """
     taken, seconds = whole_cycles(seen)
-    lines = [*_load(planned, load), *foreign(contract, bus, load), *errors(seen)]
+    lines = [*_load(planned, load), *foreign(load), *errors(seen)]
     syncs = int(is_sync(seen).sum())
-    if syncs > 1:
-        lines += [
-            *sync(contract, taken, seconds),
-            *_cycles(contract, bus, taken),
-            *_late(contract, bus, taken, planned),
-        ]
+    rest: list[str] = []
+    if isinstance(planned, BusPlan):
+        unchecked = "cycles cannot be told apart"
+        with_syncs = [*_cycles(contract, bus, taken), *_late(contract, bus, taken, planned)] if syncs > 1 else []
     else:
-        lines.append(f"{'one' if syncs else 'no'} SYNC: cycles cannot be told apart")
-    lines += [*heartbeats(contract, bus, taken, seconds)]
+        unchecked, sums = "pauses cannot be checked", sum_frames(contract, bus, taken)
+        ended_ns = int(taken["time_ns"][0]) + round(seconds * 1e9)
+        rest = [*_unrefined(sums), *_silent(sums, planned, ended_ns)]
+        with_syncs = [*_paused(contract, bus, taken)] if syncs > 1 else []
+    if syncs > 1:
+        lines += [*sync(contract, taken, seconds), *with_syncs]
+    else:
+        lines.append(f"{'one' if syncs else 'no'} SYNC: {unchecked}")
+    lines += [*_misshapen(contract, bus, taken), *rest, *heartbeats(contract, bus, taken, seconds)]
     return [f"{planned.name}: {line}" for line in lines]
 
 
-def _load(planned: BusPlan, load: BusLoad) -> Iterator[str]:
+def _load(planned: Planned, load: BusLoad) -> Iterator[str]:
     if load.load_exact > planned.load_worst:
         yield f"load {load.load_exact:.1%}, at most {planned.load_worst:.1%} were planned"
 
 
-def foreign(contract: Contract, bus: int, load: BusLoad) -> Iterator[str]:
+def foreign(load: BusLoad) -> Iterator[str]:
     """Find identifiers that are not planned, and emergencies."""
     for each in load.identifiers:
         if each.kind == FOREIGN:
             yield f"{each.name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
         elif each.kind == "EMCY":
-            yield f"node {kind_of(contract, bus, each.cob_id)[1]} sent {each.frames} emergencies"
+            yield f"node {each.node_id} sent {each.frames} emergencies"
 
 
 def errors(seen: Frames) -> Iterator[str]:
@@ -101,7 +109,7 @@ def sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
 def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     """Compare the TPDOs of each cycle with the planned TPDOs of its phase."""
     table = contract.table
-    row = tpdo_rows(contract, bus, taken)
+    row = _rows(contract, bus, taken)
     counters = taken["data"][is_sync(taken), 0]
     phases = np.array([contract.phase_of(int(counter)) for counter in counters])
     is_tpdo = row >= 0
@@ -110,16 +118,21 @@ def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     came = np.zeros((len(counters), len(table.cob_id)), np.intp)
     np.add.at(came, (cycle, rows), 1)
     due = (table.bus == bus) & (table.phase == phases[:, None])
-    misshapen = ~is_due(contract, bus, taken)[is_tpdo]
     of_node = [node.node_id for node in contract.nodes]
     for what, per_row in (
         ("TPDOs missing", (due & (came == 0)).sum(axis=0)),
         ("TPDOs came again in the same cycle", np.maximum(came - 1, 0).sum(axis=0)),
         ("TPDOs came in cycles of the other phase", np.bincount(rows[~right], minlength=len(table.cob_id))),
-        ("TPDOs have another length or format", np.bincount(rows[misshapen], minlength=len(table.cob_id))),
     ):
         for node in np.unique(table.node[per_row > 0]).tolist():
             yield f"node {of_node[node]}: {int(per_row[table.node == node].sum())} {what}"
+
+
+def _rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
+    """Return the row of each frame in the contract's table of TPDOs, -1 for other frames."""
+    known = is_plain(taken) & (taken["can_id"] <= BASE_ID_MASK)
+    row: npt.NDArray[np.intp] = np.where(known, contract.table.row_of[bus, taken["can_id"] & BASE_ID_MASK], -1)
+    return row
 
 
 def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
@@ -155,3 +168,60 @@ def heartbeats(contract: Contract, bus: int, taken: Frames, seconds: float) -> I
         longest_s = float(np.diff(np.concatenate([ends[:1], beats, ends[1:]])).max()) * 1e-9
         if longest_s > SILENT_AFTER_S:
             yield f"node {node.node_id}: no heartbeat for {longest_s:.1f} s, one every {HEARTBEAT_MS} ms was planned"
+
+
+def _misshapen(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
+    identifiers = Identifiers(contract, bus)
+    wrong = identifiers.is_sums(taken) & ~identifiers.is_right(taken)
+    for node_id, count in _by_node(contract, bus, taken[wrong]).items():
+        yield f"node {node_id}: {count} TPDOs have another length or format"
+
+
+def _paused(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
+    """Find sums that began in the pause after a SYNC; the frame right behind a SYNC may have been on its way."""
+    line = contract.layout.bus[bus]
+    took_ns = frame_time_ns(taken, line.bitrate, line.data_bitrate)
+    syncs = np.flatnonzero(is_sync(taken))
+    newest = syncs[np.cumsum(is_sync(taken)) - 1]
+    since_ns = taken["time_ns"].astype(np.int64) - took_ns - taken["time_ns"][newest].astype(np.int64)
+    is_early = since_ns < PAUSE_MS * 1_000_000 - CLOCK_NS
+    is_next = np.arange(len(taken)) == newest + 1
+    wrong = Identifiers(contract, bus).is_sums(taken) & is_early & ~is_next
+    for node_id, count in _by_node(contract, bus, taken[wrong]).items():
+        yield f"node {node_id}: {count} frames of sums began in the {PAUSE_MS} ms after a SYNC"
+
+
+def _unrefined(sums: SumFrames) -> Iterator[str]:
+    wrong = sums.says == UNREFINED
+    for node_id in np.unique(sums.node_id[wrong]).tolist():
+        count = int((sums.node_id[wrong] == node_id).sum())
+        yield f"node {node_id}: {count} fine frames do not refine the newest coarse frame of their group"
+
+
+def _silent(sums: SumFrames, planned: AdaptiveBusPlan, ended_ns: int) -> Iterator[str]:
+    """Find groups whose sums are not 0 and that were not sent again in time."""
+    if planned.refresh_ms is None:
+        return
+    most_ms = SendingRule().refresh_max + planned.refresh_ms + LATE_MS
+    for node_id in np.unique(sums.node_id).tolist():
+        for group in range(GROUPS):
+            mine = np.flatnonzero((sums.node_id == node_id) & (sums.group == group))
+            times_ns = [*sums.frames["time_ns"][mine].tolist(), ended_ns]
+            gaps_ms = [
+                (after - before) * 1e-6
+                for place, (before, after) in zip(mine, pairwise(times_ns), strict=True)
+                if not sums.is_zero[place]
+            ]
+            if max(gaps_ms, default=0.0) > most_ms:
+                who = f"node {node_id}" if sums.is_fd else f"node {node_id}: group {group}"
+                yield (
+                    f"{who} was silent for {max(gaps_ms) * 1e-3:.1f} s, "
+                    f"its sums are not 0; a frame every {most_ms * 1e-3:.1f} s was planned"
+                )
+
+
+def _by_node(contract: Contract, bus: int, wrong: Frames) -> dict[int, int]:
+    """Return how many of some TPDOs each node sent."""
+    owner = {tpdo.cob_id: node.node_id for node in contract.on_bus(bus) for tpdo in node.all_tpdos}
+    senders = [owner[int(can_id)] for can_id in wrong["can_id"]]
+    return {node_id: senders.count(node_id) for node_id in sorted(set(senders))}

@@ -1,20 +1,17 @@
 """``skin load``: measured load and planned load."""
 
-import dataclasses
 from pathlib import Path
 
-from bandwidth.adaptive_log import AdaptiveLoad, measure_adaptive
-from bandwidth.adaptive_plan import plan_adaptive
 from bandwidth.logs import listen, of_buses, read_log
 from bandwidth.measured import measure, misfits
-from bandwidth.plan import plan
+from bandwidth.sending import sending_of
 from bus.options import BusOptions, channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from skin.layout import Layout, load_layout, require_one_state
 from skin.service import StopSignal, say
-from skin.terminal import Json, print_json
+from skin.terminal import Json
 
 
 def load(
@@ -61,33 +58,13 @@ def load(
         logged = read_log(log, lambda line: say("load", line))
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
     contract = Contract.from_layout(skin)
-    is_adaptive = skin.sending == "adaptive"
-    plans = plan_adaptive(contract) if is_adaptive else plan(contract)
+    sending = sending_of(contract)
+    plans = sending.plan(contract)
     loads = {number: measure(contract, number, frames, plans[number]) for number, frames in seen.items()}
     for number, frames in seen.items():
         for line in misfits(contract, number, frames, loads[number]):
             say("load", line)
-    if is_adaptive:
-        sorted_ = [measure_adaptive(contract, number, frames, loads[number]) for number, frames in seen.items()]
-        if json_:
-            print_json({"buses": [_flat(each) for each in sorted_]})
-            return
-        from bandwidth.adaptive_tables import print_adaptive_loads
-
-        print_adaptive_loads(sorted_)
-        return
-    if json_:
-        print_json({"buses": list(loads.values())})
-        return
-    from bandwidth.tables import print_loads
-
-    print_loads(list(loads.values()))
-
-
-def _flat(load: AdaptiveLoad) -> dict[str, object]:
-    """Return the fields of a bus that sends in cycles, with the levels and nodes of adaptive sums."""
-    fields = {field.name: getattr(load.bus, field.name) for field in dataclasses.fields(load.bus)}
-    return fields | {"levels": load.levels, "nodes": load.nodes}
+    sending.print_loads(contract, seen, loads, as_json=json_)
 
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:

@@ -1,16 +1,14 @@
 """Measured load of a bus, per node and per identifier, beside the planned load."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.adaptive_plan import AdaptiveBusPlan
-from bandwidth.plan import BusPlan
 from canskin.errors import InputError
-from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, LEVELS, NODES, frame_of, payload_bytes
 from dbc.canopen import (
+    BASE_ID_MASK,
     EMCY_BASE,
     HEARTBEAT_BASE,
     HIGHEST_NODE_ID,
@@ -20,7 +18,7 @@ from dbc.canopen import (
     SYNC_COB_ID,
     TIME_COB_ID,
 )
-from dbc.contract import Contract, frame_flags
+from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
@@ -86,6 +84,22 @@ class BusLoad:
     identifiers: list[IdentifierLoad]
 
 
+class Planned(Protocol):
+    """What the plan of a bus says of its load."""
+
+    @property
+    def name(self) -> str:
+        """The name of the bus."""
+
+    @property
+    def load_touched(self) -> float | None:
+        """Load of a simulated touched skin, None without simulation."""
+
+    @property
+    def load_worst(self) -> float:
+        """Highest load."""
+
+
 def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     """Return the frames from the first SYNC until before the last, and the seconds between these SYNCs.
 
@@ -105,14 +119,14 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     return real[first:last], seconds
 
 
-def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan) -> BusLoad:
+def measure(contract: Contract, bus: int, seen: Frames, planned: Planned) -> BusLoad:
     """Measure the load of bus number `bus`.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-    planned : BusPlan or AdaptiveBusPlan
+    planned : Planned
 
     Raises
     ------
@@ -128,13 +142,13 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | Adapt
     exact, worst = (
         frame_time_ns(taken, line.bitrate, line.data_bitrate, how) * (1e-9 / seconds) for how in ("exact", "worst")
     )
-    rates = planned_rates(contract, bus)
+    rates, planned_here = planned_rates(contract, bus), Identifiers(contract, bus)
     keys = taken["can_id"] | (taken["flags"] & EXTENDED != 0).astype(np.uint32) << 31
     identifiers = []
     for key in np.unique(keys).tolist():
         mine = keys == key
         cob_id, is_extended = key & 0x1FFF_FFFF, bool(key >> 31)
-        kind, node_id = (FOREIGN, None) if is_extended else kind_of(contract, bus, cob_id)
+        kind, node_id = (FOREIGN, None) if is_extended else planned_here.kind_of(cob_id)
         identifiers.append(
             IdentifierLoad(
                 cob_id=cob_id,
@@ -175,25 +189,46 @@ def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
     return rates
 
 
-def kind_of(contract: Contract, bus: int, cob_id: int) -> tuple[str, int | None]:
-    """Return the kind of an 11-bit identifier and the node-ID of its sender; 0 is the gateway."""
-    if contract.layout.sending == "adaptive" and 0 <= cob_id - FIRST_COB_ID < IDENTIFIERS * KINDS:
-        node_id, _, _, is_fine = frame_of(cob_id, is_fd=contract.layout.bus[bus].fd)
-        is_node = node_id <= contract.layout.bus[bus].nodes
-        return ("fine" if is_fine else "coarse", node_id) if is_node else (FOREIGN, None)
-    row = int(contract.table.row_of[bus, cob_id]) if cob_id <= 0x7FF else -1
-    if row >= 0:
-        return "TPDO", contract.nodes[int(contract.table.node[row])].node_id
-    if cob_id in {NMT_COB_ID, SYNC_COB_ID}:
-        return ("NMT" if cob_id == NMT_COB_ID else "SYNC"), 0
-    if cob_id == TIME_COB_ID and contract.layout.sync.time_s is not None:
-        return "TIME", 0
-    for base, kind in _SERVICES:
-        if base < cob_id <= base + HIGHEST_NODE_ID:
-            is_node = cob_id - base <= contract.layout.bus[bus].nodes
-            sender = 0 if base == SDO_REQUEST_BASE else cob_id - base
-            return (kind, sender) if is_node else (FOREIGN, None)
-    return FOREIGN, None
+class Identifiers:
+    """The 11-bit identifiers of a bus: what a layout plans there, and the length and format of sums."""
+
+    def __init__(self, contract: Contract, bus: int) -> None:
+        self._nodes = contract.layout.bus[bus].nodes
+        self._has_time = contract.layout.sync.time_s is not None
+        self._kinds: dict[int, tuple[str, int]] = {}
+        self._length, self._flags = np.zeros((2, BASE_ID_MASK + 1), np.uint8)
+        self._is_sums = np.zeros(BASE_ID_MASK + 1, np.bool_)
+        for node in contract.on_bus(bus):
+            for tpdo in node.all_tpdos:
+                self._kinds[tpdo.cob_id] = tpdo.kind, node.node_id
+                self._length[tpdo.cob_id], self._flags[tpdo.cob_id] = tpdo.length, node.flags & (FD | BRS)
+                self._is_sums[tpdo.cob_id] = True
+
+    def kind_of(self, cob_id: int) -> tuple[str, int | None]:
+        """Return the kind of an identifier and the node-ID of its sender; 0 is the gateway."""
+        if cob_id in self._kinds:
+            return self._kinds[cob_id]
+        if cob_id in {NMT_COB_ID, SYNC_COB_ID}:
+            return ("NMT" if cob_id == NMT_COB_ID else "SYNC"), 0
+        if cob_id == TIME_COB_ID and self._has_time:
+            return "TIME", 0
+        for base, kind in _SERVICES:
+            if base < cob_id <= base + min(self._nodes, HIGHEST_NODE_ID):
+                return kind, 0 if base == SDO_REQUEST_BASE else cob_id - base
+        return FOREIGN, None
+
+    def is_sums(self, taken: Frames) -> npt.NDArray[np.bool_]:
+        """Tell which frames have the identifier of sums."""
+        can_id = taken["can_id"]
+        found: npt.NDArray[np.bool_] = self._is_sums[can_id & BASE_ID_MASK] & (can_id <= BASE_ID_MASK)
+        return found & is_plain(taken)
+
+    def is_right(self, taken: Frames) -> npt.NDArray[np.bool_]:
+        """Tell which frames have the identifier, length and format of sums."""
+        can_id = taken["can_id"] & BASE_ID_MASK
+        has_format = taken["flags"] & (FD | BRS) == self._flags[can_id]
+        right: npt.NDArray[np.bool_] = has_format & (taken["length"] == self._length[can_id])
+        return right & self.is_sums(taken)
 
 
 def _by_node(identifiers: list[IdentifierLoad]) -> list[NodeLoad]:
@@ -230,38 +265,6 @@ def is_plain(seen: Frames) -> npt.NDArray[np.bool_]:
     return plain
 
 
-def is_due(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
-    """Tell which frames have the identifier, length and format of a TPDO on bus number `bus`."""
-    table = contract.table
-    row = tpdo_rows(contract, bus, taken)
-    shape = (taken["length"] == table.length[row]) & (taken["flags"] & (FD | BRS) == table.flags[row] & (FD | BRS))
-    due: npt.NDArray[np.bool_] = (row >= 0) & shape
-    return due
-
-
-def is_sum_frame(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
-    """Tell which frames have the identifier of sums of an adaptive node of bus number `bus`."""
-    line, place = contract.layout.bus[bus], taken["can_id"].astype(np.int64) - FIRST_COB_ID
-    found: npt.NDArray[np.bool_] = is_plain(taken) & (place >= 0) & (place < IDENTIFIERS * KINDS)
-    found &= place % (IDENTIFIERS if line.fd else NODES) < line.nodes
-    return found
-
-
-def is_sum_shape(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.bool_]:
-    """Tell which of some frames of adaptive sums have the length and format of their identifier."""
-    line, is_fine = contract.layout.bus[bus], taken["can_id"] >= FIRST_COB_ID + IDENTIFIERS * LEVELS
-    length = np.where(is_fine, payload_bytes(True, line.fd), payload_bytes(False, line.fd))
-    right: npt.NDArray[np.bool_] = (taken["length"] == length) & (taken["flags"] & (FD | BRS) == frame_flags(line))
-    return right
-
-
-def tpdo_rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
-    """Return the row of each frame in the contract's table of TPDOs, -1 for other frames."""
-    known = is_plain(taken) & (taken["can_id"] <= 0x7FF)
-    row: npt.NDArray[np.intp] = np.where(known, contract.table.row_of[bus, taken["can_id"] & 0x7FF], -1)
-    return row
-
-
 def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[str]:
     """Return one line for each sign that the frames of a bus do not belong to this layout.
 
@@ -278,13 +281,9 @@ def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[s
     if foreign > MISFIT_RATIO * load.frames:
         lines.append(f"{foreign} of {load.frames} frames have identifiers that the layout does not plan; {hint}")
     taken, _ = whole_cycles(seen)
-    if contract.layout.sending == "adaptive":
-        is_tpdo = is_sum_frame(contract, bus, taken)
-        is_right = is_sum_shape(contract, bus, taken[is_tpdo])
-    else:
-        is_tpdo, is_right = tpdo_rows(contract, bus, taken) >= 0, is_due(contract, bus, taken)
-    tpdos = int(is_tpdo.sum())
-    wrong = tpdos - int(is_right.sum())
+    identifiers = Identifiers(contract, bus)
+    tpdos = int(identifiers.is_sums(taken).sum())
+    wrong = tpdos - int(identifiers.is_right(taken).sum())
     if wrong > MISFIT_RATIO * tpdos:
         lines.append(f"{wrong} of {tpdos} TPDOs have another length or format than the layout plans; {hint}")
     if load.load_exact > 1:

@@ -117,7 +117,7 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     window_ms = window_s(layout) * 1e3
     per_cycle = int(last.is_cyclic.sum())
     buffered = CYCLES_BUFFERED * per_cycle + line.nodes
-    needed = _milliseconds(responses[last.is_tpdo])
+    needed = milliseconds(responses[last.is_tpdo])
     return BusPlan(
         name=line.name,
         nodes=line.nodes,
@@ -137,8 +137,8 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
         max_rate_hz_worst_80=worst.rate_hz(CAUTION),
         window_ms=window_ms,
         window_needed_ms=needed,
-        sdo_response_ms=_milliseconds(responses[last.is_sdo_response]),
-        heartbeat_response_ms=_milliseconds(responses[last.is_heartbeat]),
+        sdo_response_ms=milliseconds(responses[last.is_sdo_response]),
+        heartbeat_response_ms=milliseconds(responses[last.is_heartbeat]),
         receive_buffer_frames=buffered,
         receive_buffer_bytes=buffered * RECEIVED_FRAME_BYTES,
         node_plans=nodes,
@@ -193,7 +193,7 @@ def _node_plans(streams: Traffic, responses: npt.NDArray[np.int64]) -> list[Node
     plans = []
     for node_id in np.unique(streams.node[streams.is_tpdo]).tolist():
         mine = streams.is_tpdo & (streams.node == node_id)
-        plans.append(NodePlan(node_id, int(mine.sum()), _milliseconds(responses[mine])))
+        plans.append(NodePlan(node_id, int(mine.sum()), milliseconds(responses[mine])))
     return plans
 
 
@@ -219,8 +219,9 @@ def _problems(
     return found
 
 
-def _milliseconds(responses_ns: npt.NDArray[np.int64]) -> float | None:
-    longest = int(responses_ns.max(initial=0))
+def milliseconds(responses_ns: "npt.NDArray[np.int64] | int") -> float | None:
+    """Return the longest of some response times, None without a bound."""
+    longest = int(np.max(responses_ns, initial=0))
     return longest * 1e-6 if 0 < longest < UNBOUNDED else None
 
 

@@ -1,18 +1,15 @@
 """``skin plan``: the load of a layout's buses."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from bandwidth.adaptive_plan import AdaptiveBusPlan, plan_adaptive
-from bandwidth.alternatives import alternatives
+from bandwidth.adaptive_plan import AdaptiveBusPlan
 from bandwidth.plan import BusPlan
-from bandwidth.plan import plan as plan_buses
-from bandwidth.scheme_rates import schemes
+from bandwidth.sending import sending_of
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
-from canskin.errors import InputError
 from dbc.contract import Contract
-from dbc.packing import rounding_error_n
 from skin.layout import load_layout, require_one_state
 from skin.service import say
 from skin.terminal import Json, print_json
@@ -56,15 +53,9 @@ def plan(
     skin plan adaptive --node-budget 24000
     """
     contract = Contract.from_layout(load_layout(layout))
-    allowed = (disturbance or Disturbance()).of(contract.layout)
-    if contract.layout.sending == "adaptive":
-        if plot is not None:
-            raise InputError("--plot draws cycles, and adaptive nodes send none: leave the option out")
-        return _plan_adaptive(contract, allowed, node_budget, check, channel or [], as_json=json_)
-    if node_budget:
-        raise InputError("--node-budget is for adaptive sending: the nodes of this layout send in every cycle")
-    plans = plan_buses(contract, allowed=allowed)
-    few = [] if contract.recognition is None else plan_buses(contract.recognition, allowed=allowed)
+    allowed, sending = (disturbance or Disturbance()).of(contract.layout), sending_of(contract)
+    sending.check_options(has_plot=plot is not None, node_budget=node_budget)
+    plans = sending.plan(contract, allowed, node_budget=node_budget, is_touched=check is None)
     if check is not None:
         require_one_state(contract.layout, "--check")
         return _check(contract, plans, check, channel or [], as_json=json_)
@@ -73,77 +64,33 @@ def plan(
 
         for path in write_plots(contract, plot):
             say("plan", f"wrote {path}")
+    does_fit = not any(each.problems for each in plans)
     if json_:
-        print_json(_document(contract, plans, allowed) | ({"recognition": few} if few else {}))
+        facts = {
+            "name": contract.layout.name,
+            "sync_rate_hz": contract.layout.sync.rate_hz,
+            "taxels": contract.layout.taxels.count,
+            "sums": contract.layout.measurement.sums,
+            "allowed": allowed,
+            "fits": does_fit,
+            "buses": plans[: len(contract.layout.bus)],
+            "wiring": wiring(contract.layout),
+        }
+        print_json(facts | sending.facts(contract, plans, allowed))
     else:
-        from bandwidth.tables import print_buses, print_plan, print_problems
-
-        if few:
-            print("recognition")
-            print_buses(few)
-            print_problems(few)
-            print("\nimages")
-        print_plan(plans, alternatives(contract.layout, allowed))
+        sending.print_plan(contract, plans, allowed)
         print(f"\n{wiring(contract.layout)}")
-    return int(any(each.problems for each in [*plans, *few]))
-
-
-def _plan_adaptive(
-    contract: Contract, allowed: Disturbance, budget: int, log: Path | None, names: list[str], *, as_json: bool
-) -> int:
-    plans = plan_adaptive(contract, allowed=allowed, budget_bits_per_s=budget, is_touched=log is None)
-    if log is not None:
-        return _check(contract, plans, log, names, as_json=as_json)
-    if as_json:
-        layout = contract.layout
-        print_json(
-            {
-                "name": layout.name,
-                "sending": layout.sending,
-                "sync_rate_hz": layout.sync.rate_hz,
-                "taxels": layout.taxels.count,
-                "sums": layout.measurement.sums,
-                "allowed": allowed,
-                "fits": not any(each.problems for each in plans),
-                "buses": plans,
-                "wiring": wiring(layout),
-            }
-        )
-    else:
-        from bandwidth.adaptive_tables import print_adaptive_plan
-
-        print_adaptive_plan(plans)
-        print(f"\n{wiring(contract.layout)}")
-    return int(any(each.problems for each in plans))
-
-
-def _document(contract: Contract, plans: list[BusPlan], allowed: Disturbance) -> dict[str, object]:
-    layout = contract.layout
-    return {
-        "name": layout.name,
-        "sync_rate_hz": layout.sync.rate_hz,
-        "taxels": layout.taxels.count,
-        "sums": layout.measurement.sums,
-        "sum_bits": layout.encoding.sum_bits,
-        "rounding_error_n": rounding_error_n(layout),
-        "allowed": allowed,
-        "fits": not any(each.problems for each in plans),
-        "buses": plans,
-        "wiring": wiring(layout),
-        "alternatives": list(alternatives(layout, allowed)),
-        "schemes": list(schemes(layout)),
-    }
+    return int(not does_fit)
 
 
 def _check(
     contract: Contract,
-    plans: list[BusPlan] | list[AdaptiveBusPlan],
+    plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan],
     log: Path,
     names: list[str],
     *,
     as_json: bool,
 ) -> int:
-    from bandwidth.adaptive_departures import adaptive_departures
     from bandwidth.departures import departures
     from bandwidth.logs import of_buses, read_log
     from bandwidth.measured import measure, misfits
@@ -157,11 +104,7 @@ def _check(
         say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full{wanted_load}")
         for line in misfits(contract, number, seen, load):
             say("plan", line)
-        planned = plans[number]
-        if isinstance(planned, BusPlan):
-            lines += departures(contract, number, seen, planned, load)
-        else:
-            lines += adaptive_departures(contract, number, seen, planned, load)
+        lines += departures(contract, number, seen, plans[number], load)
     if as_json:
         print_json(lines)
     elif lines:

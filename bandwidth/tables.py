@@ -4,6 +4,8 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
+from bandwidth.adaptive_log import AdaptiveLoad
+from bandwidth.adaptive_plan import AdaptiveBusPlan, BudgetPlan
 from bandwidth.alternatives import Alternative
 from bandwidth.measured import BusLoad
 from bandwidth.plan import BusPlan
@@ -21,7 +23,7 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
     print_buses(plans)
     print("\nworst response of each node's last TPDO, ms:")
     times = {each.name: [(node.node_id, node.response_ms) for node in each.node_plans] for each in plans}
-    print_wrapped(node_lines(times))
+    _print_wrapped(_node_lines(times))
     print()
     _print_alternatives(tried)
     print_problems(plans)
@@ -32,6 +34,13 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
 
 def print_loads(loads: Sequence[BusLoad]) -> None:
     """Print measured loads beside the plan, and every identifier of each bus."""
+    _print_measured(loads)
+    for each in loads:
+        print()
+        _print_identifiers(each)
+
+
+def _print_measured(loads: Sequence[BusLoad]) -> None:
     rows: list[list[object]] = [
         ["measured, s", *(f"{each.seconds:.2f}" for each in loads)],
         ["frames", *(each.frames for each in loads)],
@@ -42,9 +51,6 @@ def print_loads(loads: Sequence[BusLoad]) -> None:
         ["errors reported", *(each.errors for each in loads)],
     ]
     print_table(["", *(each.name for each in loads)], rows)
-    for each in loads:
-        print()
-        _print_identifiers(each)
 
 
 def _print_identifiers(load: BusLoad) -> None:
@@ -65,7 +71,7 @@ def _print_identifiers(load: BusLoad) -> None:
     print_table(headings, rows, title=load.name)
 
 
-def print_problems(plans: Sequence[BusPlan]) -> None:
+def print_problems(plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]) -> None:
     """Print why buses do not fit."""
     for plan in plans:
         for problem in plan.problems:
@@ -117,7 +123,7 @@ def _print_alternatives(others: Iterable[Alternative]) -> None:
     print_table(headings, rows)
 
 
-def node_lines(buses: Mapping[str, Sequence[tuple[int, float | None]]]) -> list[str]:
+def _node_lines(buses: Mapping[str, Sequence[tuple[int, float | None]]]) -> list[str]:
     """Return lines with node-IDs and times of every bus, by its name; buses with equal times share a line."""
     alike: dict[str, list[str]] = {}
     for name, times in buses.items():
@@ -126,7 +132,7 @@ def node_lines(buses: Mapping[str, Sequence[tuple[int, float | None]]]) -> list[
     return [f"{', '.join(names)}: {responses}" for responses, names in alike.items()]
 
 
-def print_wrapped(lines: Iterable[str]) -> None:
+def _print_wrapped(lines: Iterable[str]) -> None:
     """Print long lines, indented and wrapped between nodes."""
     for line in lines:
         print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    ").replace(_NO_BREAK, " "))
@@ -149,3 +155,72 @@ def number(value: float | None, digits: int) -> str:
 def percent(value: float | None) -> str:
     """Return a share in percent, or a dash."""
     return "-" if value is None else f"{value:.1%}"
+
+
+def print_adaptive_plan(plans: Sequence[AdaptiveBusPlan]) -> None:
+    """Print a plan: a column per bus, the nodes' waits, the problems."""
+    rows = {
+        "nodes": [str(each.nodes) for each in plans],
+        "load, idle / touched": [f"{percent(each.load_idle)} / {percent(each.load_touched)}" for each in plans],
+        "load, everything moves": [percent(each.load_worst) for each in plans],
+        "groups that fill the bus, a frame every ms": [str(each.groups_fill) for each in plans],
+        "coarse sums, everything moves, at worst, ms": [ms(each.coarse_ms) for each in plans],
+        "refresh, everything moves, at worst, ms": [ms(each.refresh_ms) for each in plans],
+        "SDO response, everything moves, at worst, ms": [ms(each.sdo_response_ms) for each in plans],
+        "heartbeat, everything moves, at worst, ms": [ms(each.heartbeat_response_ms) for each in plans],
+        "all coarse / all fine after rest, at worst, ms": [
+            f"{ms(each.settled_coarse_ms)} / {ms(each.settled_fine_ms)}" for each in plans
+        ],
+        "budget of a node for a load of 80 %, bit/s": [str(each.budget_80_bits_per_s) for each in plans],
+        "receive buffer, frames / bytes": [
+            f"{each.receive_buffer_frames} / {each.receive_buffer_bytes}" for each in plans
+        ],
+    }
+    budgets = [each.budget for each in plans if each.budget is not None]
+    if budgets:
+        rows |= _budget_rows(budgets)
+    print_table(["", *(each.name for each in plans)], [[name, *cells] for name, cells in rows.items()])
+    print("\ncoarse sums of each node while everything moves, at worst, ms:")
+    _print_wrapped(
+        _node_lines({each.name: [(node.node_id, node.coarse_ms) for node in each.node_plans] for each in plans})
+    )
+    print_problems(plans)
+
+
+def _budget_rows(budgets: Sequence[BudgetPlan]) -> dict[str, list[str]]:
+    given = f"with {budgets[0].bits_per_s} bit/s for each node:"
+    return {
+        f"{given} load": [percent(each.load) for each in budgets],
+        "  bus full for at most, ms": [ms(each.full_ms) for each in budgets],
+        "  coarse sums, everything moves, ms": [ms(each.coarse_ms) for each in budgets],
+        "  fine sums of a node at rest, ms": [ms(each.fine_ms) for each in budgets],
+    }
+
+
+def print_adaptive_loads(loads: Sequence[AdaptiveLoad]) -> None:
+    """Print measured loads beside the plan, and the frames of each bus by kind and level, and by node."""
+    _print_measured([each.bus for each in loads])
+    for each in loads:
+        print()
+        _print_levels(each)
+
+
+def _print_levels(load: AdaptiveLoad) -> None:
+    rows = [
+        [f"{each.kind}, level {each.level}", each.frames, number(each.rate_hz, 1), f"{each.load_exact:.3%}"]
+        for each in load.levels
+    ]
+    others: dict[str, list[float]] = {}
+    for each in load.bus.identifiers:
+        if each.kind not in {"coarse", "fine"}:
+            total = others.setdefault(each.kind, [0, 0.0, 0.0])
+            for place, part in enumerate((each.frames, each.rate_hz, each.load_exact)):
+                total[place] += part
+    rows += [[kind, int(count), number(rate_hz, 1), f"{share:.3%}"] for kind, (count, rate_hz, share) in others.items()]
+    print_table(["kind", "frames", "a second", "load"], rows, title=load.bus.name)
+    shares = [
+        [each.node_id, each.news, each.again, each.fine, each.unrefined, each.heartbeats, f"{each.load_exact:.3%}"]
+        for each in load.nodes
+    ]
+    headings = ["node", "coarse, new", "coarse, again", "fine", "fine, unrefined", "heartbeats", "load"]
+    print_table(headings, shares)

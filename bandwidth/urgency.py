@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.response import ERROR_BITS, UNBOUNDED, response_times_ns
-from bandwidth.response_kernel import arrivals
+from bandwidth.response import ERROR_BITS, UNBOUNDED, arrivals, response_times_ns
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from dbc.adaptive import LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, cob_id
 from dbc.contract import Contract, sum_frame, sum_frame_bits

@@ -1,13 +1,13 @@
 """Frames and reports for the stations, kept until their time."""
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from itertools import count
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from bus.pool import FramePool
 from dbc.frame import ECHO, ERROR, Frames, frames
 
 #: Receivers of a record: all other stations, the station that sent the frame, or both.
@@ -39,6 +39,34 @@ class Events(NamedTuple):
 
 
 _NOTHING: Final = Events(frames(0), np.zeros(0, np.int64), np.zeros(0, np.uint8), plain=True)
+
+
+class FramePool:
+    """Slots for frames: `store` returns slot numbers, `take` returns the frames and frees the slots."""
+
+    def __init__(self, size: int = 256) -> None:
+        self.slots: Frames = frames(size)
+        self._free = list(range(size))
+
+    def store(self, burst: Frames) -> list[int]:
+        """Copy `burst` into free slots and return their numbers, in order."""
+        count = len(burst)
+        while count > len(self._free):
+            size = len(self.slots)
+            grown = frames(2 * size)
+            grown[:size] = self.slots
+            self.slots = grown
+            self._free.extend(range(size, 2 * size))
+        taken = self._free[len(self._free) - count :]
+        del self._free[len(self._free) - count :]
+        self.slots[taken] = burst
+        return taken
+
+    def take(self, numbers: Sequence[int]) -> Frames:
+        """Return a copy of the frames in these slots, and free them."""
+        gathered: Frames = self.slots[list(numbers)]
+        self._free.extend(numbers)
+        return gathered
 
 
 class Outbox:

@@ -8,12 +8,13 @@ time. `bus.faults` draws faults; `bus.confinement` computes their effect on the 
 from collections.abc import Sequence
 from typing import Final
 
-from bus.arbitration import clash_bits
+import numpy as np
+
 from bus.confinement import Confinement
 from bus.controller import Controller
 from bus.faults import Fault, FaultSchedule, Odds
 from bus.outbox import OTHERS, OWNER, Events
-from bus.pending import Waiting
+from bus.pending import Waiting, clash_bits
 from bus.station import Counts, Station, Stations
 from bus.transmit_queues import TransmitQueues
 from dbc.frame import Frames
@@ -91,7 +92,7 @@ class SimulatedBus:
         """Disconnect a station; its waiting frames are dropped."""
         self._stations.remove(station)
         for controller in station.controllers.values():
-            self._queues.forget(controller)
+            self._queues.take_back(controller)
         self._confinement.forget(station)
         self._refresh()
 
@@ -144,6 +145,10 @@ class SimulatedBus:
         durations_ns = frame_time_ns(accepted, self.bitrate, self.data_bitrate).tolist()
         self._queues.submit(accepted, controllers, durations_ns, self.now_ns)
         return len(accepted)
+
+    def take_back(self, station: Station) -> Frames:
+        """Remove and return the waiting frames of a station, each controller's oldest first."""
+        return np.concatenate([self._queues.take_back(each) for each in station.controllers.values()])
 
     def run_until(self, time_ns: int | None = None) -> Events:
         """Simulate up to `time_ns`, and return what ended; without a time, run until no event is left."""

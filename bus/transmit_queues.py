@@ -5,11 +5,9 @@ from itertools import count
 
 import numpy as np
 
-from bus.arbitration import arbitration_keys
 from bus.controller import Controller
-from bus.outbox import DISCARDED, OTHERS, OWNER, Outbox
-from bus.pending import Pending, Waiting
-from bus.pool import FramePool
+from bus.outbox import DISCARDED, OTHERS, OWNER, FramePool, Outbox
+from bus.pending import Pending, Waiting, arbitration_keys
 from bus.station import Counts, Station
 from dbc.frame import Frames
 
@@ -99,11 +97,12 @@ class TransmitQueues:
         """Return all waiting frames of a controller."""
         self.discard(self.pending.withdraw(controller), time_ns)
 
-    def forget(self, controller: Controller) -> None:
-        """Drop all waiting frames of a controller that has left."""
+    def take_back(self, controller: Controller) -> Frames:
+        """Remove and return all waiting frames of a controller; nothing is reported to the sender."""
         slots = [item.slot for item in self.pending.withdraw(controller)]
-        self.pool.free(slots)
+        controller.waiting -= len(slots)
         self.counts.discarded += len(slots)
+        return self.pool.take(slots)
 
     def post_copy(self, item: Waiting, time_ns: int) -> None:
         """Send a frame to the receivers; the sender gets its echo at another time."""

@@ -13,7 +13,7 @@ MODELS: Final = (0, 2, 3, 5, 7)
 MEMORY: Final = 256
 #: Variance of rounding to whole counts, counts²; no noise is taken to be less.
 ROUNDING: Final = 1 / 12
-#: A squared second difference counts for at most so many times its mean: more is a touch.
+#: Largest ratio of a squared second difference to their mean: more is a touch, and counts as this ratio.
 OUTLIER_RATIO: Final = 16.0
 #: A taxel is idle while the ratio of its mean to its deviation is within this part of that of clipped noise, ...
 IDLE_BAND: Final = 0.25

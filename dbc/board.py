@@ -214,7 +214,7 @@ def board(contract: Contract, node: NodeContract) -> Board:
     values: _Values = {(each.index, each.subindex or 0): each.value for each in dictionary(contract, node)}
     layout = contract.layout
     bus = layout.bus[node.bus]
-    is_adaptive = bool(node.adaptive_tpdos)
+    is_adaptive = node.is_adaptive
     return Board(
         skin=layout.name,
         bus=bus.name,

@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,7 @@ class Tpdo:
     first_sum: int
     sums: int
     length: int
+    kind: ClassVar[str] = "TPDO"
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,11 @@ class AdaptiveTpdo:
     def length(self) -> int:
         """Payload in bytes."""
         return int(payload_bytes(self.is_fine, self.is_fd))
+
+    @property
+    def kind(self) -> str:
+        """``fine`` or ``coarse``."""
+        return "fine" if self.is_fine else "coarse"
 
     @property
     def groups(self) -> range:
@@ -100,6 +106,16 @@ class NodeContract:
     adaptive_tpdos: tuple[AdaptiveTpdo, ...] = ()
 
     @property
+    def is_adaptive(self) -> bool:
+        """Whether the node sends when it has news."""
+        return bool(self.adaptive_tpdos)
+
+    @property
+    def all_tpdos(self) -> tuple[Tpdo | AdaptiveTpdo, ...]:
+        """Its TPDOs, whatever makes it send."""
+        return self.tpdos or self.adaptive_tpdos
+
+    @property
     def pdo_bytes(self) -> int:
         """Longest payload of its PDOs."""
         return FD_BYTES if self.flags & FD else CLASSIC_BYTES
@@ -111,7 +127,7 @@ class NodeContract:
         Companded sums of 8 bits (`dbc.adaptive`) have a 2 where others have 1 for offset binary, and no scale. Sums of
         an analogue front end (`skin.frontend`) have 4 or 5 there.
         """
-        if self.adaptive_tpdos:
+        if self.is_adaptive:
             return 8 | _COMPANDED << 16 | self.blocks << 24
         step = self.packing.scale.bit_length() - 1
         form = (not self.packing.is_signed) + (0 if self.packing.converter is None else _ANALOGUE)
@@ -164,6 +180,11 @@ class Contract:
         """The contract of images, and that of recognition if there is one."""
         return (self,) if self.recognition is None else (self, self.recognition)
 
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether the nodes send when they have news."""
+        return self.nodes[0].is_adaptive
+
     @cached_property
     def law(self) -> Companding:
         """How adaptive nodes code their sums."""
@@ -178,8 +199,7 @@ class Contract:
     @property
     def sync_overflow(self) -> int:
         """Synchronous counter overflow value (1019h): 0 for SYNC without counter."""
-        is_counted = self.phases > 1 or self.layout.sending == "adaptive"
-        return SYNC_OVERFLOW if is_counted else 0
+        return SYNC_OVERFLOW if self.phases > 1 or self.is_adaptive else 0
 
     def phase_of(self, sync_counter: int) -> int:
         """Return the phase of a SYNC counter value (1 to 240)."""

@@ -79,7 +79,7 @@ def database(contract: Contract, bus: int) -> str:
 
 def _unit_text(contract: Contract) -> str:
     """Return a sentence on the values of sums."""
-    if contract.layout.sending == "adaptive":
+    if contract.is_adaptive:
         return "Sums are companded; the comment of each message says how to expand them."
     scale, error_n = contract.packing.scale, rounding_error_n(contract.layout)
     exact = f"rounded to {scale}, which adds at most {error_n:.3g} N to a sum" if scale > 1 else "they are exact"

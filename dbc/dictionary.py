@@ -326,7 +326,7 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         *array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
     ]
     whole += _state(contract)
-    if node.adaptive_tpdos:
+    if node.is_adaptive:
         whole += _adaptive_objects(contract)
     if contract.layout.taxels.has_thermometers:
         whole.append(Object(OD_TEMPERATURE, None, "Temperature in 0.1 K", INTEGER16, "ro", TEMPERATURE_UNKNOWN))

@@ -341,7 +341,7 @@ def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
 
 def _tpdos(contract: Contract, node: NodeContract) -> int:
     """Return the number of TPDOs of a node, in all its states."""
-    return sum(len(each.tpdos) + len(each.adaptive_tpdos) for each in contract.states_of(node))
+    return sum(len(each.all_tpdos) for each in contract.states_of(node))
 
 
 def _count_flags(tpdos: int, rpdos: int) -> str:

@@ -108,8 +108,8 @@ def evaluate(
     seed
         Of all random numbers but those that draw scenes.
     scenes
-        Scenes drawn at random that ``rivals`` measures beside the named ones, and twice as many that ``calibration``
-        does; none with `quick`.
+        Half the number of scenes drawn at random that ``calibration`` measures beside the named ones; none with
+        `quick`.
     scene_seed
         Of the scenes drawn at random: a seed that nobody has tried shows scenes that nobody has tuned to.
     basis

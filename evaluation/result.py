@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from canskin.errors import InputError
 from skin.output import write_file
@@ -59,6 +59,14 @@ class Options:
     def draws_or(self, draws: int) -> int:
         """Return the draws that were asked for, else 1 for a quick look, else `draws`."""
         return self.draws or (1 if self.quick else draws)
+
+
+class Finding(NamedTuple):
+    """A number of ours, how many measurements are behind it, and the paper's number, None where the paper has none."""
+
+    ours: float
+    runs: int
+    paper: float | None = None
 
 
 @dataclass(frozen=True)

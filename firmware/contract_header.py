@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from dbc import averaging, board_sums, canopen, frame, indices
-from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER, SWITCHING
+from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
 from dbc.dictionary import REACTION_NS
 from firmware import tables
 from firmware.c_text import braced, defined, double, header, real
@@ -50,24 +50,23 @@ def contract_header() -> str:
 
 def _filters() -> dict[str, tuple[object, str]]:
     """Return the numbers of filters that all boards share, and of those that average."""
-    models = (braced(map(real, each)) for each in zip(*averaging.averaging_models(), strict=True))
     clipped = clipped_mean(np.linspace(0, REACH, _CLIPPED_POINTS))
     return {
         "SKIN_IDLE_MEAN": (double(IDLE_MEAN), "mean of noise N(0, 1) that is clipped at 0"),
         "SKIN_IDLE_DEVIATION": (double(IDLE_DEVIATION), "and its deviation"),
-        "SKIN_SWITCHING": (real(SWITCHING), "chance of a change of filter in one sample"),
         "SKIN_LEAST_WEIGHT": (real(LEAST_WEIGHT), "of a filter"),
         "SKIN_LOG2_E": (real(LOG2_E), "1 / ln 2"),
         "SKIN_LEAST_EXPONENT": (real(LEAST_EXPONENT), "of a likelihood"),
         "SKIN_POWER": (braced(map(real, POWER)), "polynomial of 2^f"),
-        "SKIN_MODELS": (len(averaging.MODELS), "filters of an average"),
-        "SKIN_AVERAGE_MODELS": (braced(models, per_line=1), "what they are: skin_average.c"),
         "SKIN_MEMORY": (averaging.MEMORY, "samples over which the noise of a taxel is learned"),
         "SKIN_ROUNDING": (real(averaging.ROUNDING), "variance of rounding to whole counts"),
         "SKIN_OUTLIER_RATIO": (real(averaging.OUTLIER_RATIO), "most of a squared second difference, over their mean"),
         "SKIN_IDLE_BAND": (real(averaging.IDLE_BAND), "of mean over deviation of an idle taxel"),
         "SKIN_EVENNESS": (real(averaging.EVENNESS), "least of size over square of second differences"),
-        "SKIN_IDLE_TAXELS": (round(1 / averaging.IDLE_PART), "one of so many is idle where noise is learned"),
+        "SKIN_IDLE_TAXELS": (
+            round(1 / averaging.IDLE_PART),
+            "1 / part of the taxels that are idle where noise is learned",
+        ),
         "SKIN_LEARNING_GAIN": (real(averaging.LEARNING_GAIN), "part of the difference that noise follows"),
         "SKIN_AVERAGE_DEAD_RATIO": (real(averaging.DEAD_RATIO), "deviations of an average: a force of fewer is 0"),
         "SKIN_CLIPPED_REACH": (real(REACH), "end of the table of the mean of x + N(0, 1) clipped at 0, x from 0"),

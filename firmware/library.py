@@ -6,24 +6,22 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
 from dbc.adaptive import BLOCK_SUMS
+from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.generate import write_files
-from firmware.adaptive_tables import adaptive_header, adaptive_source
-from firmware.contract_header import contract_header
-from firmware.tables import Build, board_header, board_source, builds
+from firmware.export import constants, sources
+from firmware.tables import builds
 from skin.cache import cache_folder
 
-SOURCES: Final = files("firmware").joinpath("c")
 #: Every operation is rounded as it is written.
 STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
 _FLAGS: Final = (*STANDARD_FLAGS, "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
@@ -37,34 +35,9 @@ _FUNCTIONS: Final = (
     "skin_newest_sums",
     "skin_node_bytes",
 )
-_ADAPTIVE_FUNCTIONS: Final = ("skin_take_counts", "skin_decide_all", "skin_choose", "skin_held")
+_ADAPTIVE_FUNCTIONS: Final = ("skin_take_counts", "skin_decide_all", "skin_choose", "skin_under_way")
 
-
-def sources(*folders: str) -> dict[str, str]:
-    """Return the C sources and headers of folders of the package by their path; a folder's name may be empty."""
-    found: dict[str, str] = {}
-    for folder in folders:
-        for each in sorted(SOURCES.joinpath(folder).iterdir(), key=lambda each: each.name):
-            if each.name.endswith((".c", ".h")):
-                found[f"{folder}/{each.name}" if folder else each.name] = each.read_text(encoding="ascii")
-    return found
-
-
-def shared_folders(contract: Contract) -> tuple[str, ...]:
-    """Return the folders of `sources` that every board needs: sums and packing, and the parts of an adaptive board."""
-    return ("", "adaptive") if contract.layout.sending == "adaptive" else ("",)
-
-
-def constants(contract: Contract, boards: Sequence[Build]) -> dict[str, str]:
-    """Return the C texts of the constants of `boards`, by file."""
-    found = {
-        "contract.h": contract_header(),
-        "board.h": board_header(contract, boards),
-        "board.c": board_source(boards),
-    }
-    if contract.layout.sending == "adaptive":
-        found |= {"adaptive.h": adaptive_header(contract), "adaptive.c": adaptive_source(contract)}
-    return found
+_Made = TypeVar("_Made", bound="CompiledBoards")
 
 
 class Firmware:
@@ -87,54 +60,64 @@ class Firmware:
     def __init__(self, contract: Contract, nodes: Sequence[NodeContract], *, compiler: str = "cc") -> None:
         boards = builds(contract, nodes)
         # With the CANopen slave, and what runs many of them together.
-        texts = sources(*shared_folders(contract), "slave", "host") | constants(contract, boards)
+        texts = sources(boards, "slave", "host") | constants(contract, boards)
         self._library = _loaded(texts, compiler)
-        self._place = {(node.bus, node.node_id): place for place, node in enumerate(nodes)}
-        for name in (*_FUNCTIONS, *(_ADAPTIVE_FUNCTIONS if contract.layout.sending == "adaptive" else ())):
+        for name in (*_FUNCTIONS, *(_ADAPTIVE_FUNCTIONS if boards[0].is_adaptive else ())):
             getattr(self._library, name).restype = ctypes.c_size_t
-        self._node_bytes = int(self._library.skin_node_bytes())
-        self._taxels = contract.phi.order.size
-        self._most_samples = 2 * contract.layout.samples_per_sync
-
-    def node_ids(self, bus: int) -> frozenset[int]:
-        """Return the node-IDs of the boards of bus number `bus`."""
-        return frozenset(node_id for on, node_id in self._place if on == bus)
+        self._contract, self._nodes = contract, nodes
+        self._boards: dict[int, CompiledBoards] = {}
 
     def boards(self, bus: int) -> "CompiledBoards":
-        """Return the boards of bus number `bus`, without power."""
-        return CompiledBoards(self._on(bus))
+        """Return the boards of bus number `bus`, which have no power before the first call of `power_up`."""
+        if bus not in self._boards:
+            self._boards[bus] = self._new(CompiledBoards, bus)
+        return self._boards[bus]
 
     def adaptive_boards(self, bus: int) -> "CompiledAdaptiveBoards":
         """Return the boards of bus number `bus`, which have not learned their noise; the layout sends adaptively."""
-        return CompiledAdaptiveBoards(self._on(bus))
+        made = self._boards[bus] = self._new(CompiledAdaptiveBoards, bus)
+        return made
 
-    def _on(self, bus: int) -> "_Place":
-        places = sorted(place for (on, _), place in self._place.items() if on == bus)
-        return _Place(self._library, places[0], len(places), self._node_bytes, self._taxels, self._most_samples)
-
-
-class _Place(NamedTuple):
-    """Which boards of a library are those of a bus."""
-
-    library: ctypes.CDLL
-    first: int
-    boards: int
-    node_bytes: int
-    taxels: int
-    most_samples: int
+    def _new(self, kind: type[_Made], bus: int) -> _Made:
+        nodes = [node for node in self._nodes if node.bus == bus]
+        return kind(self._library, self._contract, nodes, self._nodes.index(nodes[0]))
 
 
 class CompiledBoards:
-    """The boards of one bus: most methods take a time in seconds and return the frames that the boards send."""
+    """The boards of one bus: most methods take a time in seconds and return the frames that the boards send.
 
-    def __init__(self, place: _Place) -> None:
-        self._library = place.library
-        self._first, self._count = ctypes.c_uint32(place.first), ctypes.c_uint32(place.boards)
+    Parameters
+    ----------
+    library : CDLL
+    contract : Contract
+    nodes : sequence of NodeContract
+        The boards, in the order of the library.
+    first : int
+        The first of them among all boards of the library.
+
+    Attributes
+    ----------
+    node_ids : frozenset of int
+    is_pdo : array of bool, shape (BASE_ID_MASK + 1,)
+        Whether an identifier is that of a TPDO of the boards.
+    due_s : float
+        When `pass_time` has work to do: at any time.
+    """
+
+    def __init__(self, library: ctypes.CDLL, contract: Contract, nodes: Sequence[NodeContract], first: int) -> None:
+        self.node_ids = frozenset(node.node_id for node in nodes)
+        self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
+        for node in nodes:
+            self.is_pdo[[tpdo.cob_id for tpdo in node.tpdos] + [tpdo.cob_id for tpdo in node.adaptive_tpdos]] = True
+        self.due_s = float("-inf")
+        self._library = library
+        self._first, self._count = ctypes.c_uint32(first), ctypes.c_uint32(len(nodes))
+        self._node_bytes = int(library.skin_node_bytes())
         # Eight bytes each, so that the memory is aligned for every C type.
-        self._memory = np.zeros(-(-place.boards * place.node_bytes // 8), np.uint64)
+        self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
         self._nodes = ctypes.c_void_p(self._memory.ctypes.data)
-        self._node_bytes = place.node_bytes
-        self._taxels, self._most_samples = place.taxels, place.most_samples
+        self._taxels = contract.phi.order.size
+        self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = (ctypes.c_void_p(self._out.ctypes.data), ctypes.c_size_t(_CAPACITY))
 
@@ -144,25 +127,27 @@ class CompiledBoards:
             self._library.skin_power_up(self._nodes, self._first, self._count, _milliseconds(now_s), *self._sent)
         )
 
-    def take(self, arrived: Frames, now_s: float, counts: npt.NDArray[np.uint16] | None = None) -> Frames:
-        """Pass received frames to the boards.
+    def take(self, arrived: Frames, now_s: float) -> Frames:
+        """Pass received frames to the boards."""
+        return self.answer(arrived, now_s, None)
+
+    def answer(self, sync: Frames, now_s: float, measured: npt.NDArray[np.int32] | None) -> Frames:
+        """Pass a SYNC to the boards.
 
         Parameters
         ----------
-        arrived : Frames
-            With one SYNC at most.
-        counts : array of uint16, shape (samples, n), optional
+        measured : array of int, shape (samples, n), optional
             What all taxels of the skin read since the last SYNC, row-major, ADC counts; the last sample is that of the
             SYNC. At most the samples of two cycles.
         """
-        there = np.ascontiguousarray(arrived)
+        there = np.ascontiguousarray(sync)
         read, samples = None, 0
-        if counts is not None:
-            samples, taxels = counts.shape
-            is_right = taxels == self._taxels and 0 < samples <= self._most_samples and counts.flags.c_contiguous
-            if not is_right or counts.dtype != np.uint16:
-                wanted = f"1 to {self._most_samples} samples of {self._taxels} counts, uint16"
-                raise InputError(f"expected {wanted}, got {counts.dtype} of {counts.shape}")
+        if measured is not None:
+            samples, taxels = measured.shape
+            if taxels != self._taxels or not 0 < samples <= self._most_samples:
+                wanted = f"1 to {self._most_samples} samples of {self._taxels} counts"
+                raise InputError(f"expected {wanted}, got {measured.shape}")
+            counts = np.ascontiguousarray(measured, np.uint16)
             read = ctypes.c_void_p(counts.ctypes.data)
         return self._taken(
             self._library.skin_take(
@@ -204,17 +189,17 @@ class CompiledBoards:
 class CompiledAdaptiveBoards(CompiledBoards):
     """The boards of one bus that sample by their own clock, and send sums when these carry news."""
 
-    def __init__(self, place: _Place) -> None:
-        super().__init__(place)
+    def __init__(self, library: ctypes.CDLL, contract: Contract, nodes: Sequence[NodeContract], first: int) -> None:
+        super().__init__(library, contract, nodes, first)
         self._library.skin_prepare.restype = None
         self._library.skin_prepare(self._nodes, self._first, self._count)
 
-    def take_counts(self, counts: npt.NDArray[np.uint16]) -> bool:
+    def take_counts(self, counts: npt.NDArray[np.float32]) -> bool:
         """Pass one sample to the boards, shape (boards, taxels); tell whether all have learned their noise."""
         expected = (self._count.value, BLOCK_SUMS)
-        if counts.shape != expected or counts.dtype != np.uint16:
-            raise InputError(f"expected counts of {expected}, uint16, got {counts.dtype} of {counts.shape}")
-        there = counts.copy()  # corrected in place
+        if counts.shape != expected:
+            raise InputError(f"expected counts of {expected}, got {counts.shape}")
+        there = counts.astype(np.uint16, order="C")  # a copy: corrected in place
         ready = self._library.skin_take_counts(self._nodes, self._count, ctypes.c_void_p(there.ctypes.data))
         return bool(ready == self._count.value)
 
@@ -233,7 +218,7 @@ class CompiledAdaptiveBoards(CompiledBoards):
     @property
     def is_sending(self) -> bool:
         """Whether a controller may hold a frame, or its echo is to be read."""
-        return bool(self._library.skin_held(self._nodes, self._count))
+        return bool(self._library.skin_under_way(self._nodes, self._count))
 
 
 def _milliseconds(now_s: float) -> ctypes.c_uint32:

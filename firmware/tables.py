@@ -7,7 +7,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from canskin.errors import InputError
+from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
+from dbc.averaging import averaging_models
 from dbc.board import Board, board
 from dbc.configuration import configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
@@ -29,7 +33,7 @@ from dbc.indices import (
     split_block,
 )
 from dbc.objects import Object
-from firmware.c_text import WRITTEN, array, defined, header
+from firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
 WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
@@ -65,13 +69,14 @@ class ObjectTable:
 class Build:
     """What the C sources of one board are made from.
 
-    `frame_ns` is the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of an
-    adaptive board.
+    `is_adaptive` tells whether the board sends sums when they carry news. `frame_ns` is the longest time of one of its
+    frames. `frame_bits` are those of a coarse and a fine frame of an adaptive board.
     """
 
     node: NodeContract
     board: Board
     objects: ObjectTable
+    is_adaptive: bool
     frame_ns: int
     frame_bits: tuple[int, int]
 
@@ -86,15 +91,24 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
     """
     if contract.layout.taxels.is_analogue:
         raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
-    of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
-    return [Build(node, board(contract, node), _object_table(contract, node), *of_bus[node.bus]) for node in nodes]
+    is_adaptive = contract.layout.sending == "adaptive"
+    sizes = _adaptive_frame_sizes if is_adaptive else _frame_sizes
+    of_bus = {bus: sizes(contract, bus) for bus in {node.bus for node in nodes}}
+    return [
+        Build(node, board(contract, node), _object_table(contract, node), is_adaptive, *of_bus[node.bus])
+        for node in nodes
+    ]
 
 
 def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     """Return `frame_ns` and `frame_bits` of `Build` for the boards of a bus."""
     line = contract.layout.bus[bus]
-    if contract.layout.sending != "adaptive":
-        return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
+    return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
+
+
+def _adaptive_frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
+    """Return the same for adaptive boards."""
+    line = contract.layout.bus[bus]
     coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 
@@ -140,7 +154,7 @@ def _is_sums(index: int) -> bool:
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``board.h``: sizes that hold every one of `boards`."""
-    is_adaptive = contract.layout.sending == "adaptive"
+    is_adaptive = boards[0].is_adaptive
     sizes: dict[str, tuple[object, str]] = {
         "SKIN_BOARDS": (len(boards), "boards of board.c"),
         "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
@@ -157,7 +171,7 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
         "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),
     }
-    lines = defined(sizes)
+    lines = defined(sizes | _models(make_models(HORIZON) if is_adaptive else averaging_models(), HORIZON * is_adaptive))
     if len(boards) == 1:
         table = boards[0].board
         lines += [
@@ -167,6 +181,20 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         ]
     parts = ['#include "skin_board.h"', "", *lines, "", "extern const skin_board skin_boards[SKIN_BOARDS];"]
     return header("BOARD_H", f"Sizes of {_names(boards)}.", parts)
+
+
+def _models(models: Models, horizon: float) -> dict[str, tuple[object, str]]:
+    """Return the numbers of the models of ``skin_models.c``."""
+    count = len(models.gain)
+    rows = (braced(map(real, each)) for each in zip(*models, strict=True))
+    return {
+        "SKIN_MODELS": (count, "models that run side by side"),
+        "SKIN_AVERAGE_COUNT": (int(np.count_nonzero(models.slope_gain == 0)), "the first of them: averages"),
+        "SKIN_MODEL_ROWS": (braced(rows, per_line=1), "each as skin_model"),
+        "SKIN_CHANGE": (real(SWITCHING / (count - 1)), "chance of a change to a model in one sample"),
+        "SKIN_STAY": (real(1.0 - SWITCHING), "chance of no change"),
+        "SKIN_HORIZON": (real(horizon), "samples that a forecast looks ahead"),
+    }
 
 
 def board_source(boards: Sequence[Build]) -> str:

@@ -1,7 +1,6 @@
 """``skin nodes``: the virtual nodes of a skin."""
 
 import math
-from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,11 +13,8 @@ from canskin.session import DEFAULT_ENDPOINT
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from firmware.library import Firmware
-from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.firmware import FirmwarePatches
-from nodes.electronics import Electronics
-from nodes.sampler import CountSampler, Sampler, new_sampler
 from nodes.service import NodesService
+from nodes.ways import new_hardware
 from skin.defects import parse_defects
 from skin.layout import Layout, load_layout, require_one_state
 from skin.recording_options import ArrayNames, FrameRate, FullScale, check_touch_options, load_recording
@@ -129,12 +125,17 @@ def nodes(
         if input
         else _objects(skin, objects, stroke, seed=seed, rest_s=rest)
     )
-    compiled = _firmware(contract, chosen) if firmware else None
-    boards = _boards(contract, chosen, source, {"noise_n": noise_n, "seed": seed, "defects": defects}, compiled)
+    mine = [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())]
+    compiled = None
+    if firmware:
+        require_one_state(skin, "the firmware in C")
+        compiled = Firmware(contract, mine)
+    blocks = [node.block for node in mine]
+    hardware = new_hardware(contract, blocks, source, compiled, noise_n=noise_n, seed=seed, defects=defects)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
-    service = NodesService(contract, links, chosen, boards, joined, store=store, firmware=compiled)
+    service = NodesService(contract, links, chosen, hardware, joined, store=store, firmware=compiled)
     count = sum(map(len, chosen.values()))
     say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}")
     try:
@@ -144,35 +145,6 @@ def nodes(
             link.close()
         if joined is not None:
             joined.close()
-
-
-def _firmware(contract: Contract, chosen: dict[int, Collection[int]]) -> Firmware:
-    """Compile the firmware of the chosen nodes."""
-    require_one_state(contract.layout, "the firmware in C")
-    return Firmware(contract, [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())])
-
-
-def _boards(
-    contract: Contract,
-    chosen: dict[int, Collection[int]],
-    source: TaxelSource,
-    analogue: dict[str, Any],
-    firmware: Firmware | None,
-) -> Sampler | AdaptiveBoards | FirmwarePatches:
-    """Return what samples the chosen nodes' taxels; `analogue` holds ``noise_n``, ``seed`` and ``defects``."""
-    skin = contract.layout
-    if skin.sending == "adaptive":
-        blocks = [node.block for node in contract.nodes if node.node_id in chosen.get(node.bus, ())]
-        if firmware is not None:
-            return FirmwarePatches(contract, blocks, source, firmware, **analogue)
-        return AdaptiveBoards(contract, blocks, source, **analogue)
-    if source.has_noise:
-        analogue = {**analogue, "noise_n": 0.0}
-    if firmware is not None:
-        samples = skin.samples_per_sync
-        electronics = Electronics(skin.taxels, **analogue, period_s=skin.sync.period_s, samples=samples)
-        return CountSampler(contract.phi, source, electronics)
-    return new_sampler(skin, contract.phi, source, **analogue)
 
 
 def _objects(skin: Layout, names: str, stroke: StrokeKind, **options: Any) -> TaxelSource:

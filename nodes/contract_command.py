@@ -14,7 +14,7 @@ from dbc.generate import (
     node_files,
     write_files,
 )
-from nodes.vectors import vector_files
+from nodes.ways import vector_files
 from skin.layout import load_layout
 from skin.service import say
 from skin.terminal import Json, print_json

@@ -51,11 +51,10 @@ from dbc.indices import (
 )
 from dbc.objects import Object
 from nodes.access import check_write, is_allowed
-from nodes.boards import Boards
 from nodes.emcy import EmcyProducer
+from nodes.hardware import Hardware
 from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
-from nodes.network import SegmentNetwork
-from nodes.objects import LocalNode, object_dictionary
+from nodes.objects import LocalNode, Outbox, object_dictionary
 from nodes.storage import Parameters, Storage
 from nodes.tpdo import LiveTpdo, read_tpdos
 
@@ -79,8 +78,9 @@ class SkinNode:
         The node's object dictionary.
     settings : sequence of Setting
         The objects that the configuration signature (2006h) covers.
-    network : SegmentNetwork
-    boards : Boards
+    outbox : Outbox
+        Where the node sends.
+    hardware : Hardware
     storage : Storage
         Parameters that 1010h stored.
 
@@ -101,8 +101,8 @@ class SkinNode:
         objects: list[Object],
         settings: Sequence[Setting],
         *,
-        network: SegmentNetwork,
-        boards: Boards,
+        outbox: Outbox,
+        hardware: Hardware,
         storage: Storage,
     ) -> None:
         self.contract = contract
@@ -114,8 +114,8 @@ class SkinNode:
         self._settings = settings
         self._signature: int | None = None
         self._storage = storage
-        self._network = network
-        self._boards = boards
+        self._outbox = outbox
+        self._hardware = hardware
         self._changed = True
         self._has_events = False
         self._emcy_cob_id = 0
@@ -126,7 +126,7 @@ class SkinNode:
             OD_ERROR_FIELD: self._read_error,
             OD_HEALTH: self._read_health,
             OD_SIGNATURE: lambda _: self._read_signature(),
-            OD_TEMPERATURE: lambda _: round(10 * boards.temperature_k(range(first, first + contract.blocks))),
+            OD_TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
             OD_STATE: lambda subindex: self._wanted if subindex == 1 else None,
             **{
                 of_block(OD_SUMS, place): partial(self._read_sum, contract.block + place)
@@ -140,7 +140,7 @@ class SkinNode:
         self.emcy = EmcyProducer(self._send_emcy)
         self.heartbeat = HeartbeatProducer(self._send_state)
         self.watched = HeartbeatConsumer()
-        network[contract.node_id] = self.local
+        outbox[contract.node_id] = self.local
 
     @property
     def answers_sdo(self) -> bool:
@@ -149,7 +149,7 @@ class SkinNode:
 
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
-        self.state = NmtState.INITIALISING
+        self._enter(NmtState.INITIALISING)
         store = self.local.data_store
         for index in [index for index in store if index < OD_MANUFACTURER or not communication_only]:
             del store[index]
@@ -167,7 +167,7 @@ class SkinNode:
         self._changed = True
         self.refresh(now_s)
         self._send_state()
-        self.state = NmtState.PRE_OPERATIONAL
+        self._enter(NmtState.PRE_OPERATIONAL)
         # Otherwise boards powered together would send their heartbeats together, inside a burst of sums.
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
         self.heartbeat.set_period(self.local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s, part)
@@ -185,7 +185,7 @@ class SkinNode:
     def _reset_electronics(self) -> None:
         """Set the electronics to the dictionary's calibration and to no test pattern."""
         for place in range(self.contract.blocks):
-            self._boards.reset(self.contract.block + place)
+            self._hardware.reset(self.contract.block + place)
         for index, entries in self.local.data_store.items():
             if index >= OD_MANUFACTURER:
                 for subindex, data in entries.items():
@@ -199,14 +199,17 @@ class SkinNode:
         else:
             found = self.local.variable(index, subindex)
             value = _number(found.data_type if found else None, data)
-        self._boards.adjust(self.contract.block + place, first, subindex, value)
+        self._hardware.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int, now_s: float) -> None:
         """Execute an NMT command; unknown commands are ignored."""
         if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             self.boot(now_s, communication_only=command == NmtCommand.RESET_COMMUNICATION)
         elif command in COMMANDED:
-            self.state = COMMANDED[NmtCommand(command)]
+            self._enter(COMMANDED[NmtCommand(command)])
+
+    def _enter(self, state: NmtState) -> None:
+        self.state = state
 
     def switch(self, state: SkinState) -> None:
         """Send the TPDOs of a state from the next SYNC on: write 2008h:1."""
@@ -257,7 +260,22 @@ class SkinNode:
 
     def send(self, tpdo: LiveTpdo, payload: bytes) -> None:
         """Send one TPDO outside a burst."""
-        self.health[1] += self._network.send_pdo(tpdo.cob_id, payload, self.contract.flags)
+        self._outbox.send_pdo(tpdo.cob_id, payload, self.contract.flags)
+        self.health[1] += 1
+
+    @property
+    def pdo_ids(self) -> list[int]:
+        """The identifiers of the PDOs that exist."""
+        return [tpdo.cob_id for tpdo in self.tpdos]
+
+    def refused(self, cob_id: int) -> None:  # noqa: ARG002  all PDOs are alike
+        """Take note of a PDO that found no room in the transmit queue."""
+        self.health[1] -= 1
+
+    def expired(self, count: int) -> None:
+        """Count and report PDOs that could not be sent within the window (1007h)."""
+        self.health[2] += count
+        self.emcy.raised(Emergency.WINDOW_MISSED, int(self.health[2]))
 
     def _watch(self, now_s: float) -> None:
         before = bool(self.watched.lost)
@@ -267,7 +285,7 @@ class SkinNode:
             self.emcy.raised(Emergency.HEARTBEAT_LOST, min(self.watched.lost))
             state = _ON_ERROR[self.local.unsigned(OD_ERROR_BEHAVIOUR, 1)]
             if self.state is NmtState.OPERATIONAL and state is not None:
-                self.state = state
+                self._enter(state)
         elif not lost:  # heard again, or watched no longer
             self.emcy.gone(Emergency.HEARTBEAT_LOST)
 
@@ -279,11 +297,11 @@ class SkinNode:
             self.emcy.gone(Emergency.HEARTBEAT_LOST)
 
     def _send_state(self) -> None:
-        self._network.send_message(HEARTBEAT_BASE + self.contract.node_id, struct.pack("B", self.state))
+        self._outbox.send_message(HEARTBEAT_BASE + self.contract.node_id, struct.pack("B", self.state))
 
     def _send_emcy(self, payload: bytes) -> None:
         if not self._emcy_cob_id & COB_ID_INVALID:
-            self._network.send_message(self._emcy_cob_id & BASE_ID_MASK, payload)
+            self._outbox.send_message(self._emcy_cob_id & BASE_ID_MASK, payload)
 
     def _read(self, *, index: int, subindex: int, **_: object) -> Any:
         """Return the present value of a computed object; None for stored objects."""
@@ -308,17 +326,17 @@ class SkinNode:
         if setting.index >= OD_MANUFACTURER:
             place, first = split_block(setting.index)
             if first == OD_TEST_PATTERN:
-                return bytes((self._boards.pattern(self.contract.block + place),))
+                return bytes((self._hardware.pattern(self.contract.block + place),))
         return self.local.get_data(setting.index, setting.subindex)
 
     def _read_health(self, subindex: int) -> int | None:
         contract = self.contract
-        self.health[3] = sum(self._boards.saturated(contract.block + place) for place in range(contract.blocks))
+        self.health[3] = sum(self._hardware.saturated(contract.block + place) for place in range(contract.blocks))
         return int(self.health[subindex - 1]) if subindex else None
 
     def _read_sum(self, block: int, subindex: int) -> int | None:
-        first = self._boards.first_sum(block) + subindex - 1
-        return int(self.contract.packing.raw(self._boards.sums[first : first + 1])[0]) if subindex else None
+        first = self._hardware.first_sum(block) + subindex - 1
+        return int(self.contract.packing.raw(self._hardware.sums[first : first + 1])[0]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
         check_write(self.local, index, subindex, _number(od.data_type, data))

@@ -1,17 +1,19 @@
-"""Object dictionary and local node of the ``canopen`` library, made from `dbc.dictionary`."""
+"""Object dictionary, local node and network of the ``canopen`` library, made from `dbc.dictionary`."""
 
 import logging
 from collections.abc import Callable
 from typing import Any, Final, cast
 
 import canopen
+import numpy as np
 from canopen.objectdictionary import ODRecord, ODVariable
 from canopen.objectdictionary.datatypes import NUMBER_TYPES
 from canopen.sdo.constants import EXPEDITED, NO_MORE_DATA, SIZE_SPECIFIED
 from canopen.sdo.server import SdoServer
 
-from dbc.canopen import Abort
+from dbc.canopen import HIGHEST_NODE_ID, Abort
 from dbc.contract import LONGEST_VALUE
+from dbc.frame import Frames, frames, one_frame
 from dbc.indices import BITS, OD_SUMS, split_block
 from dbc.objects import Object
 
@@ -166,3 +168,30 @@ class LocalNode(canopen.LocalNode):
         if found is None or subindex not in found.subindices:
             return None
         return cast("ODVariable", found.subindices[subindex])
+
+
+class Outbox(canopen.Network):
+    """The ``canopen`` library's network without a bus: keeps what nodes send until somebody takes it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._waiting: list[Frames] = []
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG002
+        """Send one classic frame."""
+        self.send_pdo(can_id, data, 0)
+
+    def send_pdo(self, can_id: int, data: bytes, flags: int) -> None:
+        """Send a PDO in a frame with `flags` (`dbc.frame`)."""
+        frame = one_frame(can_id, data, flags)
+        frame["port"] = can_id & HIGHEST_NODE_ID
+        self.post(frame)
+
+    def post(self, burst: Frames) -> None:
+        """Send frames."""
+        self._waiting.append(burst)
+
+    def take(self) -> Frames:
+        """Return what was sent since the last call."""
+        waiting, self._waiting = self._waiting, []
+        return waiting[0] if len(waiting) == 1 else np.concatenate([frames(0), *waiting])

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from canskin.messages import Truth
 from nodes.analogue import AnalogueElectronics
-from nodes.boards import Boards
 from nodes.electronics import Electronics
+from nodes.hardware import Hardware
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.sources import Frame, TaxelSource
@@ -51,7 +51,7 @@ class _Ahead:
     sampled: npt.NDArray[np.int32]
 
 
-class Sampler(Boards):
+class Sampler(Hardware):
     """Turns SYNCs into sums, once per cycle for all buses.
 
     The step of the taxel source follows the SYNC counter or, without counter, the time of SYNC in periods. So all

@@ -1,243 +1,154 @@
-"""All virtual nodes of one bus without input and output: frames and times in, answers out."""
+"""The boards of one bus without input and output: frames and times in, frames out."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
-from pathlib import Path
-from typing import ClassVar, Final
+from typing import Final, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from bus.link import Send
-from dbc.canopen import (
-    HEARTBEAT_BASE,
-    LAST_SYNCHRONOUS,
-    NMT_BYTES,
-    NMT_COB_ID,
-    SDO_BYTES,
-    SDO_REQUEST_BASE,
-    STATE_COB_ID,
-    SYNC_COB_ID,
-    Emergency,
-    NmtCommand,
-    NmtState,
-    is_of_node,
-)
-from dbc.configuration import configuration
-from dbc.contract import Contract, NodeContract
-from dbc.dictionary import SkinState, dictionary
+from dbc.canopen import HEARTBEAT_BASE, LAST_SYNCHRONOUS, SYNC_COB_ID, is_of_node
+from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
-from dbc.indices import OD_SYNC_OVERFLOW
-from nodes.boards import Boards
-from nodes.network import SegmentNetwork
-from nodes.node import SkinNode
-from nodes.storage import Storage
+from nodes.hardware import Hardware
+from nodes.ways import way_of
 
 #: Resolution of heartbeats, event timers and inhibit times.
 TICK_S: Final = 0.005
 
 
-class Segment(ABC):
-    """The nodes of one bus: what they have in common, however they send their sums.
+class Boards(Protocol):
+    """The boards of one bus, in Python (`nodes.virtual_boards`) or in C (`firmware.library`).
+
+    Every method but `refuse` returns the frames that the boards send.
+    """
+
+    @property
+    def node_ids(self) -> Collection[int]:
+        """The node-IDs of the boards."""
+
+    @property
+    def is_pdo(self) -> npt.NDArray[np.bool_]:
+        """Whether an identifier is that of a TPDO of the boards, shape (BASE_ID_MASK + 1,)."""
+
+    @property
+    def due_s(self) -> float:
+        """When `pass_time` has work to do next, as things stand."""
+
+    def power_up(self, now_s: float) -> Frames:
+        """Boot all boards."""
+
+    def take(self, arrived: Frames, now_s: float) -> Frames:
+        """Take received frames without a SYNC, with echoes of sent frames and discarded frames."""
+
+    def answer(self, sync: Frames, now_s: float, measured: npt.NDArray[np.int32] | None) -> Frames:
+        """Take a SYNC, with what `nodes.hardware` has measured for it."""
+
+    def pass_time(self, now_s: float) -> Frames:
+        """Do what is due by time."""
+
+    def refuse(self, burst: Frames) -> None:
+        """Take note of frames that found no room in the transmit queue."""
+
+
+class Segment:
+    """The boards of one bus.
 
     Parameters
     ----------
     contract : Contract
     bus : int
         Number of the bus in the layout.
-    node_ids : collection of int
-        The nodes of the bus that this process runs.
+    boards : Boards
+        Those of this bus.
+    hardware : Hardware
+        Of all boards of the process.
     send : callable
         Sends frames on this bus.
-    boards : Boards
     complain : callable
         Takes a line for the log that may repeat often.
-    store : Path, optional
-        Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
 
     Attributes
     ----------
-    frames_rejected : int
-        Number of received frames that made the CANopen library raise; they are dropped.
+    frames_sent, frames_dropped : int
+        TPDOs that were sent, and TPDOs that found no room or could not be sent in time.
+    syncs_seen : int
     sync_at_s : float
         When the newest SYNC was read.
     """
-
-    #: What the nodes are; it fits the boards.
-    node_type: ClassVar[type[SkinNode]] = SkinNode
 
     def __init__(
         self,
         contract: Contract,
         bus: int,
-        node_ids: Collection[int],
-        send: Send,
         boards: Boards,
+        hardware: Hardware,
+        send: Send,
         *,
         complain: Callable[[str], None],
-        store: Path | None = None,
     ) -> None:
-        self.frames_rejected = 0
-        self.syncs_seen = 0
-        self._name = contract.layout.bus[bus].name
-        self._complain = complain
-        self._contract = contract
-        self._period_s = contract.layout.sync.period_s
+        self.boards = boards
+        self.frames_sent = self.frames_dropped = self.syncs_seen = 0
         self.sync_at_s = self._tick_at_s = float("-inf")
-        #: When a node has something to do; a received frame may change that.
-        self._due_s = float("-inf")
-        #: Identifier of the RPDO with the state of the nodes; without states none has it.
-        self._state_cob_id = -1 if contract.recognition is None else STATE_COB_ID
+        self._name = contract.layout.bus[bus].name
+        self._sending = way_of(contract.layout).sending(contract, bus, hardware)
         self._send = send
-        self._network = SegmentNetwork(send)
-        self.nodes = [
-            self._new_node(
-                node,
-                boards,
-                Storage(contract.phi.fingerprint, store / f"{self._name}-{node.node_id}.json" if store else None),
-            )
-            for node in contract.on_bus(bus)
-            if node.node_id in node_ids
-        ]
-        self._by_id = {node.contract.node_id: node for node in self.nodes}
-        self._sync_length: dict[int, int] = {}
-        #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
-        self._watchers: dict[int, list[SkinNode]] = {}
-        self._compile(self.nodes)
-
-    @property
-    @abstractmethod
-    def frames_sent(self) -> int:
-        """Number of TPDOs that were sent."""
-
-    @property
-    @abstractmethod
-    def frames_dropped(self) -> int:
-        """Number of TPDOs that were given up."""
-
-    @abstractmethod
-    def _answer(self, counter: int, time_ns: int) -> None:
-        """Do what a SYNC asks for; its counter is 0 without one."""
-
-    def _new_node(self, node: NodeContract, boards: Boards, storage: Storage) -> SkinNode:
-        return self.node_type(
-            node,
-            dictionary(self._contract, node),
-            configuration(self._contract, node),
-            network=self._network,
-            boards=boards,
-            storage=storage,
-        )
+        self._complain = complain
 
     def boot(self, now_s: float) -> None:
-        """Boot all nodes."""
-        self._due_s = float("-inf")
-        for node in self.nodes:
-            node.boot(now_s)
-        self._compile(self.nodes)
+        """Boot all boards."""
+        self._post(self.boards.power_up(now_s))
 
     def tick(self, now_s: float) -> None:
-        """Do what is due by time."""
-        if now_s < self._tick_at_s or now_s < self._due_s:
+        """Sample what is due, do what is due by time, and send what is news."""
+        if not self._sending.begin(now_s, now_s - self.sync_at_s):
             return
-        self._tick_at_s = now_s + TICK_S
-        next_s = float("inf")
-        for node in self.nodes:
-            due_s = node.due_s
-            if now_s >= due_s:
-                node.tick(now_s)
-                due_s = node.due_s
-            next_s = min(next_s, due_s)
-        self._due_s = next_s
+        if now_s >= self._tick_at_s and now_s >= self.boards.due_s:
+            self._tick_at_s = now_s + TICK_S
+            self._post(self.boards.pass_time(now_s))
+        news = self._sending.news(now_s)
+        if news is not None:
+            self._post(news)
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Handle received frames in their order, with echoes of sent frames and discarded frames."""
-        can_id = arrived["can_id"]
-        there = arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0
-        plain = there & (arrived["flags"] & ECHO == 0)
-        heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
-        request = is_of_node(can_id, SDO_REQUEST_BASE)
-        # The nodes of this segment receive each other's heartbeats as echoes.
-        others = (can_id == SYNC_COB_ID) | (can_id == NMT_COB_ID) | (can_id == self._state_cob_id)
-        for frame in arrived[there & heartbeat | plain & (request | others)]:
-            self._handle(frame, now_s)
-
-    def _handle(self, frame: np.void, now_s: float) -> None:
-        can_id = int(frame["can_id"])
-        if can_id > HEARTBEAT_BASE:
-            self._heartbeat(can_id - HEARTBEAT_BASE, bool(frame["flags"] & ECHO), now_s)
+        sent, dropped, others = self._sending.count(arrived, self.boards.is_pdo)
+        self.frames_sent += sent
+        self.frames_dropped += dropped
+        if not others:
             return
-        self._due_s = float("-inf")
-        data = frame["data"][: frame["length"]].tobytes()
-        if can_id == SYNC_COB_ID:
-            self._sync(data, int(frame["time_ns"]), now_s)
-        elif can_id == NMT_COB_ID:
-            self._nmt(data, now_s)
-        elif can_id == self._state_cob_id:
-            self._switch(data)
-        elif len(data) == SDO_BYTES:
-            self._sdo(can_id, data, now_s)
+        can_id, foreign = arrived["can_id"], arrived["flags"] & (ERROR | EXTENDED | REMOTE | ECHO) == 0
+        for node_id in can_id[foreign & is_of_node(can_id, HEARTBEAT_BASE)] - HEARTBEAT_BASE:
+            if node_id in self.boards.node_ids:
+                self._complain(f"node-ID {node_id} is on {self._name} twice")
+        begin = 0
+        for sync in np.flatnonzero(foreign & (can_id == SYNC_COB_ID)).tolist():
+            if arrived["length"][sync] == 1 and not 1 <= arrived["data"][sync, 0] <= LAST_SYNCHRONOUS:
+                continue  # no counter of CiA 301, 7.2.5.2
+            self._pass(arrived[begin:sync], now_s)
+            self._answer(arrived[sync : sync + 1], now_s)
+            begin = sync + 1
+        self._pass(arrived[begin:], now_s)
 
-    def _heartbeat(self, node_id: int, is_echo: bool, now_s: float) -> None:
-        if node_id in self._by_id and not is_echo:
-            self._complain(f"node-ID {node_id} is on {self._name} twice")
-        for node in self._watchers.get(node_id, ()):
-            node.heard(node_id, now_s)
-            self._due_s = float("-inf")
+    def _pass(self, arrived: Frames, now_s: float) -> None:
+        if len(arrived):
+            self._post(self.boards.take(arrived, now_s))
 
-    def _sync(self, data: bytes, time_ns: int, now_s: float) -> None:
-        if len(data) == 1 and not 1 <= data[0] <= LAST_SYNCHRONOUS:
-            return  # no counter of CiA 301, 7.2.5.2
+    def _answer(self, sync: Frames, now_s: float) -> None:
         self.syncs_seen += 1
         self.sync_at_s = now_s
-        listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
-        self._judge_sync(listening, len(data))
-        counter = data[0] if len(data) == 1 else 0
-        for node in listening:
-            node.take_sync()
-        self._answer(counter, time_ns)
+        counter = int(sync["data"][0, 0]) if sync["length"][0] == 1 else 0
+        measured = self._sending.measure(counter, int(sync["time_ns"][0]))
+        self._post(self.boards.answer(sync, now_s, measured))
 
-    def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
-        """Report a SYNC whose length does not agree with 1019h (CiA 301, 7.2.5.2: EMCY 8240h)."""
-        for node in listening:
-            node.health[0] += 1
-            if length == self._sync_length[node.contract.node_id]:
-                node.emcy.gone(Emergency.SYNC_LENGTH)
-            else:
-                node.emcy.raised(Emergency.SYNC_LENGTH, length)
-
-    def _switch(self, data: bytes) -> None:
-        """Take the RPDO with the state of all nodes; nodes that are not operational take no PDO."""
-        if len(data) == 1 and data[0] in (SkinState.RECOGNITION, SkinState.IMAGES):
-            for node in self.nodes:
-                if node.state is NmtState.OPERATIONAL:
-                    node.switch(SkinState(data[0]))
-
-    def _nmt(self, data: bytes, now_s: float) -> None:
-        if len(data) != NMT_BYTES:
+    def _post(self, burst: Frames) -> None:
+        """Send frames; those without room are given up."""
+        if not len(burst):
             return
-        command, node_id = data[0], data[1]
-        addressed = self.nodes if node_id == 0 else [self._by_id[node_id]] if node_id in self._by_id else []
-        for node in addressed:
-            node.command(command, now_s)
-        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-            self._compile(addressed)
-
-    def _sdo(self, can_id: int, data: bytes, now_s: float) -> None:
-        node = self._by_id.get(can_id - SDO_REQUEST_BASE)
-        if node is None or not node.answers_sdo:
-            return
-        try:
-            self._network.notify(can_id, bytearray(data), now_s)
-        except Exception:  # noqa: BLE001 - no received frame may end the receive loop
-            self.frames_rejected += 1
-        if node.refresh(now_s):
-            self._compile([node])
-
-    def _compile(self, changed: Collection[SkinNode]) -> None:
-        """Read what the segment needs to know of nodes whose dictionaries have changed."""
-        for node in changed:
-            self._sync_length[node.contract.node_id] = 1 if node.local.unsigned(OD_SYNC_OVERFLOW) else 0
-        self._watchers = {}
-        for node in self.nodes:
-            for node_id in node.watched.watches:
-                self._watchers.setdefault(node_id, []).append(node)
+        accepted = self._send(burst)
+        if self._sending.counts_accepted:
+            self.frames_sent += int(np.count_nonzero(self.boards.is_pdo[burst["can_id"][:accepted]]))
+        if accepted < len(burst):
+            refused = burst[accepted:]
+            self.frames_dropped += int(np.count_nonzero(self.boards.is_pdo[refused["can_id"]]))
+            self.boards.refuse(refused)

@@ -12,14 +12,9 @@ from canskin.fabric import Fabric
 from canskin.messages import NODES, TRUTH, NodesStatus
 from dbc.contract import Contract
 from firmware.library import Firmware
-from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.firmware import AdaptiveFirmwareSegment, FirmwarePatches
-from nodes.adaptive.segment import AdaptiveSegment
-from nodes.boards import NEVER_S
-from nodes.firmware_segment import BoardsSegment, FirmwareSegment
-from nodes.sampler import CountSampler, Sampler
-from nodes.segment import Segment
-from nodes.synchronous_segment import SynchronousSegment
+from nodes.hardware import NEVER_S, Hardware
+from nodes.segment import Boards, Segment
+from nodes.virtual_boards import VirtualBoards
 from skin.service import RateLimitedLog, StopSignal, request_real_time
 
 #: Longest wait for frames.
@@ -42,15 +37,14 @@ class NodesService:
         By number of the bus.
     node_ids : mapping of int to collection of int
         The nodes of each bus that this process runs.
-    boards : Sampler, AdaptiveBoards or FirmwarePatches
-        Adaptive boards hold the blocks of all these nodes.
+    hardware : Hardware
+        Of all these nodes (`nodes.ways.new_hardware`).
     fabric : Fabric or None
         Where counters and true forces are published.
     store : Path, optional
         Folder for the parameters that 1010h stores.
     firmware : Firmware, optional
-        Compiled for these nodes: C boards run in place of nodes in Python. The boards are then a `CountSampler` or
-        `FirmwarePatches`.
+        Compiled for these nodes: C boards run in place of nodes in Python. The hardware is made for them.
     clock : callable, optional
         Monotonic time in seconds.
     """
@@ -60,26 +54,24 @@ class NodesService:
         contract: Contract,
         links: Mapping[int, Link],
         node_ids: Mapping[int, Collection[int]],
-        boards: Sampler | AdaptiveBoards | FirmwarePatches,
+        hardware: Hardware,
         fabric: Fabric | None = None,
         *,
         store: Path | None = None,
         firmware: Firmware | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        def new_segment(bus: int, link: Link) -> Segment | BoardsSegment:
-            complain = RateLimitedLog("nodes").say
-            if firmware is not None and isinstance(boards, CountSampler):
-                return FirmwareSegment(contract, bus, firmware, link.send, boards, complain=complain)
-            if isinstance(boards, FirmwarePatches):
-                return AdaptiveFirmwareSegment(contract, bus, link.send, boards, complain=complain)
-            if isinstance(boards, AdaptiveBoards):
-                return AdaptiveSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
-            return SynchronousSegment(contract, bus, node_ids[bus], link.send, boards, complain=complain, store=store)
+        def new_segment(bus: int, link: Link) -> Segment:
+            boards: Boards = (
+                VirtualBoards(contract, bus, node_ids[bus], hardware, store=store)
+                if firmware is None
+                else firmware.boards(bus)
+            )
+            return Segment(contract, bus, boards, hardware, link.send, complain=RateLimitedLog("nodes").say)
 
         self.segments = {bus: new_segment(bus, link) for bus, link in links.items()}
         self._links = dict(links)
-        self._boards = boards
+        self._hardware = hardware
         self._fabric = fabric
         self._clock = clock
         self._status_at_s = 0.0
@@ -100,7 +92,7 @@ class NodesService:
     def _await_frames(self) -> None:
         """Wait for the echoes of frames that may still be sent, so that the counters tell what receivers got."""
         until_s = time.monotonic() + LAST_FRAMES_S
-        while self._boards.is_sending and (left_s := until_s - time.monotonic()) > 0:
+        while self._hardware.is_sending and (left_s := until_s - time.monotonic()) > 0:
             ready, _, _ = select.select(list(self._links.values()), [], [], left_s)
             self._receive(ready, self._clock())
 
@@ -112,11 +104,11 @@ class NodesService:
     def turn(self) -> None:
         """Wait for frames up to `TURN_S`, or for the next sample; handle frames, and do what is due by time."""
         links = list(self._links.values())
-        if self._boards.due_s == NEVER_S:
+        if self._hardware.due_s == NEVER_S:
             ready, _, _ = select.select(links, [], [], TURN_S)
         else:
             # One turn for each sample: frames wait for it, a millisecond at most.
-            time.sleep(max(0.0, min(self._boards.due_s - self._clock(), TURN_S)))
+            time.sleep(max(0.0, min(self._hardware.due_s - self._clock(), TURN_S)))
             ready, _, _ = select.select(links, [], [], 0)
         now_s = self._clock()
         self._receive(ready, now_s)
@@ -124,7 +116,7 @@ class NodesService:
             segment.tick(now_s)
         self._publish(now_s)
         if now_s - max(segment.sync_at_s for segment in self.segments.values()) >= self._prepare_after_s:
-            self._boards.prepare()
+            self._hardware.prepare()
 
     def publish_status(self) -> None:
         """Publish the counters of all segments."""
@@ -142,7 +134,7 @@ class NodesService:
     def _publish(self, now_s: float) -> None:
         if self._fabric is None:
             return
-        while (truth := self._boards.take_truth()) is not None:
+        while (truth := self._hardware.take_truth()) is not None:
             self._fabric.publish(TRUTH, truth)
         if now_s >= self._status_at_s:
             self._status_at_s = now_s + STATUS_PERIOD_S

@@ -10,14 +10,14 @@ import msgspec
 import numpy as np
 from cyclopts import Parameter
 
-import firmware.command
 from canskin.errors import InputError, RunError
+from firmware.export import write_firmware
 from skin.extras import not_installed
 from skin.layout import layout_text, load_layout
 from skin.mcap_file import read_about, wall_offset_ns
 from skin.output import RECORDING_SUFFIX, check_new_path, replacing
 from skin.service import say
-from skin.terminal import Json
+from skin.terminal import Json, print_json
 
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
@@ -82,7 +82,11 @@ def export(
     if what == "firmware":
         if out is None:
             raise InputError("skin export firmware: expected --out FOLDER for the files")
-        firmware.command.export("firmware", layout=layout, out=out, node=node, json=json)
+        paths = write_firmware(layout, node or [], out)
+        if json:
+            print_json(paths)
+        else:
+            print("\n".join(paths))
         return
     if layout is not None or node or json:
         raise InputError("--layout, --node and --json are for 'skin export firmware': a recording has its layout")

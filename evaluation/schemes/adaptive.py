@@ -1,38 +1,34 @@
 """Adaptive sums: nodes filter their own patch and send its sums when these are news."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import BLOCK_SUMS, Companding, SendingRule, companding
+from dbc.adaptive import BLOCK_SUMS, FIRST_COB_ID, Companding, SendingRule, companding
 from dbc.adaptive_filter import SETTLING_SAMPLES
-from dbc.frame import FRAME, Frames, frame_bytes, frames
-from evaluation.schemes.adaptive_bus import ASKED, ENDED, REASON, Record, line_of, run_bus
-from evaluation.schemes.events import FRAMES_PER_TICK
+from dbc.canopen import HEARTBEAT_BASE
+from dbc.frame import Frames, frame_bytes
 from evaluation.schemes.judge import Images
-from evaluation.schemes.patches import lines_of, patches
 from evaluation.schemes.scenes import IDLE_TICKS_SHORT, NEWTON_PER_COUNT, SIDE, TAXELS, Touch
 from evaluation.schemes.sums import SOLVED_NS
-from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, first_beats_ns
-from gateway.adaptive_state import BusSums, new_sums, take
+from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry_polled, patches
+from gateway.adaptive_state import new_sums, take_all
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
-from nodes.adaptive.sending import NEWS, new_groups, noise_threshold_n2
+from nodes.adaptive.sending import noise_threshold_n2
+from nodes.adaptive.simulated import Sample, SimulatedNodes, sync_frames
 from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
-from skin.compiled import njit
 from skin.layout import Bus
 from skin.sending import COARSE_STEP_RATIO
 from skin.taxel import FORCE_MAX_N
+from skin.walsh import GROUPS
 from touch.contact import Force
-
-_RULE: Final = SendingRule()
-_FIRST_BYTE: Final = FRAME.fields["can_id"][1]  # type: ignore[index]  # FRAME has fields
 
 Counts = npt.NDArray[np.int16]
 Cells = npt.NDArray[np.int64]
+_LAW: Companding = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,76 +52,65 @@ class AdaptiveRun:
 
     def images(self, arrives: npt.NDArray[np.bool_]) -> Images:
         """Return an image a millisecond of the frames that arrive; a lost frame stays unknown to the receiver."""
-        ticks, law, shares = self.sent.ticks, companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N), []
-        for number, line in enumerate(self.sent.lines):
-            mine = np.flatnonzero((self.sent.asked.bus == number) & arrives)
-            sums_n = np.empty((ticks, line.nodes, BLOCK_SUMS), np.float32)
-            rows = _bytes_of(self.sent.asked.frames[mine])
-            _receive(rows, self.sent.arrived_ns[mine], law, new_sums(line.nodes), line.fd, sums_n)
-            shares.append(sums_n)
+        ticks = self.sent.ticks
+        shares = [
+            _received(self.sent.frames[(self.sent.bus == number) & arrives], line.nodes, ticks, is_fd=line.fd)
+            for number, line in enumerate(self.sent.lines)
+        ]
         solver = WalshReconstructor(list(patches(SIDE)), SIDE, SIDE, self.noise_n)
         solved = [solver.solve(np.concatenate([each[tick] for each in shares])).ravel() for tick in range(ticks)]
         return Images(np.arange(ticks, dtype=np.int64) * TICK_NS + SOLVED_NS, np.stack(solved))
 
 
-def learned_noise(idle: Counts, cells: Cells) -> Noise:
-    """Return what nodes learn of an idle skin.
-
-    Parameters
-    ----------
-    idle : array of int16, shape (ticks, taxels)
-        What every taxel reads while nothing touches.
-    cells : array of int, shape (nodes, taxels of a node)
-    """
-    statistics = IdleStatistics(*cells.shape)
-    for sample in idle:
-        statistics.take(_newtons(sample[cells]))
-    return statistics.noise()
+def _received(sent: Frames, nodes: int, ticks: int, *, is_fd: bool) -> Force:
+    """Return what the gateway knows of a bus at each millisecond, newtons, shape (ticks, nodes, BLOCK_SUMS)."""
+    known_n, done, sums = np.empty((ticks, nodes, BLOCK_SUMS), np.float32), 0, new_sums(nodes)
+    is_proven, has_changed = np.ones(nodes, np.bool_), np.zeros((nodes, GROUPS), np.bool_)
+    for tick, until in enumerate(np.searchsorted(sent["time_ns"], np.arange(ticks) * TICK_NS, side="right")):
+        if until > done:
+            take_all(frame_bytes(sent[done:until]), False, _LAW, is_proven, sums, has_changed, is_fd)
+        known_n[tick], done = sums.value_n, until
+    return known_n
 
 
-def run_adaptive(
-    counts: Counts, idle: Counts, noise: Noise | None = None, lines: Sequence[Bus] | None = None
-) -> AdaptiveRun:
+def run_adaptive(counts: Counts, idle: Counts, lines: Sequence[Bus]) -> AdaptiveRun:
     """Run the skin of 64 x 64 taxels on its buses.
 
     Parameters
     ----------
     counts, idle : arrays of int16, shape (ticks, 4096)
-        What every taxel reads each millisecond, and what it read before, while nothing touched.
-    noise : Noise, optional
-        What the nodes believe of their noise, in place of what they learn from `idle`.
-    lines : sequence of Bus, optional
-        Other buses than classic ones of 1 Mbit/s: as many, with as many nodes.
+        What every taxel reads each millisecond, and what it read before, while nothing touched: nodes learn from that.
+    lines : sequence of Bus
+        Those of `lines_of`, with other bit rates if wanted.
     """
-    lines = lines or lines_of(SIDE)
-    held = patches(SIDE)
+    held, ticks = patches(SIDE), len(counts)
     cells = held.reshape(-1, held.shape[2])
-    known = noise or learned_noise(idle, cells)
-    node_filter = PatchFilter(known)
+    node_filter = PatchFilter(_learned(idle, cells))
     _settle(node_filter, idle, cells)
-    sums_n, variance_n2 = np.empty((2, len(counts), *cells.shape), np.float32)
-    node_n = np.empty((len(counts), len(cells)))
+    sums_n, variance_n2 = np.empty((2, ticks, *cells.shape), np.float32)
+    node_n = np.empty((ticks, len(cells)))
     for tick, sample in enumerate(counts):
         node_filter.take(_newtons(sample[cells]))
         sums_n[tick], variance_n2[tick] = node_filter.sums_n, node_filter.variance_n2
         node_n[tick] = node_filter.noise.node_n
-    parts = []
-    for number in range(len(held)):
-        mine = slice(number * held.shape[1], (number + 1) * held.shape[1])
-        threshold_n2 = noise_threshold_n2(node_n[:, mine], _RULE.noise_ratio)
-        parts.append(_run_bus(lines[number], sums_n[:, mine], variance_n2[:, mine], threshold_n2))
-    bus = np.repeat(np.arange(len(held)), [len(part[0]) for part in parts])
-    sent, log, unsent = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    wire = Sent(Asked(sent, bus, log[:, ASKED]), log[:, ENDED], lines, len(counts))
-    latency = (wire.arrived_ns - log[:, ASKED])[log[:, REASON] == NEWS]
-    waiting = (len(counts) - unsent) * TICK_NS
-    return AdaptiveRun(wire, np.concatenate([latency, waiting]), float(np.median(node_n)))
+    threshold_n2 = noise_threshold_n2(node_n, SendingRule().noise_ratio)
 
+    def sample_of(mine: slice) -> Callable[[int], Sample]:
+        return lambda tick: (sums_n[tick, mine], variance_n2[tick, mine], threshold_n2[tick, mine])
 
-def idle_of(touch: Touch) -> Counts:
-    """Return what nodes learn from; a recording's own noise is not known, so its nodes learn from zeros."""
-    idle = touch.idle()
-    return np.zeros((IDLE_TICKS_SHORT, TAXELS), np.int16) if idle is None else idle
+    share = held.shape[1]
+    nodes = [
+        SimulatedNodes(line, _LAW, sample_of(slice(number * share, (number + 1) * share)))
+        for number, line in enumerate(lines)
+    ]
+    sent = carry_polled(nodes, lines, ticks, sync_frames(ticks))
+    since = np.concatenate([each.since for each in nodes])
+    told = since >= 0
+    can_id = sent.frames["can_id"]
+    is_sums = (can_id >= FIRST_COB_ID) & (can_id < HEARTBEAT_BASE)
+    latency = sent.ended_ns[is_sums][told] - since[told] * TICK_NS
+    waiting = np.concatenate([each.groups.since[each.groups.since >= 0] for each in nodes])
+    return AdaptiveRun(sent, np.concatenate([latency, (ticks - waiting) * TICK_NS]), float(np.median(node_n)))
 
 
 def filtered_counts(touch: Touch) -> tuple[Counts, float]:
@@ -133,17 +118,23 @@ def filtered_counts(touch: Touch) -> tuple[Counts, float]:
 
     The filter and what it learns are those of adaptive sums, with every taxel a patch of its own.
     """
-    counts, idle = touch.load().counts, idle_of(touch)
+    counts = touch.load().counts
     cells = np.arange(counts.shape[1])[:, None]
-    noise = learned_noise(idle, cells)
+    noise = _learned(idle_of(touch), cells)
     taxel_filter = ForceFilter(noise)
-    _settle(taxel_filter, idle, cells)
+    _settle(taxel_filter, idle_of(touch), cells)
     filtered = np.empty_like(counts)
     for tick, sample in enumerate(counts):
         taxel_filter.take(_newtons(sample[cells]))
         shown = np.clip(taxel_filter.force_n[:, 0], 0, np.float32(FORCE_MAX_N))
         filtered[tick] = np.rint(shown / np.float32(NEWTON_PER_COUNT))
     return filtered, float(np.median(noise.node_n))
+
+
+def idle_of(touch: Touch) -> Counts:
+    """Return what nodes learn from; a recording's own noise is not known, so its nodes learn from zeros."""
+    idle = touch.idle()
+    return np.zeros((IDLE_TICKS_SHORT, TAXELS), np.int16) if idle is None else idle
 
 
 def less_variation(held: Images, noise_n: float) -> Images:
@@ -154,6 +145,14 @@ def less_variation(held: Images, noise_n: float) -> Images:
     return Images(held.ready_ns + SOLVED_NS, np.stack(images))
 
 
+def _learned(idle: Counts, cells: Cells) -> Noise:
+    """Return what nodes learn of an idle skin; `cells` of shape (nodes, taxels of a node)."""
+    statistics = IdleStatistics(*cells.shape)
+    for sample in idle:
+        statistics.take(_newtons(sample[cells]))
+    return statistics.noise()
+
+
 def _settle(node_filter: ForceFilter, idle: Counts, cells: Cells) -> None:
     for sample in idle[-SETTLING_SAMPLES:]:
         node_filter.take(_newtons(sample[cells]))
@@ -161,37 +160,3 @@ def _settle(node_filter: ForceFilter, idle: Counts, cells: Cells) -> None:
 
 def _newtons(counts: npt.NDArray[np.integer]) -> Force:
     return counts.astype(np.float32) * np.float32(NEWTON_PER_COUNT)
-
-
-def _run_bus(
-    line: Bus, sums_n: Force, variance_n2: Force, threshold_n2: npt.NDArray[np.float64]
-) -> tuple[Frames, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return frames, log, and since when groups had news that was never sent."""
-    ticks, nodes = sums_n.shape[:2]
-    capacity = ticks * FRAMES_PER_TICK
-    sent = frames(capacity)
-    rows = frame_bytes(sent)[:, _FIRST_BYTE:]
-    record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(nodes, line.fd)
-    law, beats = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N), first_beats_ns(nodes).copy()
-    contiguous = np.ascontiguousarray(sums_n), np.ascontiguousarray(variance_n2)
-    count = int(run_bus(*contiguous, threshold_n2, _RULE, law, groups, beats, line_of(line), record))
-    return sent[:count].copy(), record.log[:count], groups.since[groups.since >= 0]
-
-
-def _bytes_of(sent: Frames) -> npt.NDArray[np.uint8]:
-    """Return FRAME records from `can_id` on."""
-    return np.ascontiguousarray(frame_bytes(sent)[:, _FIRST_BYTE:])
-
-
-@njit(cache=True, nogil=True)
-def _receive(  # noqa: PLR0917  compiled functions take no keywords
-    rows: npt.NDArray[np.uint8], arrived_ns: Nanoseconds, law: Companding, sums: BusSums, is_fd: bool, sums_n: Force
-) -> None:
-    """Write what the receiver of one bus knows at each millisecond, shape (ticks, nodes, BLOCK_SUMS)."""
-    done = 0
-    for tick in range(sums_n.shape[0]):
-        while done < arrived_ns.size and arrived_ns[done] <= tick * TICK_NS:
-            row = rows[done]
-            take(int(row[0]) | int(row[1]) << 8, int(row[4]), row[8:], arrived_ns[done], law, sums, is_fd)
-            done += 1
-        sums_n[tick] = sums.value_n

@@ -80,8 +80,8 @@ class ValueRun:
         Of shape (values,).
     frame_of : array of int, shape (values,)
         The frame that brought the last bit of each update.
-    latency_ns : array of int64, shape (values,)
-        From the sample to the end of that frame.
+    latency_ns : array of int64
+        From the sample to the end of the frame that brings it.
     """
 
     sent: Sent
@@ -91,7 +91,7 @@ class ValueRun:
 
     def received(self, touch: Touch) -> Updates:
         """Return the updates whose frames reach the receiver."""
-        return self.updates.kept(touch.arrives(len(self.sent.asked))[self.frame_of])
+        return self.updates.kept(touch.arrives(len(self.sent.frames))[self.frame_of])
 
 
 def quality(true_n: Force, shown: Images | Updates) -> Row:

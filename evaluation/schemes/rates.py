@@ -1,25 +1,37 @@
 """``skin evaluate rates``: how many sums, of how many bits, how often: what the same bus time is best used for."""
 
-from collections.abc import Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from typing import Final
 
+import msgspec
 import numpy as np
 
-from bandwidth.alternatives import planned
+from bandwidth.alternatives import BLOCKS_PER_NODE, planned, with_buses, with_rate, with_sums
+from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.traffic import Disturbance
+from canskin.errors import LayoutError
 from dbc.contract import Contract
-from evaluation.result import Options, Picture, Result, Row, new_figure, write_text
+from evaluation.result import Options, Result, Row, write_text
 from evaluation.result_cache import measure_cells
-from evaluation.schemes.rate_points import WIRES, points
 from evaluation.schemes.scenes import SHAKING, SLIDES, Touch, recordings_in
 from evaluation.schemes.schemes import Shown
 from evaluation.schemes.sums import run_sums
-from skin.layout import Layout, layout_text
+from skin.layout import SUM_BITS, Bus, Layout, layout_text, load_layout, validated
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+#: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
+BUDGET: Final = 0.9
+#: Rows of 32 that every block sends.
+ROWS: Final = (4, 8, 16, 32)
+#: The recorded touches have one image a millisecond: more cycles would see nothing new.
+RATE_MAX_HZ: Final = 1000.0
+_FD: Final = Bus(name="bus0", nodes=1, fd=True, data_bitrate=5_000_000)
+#: How many buses of which kind.
+WIRES: Final = {
+    "one classic bus": (1, Bus(name="bus0", nodes=1)),
+    "four classic buses": (4, Bus(name="bus0", nodes=1)),
+    "one FD bus": (1, _FD),
+}
 #: Milliseconds of a slide and of a recording; boxes shake for half as long.
 TICKS: Final = 2000
 QUICK_TICKS: Final = 500
@@ -45,30 +57,18 @@ def evaluate(options: Options) -> Result:
     looked_at = [point for point in points() if not options.quick or _is_quick(point[1])]
     touches = _touches(options)
     rows = _measured(looked_at, touches, options)
-    for kind in touches:
-        for wires in WIRES:
-            best = _best(rows, wires, kind)
-            rows[best]["best_for"].append(kind)
-            if options.out is not None and kind == "slides":
-                write_text(options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[best][1]))
-    rows = [row | {"best_for": " ".join(row["best_for"])} for row in rows]
-    return Result(
-        "Rate against quality: what the same bus time is best used for",
-        rows,
-        [
-            Picture(
-                f"Mean PSNR ({', '.join(touch.words for touch in mine)}), every square the same bus time; below the "
-                "decibels the rate, the best framed. To the right fewer bits and to the top fewer sums, both for more "
-                "rate.",
-                partial(_surface, rows, kind),
-            )
-            for kind, mine in touches.items()
-        ],
-    )
+    best = {kind: [_best(rows, wires, kind) for wires in WIRES] for kind in touches}
+    for wires, place in zip(WIRES, best["slides"], strict=True):
+        if options.out is not None:
+            write_text(options.out / f"{wires.replace(' ', '-')}.toml", layout_text(looked_at[place][1]))
+    rows = [
+        row | {"best_for": " ".join(kind for kind in touches if place in best[kind])} for place, row in enumerate(rows)
+    ]
+    return Result("Rate against quality: what the same bus time is best used for", rows)
 
 
 def _measured(looked_at: list[tuple[str, Layout]], touches: Mapping[str, list[Touch]], options: Options) -> list[Row]:
-    """Return a row for every point; its ``best_for`` is a list that is empty yet."""
+    """Return a row for every point."""
     every = [touch for mine in touches.values() for touch in mine]
     cells = [{"layout": layout, "touch": touch} for _, layout in looked_at for touch in every]
     results = iter(measure_cells(measure_point, cells, options, "rates"))
@@ -121,7 +121,7 @@ def _row(wires: str, layout: Layout, found: dict[str, list[Row]]) -> Row:
     row["touched_error_mn"] = _mean(found["slides"], "touched_error_mn", 3)
     row["touched_shaking_mn"] = _mean(found.get("shaking", ()), "touched_error_mn", 3)
     row["latency_worst_ms"] = round(max(each["latency_worst_ms"] for each in found["slides"]), 2)
-    return row | {"best_for": []}
+    return row
 
 
 def _mean(found: Sequence[Row], key: str, digits: int) -> float | None:
@@ -134,27 +134,28 @@ def _best(rows: list[Row], wires: str, kind: str) -> int:
     return max(mine, key=lambda index: float(rows[index][f"psnr_{kind}_db"]))
 
 
-def _surface(rows: list[Row], kind: str) -> "Figure":
-    key = f"psnr_{kind}_db"
-    wires = list(dict.fromkeys(row["wires"] for row in rows))
-    heights = sorted({row["rows_of_32"] for row in rows})
-    widths = sorted({row["bits"] for row in rows}, reverse=True)
-    figure = new_figure(4 * len(wires), 4)
-    panels = figure.subplots(1, len(wires), squeeze=False)[0]
-    values = [row[key] for row in rows]
-    for panel, name in zip(panels, wires, strict=True):
-        surface = np.full((len(heights), len(widths)), np.nan)
-        for row in (row for row in rows if row["wires"] == name):
-            down, across = heights.index(row["rows_of_32"]), widths.index(row["bits"])
-            surface[down, across] = row[key]
-            bright = row[key] < (min(values) + max(values)) / 2
-            text = f"{row[key]:.1f} dB\n{row['rate_hz']:g} Hz"
-            panel.text(across, down, text, ha="center", va="center", color="white" if bright else "black")
-            if kind in row["best_for"]:
-                panel.plot(across, down, "s", markersize=48, markerfacecolor="none", color="red")
-        drawn = panel.imshow(surface, vmin=min(values), vmax=max(values), cmap="viridis", aspect="auto")
-        panel.set_xticks(range(len(widths)), [str(bits) for bits in widths])
-        panel.set_yticks(range(len(heights)), [str(height) for height in heights])
-        panel.set(title=name, xlabel="bits of a sum", ylabel="rows of 32 that are sent")
-    figure.colorbar(drawn, ax=panels, label="mean PSNR, dB")
-    return figure
+def points() -> Iterator[tuple[str, Layout]]:
+    """Yield every combination that can be laid out with its wires, with as many blocks per node as make it fastest.
+
+    Each layout has the highest rate that keeps `BUDGET` and the window (1007h).
+    """
+    for wires, rows, bits in product(WIRES, ROWS, sorted(SUM_BITS)):
+        found = list(_layouts(wires, rows, bits))
+        if found:
+            yield wires, max(found, key=lambda layout: layout.sync.rate_hz)
+
+
+def _layouts(wires: str, rows: int, bits: int) -> Iterator[Layout]:
+    """Yield one layout for each number of blocks per node that is possible, each at its highest rate."""
+    start = load_layout()
+    buses, like = WIRES[wires]
+    encoding = msgspec.structs.replace(start.encoding, sum_bits=bits, offset_binary=True)
+    start = msgspec.structs.replace(with_sums(start, rows * start.blocks), encoding=encoding)
+    for per_node in BLOCKS_PER_NODE:
+        layout = with_buses(start, buses, msgspec.structs.replace(like, blocks_per_node=per_node))
+        try:
+            rate_hz = min(RATE_MAX_HZ, highest_rate_hz(layout, BUDGET))
+        except LayoutError:
+            continue  # more nodes than node-IDs, or more frames than identifiers
+        if rate_hz > 0:
+            yield validated(with_rate(layout, rate_hz))

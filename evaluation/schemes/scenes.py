@@ -1,8 +1,7 @@
 """The touches every scheme is shown: the paper's slides, and those that favour one scheme or another."""
 
 import math
-import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,17 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from evaluation.schemes.fresh_scenes import FIELDS, POSED, Poses, random_poses
-from evaluation.schemes.sensor_noise import NoiseKind, noise_of
-from skin.defects import Drift, Stuck
 from skin.layout import Taxels
-from skin.taxel import NOISE_N, TaxelModel, to_counts
+from skin.taxel import NOISE_N, sense, to_counts
 from touch.contact import Force, Grid, Pose, press
 from touch.objects import spheres_of
 from touch.primitives import ball
 from touch.reading import read_counts
 from touch.recording import Recording
 from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M, PAPER_PRESS_STEPS, paper_pose, trajectory
+
+Poses = Callable[[int], Iterator[tuple[str, Pose]]]
 
 _ARRAY: Final = Taxels()
 #: The default skin's array: taxels of a side, and of all; newtons of one count of its converters.
@@ -113,8 +111,6 @@ SLIDES: Final = tuple(ACQUISITION_OBJECTS)
 #: Milliseconds before the touch, in which nodes learn their noise; fewer before a touch that is cut short.
 IDLE_TICKS: Final = 4000
 IDLE_TICKS_SHORT: Final = 1000
-#: Name of a random scene: its number and its seed.
-_RANDOM: Final = re.compile(r"random scene (\d+) of seed (\d+)")
 
 
 @dataclass(frozen=True)
@@ -124,18 +120,12 @@ class Touch:
     Attributes
     ----------
     name : str
-        Of `SLIDES`, `OWN` or `evaluation.schemes.fresh_scenes`, that of a `random_touch`, or the path of an ``.npz``
-        whose first arrays are laid side by side, until the skin is full.
+        Of `SLIDES` or `OWN`, or the path of an ``.npz`` whose first arrays are laid side by side, until the skin is
+        full.
     ticks : int, optional
         Number of milliseconds from the start; without it, all of the scene.
     noise_n : float
         Standard deviation of the simulated sensor's noise, newtons; a recording has its own.
-    noise : str
-        What kind of noise.
-    drift_n_per_s : float
-        Standard deviation of the rates at which the zeros of taxels drift, from the beginning of the touch on.
-    stuck : int
-        Number of taxels that always read one value, while nothing touches, too.
     loss_ratio : float
         Part of all frames that never reach the receiver, 0 to 1.
     meshes : str, optional
@@ -147,9 +137,6 @@ class Touch:
     name: str
     ticks: int | None = None
     noise_n: float = NOISE_N
-    noise: NoiseKind = "normal"
-    drift_n_per_s: float = 0.0
-    stuck: int = 0
     loss_ratio: float = 0.0
     meshes: str | None = None
     seed: int = 0
@@ -157,48 +144,29 @@ class Touch:
     @property
     def words(self) -> str:
         """What it is called in a table."""
-        name = f"recording {Path(self.name).stem}" if self.name.endswith(".npz") else self.name
-        said = [name]
+        said = [f"recording {Path(self.name).stem}" if self.name.endswith(".npz") else self.name]
         said += [f"noise {1e3 * self.noise_n:g} mN"] if self.noise_n != NOISE_N else []
-        said += [f"{self.noise} noise"] if self.noise != "normal" else []
-        said += [f"drift {1e3 * self.drift_n_per_s:g} mN/s rms"] if self.drift_n_per_s else []
-        said += [f"{self.stuck} taxels stuck"] if self.stuck else []
         said += [f"{self.loss_ratio:.0%} of frames lost"] if self.loss_ratio else []
         return ", ".join(said)
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether noise is the paper's, no taxel has a defect and nothing is lost."""
-        without = (self.noise_n, self.noise, self.drift_n_per_s, self.stuck, self.loss_ratio)
-        return without == (NOISE_N, "normal", 0.0, 0, 0.0)
 
     def arrives(self, frames: int) -> npt.NDArray[np.bool_]:
         """Draw which of `frames` frames reach the receiver."""
         return np.random.default_rng(self.seed).random(frames) >= self.loss_ratio
 
-    def sensed(self, force_n: Force, rng: np.random.Generator, *, at_rest: bool = False) -> Force:
-        """Return what sensors make of true forces, shape (ticks, side²); `at_rest`: no zero drifts."""
-        noise_n = self.noise_n
-        if self.noise != "normal":
-            force_n, noise_n = force_n + noise_of(self.noise, force_n.shape, noise_n, rng), 0.0
-        taxels, side = force_n.shape[1], math.isqrt(force_n.shape[1])
-        model = TaxelModel(
-            noise_n,
-            drift=None if at_rest or not self.drift_n_per_s else Drift(self.drift_n_per_s, self.seed),
-            stuck=Stuck(self.stuck / taxels, self.seed) if self.stuck else None,
-        )
-        signal_n = model.signal(force_n.reshape(-1, side, side), rng, period_s=1e-3)
-        return signal_n.reshape(force_n.shape)
+    def sensed(self, force_n: Force, rng: np.random.Generator) -> Force:
+        """Return what sensors make of true forces, shape (ticks, taxels)."""
+        felt: Force = sense(force_n, rng, self.noise_n)
+        return felt
 
     def idle(self) -> npt.NDArray[np.int16] | None:
-        """Return what every taxel reads before the touch, counts, shape (ticks, TAXELS): its noise and defects alone.
+        """Return what every taxel reads before the touch, counts, shape (ticks, TAXELS): noise alone.
 
         A recording has no before: None.
         """
         if self.name.endswith(".npz"):
             return None
         force_n = np.zeros((IDLE_TICKS_SHORT if self.ticks else IDLE_TICKS, TAXELS), np.float32)
-        return _counts(self.sensed(force_n, np.random.default_rng([self.seed, 1]), at_rest=True))
+        return _counts(self.sensed(force_n, np.random.default_rng([self.seed, 1])))
 
     def load(self) -> Scene:
         """Return the scene itself; the last one is kept."""
@@ -208,30 +176,16 @@ class Touch:
 @lru_cache(maxsize=1)
 def _scene(touch: Touch) -> Scene:
     meshes, ticks = Path(touch.meshes) if touch.meshes else None, touch.ticks or TICKS
-    poses = _poses(touch.name)
     if touch.name in SLIDES:
         true = trajectory(touch.name, meshes=meshes, steps=touch.ticks or SLIDE_TICKS)
-    elif touch.name in FIELDS:
-        true = FIELDS[touch.name](ticks, SIDE)
-    elif poses is not None:
-        true = np.stack([_pressed(poses(tick), meshes) for tick in range(ticks)])
+    elif touch.name in OWN:
+        true = np.stack([_pressed(OWN[touch.name](tick), meshes) for tick in range(ticks)])
     else:
         felt = _recorded(Path(touch.name), touch.ticks)
         return Scene(felt, felt, _counts(felt), is_recorded=True)
     flat = true.reshape(len(true), TAXELS)
     felt = touch.sensed(flat, np.random.default_rng(touch.seed))
     return Scene(flat, felt, _counts(felt))
-
-
-def _poses(name: str) -> Poses | None:
-    """Return what is where in a scene of objects, None for any other."""
-    drawn = _RANDOM.fullmatch(name)
-    return random_poses(int(drawn[2]), int(drawn[1])) if drawn else (OWN | POSED).get(name)
-
-
-def random_touch(number: int, scene_seed: int, meshes: str | None, seed: int) -> Touch:
-    """Return the random scene of that number and seed; `seed` is of noise and losses."""
-    return Touch(f"random scene {number} of seed {scene_seed}", meshes=meshes, seed=seed)
 
 
 def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:

@@ -1,34 +1,32 @@
 """The schemes: what each sends of a touch, how late, and what its receiver shows."""
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import ClassVar, Final, Literal
+from functools import cache, lru_cache
+from typing import Final, Literal
 
 import numpy as np
+from msgspec.structs import replace
 
+from dbc.contract import Contract
 from evaluation.result import Row
 from evaluation.schemes.adaptive import filtered_counts, idle_of, less_variation, run_adaptive
-from evaluation.schemes.default_skin import default_kbit_per_s, skin_of
 from evaluation.schemes.events import run_events
 from evaluation.schemes.judge import Images, Updates, quality
-from evaluation.schemes.scan import ScanRun, run_scan
+from evaluation.schemes.scan import CELLS_PENALTY_N, SCAN_PENALTY_N, ScanRun, refined, run_scan, smoothed
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, TAXELS, Scene, Touch
-from evaluation.schemes.smoothing import CELLS_PENALTY_N, EVENTS_PENALTY_N, SCAN_PENALTY_N, refined, smoothed
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent
+from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, lines_of
 from skin.layout import load_layout
 from touch.coarse_arrays import averaged
 from touch.contact import Force
 
-Family = Literal["adaptive", "sums", "scan", "coarse", "events", "filtered events"]
-#: What a cell of a coarse array is: one with the noise of any taxel, or what the node makes of its taxels.
-Cells = Literal["sensor", "mean"]
+FD_BITRATE: Final = 5_000_000
+#: Bits of a value of a scan: the converter's.
+SCAN_BITS: Final = 10
 #: Nothing is sampled more often than the recorded touches are.
 SCAN_RATE_MAX_HZ: Final = 500.0
 #: A scan is tried at this rate, to learn what one of this touch takes.
 TRIAL_HZ: Final = 20.0
-#: Images are solved from events as often as from the default skin's sums.
-EVENT_IMAGE_MS: Final = 10
 #: Bilinear splines for values as they came, bicubic ones for what is smooth already.
 _PLAIN_ORDER, _SOLVED_ORDER = 1, 3
 
@@ -65,183 +63,119 @@ class Shown:
 
 @dataclass(frozen=True)
 class Adaptive:
-    """Adaptive sums: one setting for every touch; noise is learned from the idle skin."""
+    """Adaptive sums: one setting for every touch; noise is learned from the idle skin.
 
-    receiver: ClassVar[str] = "solved"
-    family: ClassVar[Family] = "adaptive"
-    name: ClassVar[str] = "adaptive sums"
+    `is_fd`: on CAN FD buses of 1 and 5 Mbit/s in place of classic ones.
+    """
 
-    def show(self, touch: Touch, share: float = 1.0) -> Shown:
-        """Send the news of `touch`, with whatever bits they take: `share` has no effect."""
-        del share
-        run = run_adaptive(touch.load().counts, idle_of(touch))
-        return Shown(run.sent, run.latency_ns, run.images(touch.arrives(len(run.sent.asked))), None)
+    is_fd: bool = False
+
+    @property
+    def name(self) -> str:
+        """What it is called in a table."""
+        return "adaptive sums" + (", CAN FD" if self.is_fd else "")
+
+    def show(self, touch: Touch) -> Shown:
+        """Send the news of `touch`, with whatever bits they take."""
+        lines = [replace(line, fd=True, data_bitrate=FD_BITRATE) if self.is_fd else line for line in lines_of(SIDE)]
+        run = run_adaptive(touch.load().counts, idle_of(touch), lines)
+        return Shown(run.sent, run.latency_ns, run.images(touch.arrives(len(run.sent.frames))), None)
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Compressed sums of the default skin's Φ, solved.
-
-    Sums are no image, so a receiver always solves them.
-    """
-
-    bits: Literal[8, 12, 16]
-    receiver: Literal["solved"] = "solved"
-    family: ClassVar[Family] = "sums"
+    """The default skin."""
 
     @property
     def name(self) -> str:
         """What it is called in a table."""
-        return f"sums, {self.bits} bits"
+        return "sums"
 
-    def show(self, touch: Touch, share: float) -> Shown:
-        """Measure `touch` at the rate that takes `share` of the default skin's bits a second."""
-        what, rate_hz = touch.load(), share * load_layout().sync.rate_hz
-        if self.bits != load_layout().encoding.sum_bits:
-            trial = run_sums(skin_of(self.bits, rate_hz), what.counts, idle_counts=touch.idle()).sent.traffic()[
-                "kbit_per_s"
-            ]
-            rate_hz *= share * default_kbit_per_s() / trial
-        contract = skin_of(self.bits, rate_hz)
-        run = run_sums(contract, what.counts, touch.loss_ratio, touch.seed, touch.idle())
-        return Shown(run.sent, run.latency_ns, run.images(contract), rate_hz)
+    def show(self, touch: Touch) -> Shown:
+        """Measure `touch` in every cycle."""
+        contract = Contract.from_layout(load_layout())
+        run = run_sums(contract, touch.load().counts, touch.loss_ratio, touch.seed, touch.idle())
+        return Shown(run.sent, run.latency_ns, run.images(contract), contract.layout.sync.rate_hz)
 
 
 @dataclass(frozen=True)
 class Scan:
-    """An array of `side` x `side` cells, every value sent in turn.
+    """An array of `side` x `side` cells, every value sent in turn, as often as the default skin's bits allow.
 
-    `side` is that of the skin, or a coarse array's; `bits` are those of one value.
+    `side` is that of the skin, or a coarse array's.
     """
 
     side: int
-    bits: int
     receiver: Literal["plain", "solved"] = "plain"
-    cells: Cells = "sensor"
-
-    @property
-    def family(self) -> Family:
-        """``scan`` where every taxel is sent, else ``coarse``."""
-        return "scan" if self.side == SIDE else "coarse"
 
     @property
     def name(self) -> str:
         """What it is called in a table."""
-        name = f"scan, {self.bits} bits" if self.family == "scan" else f"{self.side} x {self.side}"
-        means = f" means of {(SIDE // self.side) ** 2} taxels" if self.cells == "mean" else ""
-        return name + means + ("" if self.receiver == "plain" else f", {self.receiver}")
+        name = "scan" if self.side == SIDE else f"{self.side} x {self.side}"
+        return name + ("" if self.receiver == "plain" else ", solved")
 
-    def show(self, touch: Touch, share: float) -> Shown:
-        """Scan `touch` as often as `share` of the default skin's bits a second allow."""
+    def show(self, touch: Touch) -> Shown:
+        """Scan `touch`."""
         felt_n = self._felt_n(touch)
-        trial = run_scan(felt_n, self.bits, TRIAL_HZ).sent.traffic()["kbit_per_s"]
-        rate_hz = min(SCAN_RATE_MAX_HZ, TRIAL_HZ * share * default_kbit_per_s() / trial)
-        run = run_scan(felt_n, self.bits, rate_hz)
+        trial = run_scan(felt_n, SCAN_BITS, TRIAL_HZ).sent.traffic()["kbit_per_s"]
+        rate_hz = min(SCAN_RATE_MAX_HZ, TRIAL_HZ * default_kbit_per_s() / trial)
+        run = run_scan(felt_n, SCAN_BITS, rate_hz)
         return Shown(run.sent, run.latency_ns, self._received(run, touch), rate_hz)
 
     def _felt_n(self, touch: Touch) -> Force:
         """Return what the cells feel, newtons, shape (ticks, side²)."""
         what = touch.load()
-        if self.family == "scan":
+        if self.side == SIDE:
             return what.felt_n
-        averages = self.cells == "mean" or what.is_recorded
-        fine = (what.felt_n if averages else what.true_n).reshape(-1, SIDE, SIDE)
+        fine = (what.felt_n if what.is_recorded else what.true_n).reshape(-1, SIDE, SIDE)
         coarse = averaged(fine, self.side).reshape(len(fine), -1)
-        return coarse if averages else touch.sensed(coarse, np.random.default_rng(touch.seed + 1))
+        return coarse if what.is_recorded else touch.sensed(coarse, np.random.default_rng(touch.seed + 1))
 
     def _received(self, run: ScanRun, touch: Touch) -> Images | Updates:
         updates = run.received(touch)
-        if self.receiver == "plain" and self.family == "scan":
+        if self.receiver == "plain" and self.side == SIDE:
             return updates
         held = updates.held(run.scan_ns, self.side**2)
         if self.receiver == "plain":
             return refined(held, _PLAIN_ORDER)
-        penalty_n = SCAN_PENALTY_N if self.family == "scan" else CELLS_PENALTY_N
-        return refined(smoothed(held, penalty_n), _SOLVED_ORDER)
-
-
-@dataclass(frozen=True)
-class Events:
-    """Event-triggered taxels: sent when they have changed.
-
-    Attributes
-    ----------
-    threshold_n : float
-        By how much a taxel must differ from the value that was sent last, newtons.
-    dead_ms : int
-        How long a taxel is not sent after each sending, milliseconds.
-    receiver : str
-        No receiver filters noise: what an unsent change leaves is no noise of the sensor.
-    """
-
-    threshold_n: float
-    dead_ms: int
-    receiver: Literal["plain", "solved"] = "plain"
-    family: ClassVar[Family] = "events"
-
-    @property
-    def name(self) -> str:
-        """What it is called in a table."""
-        rule = f"events, {1e3 * self.threshold_n:g} mN, {self.dead_ms} ms"
-        return rule + ("" if self.receiver == "plain" else f", {self.receiver}")
-
-    def show(self, touch: Touch, share: float = 1.0) -> Shown:
-        """Send the changes of `touch`, with whatever bits they take: `share` has no effect."""
-        del share
-        what = touch.load()
-        run = run_events(what.counts, NEWTON_PER_COUNT, self.threshold_n, self.dead_ms)
-        latency_ns = np.concatenate([run.latency_ns, run.waiting_ns])
-        return Shown(run.sent, latency_ns, self._received(run.received(touch), len(what.counts)), None)
-
-    def _received(self, updates: Updates, ticks: int) -> Images | Updates:
-        if self.receiver == "plain":
-            return updates
-        held = updates.held(np.arange(0, ticks, EVENT_IMAGE_MS, dtype=np.int64) * TICK_NS, TAXELS)
-        return smoothed(held, EVENTS_PENALTY_N, temporal_filter=False)
+        return refined(smoothed(held, SCAN_PENALTY_N if self.side == SIDE else CELLS_PENALTY_N), _SOLVED_ORDER)
 
 
 @dataclass(frozen=True)
 class FilteredEvents:
-    """Event-triggered taxels, each behind the filter of adaptive sums: the strongest rival.
+    """Event-triggered taxels behind the filter of adaptive sums, with its total variation: the strongest rival.
 
-    Attributes
-    ----------
-    threshold_n : float
-        By how much a filtered taxel must differ from what was sent last, newtons.
-    receiver : str
-        ``solved``: with the total variation of adaptive sums.
+    `threshold_n`: by how much a filtered taxel must differ from what was sent last, newtons.
     """
 
     threshold_n: float
-    receiver: Literal["plain", "solved"] = "plain"
-    family: ClassVar[Family] = "filtered events"
 
     @property
     def name(self) -> str:
         """What it is called in a table."""
-        rule = f"filtered events, {1e3 * self.threshold_n:g} mN"
-        return rule + ("" if self.receiver == "plain" else f", {self.receiver}")
+        return f"filtered events, {1e3 * self.threshold_n:g} mN"
 
-    def show(self, touch: Touch, share: float = 1.0) -> Shown:
-        """Send the changes of `touch`, with whatever bits they take: `share` has no effect."""
-        del share
+    def show(self, touch: Touch) -> Shown:
+        """Send the changes of `touch`, with whatever bits they take."""
         counts, noise_n = _filtered(touch)
         run = run_events(counts, NEWTON_PER_COUNT, self.threshold_n)
-        updates = run.received(touch)
-        latency_ns = np.concatenate([run.latency_ns, run.waiting_ns])
-        if self.receiver == "plain":
-            return Shown(run.sent, latency_ns, updates, None)
-        held = updates.held(np.arange(len(counts), dtype=np.int64) * TICK_NS, TAXELS)
-        return Shown(run.sent, latency_ns, less_variation(held, noise_n), None)
+        held = run.received(touch).held(np.arange(len(counts), dtype=np.int64) * TICK_NS, TAXELS)
+        return Shown(run.sent, run.latency_ns, less_variation(held, noise_n), None)
 
 
 #: The filter is the same for all thresholds.
 _filtered = lru_cache(maxsize=1)(filtered_counts)
 
-#: A way to acquire a touch: what it is called, its family, what its receiver does, and what it shows.
-Scheme = Adaptive | Sums | Scan | Events | FilteredEvents
+#: A way to acquire a touch: what it is called, and what it shows.
+Scheme = Adaptive | Sums | Scan | FilteredEvents
 
 
-def measure_scheme(scheme: Scheme, touch: Touch, share: float) -> Row:
-    """Return the figures of one scheme on one touch, see `Shown.figures`; `share` of the default skin's bits."""
-    return scheme.show(touch, share).figures(touch.load())
+@cache
+def default_kbit_per_s() -> float:
+    """Return the kbit/s of the default skin, all buses together, under the paper's golf ball."""
+    return float(Sums().show(Touch("golf-ball")).sent.traffic()["kbit_per_s"])
+
+
+def measure_scheme(scheme: Scheme, touch: Touch) -> Row:
+    """Return the figures of one scheme on one touch, see `Shown.figures`."""
+    return scheme.show(touch).figures(touch.load())

@@ -11,7 +11,7 @@ from dbc.contract import Contract
 from dbc.dictionary import window_s
 from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Images
-from evaluation.schemes.wire import TICK_NS, Asked, Nanoseconds, Sent, carry, syncs
+from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry, syncs
 from nodes.averaging import SampleFilter
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE
@@ -84,14 +84,15 @@ def run_sums(
     rows = [np.flatnonzero(table.phase == phase) for phase in range(contract.phases)]
     bursts = [burst(contract, each, rows[cycle % contract.phases]) for cycle, each in enumerate(sums)]
     due = np.stack([rows[cycle % contract.phases] for cycle in range(cycles)])
-    times = np.repeat(sync_ns, due.shape[1])
-    asked = Asked(np.concatenate(bursts), table.bus[due].ravel(), times)
-    sent = carry([asked, syncs(sync_ns, contract.layout.bus)], contract.layout.bus, len(counts))
-    arrived = sent.arrived_ns[: due.size].reshape(due.shape)
+    calls, buses = syncs(sync_ns, len(contract.layout.bus))
+    asked = np.concatenate([*bursts, calls])
+    asked["time_ns"][: due.size] = np.repeat(sync_ns, due.shape[1])
+    sent = carry(asked, np.concatenate([table.bus[due].ravel(), buses]), contract.layout.bus, len(counts))
+    arrived = sent.ended_ns[: due.size].reshape(due.shape)
     lost = np.random.default_rng(seed).random(due.shape) < loss_ratio
     closed = np.where(lost.any(axis=1), sync_ns + round(window_s(contract.layout) * 1e9), arrived.max(axis=1))
     valid = np.stack([_valid(contract, row[gone]) for row, gone in zip(due, lost, strict=True)])
-    received = _decoded(contract, sent.asked.frames[: due.size].reshape(due.shape), due)
+    received = _decoded(contract, sent.frames[: due.size].reshape(due.shape), due)
     sums_n = (received * contract.layout.taxels.newton_per_count).astype(np.float32)
     return SumsRun(sent, sums_n, valid, closed, (arrived - sync_ns[:, None]).ravel())
 

@@ -1,58 +1,50 @@
-"""Buses that carry whatever a scheme sends: exact bits, arbitration by identifier, no faults.
+"""What a scheme sends on simulated buses: exact bits, arbitration by identifier, no faults."""
 
-`bus.core` serves a running bus, frame by frame, and takes some 90 µs for each; here all frames of a bus are known
-beforehand, and each takes some 3 µs. The schemes send tens of millions. The tests hold this model against `bus.core`.
-"""
-
-import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from functools import cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from bus.polling import Polled, poll
+from bus.simulated_bus import SimulatedBus
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
-from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, wire_bits
+from dbc.frame_bits import frame_time_ns, wire_bits
 from evaluation.result import Row
-from skin.compiled import njit
+from skin import walsh
 from skin.layout import Bus
 
 #: Touches are known every millisecond.
 TICK_NS: Final = 1_000_000
 #: Load is also looked at in windows of this length, where a burst shows.
 WINDOW_NS: Final = 100 * TICK_NS
+#: Cells of one node, as on the default skin.
+NODE_CELLS: Final = 32
+BUSES: Final = 4
 
 Places = npt.NDArray[np.intp]
 Nanoseconds = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """Frames that are ready to be sent.
+@cache
+def patches(side: int) -> npt.NDArray[np.int64]:
+    """Return the cells of every node of an array of `side` x `side`, shape (BUSES, nodes, cells), row-major indices.
 
-    Attributes
-    ----------
-    frames : array of FRAME, shape (k,)
-    bus : array of int, shape (k,)
-    time_ns : array of int64, shape (k,)
-        From when on.
+    A node holds `NODE_CELLS` neighbours, four high and eight wide, or fewer on an array that would not reach all buses.
+    Neighbouring nodes are on different buses.
     """
+    per_node = min(NODE_CELLS, side * side // BUSES)
+    return np.stack(walsh.patches(side, side, per_node, [side * side // per_node // BUSES] * BUSES)).astype(np.int64)
 
-    frames: Frames
-    bus: Places
-    time_ns: Nanoseconds
 
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    @staticmethod
-    def joined(parts: "Sequence[Asked]") -> "Asked":
-        """Return the frames of all parts, in their order."""
-        fields = ("frames", "bus", "time_ns")
-        return Asked(*(np.concatenate([getattr(part, field) for part in parts]) for field in fields))
+def lines_of(side: int) -> tuple[Bus, ...]:
+    """Return the classic buses of an array of `side` x `side`."""
+    nodes = patches(side).shape[1]
+    return tuple(Bus(name=f"bus{number}", nodes=nodes) for number in range(BUSES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,108 +53,91 @@ class Sent:
 
     Attributes
     ----------
-    asked : Asked
-    free_ns : array of int64, shape (k,)
-        When the bus was free behind each frame, intermission included.
+    frames : array of FRAME, shape (k,)
+        `time_ns` is the end of the frame.
+    bus : array of int, shape (k,)
     lines : sequence of Bus
         The buses' bit rates.
     ticks : int
         Milliseconds that were looked at.
     """
 
-    asked: Asked
-    free_ns: Nanoseconds
+    frames: Frames
+    bus: Places
     lines: Sequence[Bus]
     ticks: int
 
     @property
-    def arrived_ns(self) -> Nanoseconds:
+    def ended_ns(self) -> Nanoseconds:
         """When each frame had been received."""
-        pause = np.array([round(INTERMISSION_BITS * 1e9 / line.bitrate) for line in self.lines])
-        arrived: Nanoseconds = self.free_ns - pause[self.asked.bus]
-        return arrived
+        ended: Nanoseconds = self.frames["time_ns"]
+        return ended
 
     def traffic(self) -> Row:
         """Return bits a second over all buses, the fullest bus's load and that of its worst window."""
-        sent, bus = self.asked.frames, self.asked.bus
-        bits = sum(int(part.sum()) for part in wire_bits(sent))
         windows = max(1, self.ticks * TICK_NS // WINDOW_NS)
         busy_ns = np.zeros((len(self.lines), windows))
         for number, line in enumerate(self.lines):
-            mine = bus == number
-            window = np.minimum(self.free_ns[mine] // WINDOW_NS, windows - 1)
-            np.add.at(busy_ns[number], window, frame_time_ns(sent[mine], line.bitrate, line.data_bitrate))
+            mine = self.frames[self.bus == number]
+            window = np.minimum(mine["time_ns"] // WINDOW_NS, windows - 1)
+            np.add.at(busy_ns[number], window, frame_time_ns(mine, line.bitrate, line.data_bitrate))
         seconds = self.ticks * TICK_NS * 1e-9
         return {
-            "kbit_per_s": bits / seconds / 1e3,
+            "kbit_per_s": sum(int(part.sum()) for part in wire_bits(self.frames)) / seconds / 1e3,
             "load": float(busy_ns.sum(axis=1).max()) / (self.ticks * TICK_NS),
             "load_peak": float(busy_ns.max()) * windows / (self.ticks * TICK_NS),
         }
 
 
-def carry(asked: Sequence[Asked], lines: Sequence[Bus], ticks: int) -> Sent:
-    """Arbitrate frames on buses, with the heartbeats of all nodes; the given frames come first in what is returned."""
-    every = Asked.joined([*asked, heartbeats(lines, ticks)])
-    free_ns = np.empty(len(every), np.int64)
-    for number, line in enumerate(lines):
-        mine = np.flatnonzero(every.bus == number)
-        mine = mine[np.argsort(every.time_ns[mine], kind="stable")]
-        took_ns = frame_time_ns(every.frames[mine], line.bitrate, line.data_bitrate)
-        free_ns[mine] = _arbitrate(every.time_ns[mine], every.frames["can_id"][mine].astype(np.int64), took_ns)
-    return Sent(every, free_ns, lines, ticks)
-
-
-def first_beats_ns(nodes: int) -> Nanoseconds:
-    """Return when each node of a bus sends its first heartbeat: spread over a period."""
-    return np.arange(nodes, dtype=np.int64) * HEARTBEAT_MS * TICK_NS // nodes + TICK_NS // 2
-
-
-def heartbeats(lines: Sequence[Bus], ticks: int) -> Asked:
-    """Return the heartbeats of all nodes."""
-    rounds = -(-ticks // HEARTBEAT_MS) if ticks else 0
-    parts = []
-    for number, line in enumerate(lines):
-        turns = HEARTBEAT_MS * TICK_NS * np.arange(rounds, dtype=np.int64)[:, None]
-        times = (first_beats_ns(line.nodes) + turns).ravel()
-        beats = frames(len(times))
-        beats["can_id"] = HEARTBEAT_BASE + 1 + np.tile(np.arange(line.nodes), rounds)
-        beats["length"], beats["data"][:, 0] = 1, NmtState.OPERATIONAL
-        due = times < ticks * TICK_NS
-        parts.append(Asked(beats[due], np.full(int(due.sum()), number), times[due]))
-    return Asked.joined(parts)
-
-
-def syncs(times_ns: Nanoseconds, lines: Sequence[Bus]) -> Asked:
-    """Return a SYNC without counter on every bus at each time."""
-    calls = frames(len(times_ns))
-    calls["can_id"] = SYNC_COB_ID
-    buses = len(lines)
-    return Asked(np.tile(calls, buses), np.repeat(np.arange(buses), len(times_ns)), np.tile(times_ns, buses))
-
-
-@njit(cache=True, nogil=True)
-def _arbitrate(asked_ns: Any, identifier: Any, took_ns: Any) -> Any:
-    """Return when the bus is free behind each frame, ns.
-
-    Whenever the bus is free, the frame with the lowest identifier that waits is sent; of equal ones the older.
+def carry(asked: Frames, bus: Places, lines: Sequence[Bus], ticks: int) -> Sent:
+    """Send frames that are known beforehand, and the heartbeats of all nodes; the given frames come first in `Sent`.
 
     Parameters
     ----------
-    asked_ns : array of int64, shape (k,)
-        Ascending.
-    identifier, took_ns : arrays of int64, shape (k,)
+    asked : array of FRAME, shape (k,)
+        `time_ns` is the earliest start.
+    bus : array of int, shape (k,)
     """
-    free_ns = np.zeros(asked_ns.size, np.int64)
-    waiting = [(np.int64(0), 0)]
-    waiting.pop()
-    now, come, done = np.int64(0), 0, 0
-    while done < asked_ns.size:
-        while come < asked_ns.size and (asked_ns[come] <= now or not waiting):
-            now = max(now, asked_ns[come])
-            heapq.heappush(waiting, (identifier[come], come))
-            come += 1
-        frame = heapq.heappop(waiting)[1]
-        now += took_ns[frame]
-        free_ns[frame] = now
-        done += 1
-    return free_ns
+    beats = [heartbeats(line, ticks) for line in lines]
+    every = np.concatenate([asked, *beats])
+    places = np.concatenate([bus, np.repeat(np.arange(len(lines)), [len(each) for each in beats])])
+    for number, line in enumerate(lines):
+        mine = np.flatnonzero(places == number)
+        mine = mine[np.argsort(every["time_ns"][mine], kind="stable")]
+        wire = SimulatedBus(line.bitrate, line.data_bitrate)
+        nodes = wire.attach("nodes", len(mine))
+        wire.attach("gateway")
+        wire.submit(nodes, every[mine])
+        ended = wire.run_until().frames
+        # Frames of one identifier end in the order of their times.
+        queued, came = (np.argsort(each["can_id"], kind="stable") for each in (every[mine], ended))
+        every["time_ns"][mine[queued]] = ended["time_ns"][came]
+    return Sent(every, places, lines, ticks)
+
+
+def carry_polled(nodes: Sequence[Polled], lines: Sequence[Bus], ticks: int, calls: Frames) -> Sent:
+    """Send what the nodes of each bus offer in each millisecond, all heartbeats, and `calls` on every bus."""
+    parts = []
+    for mine, line in zip(nodes, lines, strict=True):
+        wire = SimulatedBus(line.bitrate, line.data_bitrate)
+        parts.append(poll(wire, mine, np.concatenate([calls, heartbeats(line, ticks)]), ticks, TICK_NS))
+    bus = np.repeat(np.arange(len(lines)), [len(part) for part in parts])
+    return Sent(np.concatenate(parts), bus, lines, ticks)
+
+
+def heartbeats(line: Bus, ticks: int) -> Frames:
+    """Return the heartbeats of the nodes of a bus, whose first are spread over a period, in the order of time."""
+    first = np.arange(line.nodes, dtype=np.int64) * HEARTBEAT_MS * TICK_NS // line.nodes + TICK_NS // 2
+    rounds = -(-ticks // HEARTBEAT_MS)
+    beats = frames(rounds * line.nodes)
+    beats["time_ns"] = (first + HEARTBEAT_MS * TICK_NS * np.arange(rounds)[:, None]).ravel()
+    beats["can_id"] = HEARTBEAT_BASE + 1 + np.tile(np.arange(line.nodes), rounds)
+    beats["length"], beats["data"][:, 0] = 1, NmtState.OPERATIONAL
+    return beats[beats["time_ns"] < ticks * TICK_NS]
+
+
+def syncs(times_ns: Nanoseconds, buses: int) -> tuple[Frames, Places]:
+    """Return a SYNC without counter on every bus at each time, and its bus."""
+    calls = frames(buses * len(times_ns))
+    calls["can_id"], calls["time_ns"] = SYNC_COB_ID, np.tile(times_ns, buses)
+    return calls, np.repeat(np.arange(buses), len(times_ns))

@@ -5,13 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-/* A filter: gains of level and slope, 1 / (2 S) and ln(S) / 2 of the innovation's variance S, variance of the level. */
-typedef struct {
-    float gain, slope_gain, half_precision, log_spread, variance;
-} model;
-
-static const model models[SKIN_MODELS] = SKIN_AVERAGE_MODELS;
-static const float power[] = SKIN_POWER;
 /* Mean of x + N(0, 1) clipped at 0, for x from 0 to SKIN_CLIPPED_REACH. */
 static const float clipped_mean[SKIN_CLIPPED_POINTS] = SKIN_CLIPPED_MEAN;
 
@@ -23,21 +16,6 @@ static float larger(float a, float b)
 static float smaller(float a, float b)
 {
     return a < b ? a : b;
-}
-
-/* 2^exponent for -120 <= exponent <= 0, error below 2e-7. */
-static float power_of_two(float exponent)
-{
-    const int32_t whole = (int32_t)(exponent + 128.0f) - 128; /* rounded down */
-    const float rest = exponent - (float)whole;
-    const uint32_t bits = (uint32_t)(whole + 127) << 23;
-    float scale, polynomial;
-
-    memcpy(&scale, &bits, sizeof scale);
-    polynomial = power[4] + rest * power[5];
-    polynomial = power[2] + rest * (power[3] + rest * polynomial);
-    polynomial = power[0] + rest * (power[1] + rest * polynomial);
-    return polynomial * scale;
 }
 
 /* Force whose clipped mean is `mean`; both in units of the noise's deviation. */
@@ -107,78 +85,23 @@ static float deviation(const skin_average *state, uint16_t c)
     return state->noise > 0.0f ? larger(state->noise, seen) : seen / (float)SKIN_IDLE_DEVIATION;
 }
 
-/* Run all filters on one sample of each taxel, in units of their scales. */
-static void step(skin_average *state, const float *sample)
-{
-    const float change = SKIN_SWITCHING / (SKIN_MODELS - 1), stay = 1.0f - SKIN_SWITCHING;
-    float level_mean[SKIN_BLOCK_SIZE] = {0}, slope_mean[SKIN_BLOCK_SIZE] = {0}, least[SKIN_BLOCK_SIZE];
-    float surprise[SKIN_MODELS][SKIN_BLOCK_SIZE], total[SKIN_BLOCK_SIZE] = {0};
-    uint16_t c;
-    uint8_t m;
-
-    for (m = 0; m < SKIN_MODELS; m++) {
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            level_mean[c] += state->weight[m][c] * state->level[m][c];
-            slope_mean[c] += state->weight[m][c] * state->slope[m][c];
-        }
-    }
-    for (m = 0; m < SKIN_MODELS; m++) {
-        const model each = models[m];
-        const float has_slope = each.slope_gain > 0.0f ? 1.0f : 0.0f;
-
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            const float kept = (stay - change) * state->weight[m][c], likely = change + kept, scale = 1.0f / likely;
-            const float slope = (change * slope_mean[c] + kept * state->slope[m][c]) * scale * has_slope;
-            const float predicted = (change * level_mean[c] + kept * state->level[m][c]) * scale + slope;
-            const float innovation = sample[c] - predicted;
-
-            state->level[m][c] = predicted + each.gain * innovation;
-            state->slope[m][c] = slope + each.slope_gain * innovation;
-            state->weight[m][c] = likely;
-            surprise[m][c] = innovation * innovation * each.half_precision + each.log_spread;
-        }
-    }
-    memcpy(least, surprise[0], sizeof least);
-    for (m = 1; m < SKIN_MODELS; m++) {
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            least[c] = smaller(least[c], surprise[m][c]);
-        }
-    }
-    for (m = 0; m < SKIN_MODELS; m++) {
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            state->weight[m][c] *= power_of_two(larger((least[c] - surprise[m][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT));
-            total[c] += state->weight[m][c];
-        }
-    }
-    memset(state->average, 0, sizeof state->average);
-    memset(state->variance, 0, sizeof state->variance);
-    for (m = 0; m < SKIN_MODELS; m++) {
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            const float weight = larger(state->weight[m][c] / total[c], SKIN_LEAST_WEIGHT);
-
-            state->weight[m][c] = weight;
-            state->average[c] += weight * state->level[m][c];
-            state->variance[c] += weight * models[m].variance;
-        }
-    }
-}
-
 /* Express levels and slopes in units of the new scale, or begin them with a first sample. */
 static void change_scale(skin_average *state, const float *scale, const float *first)
 {
+    skin_tracks *tracks = &state->tracks;
     uint16_t c;
     uint8_t m;
 
-    for (m = 0; m < SKIN_MODELS; m++) {
-        for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            if (first != NULL) {
-                state->level[m][c] = first[c] / scale[c];
-                state->slope[m][c] = 0.0f;
-                state->weight[m][c] = 1.0f / SKIN_MODELS;
-            } else {
-                state->level[m][c] *= state->scale[c] / scale[c];
-                state->slope[m][c] *= state->scale[c] / scale[c];
-            }
+    for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
+        if (first != NULL) {
+            skin_begin_track(tracks, c, first[c] / scale[c]);
+            continue;
+        }
+        for (m = 0; m < SKIN_MODELS; m++) {
+            tracks->level[m][c] *= state->scale[c] / scale[c];
+        }
+        for (m = 0; m < SKIN_MODELS - SKIN_AVERAGE_COUNT; m++) {
+            tracks->slope[m][c] *= state->scale[c] / scale[c];
         }
     }
     memcpy(state->scale, scale, sizeof state->scale);
@@ -238,7 +161,7 @@ void skin_take_samples(skin_average *state, const uint16_t *samples, uint16_t co
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
             sample[c] /= scale[c];
         }
-        step(state, sample);
+        skin_step(&state->tracks, sample, state->average, state->variance);
     }
     for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
         state->average[c] *= scale[c];

@@ -1,6 +1,6 @@
-/* The average of what taxels read between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
+/* The average of a taxel's samples between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
  *
- * Five filters with constant gains run on every sample; their mean, weighted by likelihood, is the average. Noise that the
+ * The models of skin_models.h run on every sample; their mean, weighted by likelihood, is the average. Noise that the
  * sensor clips at 0 is learned from taxels that nothing touches, and its bias is undone. Needs a floating point unit:
  * about 150 operations for each taxel and sample.
  */
@@ -10,12 +10,12 @@
 #include <stddef.h>
 
 #include "board.h"
+#include "skin_models.h"
 #include "skin_sums.h"
 
-/* State of one block; all values of a kind stand together, so that compilers find vectors. */
+/* State of one block. */
 typedef struct {
-    float level[SKIN_MODELS][SKIN_BLOCK_SIZE], slope[SKIN_MODELS][SKIN_BLOCK_SIZE];
-    float weight[SKIN_MODELS][SKIN_BLOCK_SIZE]; /* of each filter; levels and slopes are in units of `scale` */
+    skin_tracks tracks;                         /* in units of `scale` */
     float last[2][SKIN_BLOCK_SIZE];             /* the two newest samples, counts */
     float square[SKIN_BLOCK_SIZE], size[SKIN_BLOCK_SIZE]; /* mean square and mean size of second differences */
     float scale[SKIN_BLOCK_SIZE];                         /* deviation of each taxel's noise, counts */

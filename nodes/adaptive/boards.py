@@ -1,15 +1,16 @@
 """The adaptive boards of a process: all sample, filter and decide in one pass a millisecond."""
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
-from dbc.adaptive_filter import IDLE_SAMPLES, SETTLING_SAMPLES, Floats
-from dbc.contract import Contract, sum_frame_bits
-from dbc.frame import Frames, frame_bytes
+from dbc.adaptive_filter import Floats
+from dbc.canopen import BASE_ID_MASK
+from dbc.contract import Contract, frame_flags, sum_frame_bits
+from dbc.frame import Frames, frame_bytes, frames
 from dbc.indices import (
     OD_BUDGET,
     OD_COARSE,
@@ -20,61 +21,62 @@ from dbc.indices import (
     OD_TAXEL_NOISE,
 )
 from nodes.adaptive.controllers import (
+    DEFAULT_RULE,
+    NO_COB_ID,
     REFUSED,
     SENT,
-    Chosen,
     choose,
     compile_all,
     decide_all,
+    frame_buffer,
     give_back,
     new_controllers,
     take_echoes,
 )
-from nodes.adaptive.filtering import PatchFilter
-from nodes.adaptive.noise import IdleStatistics, Noise
-from nodes.adaptive.patch_boards import PatchBoards
+from nodes.adaptive.filtering import settled_filter
+from nodes.adaptive.noise import Noise
+from nodes.adaptive.patch_boards import MOST_FRAMES, PatchBoards
 from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2, present_codes
 from skin.sources import TaxelSource
 from skin.walsh import GROUPS, grouped_rows
 
-#: As 2031h holds them: REAL32, or whole.
-_DEFAULTS: Final = tuple(float(np.float32(value)) for value in SendingRule())
-
 
 class AdaptiveBoards(PatchBoards):
-    """Some boards of a skin: sensors, filters, and what each has sent; parameters as for `PatchBoards`."""
+    """Some boards of a skin: sensors, filters, and what each has sent; parameters as for `PatchBoards`.
+
+    Attributes
+    ----------
+    filter : PatchFilter
+    groups : Groups
+    controllers : Controllers
+    """
 
     def __init__(self, contract: Contract, blocks: Sequence[int], source: TaxelSource, **analogue: Any) -> None:
         super().__init__(contract, blocks, source, **analogue)
         self._law = contract.law
-        self._filter = PatchFilter(self._learn())
-        for _ in range(SETTLING_SAMPLES):
-            self._filter.take(self._sensors.sample(0))
+        self.filter = settled_filter(lambda: self._sensors.sample(0))
         compile_all(self._law)
-        nodes, lines = len(blocks), [contract.layout.bus[contract.nodes[block].bus] for block in blocks]
-        self._groups = new_groups(nodes, np.array([line.fd for line in lines]))
+        nodes, self._bus_of = len(blocks), {block: contract.nodes[block].bus for block in blocks}
+        lines = [contract.layout.bus[bus] for bus in self._bus_of.values()]
+        self._flags = {bus: frame_flags(contract.layout.bus[bus]) for bus in self._rows}
+        self._node_id = np.array([contract.nodes[block].node_id for block in blocks], np.uint16)
+        self._room, self._burst = frame_buffer(MOST_FRAMES), frames(MOST_FRAMES)
+        #: TPDOS · node + TPDO of an identifier on each bus, -1 for all others.
+        self._place_of = {bus: np.full(BASE_ID_MASK + 1, -1, np.int64) for bus in self._rows}
+        self.groups = new_groups(nodes, np.array([line.fd for line in lines]))
         bits = [[sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] for line in lines]
-        self._controllers = new_controllers(np.array(bits, np.int64).reshape(nodes, 2))
-        self._rules = np.tile(np.array(_DEFAULTS), (nodes, 1))
+        self.controllers = new_controllers(np.array(bits, np.int64).reshape(nodes, 2))
         self._given = np.zeros((2, *self._cells.shape), np.float32)
-        self._is_operational, self._has_due = np.zeros((2, nodes), np.bool_)
         self._noise: Noise | None = None
         self._threshold_n2 = np.zeros(nodes)
         self._is_changed = False
-
-    def _learn(self) -> Noise:
-        """Learn the noise of the untouched skin, as a board does when it is switched on."""
-        statistics = IdleStatistics(*self._cells.shape)
-        for _ in range(IDLE_SAMPLES):
-            statistics.take(self._sensors.sample(0))
-        return statistics.noise()
 
     # --- time ----------------------------------------------------------------------------------------------
 
     @property
     def is_sending(self) -> bool:
         """Whether a controller may hold a frame, or its echo is to be read."""
-        return bool(self._groups.under_way.any())
+        return bool(self.groups.under_way.any())
 
     def _begin(self) -> None:
         if self._is_changed:
@@ -82,68 +84,72 @@ class AdaptiveBoards(PatchBoards):
             self._is_changed = False
 
     def _take(self, sample_n: Floats) -> None:
-        self._filter.take(sample_n)
+        self.filter.take(sample_n)
 
     def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:  # noqa: ARG002  `_now` has the skipped ones
-        if self._filter.noise is not self._noise:
+        if self.filter.noise is not self._noise:
             self._take_noise()
         due = decide_all(
             self._now,
             now_ns,
             passed_ns * 1e-9,
-            self._is_operational,
-            self._filter.sums_n,
-            self._filter.variance_n2,
+            self.filter.sums_n,
+            self.filter.variance_n2,
             self._threshold_n2,
-            self._rules,
             self._law,
-            self._groups,
-            self._controllers,
-            self._has_due,
+            self.groups,
+            self.controllers,
         )
         return bool(due)
 
     def _take_noise(self) -> None:
-        self._noise = self._filter.noise
-        ratio = self._rules[:, SendingRule._fields.index("noise_ratio")]
-        self._threshold_n2 = noise_threshold_n2(self._noise.node_n, ratio)
+        self._noise = self.filter.noise
+        self._threshold_n2 = noise_threshold_n2(self._noise.node_n, self.controllers.rule["noise_ratio"])
 
     # --- frames ---------------------------------------------------------------------------------------------
-
-    def row(self, block: int) -> int:
-        """Return the place of a block among these boards."""
-        return self._row[block]
 
     def set_operational(self, block: int, is_operational: bool) -> None:
         """Let a node send; it begins with all its groups. Or end that."""
         row = self._row[block]
-        if is_operational and not self._is_operational[row]:
+        if is_operational and not self.controllers.is_operational[row]:
             for group in range(GROUPS):
-                ask(row, group, self._now, self._groups)
-        self._is_operational[row] = is_operational
+                ask(row, group, self._now, self.groups)
+        self.controllers.is_operational[row] = is_operational
 
     def set_tpdos(self, block: int, cob_id: Sequence[int], inhibit: Sequence[int]) -> None:
         """Set identifier, or `NO_COB_ID`, and inhibit time in samples of a node's TPDOs."""
+        row, bus = self._row[block], self._bus_of[block]
+        self.controllers.cob_id[row], self.controllers.inhibit[row] = cob_id, inhibit
+        place_of, rows = self._place_of[bus], self._rows[bus]
+        place_of[:] = -1
+        for each in range(rows.start, rows.stop):
+            of_node = self.controllers.cob_id[each]
+            used = of_node != NO_COB_ID
+            place_of[of_node[used]] = each * TPDOS + np.flatnonzero(used)
+
+    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+        """Make the most urgent frames of the boards of a bus, at most `most`, which expire at `until_ns`."""
+        rows, room = self._rows[bus], self._room
+        if not self.controllers.has_due[rows].any():
+            return self._burst[:0]
+        parts = self.filter.sums_n, self._law, self.groups, self.controllers, room
+        count = int(choose(rows.start, rows.stop, self._now, until_ns, most, *parts))
+        burst = self._burst[:count]
+        burst["time_ns"], burst["expires_ns"], burst["flags"] = now_ns, until_ns, self._flags[bus]
+        burst["can_id"], burst["port"] = room.can_id[:count], self._node_id[room.node[:count]]
+        burst["length"], burst["data"] = room.length[:count], room.payload[:count]
+        return burst
+
+    def refuse(self, block: int, tpdo: int) -> None:
+        """Take note of a frame of a TPDO that found no room in a transmit queue."""
         row = self._row[block]
-        self._controllers.cob_id[row], self._controllers.inhibit[row] = cob_id, inhibit
+        give_back(row, tpdo, self.groups, self.controllers)
+        self.controllers.counts[row, REFUSED] += 1
 
-    def choose(self, first: int, last: int, until_ns: int, most: int, room: Chosen) -> int:
-        """Make the most urgent frames of boards `first` to `last` - 1, at most `most`, and return how many."""
-        if not self._has_due[first:last].any():
-            return 0
-        parts = self._filter.sums_n, self._law, self._groups, self._controllers, self._has_due, room
-        return int(choose(first, last, self._now, until_ns, most, *parts))
-
-    def refuse(self, nodes: npt.NDArray[np.int64], tpdos: npt.NDArray[np.int64]) -> None:
-        """Take note of frames that found no room in a transmit queue."""
-        for row, tpdo in zip(nodes.tolist(), tpdos.tolist(), strict=True):
-            give_back(row, tpdo, self._groups, self._controllers)
-            self._controllers.counts[row, REFUSED] += 1
-
-    def take_echoes(self, arrived: Frames, place_of: npt.NDArray[np.int64]) -> tuple[int, int]:
+    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
         """Take note of the nodes' own frames, see `nodes.adaptive.controllers.take_echoes`."""
-        parts = self._now, self._rules, self._law, self._groups, self._controllers
-        sent, others = take_echoes(frame_bytes(arrived), place_of, *parts)
+        parts = self._now, self._law, self.groups, self.controllers
+        sent, others = take_echoes(frame_bytes(arrived), self._place_of[bus], *parts)
         return int(sent), int(others)
 
     # --- objects --------------------------------------------------------------------------------------------
@@ -151,15 +157,15 @@ class AdaptiveBoards(PatchBoards):
     def forget(self, block: int) -> None:
         """Forget what a node has sent, as a reset does; it keeps what it has learned of its noise."""
         row = self._row[block]
-        for mine, fresh in zip(self._groups, new_groups(1, self._groups.is_fd[row]), strict=True):
+        for mine, fresh in zip(self.groups, new_groups(1, self.groups.is_fd[row]), strict=True):
             mine[row] = fresh[0]
-        self._controllers.made_at[row] = new_controllers(self._controllers.frame_bits[row : row + 1]).made_at[0]
-        self._controllers.counts[row] = 0
-        self._is_operational[row] = False
+        self.controllers.made_at[row] = new_controllers(self.controllers.frame_bits[row : row + 1]).made_at[0]
+        self.controllers.counts[row] = 0
+        self.controllers.is_operational[row] = False
 
     def frames_of(self, block: int) -> tuple[int, int]:
         """Return how many frames a node has sent since its reset, and how many found no room."""
-        counts = self._controllers.counts[self._row[block]]
+        counts = self.controllers.counts[self._row[block]]
         return int(counts[SENT]), int(counts[REFUSED])
 
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
@@ -169,16 +175,16 @@ class AdaptiveBoards(PatchBoards):
         if index == OD_REFRESH:
             for group in range(GROUPS):
                 if int(value) >> group & 1:
-                    ask(row, group, self._now, self._groups)
+                    ask(row, group, self._now, self.groups)
         elif index == OD_SENDING and subindex:
-            self._rules[row, subindex - 1] = value
+            self.controllers.rule[SendingRule._fields[subindex - 1]][row] = value
             self._noise = None
         elif index in (OD_TAXEL_NOISE, OD_COEFFICIENT_NOISE) and subindex:
             self._given[int(index == OD_COEFFICIENT_NOISE), row, subindex - 1] = value
-            self._filter.give(*self._given)
+            self.filter.give(*self._given)
         elif index == OD_BUDGET:
-            self._controllers.budget[row] = value
-            self._controllers.saved[row] = SAVED_FRAMES * self._controllers.frame_bits[row, 0]
+            self.controllers.budget[row] = value
+            self.controllers.saved[row] = SAVED_FRAMES * self.controllers.frame_bits[row, 0]
         else:
             super().adjust(block, index, subindex, value)
 
@@ -186,18 +192,18 @@ class AdaptiveBoards(PatchBoards):
         """Set a block to the defaults: calibration, rule of sending, noise that is learned, no budget."""
         super().reset(block)
         row = self._row[block]
-        self._rules[row] = _DEFAULTS
+        self.controllers.rule[row] = DEFAULT_RULE
         self._noise, self._is_changed = None, True
-        self._controllers.budget[row] = 0
+        self.controllers.budget[row] = 0
         if self._given[:, row].any():
             self._given[:, row] = 0
-            self._filter.give(*self._given)
+            self.filter.give(*self._given)
 
     def read(self, block: int, index: int, subindex: int) -> float | None:
         """Return the present value of an object that the board computes (2030h, 2032h to 2035h, 2110h, 2111h)."""
-        row, noise = self._row[block], self._filter.noise
+        row, noise = self._row[block], self.filter.noise
         if index == OD_REFRESH:
-            return int(self._groups.is_wanted[row] @ (1 << np.arange(GROUPS)))
+            return int(self.groups.is_wanted[row] @ (1 << np.arange(GROUPS)))
         if index == OD_NODE_NOISE:
             return float(noise.node_n[row])
         if not subindex:
@@ -205,7 +211,7 @@ class AdaptiveBoards(PatchBoards):
         if index in (OD_TAXEL_NOISE, OD_COEFFICIENT_NOISE):
             of_index = noise.taxel_n if index == OD_TAXEL_NOISE else noise.coefficient_n
             return float(of_index[row, subindex - 1])
-        coarse, fine = present_codes(self._filter.sums_n[row], self._law, self._groups, row)
+        coarse, fine = present_codes(self.filter.sums_n[row], self._law, self.groups, row)
         return (
             int(coarse[subindex - 1]) if index == OD_COARSE else int.from_bytes(fine[subindex - 1].tobytes(), "little")
         )
@@ -216,13 +222,5 @@ class AdaptiveBoards(PatchBoards):
         sums = np.zeros(self._phi.shape[0], np.int32)
         size, order = self._phi.block_size, grouped_rows(self._phi.block_size).ravel()
         for block, row in self._row.items():
-            sums[block * size + order] = np.rint(self._filter.sums_n[row] / self._taxels.newton_per_count)
+            sums[block * size + order] = np.rint(self.filter.sums_n[row] / self._taxels.newton_per_count)
         return sums
-
-
-def tpdo_places(cob_ids: npt.NDArray[np.int64], first: int, places: npt.NDArray[np.int64]) -> None:
-    """Write which TPDO an identifier belongs to: `cob_ids` of shape (nodes, TPDOS), of boards from `first` on."""
-    places[:] = -1
-    for row, of_node in enumerate(cob_ids, first):
-        used = of_node > 0
-        places[of_node[used]] = row * TPDOS + np.flatnonzero(used)

@@ -24,6 +24,7 @@ from dbc.adaptive import (
     SendingRule,
     payload_bytes,
 )
+from dbc.adaptive_filter import Floats
 from dbc.canopen import BASE_ID_MASK
 from dbc.frame import BRS, ECHO, ERROR, ESI, FD, FRAME, frame_bytes, frames
 from nodes.adaptive.sending import (
@@ -31,6 +32,7 @@ from nodes.adaptive.sending import (
     NEWS,
     NOT_DUE,
     REFRESH,
+    Flags,
     Groups,
     Integers,
     Numbers,
@@ -48,7 +50,10 @@ NO_COB_ID: Final = 0
 #: Columns of `Controllers.counts`.
 SENT, REFUSED = range(2)
 _LONG_AGO: Final = -(1 << 40)
-_ROUNDING: Final = SendingRule._fields.index("rounding")
+#: A `SendingRule` in an array.
+RULE: Final = np.dtype([(name, type(value)) for name, value in SendingRule()._asdict().items()])
+#: As 2031h holds it: REAL32, or whole.
+DEFAULT_RULE: Final = tuple(float(np.float32(value)) for value in SendingRule())
 #: Places of fields in the bytes of a frame.
 _CAN_ID, _LENGTH, _FLAGS, _DATA = (
     int(FRAME.fields[name][1])  # type: ignore[index]  # FRAME has fields
@@ -73,6 +78,9 @@ class Controllers(NamedTuple):
         Bits a second that a node may send, 0 for no limit, and bits that it has saved up.
     counts : array of int64, shape (nodes, 2)
         Frames sent, and frames that found no room in the transmit queue.
+    rule : array of `RULE`, shape (nodes,)
+    is_operational, has_due : arrays of bool, shape (nodes,)
+        Whether a node may send, and whether it had anything to send at the newest decision.
     """
 
     cob_id: Integers
@@ -82,6 +90,9 @@ class Controllers(NamedTuple):
     budget: Numbers
     saved: Numbers
     counts: Integers
+    rule: npt.NDArray[np.void]
+    is_operational: Flags
+    has_due: Flags
 
 
 def new_controllers(frame_bits: Integers) -> Controllers:
@@ -95,6 +106,9 @@ def new_controllers(frame_bits: Integers) -> Controllers:
         budget=np.zeros(nodes),
         saved=np.zeros(nodes),
         counts=np.zeros((nodes, 2), np.int64),
+        rule=np.full(nodes, np.array(DEFAULT_RULE, RULE)),
+        is_operational=np.zeros(nodes, np.bool_),
+        has_due=np.zeros(nodes, np.bool_),
     )
 
 
@@ -122,58 +136,28 @@ def frame_buffer(count: int) -> Chosen:
 
 
 @njit(cache=True, nogil=True)
-def rule_of(rules: Numbers, node: int) -> SendingRule:
-    """Return a node's row of an array of rules, shape (nodes, 13)."""
-    row = rules[node]
-    return SendingRule(
-        row[0],
-        row[1],
-        row[2],
-        row[3],
-        row[4],
-        int(row[5]),
-        row[6],
-        int(row[7]),
-        int(row[8]),
-        int(row[9]),
-        int(row[10]),
-        int(row[11]),
-        int(row[12]),
-    )
-
-
-@njit(cache=True, nogil=True)
 def decide_all(  # noqa: PLR0917  compiled functions take no keywords
     now: int,
     now_ns: int,
     passed_s: float,
-    is_operational: npt.NDArray[np.bool_],
-    sums_n: npt.NDArray[np.float32],
-    variance_n2: npt.NDArray[np.float32],
+    sums_n: Floats,
+    variance_n2: Floats,
     noise_n2: Numbers,
-    rules: Numbers,
     law: Companding,
     groups: Groups,
     controllers: Controllers,
-    has_due: npt.NDArray[np.bool_],
 ) -> bool:
-    """Decide what each node is to send, as `nodes.adaptive.sending.decide`; save up budgets.
+    """Decide what each node is to send, as `nodes.adaptive.sending.decide`; save up budgets. Tell whether any is due.
 
     Parameters
     ----------
     passed_s : float
         Time since the last decision.
-    has_due : array of bool, shape (nodes,)
-        Written: whether a node has anything to send.
-
-    Returns
-    -------
-    bool
-        Whether any node has.
     """
     groups, controllers = borrowed(groups), borrowed(controllers)
     budget, saved, under_way, level = controllers.budget, controllers.saved, groups.under_way, groups.level
-    for node in range(is_operational.size):
+    is_operational, has_due = controllers.is_operational, controllers.has_due
+    for node in range(has_due.size):
         has_due[node] = False
         if budget[node] > 0:
             least = float(SAVED_FRAMES * controllers.frame_bits[node, 0])
@@ -186,11 +170,11 @@ def decide_all(  # noqa: PLR0917  compiled functions take no keywords
         for group in range(GROUPS):
             if 0 < under_way[node, group] < now_ns:
                 under_way[node, group] = 0
-    _find_quiet(now, is_operational, sums_n, rules, law, groups, has_due)
-    for node in range(is_operational.size):
+    _find_quiet(now, sums_n, law, groups, controllers)
+    for node in range(has_due.size):
         if has_due[node]:
             has_due[node] = False
-            decide(node, now, sums_n[node], variance_n2[node], noise_n2[node], rule_of(rules, node), law, groups)
+            decide(node, now, sums_n[node], variance_n2[node], noise_n2[node], controllers.rule[node], law, groups)
             for group in range(GROUPS):
                 is_free = under_way[node, group] == 0
                 has_due[node] = has_due[node] or (is_free and level[node, group] != NOT_DUE)
@@ -198,31 +182,18 @@ def decide_all(  # noqa: PLR0917  compiled functions take no keywords
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # so that the largest of eight is found in one step
-def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
-    now: int,
-    is_operational: npt.NDArray[np.bool_],
-    sums_n: npt.NDArray[np.float32],
-    rules: Numbers,
-    law: Companding,
-    groups: Groups,
-    needs_look: npt.NDArray[np.bool_],
-) -> None:
-    """Silence groups whose receivers are up to date and that need no refresh. Tell which nodes have other groups.
+def _find_quiet(now: int, sums_n: Floats, law: Companding, groups: Groups, controllers: Controllers) -> None:
+    """Silence groups whose receivers are up to date and that need no refresh. Note which nodes have other groups.
 
     Most nodes have none, and `decide` takes longer.
     """
     known_n, refreshes, refresh_at = groups.known_n, groups.refreshes, groups.refresh_at
-    since, level, reason, is_fine, under_way = (
-        groups.since,
-        groups.level,
-        groups.reason,
-        groups.is_fine,
-        groups.under_way,
-    )
-    for node in range(is_operational.size):
-        if not is_operational[node]:
+    since, level, reason = groups.since, groups.level, groups.reason
+    is_fine, under_way = groups.is_fine, groups.under_way
+    for node in range(controllers.is_operational.size):
+        if not controllers.is_operational[node]:
             continue
-        bound = rules[node, _ROUNDING] * law.fine_n
+        bound = controllers.rule[node].rounding * law.fine_n
         for group in range(GROUPS):
             if under_way[node, group] > 0:
                 continue
@@ -230,7 +201,7 @@ def _find_quiet(  # noqa: PLR0917  compiled functions take no keywords
             for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
                 largest = max(largest, abs(sums_n[node, place] - known_n[node, place]))
             if largest > bound or (refreshes[node, group] > 0 and now >= refresh_at[node, group]):
-                needs_look[node] = True
+                controllers.has_due[node] = True
             else:
                 since[node, group], level[node, group] = -1, NOT_DUE
                 reason[node, group], is_fine[node, group] = NEWS, 0
@@ -243,11 +214,10 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
     now: int,
     until_ns: int,
     most: int,
-    sums_n: npt.NDArray[np.float32],
+    sums_n: Floats,
     law: Companding,
     groups: Groups,
     controllers: Controllers,
-    has_due: npt.NDArray[np.bool_],
     chosen: Chosen,
 ) -> int:
     """Make the most urgent frames of nodes `first` to `last` - 1, at most `most`, and return how many.
@@ -257,7 +227,7 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
     groups, controllers = borrowed(groups), borrowed(controllers)
     keys, count = np.empty((last - first) * GROUPS, np.int64), 0
     for node in range(first, last):
-        if has_due[node]:
+        if controllers.has_due[node]:
             before = count
             for group in range(GROUPS):
                 if groups.level[node, group] == NOT_DUE or groups.under_way[node, group] > 0:
@@ -321,7 +291,6 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
     rows: npt.NDArray[np.uint8],
     place_of: npt.NDArray[np.int64],
     now: int,
-    rules: Numbers,
     law: Companding,
     groups: Groups,
     controllers: Controllers,
@@ -354,7 +323,7 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
             continue
         sent += 1
         controllers.counts[node, SENT] += 1
-        note_sent(node, group, now, is_fine, rule_of(rules, node), law, groups, row[_DATA:])
+        note_sent(node, group, now, is_fine, controllers.rule[node], law, groups, row[_DATA:])
         _note_way(node, group, 0, groups)
     return sent, others
 
@@ -377,10 +346,10 @@ def compile_all(law: Companding) -> None:
     groups, controllers = new_groups(1), new_controllers(np.ones((1, 2), np.int64))
     room, sent = frame_buffer(1), frames(1)
     controllers.cob_id[:] = sent["can_id"] = FIRST_COB_ID
+    controllers.is_operational[:] = controllers.has_due[:] = True
     groups.refreshes[:], groups.refresh_at[:] = 1, 0
-    sums_n, rules = np.zeros((1, BLOCK_SUMS), np.float32), np.array([SendingRule()], np.float64)
-    yes = np.ones(1, np.bool_)
-    decide_all(1, 1, 0.0, yes, sums_n, sums_n, np.ones(1), rules, law, groups, controllers, yes)
-    choose(0, 1, 1, 1, 1, sums_n, law, groups, controllers, yes, room)
+    sums_n = np.zeros((1, BLOCK_SUMS), np.float32)
+    decide_all(1, 1, 0.0, sums_n, sums_n, np.ones(1), law, groups, controllers)
+    choose(0, 1, 1, 1, 1, sums_n, law, groups, controllers, room)
     give_back(0, 0, groups, controllers)
-    take_echoes(frame_bytes(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, rules, law, groups, controllers)
+    take_echoes(frame_bytes(sent), np.zeros(BASE_ID_MASK + 1, np.int64), 1, law, groups, controllers)

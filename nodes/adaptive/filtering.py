@@ -1,14 +1,15 @@
 """From samples to sums: the noise of a patch filtered away, clipping undone, and the sums of what is left."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dbc.adaptive_filter import HORIZON, Floats, Models, make_models, unclip_table
+from dbc.adaptive_filter import HORIZON, IDLE_SAMPLES, SETTLING_SAMPLES, Floats, Models, make_models, unclip_table
 from nodes.adaptive.following import NoiseScale, OffsetState, ScaleSums, follow, gather, new_offsets
 from nodes.adaptive.models import Tracks, new_tracks, step
-from nodes.adaptive.noise import Noise, unclip
+from nodes.adaptive.noise import IdleStatistics, Noise, unclip
 from nodes.adaptive.transforms import from_haar, to_haar, to_walsh, to_walsh_variance
 from skin.clipping import DEAD_RATIO
 from skin.compiled import njit
@@ -114,6 +115,25 @@ class PatchFilter(ForceFilter):
         """The variance of each of `sums_n`, newtons squared, shape (nodes, taxels); the next call overwrites it."""
         to_walsh_variance(self._variance, self.noise.coefficient_n, self._spread, self._variance_n2)
         return self._variance_n2
+
+
+def settled_filter(sample: Callable[[], Floats]) -> PatchFilter:
+    """Return a filter that has learned the noise of the untouched skin, as a board does when it is switched on.
+
+    Parameters
+    ----------
+    sample : callable
+        Returns the next sample of every taxel, shape (nodes, taxels), newtons.
+    """
+    first_n = sample()
+    statistics = IdleStatistics(*first_n.shape)
+    statistics.take(first_n)
+    for _ in range(IDLE_SAMPLES - 1):
+        statistics.take(sample())
+    made = PatchFilter(statistics.noise())
+    for _ in range(SETTLING_SAMPLES):
+        made.take(sample())
+    return made
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from dbc.adaptive import TPDOS, tpdo_index
-from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID
+from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, NmtState
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
 from dbc.indices import (
@@ -19,8 +19,8 @@ from dbc.indices import (
 from dbc.objects import Object
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.controllers import NO_COB_ID
-from nodes.network import SegmentNetwork
 from nodes.node import SkinNode
+from nodes.objects import Outbox
 from nodes.storage import Storage
 
 #: Unit of the inhibit time in a sample.
@@ -36,23 +36,48 @@ class AdaptiveNode(SkinNode):
         objects: list[Object],
         settings: Sequence[Setting],
         *,
-        network: SegmentNetwork,
-        boards: AdaptiveBoards,
+        outbox: Outbox,
+        hardware: AdaptiveBoards,
         storage: Storage,
     ) -> None:
-        super().__init__(contract, objects, settings, network=network, boards=boards, storage=storage)
-        self._adaptive = boards
+        self._boards = hardware
+        self._pdo_ids: list[int] = []
+        super().__init__(contract, objects, settings, outbox=outbox, hardware=hardware, storage=storage)
         self._live |= {
-            index: partial(boards.read, contract.block, index)
+            index: partial(hardware.read, contract.block, index)
             for index in (OD_REFRESH, OD_COEFFICIENT_NOISE, OD_TAXEL_NOISE, OD_NODE_NOISE, OD_COARSE, OD_FINE)
         }
 
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise, and forget what was sent."""
         super().boot(now_s, communication_only=communication_only)
-        self._adaptive.forget(self.contract.block)
+        self._boards.forget(self.contract.block)
 
-    def communication(self) -> tuple[list[int], list[int]]:
+    def _enter(self, state: NmtState) -> None:
+        super()._enter(state)
+        self._boards.set_operational(self.contract.block, state is NmtState.OPERATIONAL)
+
+    def refresh(self, now_s: float) -> bool:
+        """Read the objects again, with identifiers and inhibit times of the TPDOs."""
+        is_changed = super().refresh(now_s)
+        if is_changed:
+            self._pdo_ids, inhibits = self._communication()
+            self._boards.set_tpdos(self.contract.block, self._pdo_ids, inhibits)
+        return is_changed
+
+    @property
+    def pdo_ids(self) -> list[int]:
+        """The identifiers of the PDOs that exist."""
+        return [cob_id for cob_id in self._pdo_ids if cob_id != NO_COB_ID]
+
+    def refused(self, cob_id: int) -> None:
+        """Take note of a PDO that found no room in the transmit queue."""
+        self._boards.refuse(self.contract.block, self._pdo_ids.index(cob_id))
+
+    def expired(self, count: int) -> None:
+        """Do nothing: `AdaptiveBoards.take_echoes` has taken note."""
+
+    def _communication(self) -> tuple[list[int], list[int]]:
         """Return identifier and inhibit time, in samples, of each TPDO, by `dbc.adaptive.tpdo_index`.
 
         One that does not exist has `NO_COB_ID`.
@@ -75,5 +100,5 @@ class AdaptiveNode(SkinNode):
         return int(found.default or 0) if found else 0
 
     def _read_health(self, subindex: int) -> int | None:
-        self.health[1:3] = self._adaptive.frames_of(self.contract.block)
+        self.health[1:3] = self._boards.frames_of(self.contract.block)
         return super()._read_health(subindex)

@@ -10,12 +10,15 @@ import numpy as np
 from canskin.messages import Truth
 from dbc.adaptive_filter import SAMPLE_NS, Floats
 from dbc.contract import Contract
+from dbc.frame import Frames
 from nodes.adaptive.sensors import STEP_NS, PatchSensors
-from nodes.boards import Boards
 from nodes.electronics import Calibration
+from nodes.hardware import Hardware
 from skin.sources import TaxelSource
 from skin.taxel import NOISE_N, TaxelModel
 
+#: Most frames that a bus gets at once.
+MOST_FRAMES: Final = 64
 #: Most samples that a late process takes at once; it skips and counts the others.
 CATCH_UP: Final = 20
 #: How fast the time between two decisions is learned, and its limits, nanoseconds.
@@ -23,7 +26,7 @@ PACE_GAIN: Final = 0.1
 PACE_NS: Final = (SAMPLE_NS, CATCH_UP * SAMPLE_NS)
 
 
-class PatchBoards(Boards):
+class PatchBoards(Hardware):
     """Some boards of a skin, and the sensors of their patches.
 
     Parameters
@@ -61,6 +64,11 @@ class PatchBoards(Boards):
         self.has_due = False
         self._taxels = taxels
         self._row = {block: row for row, block in enumerate(blocks)}
+        #: Which of these boards are those of each bus.
+        self._rows: dict[int, slice] = {}
+        for row, block in enumerate(blocks):
+            bus = contract.nodes[block].bus
+            self._rows[bus] = slice(self._rows[bus].start if bus in self._rows else row, row + 1)
         self._cells = contract.phi.taxels_of_blocks[list(blocks)]
         model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, **(defects or {}))
         self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
@@ -124,6 +132,22 @@ class PatchBoards(Boards):
     @abstractmethod
     def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:
         """Decide what each node is to send, after `skipped` samples were left out; tell whether any has a frame."""
+
+    @abstractmethod
+    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+        """Make the most urgent frames of the boards of a bus, at most `most`, which expire at `until_ns`."""
+
+    @abstractmethod
+    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
+        """Find the boards' own TPDOs among the received frames of a bus.
+
+        Returns
+        -------
+        sent : int
+            TPDOs that were sent.
+        others : int
+            Frames that the boards still have to take.
+        """
 
     def _note_truth(self, tick_ns: int) -> None:
         """Keep the truth of a step that this tick is the first after."""

@@ -1,5 +1,6 @@
 """When a node sends which sums: news first, then details, then what has not been said for long."""
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -9,12 +10,9 @@ from dbc.adaptive import (
     BLOCK_SUMS,
     FINE_LEVELS,
     FINE_LIMIT,
-    FIRST_COB_ID,
     GROUP_SUMS,
     LEVELS,
     NO_CHECK,
-    NODES,
-    TPDOS,
     Bytes,
     Companding,
     SendingRule,
@@ -30,7 +28,7 @@ from dbc.adaptive import (
     parts_of,
     tpdo_index,
 )
-from nodes.adaptive.urgency import urgency
+from dbc.adaptive_filter import LEAST_PART, LOG2_SERIES, Floats
 from skin.compiled import njit
 from skin.walsh import GROUPS
 
@@ -131,8 +129,8 @@ def noise_threshold_n2(noise_n: Numbers, noise_ratio: float | Numbers) -> Number
 def decide(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     now: int,
-    sums_n: npt.NDArray[np.float32],
-    variance_n2: npt.NDArray[np.float32],
+    sums_n: Floats,
+    variance_n2: Floats,
     noise_n2: float,
     rule: SendingRule,
     law: Companding,
@@ -159,8 +157,8 @@ def _decide_group(  # noqa: PLR0917  compiled functions take no keywords
     node: int,
     group: int,
     now: int,
-    sums_n: npt.NDArray[np.float32],
-    variance_n2: npt.NDArray[np.float32],
+    sums_n: Floats,
+    variance_n2: Floats,
     noise_n2: float,
     rule: SendingRule,
     law: Companding,
@@ -200,9 +198,38 @@ def _decide_group(  # noqa: PLR0917  compiled functions take no keywords
     groups.is_fine[node, group] = is_fine
 
 
+@njit(cache=True, nogil=True)
+def log2_of(value: float) -> float:
+    """Return the binary logarithm of a number above 0, to 1e-15.
+
+    A library's `log2` may round differently on another machine.
+    """
+    part, exponent = math.frexp(value)
+    if part < LEAST_PART:
+        part, exponent = part + part, exponent - 1
+    ratio = (part - 1.0) / (part + 1.0)
+    square = ratio * ratio
+    total = LOG2_SERIES[-1]
+    for place in range(len(LOG2_SERIES) - 2, -1, -1):
+        total = LOG2_SERIES[place] + square * total
+    return exponent + ratio * total
+
+
+@njit(cache=True, nogil=True)
+def urgency(ratio: float, waited: int, rule: SendingRule) -> int:
+    """Return the level of news that exceeds its threshold by `ratio` and has waited for `waited` samples.
+
+    The highest level is for what waited, so that no motion of others holds it back for ever.
+    """
+    if waited >= rule.patience:
+        return LEVELS - 1
+    # Compared before it is made whole: with a tiny number of the rule it is too large for an integer.
+    return int(min(float(LEVELS - 2), (log2_of(ratio) + waited / rule.doubling) / rule.level_ratio))
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _differences_n2(
-    group: int, sums_n: npt.NDArray[np.float32], known_n: Numbers, rounding: float, law: Companding
+    group: int, sums_n: Floats, known_n: Numbers, rounding: float, law: Companding
 ) -> tuple[float, float]:
     """Return the squared difference of a group from what is known, as coarse frames and as fine frames tell it.
 
@@ -223,7 +250,7 @@ def _differences_n2(
 
 
 @njit(cache=True, nogil=True)
-def _is_in_reach(node: int, group: int, sums_n: npt.NDArray[np.float32], law: Companding, groups: Groups) -> bool:
+def _is_in_reach(node: int, group: int, sums_n: Floats, law: Companding, groups: Groups) -> bool:
     """Tell whether a fine frame can tell all sums of a group: it refines the newest coarse codes, or on FD its own."""
     is_fd = groups.is_fd[node]
     if groups.check[node, group] == NO_CHECK and not is_fd:
@@ -252,24 +279,8 @@ def tpdo_of(node: int, group: int, groups: Groups) -> int:
 
 
 @njit(cache=True, nogil=True)
-def identifier_of(node: int, group: int, groups: Groups) -> int:
-    """Return the identifier of that frame, of a node that has the identifiers of the contract."""
-    return int(FIRST_COB_ID + NODES * tpdo_of(node, group, groups) + node)
-
-
-@njit(cache=True, nogil=True)
-def most_urgent(node: int, groups: Groups) -> int:
-    """Return the group of a node whose frame has the lowest identifier, or `NOT_DUE`."""
-    least, found = TPDOS, NOT_DUE
-    for group in range(GROUPS):
-        if groups.level[node, group] != NOT_DUE and tpdo_of(node, group, groups) < least:
-            least, found = tpdo_of(node, group, groups), group
-    return found
-
-
-@njit(cache=True, nogil=True)
 def make_payload(  # noqa: PLR0917  compiled functions take no keywords
-    node: int, group: int, sums_n: npt.NDArray[np.float32], law: Companding, groups: Groups, payload: Bytes
+    node: int, group: int, sums_n: Floats, law: Companding, groups: Groups, payload: Bytes
 ) -> int:
     """Write the payload of a group's frame of the present sums; return its bytes (`dbc.adaptive.payload_bytes`)."""
     is_fine, is_fd = groups.is_fine[node, group] == 1, groups.is_fd[node]
@@ -293,7 +304,7 @@ def _make_fine(  # noqa: PLR0917  compiled functions take no keywords
     group: int,
     check: int,
     coarse: Bytes,
-    sums_n: npt.NDArray[np.float32],
+    sums_n: Floats,
     law: Companding,
     groups: Groups,
     payload: Bytes,

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bandwidth.adaptive_departures import adaptive_departures
 from bandwidth.adaptive_log import AdaptiveLoad, measure_adaptive
 from bandwidth.adaptive_plan import plan_adaptive
-from bandwidth.measured import is_sum_frame, is_sum_shape, kind_of, measure
+from bandwidth.departures import departures
+from bandwidth.measured import Identifiers, measure
 from dbc.adaptive import check_of, pack_fine
 from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
@@ -41,7 +41,7 @@ def said(*more: Frames, refresh_ms: float | None = None) -> list[str]:
     """Return what is said of a log; a refresh ends `refresh_ms` after it is due at most."""
     planned = replace(plan_adaptive(CONTRACT, is_touched=False)[0], refresh_ms=refresh_ms)
     seen = log(*more)
-    return adaptive_departures(CONTRACT, 0, seen, planned, measure(CONTRACT, 0, seen, planned))
+    return departures(CONTRACT, 0, seen, planned, measure(CONTRACT, 0, seen, planned))
 
 
 def fine(time_ms: float, coarse: bytes, *, wrong: int = 0, node: int = 1) -> Frames:
@@ -78,7 +78,7 @@ def test_fine_frames_refine_the_newest_coarse_frame_of_their_group() -> None:
 
 def test_frames_of_sums_have_eight_bytes() -> None:
     found = said(one(10, COARSE, VALUES[:7]), one(20, COARSE + 1, VALUES[:7]), one(30, FINE + 1, VALUES[:6]))
-    words = "frames of sums have another length or format"
+    words = "TPDOs have another length or format"
     assert found == [f"arm: node 1: 1 {words}", f"arm: node 2: 2 {words}"]
 
 
@@ -112,7 +112,7 @@ def test_a_log_with_less_than_two_syncs_has_no_pauses() -> None:
     seen = log()
     for syncs, words in ((2, None), (1, "one"), (0, "no")):
         left = seen[(seen["can_id"] != 0x80) | (np.cumsum(seen["can_id"] == 0x80) <= syncs)]
-        found = adaptive_departures(CONTRACT, 0, left, planned, measure(CONTRACT, 0, left, planned))
+        found = departures(CONTRACT, 0, left, planned, measure(CONTRACT, 0, left, planned))
         assert found == ([] if words is None else [f"arm: {words} SYNC: pauses cannot be checked"])
 
 
@@ -145,25 +145,28 @@ def test_sums_have_1024_identifiers_of_which_a_node_owns_every_32nd() -> None:
     identifiers = [0x180, 0x181, 0x182, 0x183, 0x1A0, 0x1A1, 0x561, 0x562, 0x580, 0x581, 0x582]
     seen = np.concatenate([one(0, can_id, VALUES) for can_id in identifiers])
     wanted = [False, True, True, False, False, True, True, True, False, False, False]
-    assert is_sum_frame(CONTRACT, 0, seen).tolist() == wanted
-    kinds = [kind_of(CONTRACT, 0, can_id) for can_id in identifiers]
+    assert Identifiers(CONTRACT, 0).is_sums(seen).tolist() == wanted
+    kinds = [Identifiers(CONTRACT, 0).kind_of(can_id) for can_id in identifiers]
     assert [kind in {"coarse", "fine"} for kind, _ in kinds] == wanted
     assert [node for (_, node), is_sum in zip(kinds, wanted, strict=True) if is_sum] == [1, 2, 1, 1, 2]
     for flag in (EXTENDED, REMOTE, ERROR):
         seen["flags"] = flag
-        assert not is_sum_frame(CONTRACT, 0, seen).any()
+        assert not Identifiers(CONTRACT, 0).is_sums(seen).any()
 
 
 def test_frames_of_sums_have_the_format_of_their_bus() -> None:
     on_fd = Contract.from_layout(small_layout(**ADAPTIVE, bus=buses(2, fd=True, data_bitrate=2_000_000)))
-    for contract, lengths, flags in ((CONTRACT, (8, 8), 0), (on_fd, (32, 64), FD | BRS)):
-        # On CAN FD, coarse identifiers end at 480h, too.
-        seen = np.concatenate([one(0, can_id, bytes(64)) for can_id in (0x181, 0x480, 0x481, 0x501)])
+    for contract, last, lengths, flags in (
+        (CONTRACT, (0x462, 0x562), (8, 8), 0),
+        (on_fd, (0x402, 0x502), (32, 64), FD | BRS),
+    ):
+        # The first and the last coarse frame, and the first and the last fine frame.
+        seen = np.concatenate([one(0, can_id, bytes(64)) for can_id in (0x181, last[0], 0x481, last[1])])
         seen["length"], seen["flags"] = np.repeat(lengths, 2), flags
-        assert is_sum_shape(contract, 0, seen).all()
+        assert Identifiers(contract, 0).is_right(seen).all()
         seen["flags"] ^= FD
-        assert not is_sum_shape(contract, 0, seen).any()
+        assert not Identifiers(contract, 0).is_right(seen).any()
         seen["flags"] ^= FD | BRS
-        assert not is_sum_shape(contract, 0, seen).any()
+        assert not Identifiers(contract, 0).is_right(seen).any()
         seen["flags"], seen["length"] = flags, seen["length"] - 1
-        assert not is_sum_shape(contract, 0, seen).any()
+        assert not Identifiers(contract, 0).is_right(seen).any()

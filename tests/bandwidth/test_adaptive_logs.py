@@ -11,20 +11,17 @@ import pytest
 
 from bandwidth.adaptive_log import AGAIN, EARLY, NEW, REFINING, UNREFINED, sum_frames
 from bandwidth.adaptive_plan import touched_load
-from dbc.adaptive import FIRST_COB_ID, TPDOS, SendingRule
+from dbc.adaptive import FIRST_COB_ID, TPDOS
 from dbc.contract import Contract
-from dbc.frame import BRS, FD, FRAME, Frames, frame_bytes, frames
-from evaluation.schemes.adaptive_bus import ENDED, Record, line_of, run_bus
-from nodes.adaptive.sending import new_groups
+from dbc.frame import BRS, FD, Frames
 from skin.layout import load_layout
 from tests import layouts
+from tests.bandwidth.adaptive_bus import run_bus
 
 Run = Callable[..., tuple[int, str, str]]
 NODES, TICKS, MS = 32, 3000, 1_000_000
 #: Identifier of the first fine frame.
 FIRST_FINE = 0x481
-#: Of a frame, where `evaluation.schemes.adaptive_bus` writes.
-FIRST_BYTE = FRAME.fields["can_id"][1]  # type: ignore[index]
 
 
 @pytest.fixture(autouse=True)
@@ -43,24 +40,10 @@ def arbitrated(seed: int, layout: str = "adaptive") -> Frames:
     sums_n[200:800, 3:5] += np.cumsum(rng.normal(0, 0.002, (600, 2, 32)), axis=0)
     sums_n[800:, 3:5] = sums_n[799, 3:5]
     sums_n[:, :, 0] = np.abs(sums_n[:, :, 0])
-    sent = frames(10 * TICKS)
-    rows = frame_bytes(sent)[:, FIRST_BYTE:]
-    record, groups = Record(rows, np.empty((len(sent), 7), np.int64)), new_groups(nodes, line.fd)
     beats = np.arange(nodes, dtype=np.int64) * 1000 // nodes * MS
-    threshold = np.full((TICKS, nodes), 1e-5)
-    count = run_bus(
-        sums_n,
-        np.zeros_like(sums_n),
-        threshold,
-        SendingRule(),
-        contract.law,
-        groups,
-        beats,
-        line_of(line),
-        record,
-    )
-    sent["time_ns"][:count] = record.log[:count, ENDED] + 10**12
-    return sent[:count]
+    sent, _ = run_bus(line, contract.law, sums_n, np.full((TICKS, nodes), 1e-5), beats)
+    sent["time_ns"] += 10**12
+    return sent
 
 
 def is_coarse(sent: Frames) -> np.ndarray:

@@ -11,6 +11,7 @@ import pytest
 
 from bandwidth import adaptive_plan
 from bandwidth.adaptive_plan import plan_adaptive, touched_load
+from bandwidth.plan import milliseconds
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from dbc.contract import Contract
@@ -141,7 +142,7 @@ def test_without_a_package_that_simulates_there_is_no_touched_load(monkeypatch: 
 
 
 def test_figures_without_a_bound_are_left_out() -> None:
-    told = adaptive_plan._milliseconds
+    told = milliseconds
     assert told(np.array([1_500_000, 250_000])) == pytest.approx(1.5)
     assert told(1) == pytest.approx(1e-6)
     assert told(0) is None

@@ -131,5 +131,5 @@ def test_what_is_not_planned_has_its_share_of_the_bus() -> None:
     seen = made(sorted(rows))
     planned = plan_bus(WINDOW, 0, None, Disturbance())
     load = measure(WINDOW, 0, seen, planned)
-    found = list(foreign(WINDOW, 0, load))
+    found = list(foreign(load))
     assert found == ["node 2 sent 2 emergencies", "7F2h is not planned: 10 frames, 0.01% of the bus"]

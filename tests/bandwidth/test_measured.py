@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bandwidth.departures import departures, sync
-from bandwidth.measured import is_due, kind_of, measure, misfits, planned_rates, tpdo_rows, whole_cycles
+from bandwidth.measured import Identifiers, measure, misfits, planned_rates, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
 from canskin.errors import InputError
@@ -228,11 +228,10 @@ def test_frames_of_another_layout_are_noticed(contract: Contract, planned: BusPl
     assert "more than a bus carries: its bit rate is not the layout's 500000" in said(slow, healthy)
 
 
-def test_frames_that_are_no_tpdo_have_no_row(contract: Contract, healthy: Frames) -> None:
+def test_only_data_frames_of_11_bits_are_tpdos(contract: Contract, healthy: Frames) -> None:
     other = healthy[:1].repeat(4)
     other["can_id"], other["flags"] = (0x181, 0x181, 0x181, 0x7FF), (0, REMOTE, EXTENDED, 0)
-    first = int(contract.table.row_of[1, 0x181])
-    assert tpdo_rows(contract, 1, other).tolist() == [first, -1, -1, -1]
+    assert Identifiers(contract, 1).is_sums(other).tolist() == [True, False, False, False]
 
 
 def test_overload_is_named(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
@@ -242,24 +241,24 @@ def test_overload_is_named(contract: Contract, planned: BusPlan, healthy: Frames
 
 
 def test_services_have_their_names(contract: Contract) -> None:
-    assert kind_of(contract, 1, 0x000) == ("NMT", 0)
-    assert kind_of(contract, 1, 0x605) == ("SDO request", 0)
-    assert kind_of(contract, 1, 0x585) == ("SDO response", 5)
-    assert kind_of(contract, 1, 0x585 + 32) == ("foreign", None)
-    assert kind_of(contract, 1, 0x7FF) == ("foreign", None)
+    assert Identifiers(contract, 1).kind_of(0x000) == ("NMT", 0)
+    assert Identifiers(contract, 1).kind_of(0x605) == ("SDO request", 0)
+    assert Identifiers(contract, 1).kind_of(0x585) == ("SDO response", 5)
+    assert Identifiers(contract, 1).kind_of(0x585 + 32) == ("foreign", None)
+    assert Identifiers(contract, 1).kind_of(0x7FF) == ("foreign", None)
 
 
 def test_the_identifier_after_those_of_adaptive_sums_is_an_sdo_response() -> None:
     contract = Contract.from_layout(load_layout(Path("adaptive")))
-    assert kind_of(contract, 0, 0x580) == ("fine", 32)
-    assert kind_of(contract, 0, 0x581) == ("SDO response", 1)
+    assert Identifiers(contract, 0).kind_of(0x580) == ("fine", 32)
+    assert Identifiers(contract, 0).kind_of(0x581) == ("SDO response", 1)
 
 
 def test_time_is_planned_if_the_layout_has_it(contract: Contract) -> None:
-    assert kind_of(contract, 1, 0x100) == ("foreign", None)
+    assert Identifiers(contract, 1).kind_of(0x100) == ("foreign", None)
     layout = contract.layout
     timed = Contract.from_layout(msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, time_s=2.0)))
-    assert kind_of(timed, 1, 0x100) == ("TIME", 0)
+    assert Identifiers(timed, 1).kind_of(0x100) == ("TIME", 0)
     assert planned_rates(timed, 1)[0x100] == 0.5
 
 
@@ -356,10 +355,10 @@ def test_a_fifth_of_wrong_frames_is_no_misfit(contract: Contract, planned: BusPl
 def test_each_range_of_identifiers_belongs_to_the_nodes_of_the_bus(
     contract: Contract, cob_id: int, kind: tuple[str, int | None]
 ) -> None:
-    assert kind_of(contract, 1, cob_id) == kind
+    assert Identifiers(contract, 1).kind_of(cob_id) == kind
 
 
 def test_the_first_tpdo_of_the_first_bus_is_one_like_the_others(contract: Contract) -> None:
-    assert kind_of(contract, 0, 0x181) == ("TPDO", 1)
+    assert Identifiers(contract, 0).kind_of(0x181) == ("TPDO", 1)
     seen = made((0x181, 0), (0x182, 1), (0x7F0, 2))
-    assert is_due(contract, 0, seen).tolist() == [True, True, False]
+    assert Identifiers(contract, 0).is_right(seen).tolist() == [True, True, False]

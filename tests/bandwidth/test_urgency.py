@@ -13,23 +13,23 @@ import pytest
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
-from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule, coarse_value
+from dbc.adaptive import BLOCK_SUMS, FIRST_COB_ID, GROUP_SUMS, LEVELS, SendingRule, coarse_value, decode_cob_id
+from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import BRS, FD, FRAME, frame_bytes, frames
+from dbc.frame import BRS, FD, frames
 from dbc.frame_bits import frame_time_ns
-from evaluation.schemes.adaptive_bus import ASKED, ENDED, GROUP, NODE, REASON, SYNC_MS, Record, line_of, run_bus
-from nodes.adaptive.sending import DETAIL, NEWS, Groups, new_groups
+from nodes.adaptive.sending import Groups
+from nodes.adaptive.simulated import SYNC_SAMPLES
 from skin.layout import load_layout
 from skin.walsh import GROUPS
+from tests.bandwidth.adaptive_bus import run_bus
 
 MS = 1_000_000
 NODES, TICKS = 32, 330
 RULE = SendingRule()
 #: Overloads of the long test; docs/bandwidth.md names ten thousand.
 OVERLOADS = int(os.environ.get("SKIN_OVERLOADS", "200"))
-#: Of a frame, where `evaluation.schemes.adaptive_bus` writes.
-FIRST_BYTE = FRAME.fields["can_id"][1]  # type: ignore[index]
 QUIET = Disturbance(0.0, 0.0, 0.0)
 #: Bytes whose runs of four equal bits need the most stuff bits, and bytes near 0.
 STUFFED = (0x0F, 0x1E, 0x3C, 0x78, 0xF0, 0xE1, 0xC3, 0x87)
@@ -50,21 +50,46 @@ def bounds(allowed: Disturbance = QUIET, contract: Contract | None = None) -> Ur
     return Urgency.of(contract or adaptive(), 0, allowed)
 
 
+@dataclass
+class Log:
+    """The frames of a bus: of sums, shape (n,), and of heartbeats with the times they were due, shape (beats,).
+
+    `since` is the sample that was first news, -1 for frames without news; `groups` is what the nodes know at the end.
+    """
+
+    node: npt.NDArray[np.int64]
+    group: npt.NDArray[np.int64]
+    is_fine: npt.NDArray[np.bool_]
+    since: npt.NDArray[np.int64]
+    ended_ns: npt.NDArray[np.int64]
+    beat_node: npt.NDArray[np.int64]
+    beat_due_ns: npt.NDArray[np.int64]
+    beat_ended_ns: npt.NDArray[np.int64]
+    groups: Groups
+
+    def of(self, node: int, group: int) -> npt.NDArray[np.bool_]:
+        """Tell which frames of sums are a group's."""
+        return (self.node == node) & (self.group == group)
+
+
 def arbitrated(
     sums_n: npt.NDArray[np.float32],
     threshold_n2: npt.NDArray[np.float64],
     beats: npt.NDArray[np.int64],
     contract: Contract | None = None,
-) -> tuple[npt.NDArray[np.int64], Groups]:
-    """Run one bus; return the log of its frames and what the nodes then know. `beats`, due heartbeats, is changed."""
-    capacity = 10 * len(sums_n)
-    sent = frames(capacity)
-    rows, bus = frame_bytes(sent)[:, FIRST_BYTE:], (contract or adaptive()).layout.bus[0]
-    record, groups = Record(rows, np.empty((capacity, 7), np.int64)), new_groups(NODES, bus.fd)
-    count = run_bus(
-        sums_n, np.zeros_like(sums_n), threshold_n2, RULE, adaptive().law, groups, beats, line_of(bus), record
-    )
-    return record.log[:count], groups
+) -> Log:
+    """Run one bus; `beats` are the times of the first heartbeats."""
+    line = (contract or adaptive()).layout.bus[0]
+    sent, nodes = run_bus(line, adaptive().law, sums_n, threshold_n2, beats)
+    can_id = sent["can_id"].astype(np.int64)
+    is_sums = (can_id >= FIRST_COB_ID) & (can_id < HEARTBEAT_BASE)
+    kind, group, node = np.array([decode_cob_id(int(each), line.fd) for each in can_id[is_sums]]).reshape(-1, 3).T
+    beat = sent[can_id > HEARTBEAT_BASE]
+    of_beat = beat["can_id"].astype(np.int64) - HEARTBEAT_BASE - 1
+    turn = np.array([np.count_nonzero(of_beat[:place] == each) for place, each in enumerate(of_beat)], np.int64)
+    due_ns = beats[of_beat] + HEARTBEAT_MS * MS * turn
+    ended_ns = sent["time_ns"][is_sums]
+    return Log(node, group, kind >= LEVELS, nodes.since, ended_ns, of_beat, due_ns, beat["time_ns"], nodes.groups)
 
 
 @dataclass
@@ -87,7 +112,7 @@ class Overload:
         table = np.array([coarse_value(code, False, law) for code in range(256)])
         moving = rng.random((NODES, GROUPS)) < rng.choice([0.3, 0.7, 1.0])
         # From a moment that makes the highest level begin with a SYNC or anywhere.
-        begin = SYNC_MS - RULE.patience if self.seed % 4 == 0 else int(rng.integers(1, SYNC_MS))
+        begin = SYNC_SAMPLES - RULE.patience if self.seed % 4 == 0 else int(rng.integers(1, SYNC_SAMPLES))
         late = rng.integers(0, 30, (NODES, GROUPS)) if self.seed % 7 == 0 else np.zeros((NODES, GROUPS), np.int64)
         begun = (np.arange(TICKS)[:, None, None] >= begin + late) & moving
         groups_n = table[pattern] * scale * begun[..., None]
@@ -106,13 +131,14 @@ class Overload:
         beats = np.full(NODES, int(rng.integers(0, 120 * MS)), np.int64)
         if self.seed % 2:
             beats = rng.integers(0, HEARTBEAT_MS * MS, NODES)
-        log, groups = arbitrated(sums_n, threshold_n2, beats, contract)
-        waited = np.where(groups.since >= 0, (TICKS - groups.since) * MS, 0)
-        news = log[log[:, REASON] == NEWS]
-        np.maximum.at(waited, (news[:, NODE], news[:, GROUP]), news[:, ENDED] - news[:, ASKED])
-        beaten = np.where(beats < TICKS * MS, TICKS * MS - beats, 0)
-        heard = log[(log[:, GROUP] < 0) & (log[:, NODE] >= 0)]
-        np.maximum.at(beaten, heard[:, NODE], heard[:, ENDED] - heard[:, ASKED])
+        log = arbitrated(sums_n, threshold_n2, beats, contract)
+        waited = np.where(log.groups.since >= 0, (TICKS - log.groups.since) * MS, 0)
+        news = log.since >= 0
+        np.maximum.at(waited, (log.node[news], log.group[news]), log.ended_ns[news] - log.since[news] * MS)
+        heard = np.bincount(log.beat_node, minlength=NODES)
+        due_ns = beats + HEARTBEAT_MS * MS * heard
+        beaten = np.where(due_ns < TICKS * MS, TICKS * MS - due_ns, 0)
+        np.maximum.at(beaten, log.beat_node, log.beat_ended_ns - log.beat_due_ns)
         return waited, beaten
 
 
@@ -149,12 +175,12 @@ def test_a_group_at_rest_is_refreshed_while_all_others_move() -> None:
     sums_n = rng.uniform(0.02, 0.3, (ticks, NODES, BLOCK_SUMS)).astype(np.float32)
     sums_n[:, NODES - 1] = 0
     sums_n[5:, NODES - 1, GROUP_SUMS * (GROUPS - 1) :] = 0.05
-    log = arbitrated(sums_n, np.full((ticks, NODES), 1e-6), np.full(NODES, ticks * MS))[0]
-    mine = log[(log[:, NODE] == quiet[0]) & (log[:, GROUP] == quiet[1])]
-    assert len(mine) == 3
-    due_ns = mine[:-1, ENDED] + RULE.refresh * MS * 2 ** np.arange(len(mine) - 1)
-    assert (mine[1:, ENDED] - due_ns <= bounds().refresh_ns[quiet] + MS).all()
-    assert (mine[1:, ENDED] - due_ns >= 0.9 * bounds().refresh_ns[quiet]).any()
+    log = arbitrated(sums_n, np.full((ticks, NODES), 1e-6), np.full(NODES, ticks * MS))
+    ended_ns = log.ended_ns[log.of(*quiet)]
+    assert len(ended_ns) == 3
+    due_ns = ended_ns[:-1] + RULE.refresh * MS * 2 ** np.arange(len(ended_ns) - 1)
+    assert (ended_ns[1:] - due_ns <= bounds().refresh_ns[quiet] + MS).all()
+    assert (ended_ns[1:] - due_ns >= 0.9 * bounds().refresh_ns[quiet]).any()
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -162,19 +188,19 @@ def test_what_came_to_rest_is_shown_coarse_and_fine_in_time(seed: int) -> None:
     rng, rest = np.random.default_rng(seed), 60 + 7 * seed
     sums_n = rng.uniform(0.005, 0.08, (TICKS, NODES, BLOCK_SUMS)).astype(np.float32)
     sums_n[rest:] = sums_n[rest]
-    log, groups = arbitrated(sums_n, np.full((TICKS, NODES), 1e-7), np.full(NODES, TICKS * MS))
+    log = arbitrated(sums_n, np.full((TICKS, NODES), 1e-7), np.full(NODES, TICKS * MS))
     coarse_ns, fine_ns = bounds().settled_ns
     assert coarse_ns < fine_ns < UNBOUNDED
-    news = log[log[:, REASON] == NEWS]
-    assert 0.4 * coarse_ns < news[:, ENDED].max() - rest * MS <= coarse_ns
+    news = log.since >= 0
+    assert 0.4 * coarse_ns < log.ended_ns[news].max() - rest * MS <= coarse_ns
     for node in range(NODES):
         for group in range(GROUPS):
-            mine = log[(log[:, NODE] == node) & (log[:, GROUP] == group)]
-            shown_ns = mine[mine[:, REASON] == NEWS, ENDED].max()
+            mine = log.of(node, group)
+            shown_ns = log.ended_ns[mine & news].max()
             # The first details after the last news; a later coarse refresh may need details again.
-            refined_ns = mine[(mine[:, REASON] == DETAIL) & (mine[:, ENDED] > shown_ns), ENDED]
-            assert refined_ns.min(initial=shown_ns) - rest * MS <= fine_ns
-    assert (groups.since < 0).all()
+            refined_ns = log.ended_ns[mine & log.is_fine & (log.ended_ns > shown_ns)]
+            assert (refined_ns[0] if len(refined_ns) else shown_ns) - rest * MS <= fine_ns
+    assert (log.groups.since < 0).all()
 
 
 def test_heartbeats_and_answers_share_the_pauses() -> None:

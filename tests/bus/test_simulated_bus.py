@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.arbitration import clash_bits
 from bus.outbox import DISCARDED, OTHERS, OWNER
+from bus.pending import clash_bits
 from bus.simulated_bus import SimulatedBus
 from dbc.frame import BRS, EXTENDED, FD, FRAME, REMOTE, Frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns

@@ -2,14 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from inspect import signature
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from evaluation import claims
-from evaluation.claims import measure_decisions, measure_skin, star_length_m
+from evaluation.bench import claimed as bench
+from evaluation.paper import claimed as paper
+from evaluation.recognition import claimed as recognition
 from evaluation.result import Options, Row
+from evaluation.schemes import claimed as schemes
 from evaluation.schemes import frontend
 
 
@@ -33,23 +37,31 @@ def front_end(effect: Row, **_: Any) -> Row:
 @pytest.fixture(scope="module")
 def rows() -> dict[str, Row]:
     """What the subject says when each measurement gives a known number."""
-    answers: dict[str, Callable[..., Row]] = {
-        "measure": lambda method, **_: {"mean": 30.0 if method.basis == "haar" else 32.0},
-        "measure_sensor": lambda **_: {"mean": 29.0},
-        "measure_times": lambda **_: {f"{basis} 20": 4.0 for basis in ("haar", "contourlet")},
-        "measure_accuracy": lambda kind, size, **_: {"accuracy": [0.9 + 0.001 * size / 64 - 0.2 * (kind != "sbhe")]},
-        "measure_sixteen": lambda sums, **_: {"held": 0.97 if sums == 64 else 0.9},
-        "measure_skin": lambda **_: (
-            {"image_db": 45.0, "sensor_db": 29.0, "cycles": 10, "complete": 9}
-            | {"sums_kbit_per_s": 3000.0, "scan_kbit_per_s": 7500.0}
+    answers: tuple[tuple[ModuleType, str, Callable[..., Row]], ...] = (
+        (paper, "measure", lambda method, **_: {"mean": 30.0 if method.basis == "haar" else 32.0}),
+        (paper, "measure_sensor", lambda **_: {"mean": 29.0}),
+        (paper, "measure_times", lambda **_: {f"{basis} 20": 4.0 for basis in ("haar", "contourlet")}),
+        (
+            recognition,
+            "measure_accuracy",
+            lambda kind, size, **_: {"accuracy": [0.9 + 0.001 * size / 64 - 0.2 * (kind != "sbhe")]},
         ),
-        "measure_decisions": lambda **_: {"sums_us": 2.0, "taxels_us": 11.0},
-    }
+        (recognition, "measure_sixteen", lambda sums, **_: {"held": 0.97 if sums == 64 else 0.9}),
+        (
+            schemes,
+            "measure_skin",
+            lambda **_: (
+                {"image_db": 45.0, "sensor_db": 29.0, "cycles": 10, "complete": 9}
+                | {"sums_kbit_per_s": 3000.0, "scan_kbit_per_s": 7500.0}
+            ),
+        ),
+        (bench, "measure_decisions", lambda **_: {"sums_us": 2.0, "taxels_us": 11.0}),
+        (frontend, "measure", front_end),
+    )
     with pytest.MonkeyPatch.context() as patch:
-        for name, answer in answers.items():
-            patch.setattr(claims, name, canned(getattr(claims, name), answer))
-        patch.setattr(frontend, "measure", canned(frontend.measure, front_end))
-        patch.setattr(claims, "convergence", lambda _: {claims.FROM_ZERO: (28.0, None)})
+        for module, name, answer in answers:
+            patch.setattr(module, name, canned(getattr(module, name), answer))
+        patch.setattr(paper, "convergence", lambda _: {paper.FROM_ZERO: (28.0, None)})
         found = claims.evaluate(Options(quick=True)).rows
     assert len({tuple(row) for row in found}) == 1
     assert {row["mode"] for row in found} == {"offline", "live"}
@@ -63,7 +75,7 @@ def row_of(rows: dict[str, Row], words: str) -> Row:
 
 def test_papers_numbers_are_those_of_its_text_and_tables(rows: dict[str, Row]) -> None:
     """Means and worst of the five objects, by hand from Table II; 6.4 and 7.7 ms of Table III."""
-    for words, paper in (
+    for words, printed in (
         ("sensor, haar, mean", 0.32),
         ("sensor, haar, worst", -1.7),
         ("sensor, contourlet, mean", 1.74),
@@ -79,7 +91,7 @@ def test_papers_numbers_are_those_of_its_text_and_tables(rows: dict[str, Row]) -
         ("taxels / sums", 4.0),
         ("conversions in a cycle", 4.0),
     ):
-        assert row_of(rows, words)["paper"] == pytest.approx(paper, abs=0.01)
+        assert row_of(rows, words)["paper"] == pytest.approx(printed, abs=0.01)
 
 
 def test_our_numbers_are_what_was_measured(rows: dict[str, Row]) -> None:
@@ -120,7 +132,7 @@ def test_only_what_ran_on_boards_is_live(rows: dict[str, Row]) -> None:
 def test_a_star_has_a_wire_to_every_taxel() -> None:
     """Taxels at the corners of a square of 2 pitches, and on a line."""
     blocks = np.array([[0, 2, 20, 22], [5, 6, 7, 8]])
-    assert star_length_m(blocks, 10, 0.004) == pytest.approx(0.004 * (4 * 2**0.5 + 1.5 + 0.5 + 0.5 + 1.5))
+    assert schemes.star_length_m(blocks, 10, 0.004) == pytest.approx(0.004 * (4 * 2**0.5 + 1.5 + 0.5 + 0.5 + 1.5))
 
 
 def test_a_decision_is_made_between_all_pairs_of_objects_from_sums_and_from_taxels(
@@ -139,15 +151,15 @@ def test_a_decision_is_made_between_all_pairs_of_objects_from_sums_and_from_taxe
         assert classes == 16
         called.append([values.shape, weights.shape, biases.shape])
 
-    monkeypatch.setattr(claims, "race", race)
-    monkeypatch.setattr(claims, "descend", descend)
-    assert measure_decisions(rounds=3, seed=0) == pytest.approx({"sums_us": 3.0, "taxels_us": 20.0})
+    monkeypatch.setattr(bench, "race", race)
+    monkeypatch.setattr(bench, "descend", descend)
+    assert bench.measure_decisions(rounds=3, seed=0) == pytest.approx({"sums_us": 3.0, "taxels_us": 20.0})
     assert called == [[(size,), (120, size), (120,)] for size in (64, 4096)]
 
 
 @pytest.mark.slow
 def test_images_of_the_default_skin_are_better_than_its_sensor() -> None:
-    found = measure_skin(name="golf-ball", ticks=400, meshes=None, seed=0)
+    found = schemes.measure_skin(name="golf-ball", ticks=400, meshes=None, seed=0)
     assert found["cycles"] == found["complete"] == 40
     assert found["image_db"] > found["sensor_db"] + 3
     assert 7400 < found["scan_kbit_per_s"] < 8400  # 640 frames of 8 bytes, 100 Hz, 116 to 131 bits

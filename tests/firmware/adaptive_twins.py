@@ -11,8 +11,9 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.firmware import AdaptiveFirmwareSegment, FirmwarePatches
-from nodes.adaptive.segment import AdaptiveSegment
+from nodes.adaptive.firmware import FirmwarePatches
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame, TaxelSource
 from tests.bus.harness import frame
 
@@ -81,8 +82,15 @@ class AdaptiveTwins:
         self.out: tuple[list[Frames], list[Frames]] = [], []
         self.complaints: list[str] = []
         self.segments = (
-            AdaptiveSegment(contract, 0, ids, self._sender(0), boards, complain=self.complaints.append),
-            AdaptiveFirmwareSegment(contract, 0, self._sender(1), patches, complain=self.complaints.append),
+            Segment(
+                contract,
+                0,
+                VirtualBoards(contract, 0, ids, boards),
+                boards,
+                self._sender(0),
+                complain=self.complaints.append,
+            ),
+            Segment(contract, 0, firmware.boards(0), patches, self._sender(1), complain=self.complaints.append),
         )
         self.ids, self.room, self.chances = ids, room, (sent, given_up)
         self.fates = np.random.default_rng(1)

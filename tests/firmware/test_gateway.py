@@ -9,7 +9,7 @@ from canskin.messages import Measurement
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from firmware.library import Firmware
-from nodes.firmware_segment import FirmwareSegment
+from nodes.segment import Segment
 from tests.firmware.twins import CountWitness, needs_compiler, small_contract
 from tests.gateway.helpers import World
 from tests.layouts import IDENTITIES, with_identity
@@ -28,15 +28,9 @@ class FirmwareWorld(World):
         self.firmware = Firmware(self.contract, self.contract.nodes)
         super().__post_init__()
 
-    def new_segment(self, bus: int, contract: Contract) -> FirmwareSegment:  # type: ignore[override]
-        return FirmwareSegment(
-            contract,
-            bus,
-            self.firmware,
-            self.wires[bus].nodes.send,
-            self.witness,
-            complain=self.complaints.append,
-        )
+    def new_segment(self, bus: int, contract: Contract) -> Segment:
+        boards, send = self.firmware.boards(bus), self.wires[bus].nodes.send
+        return Segment(contract, bus, boards, self.witness, send, complain=self.complaints.append)
 
     def wrong_blocks(self, measurement: Measurement) -> int:
         """Count the valid blocks whose sums are not those of their cycle's counts."""

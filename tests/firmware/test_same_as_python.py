@@ -94,7 +94,7 @@ def test_many_random_taxels_with_gains_and_offsets() -> None:
             corrected = counts.astype(np.float32) * calibration.gain + calibration.offset
         corrected = np.rint(np.clip(corrected, 0, 1023)).astype(np.int32)
         for row, sums in zip(counts, contract.phi.forward(corrected)[:, :16], strict=True):
-            boards.take(sync, 0.0, row[None])
+            boards.answer(sync, 0.0, row[None])
             assert np.array_equal(np.concatenate([boards.sums(0, 8), boards.sums(1, 8)]), sums)
 
 

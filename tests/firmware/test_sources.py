@@ -13,8 +13,8 @@ from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.generate import write_files
 from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
-from firmware.export import export_files
-from firmware.library import STANDARD_FLAGS, Firmware, compile_c, constants, shared_folders, sources
+from firmware.export import constants, export_files, sources
+from firmware.library import STANDARD_FLAGS, Firmware, compile_c
 from firmware.tables import builds
 from skin.layout import load_layout
 from tests.firmware.stack import HERE, STACK, compile_adapter, exported
@@ -109,8 +109,8 @@ FUZZED = {
 @pytest.mark.parametrize("name", FUZZED)
 def test_random_frames_break_nothing(name: str, tmp_path: Path) -> None:
     contract = FUZZED[name]()
-    texts = sources(*shared_folders(contract), "slave", "host")
-    texts |= constants(contract, builds(contract, contract.on_bus(0)[:2]))
+    boards = builds(contract, contract.on_bus(0)[:2])
+    texts = sources(boards, "slave", "host") | constants(contract, boards)
     program = tmp_path / "fuzz"
     try:
         paths = [*write_files(texts, tmp_path), HERE / "fuzz.c"]

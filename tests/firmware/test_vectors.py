@@ -17,7 +17,7 @@ from dbc.contract import Contract
 from dbc.frame import ECHO
 from dbc.indices import OD_COEFFICIENT_NOISE, OD_NODE_NOISE, OD_REFRESH, OD_TAXEL_NOISE
 from firmware.library import CompiledAdaptiveBoards, Firmware
-from nodes.vectors import vector_files
+from nodes.ways import vector_files
 from skin.layout import load_layout
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame

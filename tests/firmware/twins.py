@@ -12,9 +12,9 @@ from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from firmware.library import Firmware
 from nodes.electronics import Electronics
-from nodes.firmware_segment import FirmwareSegment
 from nodes.sampler import CountSampler, Sampler
-from nodes.synchronous_segment import SynchronousSegment
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame, TaxelSource
 from tests import layouts
 from tests.bus.harness import frame
@@ -99,22 +99,13 @@ class Twins:
             for blocks in (contract.phi.taxels_of_blocks, None)
         ]
         nodes = contract.on_bus(bus)
-        self.python = SynchronousSegment(
-            contract,
-            bus,
-            {node.node_id for node in nodes},
-            self.wires[0].send,
-            Sampler(contract.phi, source or Rolling(contract), electronics[0]),
-            complain=self.complaints.append,
-        )
-        self.c = FirmwareSegment(
-            contract,
-            bus,
-            Firmware(contract, nodes),
-            self.wires[1].send,
-            CountSampler(contract.phi, source or Rolling(contract), electronics[1]),
-            complain=self.complaints.append,
-        )
+        sampler = Sampler(contract.phi, source or Rolling(contract), electronics[0])
+        counts = CountSampler(contract.phi, source or Rolling(contract), electronics[1])
+        virtual = VirtualBoards(contract, bus, {node.node_id for node in nodes}, sampler)
+        compiled = Firmware(contract, nodes).boards(bus)
+        complain = self.complaints.append
+        self.python = Segment(contract, bus, virtual, sampler, self.wires[0].send, complain=complain)
+        self.c = Segment(contract, bus, compiled, counts, self.wires[1].send, complain=complain)
         self.segments = self.python, self.c
         for segment in self.segments:
             segment.boot(self.now_s)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from bus.link import State
 from canskin.messages import BlockState, GatewayStatus, Measurement
-from dbc.adaptive import LEVELS, Companding, SendingRule, decode_cob_id
+from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract, frame_flags
@@ -17,21 +17,12 @@ from dbc.frame import Frames, frames
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH, OD_SIGNATURE
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
-from nodes.adaptive.sending import (
-    NEWS,
-    NOT_DUE,
-    Groups,
-    decide,
-    identifier_of,
-    make_payload,
-    most_urgent,
-    new_groups,
-    note_sent,
-)
+from nodes.adaptive.sending import NEWS, Groups, decide, make_payload, new_groups, note_sent
 from skin.walsh import GROUPS, grouped_rows
 from tests.bus.harness import frame
 from tests.gateway.helpers import Wire
 from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.nodes.adaptive_bus import due_frames
 
 STEP_S = 0.005
 HEARTBEAT_S = 1.0
@@ -52,10 +43,9 @@ def small_adaptive(**tables: Any) -> Contract:
 
 def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, law: Companding) -> np.ndarray:
     """Return the payload of a group's frame, which is sent at once."""
-    payload, is_fd = np.zeros(64, np.uint8), bool(groups.is_fd[0])
-    kind, of_frame, _ = decode_cob_id(identifier_of(0, group, groups), is_fd)
+    payload, is_fine = np.zeros(64, np.uint8), bool(groups.is_fine[0, group])
     length = make_payload(0, group, sums_n, law, groups, payload)
-    note_sent(0, of_frame, now, kind >= LEVELS, RULE, law, groups, payload)
+    note_sent(0, 0 if groups.is_fd[0] else group, now, is_fine, RULE, law, groups, payload)
     return payload[:length]
 
 
@@ -107,10 +97,9 @@ class Board:
         for group in range(GROUPS):
             if self.forced >> group & 1:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-        while (group := most_urgent(0, groups)) != NOT_DUE:
-            can_id = identifier_of(0, group, groups) + self.contract.node_id - 1
+        for group, can_id in due_frames(groups):
             payload = send(groups, group, now, self.sums_n, self.law)
-            out.append(frame(can_id, payload.tobytes(), flags=frame_flags(self.line)))
+            out.append(frame(can_id + self.contract.node_id - 1, payload.tobytes(), flags=frame_flags(self.line)))
         self.forced = 0
         self.sent += len(out)
         return out

@@ -22,7 +22,8 @@ from gateway.loop import GatewayLoop
 from gateway.nmt_master import LATER_S, PAUSES_S
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from nodes.synchronous_segment import SynchronousSegment
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from skin.measurement import Sbhe
 from skin.sources import Frame
 from skin.taxel import to_counts
@@ -203,16 +204,11 @@ class World:
         self.power_up()
         self.gateway = self.new_gateway()
 
-    def new_segment(self, bus: int, contract: Contract) -> SynchronousSegment:
-        return SynchronousSegment(
-            contract,
-            bus,
-            {node.node_id for node in contract.on_bus(bus)},
-            self.wires[bus].nodes.send,
-            self.sampler,
-            complain=self.complaints.append,
-            store=self.store,
-        )
+    def new_segment(self, bus: int, contract: Contract) -> Segment:
+        ids = {node.node_id for node in contract.on_bus(bus)}
+        boards = VirtualBoards(contract, bus, ids, self.sampler, store=self.store)
+        send = self.wires[bus].nodes.send
+        return Segment(contract, bus, boards, self.sampler, send, complain=self.complaints.append)
 
     def power_up(self) -> None:
         for segment in self.segments:

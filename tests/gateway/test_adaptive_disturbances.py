@@ -16,7 +16,8 @@ from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.indices import OD_BUDGET, OD_REFRESH, OD_SENDING, OD_TPDO_COMMUNICATION
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.segment import AdaptiveSegment
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from skin.walsh import grouped_rows
 from tests.gateway.boards import small_adaptive, sums_of
 from tests.gateway.helpers import DISTURBANCES, RANDOM, Wire, World, drive, valid
@@ -80,16 +81,9 @@ class AdaptiveWorld(World):
         self.power_up()
         self.gateway = self.new_gateway()
 
-    def new_segment(self, bus: int, contract: Contract) -> AdaptiveSegment:  # type: ignore[override]
-        return AdaptiveSegment(
-            contract,
-            bus,
-            {node.node_id for node in contract.on_bus(bus)},
-            self.wires[bus].nodes.send,
-            self.boards,
-            complain=self.complaints.append,
-            store=self.store,
-        )
+    def new_segment(self, bus: int, contract: Contract) -> Segment:
+        boards = VirtualBoards(contract, bus, {node.node_id for node in contract.on_bus(bus)}, self.boards)
+        return Segment(contract, bus, boards, self.boards, self.wires[bus].nodes.send, complain=self.complaints.append)
 
     def wrong_blocks(self, measurement: Measurement) -> list[int]:
         """Return the valid blocks whose sums are further from those of the touch than two coarse steps."""

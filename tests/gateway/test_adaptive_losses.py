@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, coarse_code, coarse_value, companding
 from dbc.frame import FD, Frames, frame_bytes, frames
 from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, new_sums, take_all
-from nodes.adaptive.sending import NEWS, NOT_DUE, decide, identifier_of, most_urgent, new_groups
+from nodes.adaptive.sending import NEWS, decide, new_groups
 from skin.walsh import GROUPS
 from tests.bus.harness import frame
 from tests.gateway.boards import send
+from tests.nodes.adaptive_bus import due_frames
 
 LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
 VARIANCE_N2 = np.zeros(32, np.float32)
@@ -52,8 +53,8 @@ class Sender:
         for group in range(GROUPS):
             if again:
                 groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-        while (group := most_urgent(0, groups)) != NOT_DUE:
-            is_fine, can_id = bool(groups.is_fine[0, group]), identifier_of(0, group, groups)
+        for group, can_id in due_frames(groups):
+            is_fine = bool(groups.is_fine[0, group])
             payload = send(groups, group, self.now, self.sums_n, LAW)
             self._number += 1
             for each in range(GROUPS) if self._is_fd else (group,):

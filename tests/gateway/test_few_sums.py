@@ -39,7 +39,7 @@ def test_node_without_sums_sends_heartbeats_alone(sparse: World) -> None:
 
 
 def test_death_of_a_node_without_sums_is_told_and_costs_no_cycle(sparse: World) -> None:
-    dead = sparse.segments[1].nodes.pop()
+    dead = sparse.segments[1].boards.nodes.pop()
     came = sparse.run(3.0)
     assert sparse.gateway.masters[1].nmt[1] == SILENT
     assert any(f"node {dead.contract.node_id}" in line for line in sparse.lines)

@@ -142,7 +142,7 @@ def test_node_is_awaited_from_its_start_on(small: Contract) -> None:
     world.run(3.5 + SILENT_AFTER_S)
     assert world.gateway.gathering.collector.expected.tolist() == [True, True, True, False]
     world.wires[1].loses = None
-    world.segments[1].nodes[1].boot(world.now_s)
+    world.segments[1].boards.nodes[1].boot(world.now_s)
     while not world.gateway.masters[1].nodes[2].in_use:
         world.step()
         awaited, trusted = world.gateway.gathering.collector.expected[3], world.gateway.masters[1].nodes[2].in_use

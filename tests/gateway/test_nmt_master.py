@@ -35,7 +35,7 @@ SOON_S = PAUSES_S[0] + 3 * PERIOD_S
 
 
 def state_of(world: World, bus: int, node_id: int) -> NmtState:
-    return next(node.state for node in world.segments[bus].nodes if node.contract.node_id == node_id)
+    return next(node.state for node in world.segments[bus].boards.nodes if node.contract.node_id == node_id)
 
 
 @pytest.mark.parametrize("command", [NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL])
@@ -120,7 +120,7 @@ def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:
 def test_gateway_leaves_nodes_pre_operational(world: World) -> None:
     world.gateway.stop()
     world.carry()
-    assert {node.state for segment in world.segments for node in segment.nodes} == {NmtState.PRE_OPERATIONAL}
+    assert {node.state for segment in world.segments for node in segment.boards.nodes} == {NmtState.PRE_OPERATIONAL}
 
 
 def test_absent_nodes_do_not_keep_sync_waiting(small: Contract) -> None:

@@ -18,7 +18,8 @@ from dbc.frame import ERROR, REMOTE, Frames
 from dbc.indices import OD_TEST_PATTERN
 from gateway.node_check import NodeCheck, NodeReport
 from nodes.sampler import new_sampler
-from nodes.synchronous_segment import SynchronousSegment
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from tests.bus.harness import frame
 from tests.gateway.boards import Board
 from tests.gateway.helpers import Shaking, Wire
@@ -37,11 +38,10 @@ class Bench:
         self.wire = Wire()
         sampler = new_sampler(contract.layout, contract.phi, Shaking(), noise_n=0.0)
         ids = {node.node_id for node in contract.on_bus(0)}
-        self.segment = SynchronousSegment(
-            built or contract, 0, ids, self.wire.nodes.send, sampler, complain=lambda _text: None
-        )
+        boards = VirtualBoards(built or contract, 0, ids, sampler)
+        self.segment = Segment(built or contract, 0, boards, sampler, self.wire.nodes.send, complain=lambda _text: None)
         self.segment.boot(self.now_s)
-        self.node = self.segment.nodes[0]
+        self.node = boards.nodes[0]
 
     def check(self, each_step: Callable[[], None] = lambda: None) -> NodeReport:
         """Check node 1 to the end."""

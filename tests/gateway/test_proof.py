@@ -139,7 +139,7 @@ def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
         world.write(0, 2, index, 0, data)
     check(world, 2.0)
     assert valid(world.measured[-1]).all()
-    node = world.segments[0].nodes[1]
+    node = world.segments[0].boards.nodes[1]
     assert node.local.unsigned(OD_SYNC_OVERFLOW) == 0
     assert node.local.unsigned(0x1006) == 50_000
 
@@ -259,7 +259,7 @@ def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:
     world.write(0, 1, 0x1006, 0, little(0))
     check(world, 2.0)
     assert valid(world.measured[-1]).all()
-    assert world.segments[0].nodes[0].local.unsigned(0x1006) == 50_000
+    assert world.segments[0].boards.nodes[0].local.unsigned(0x1006) == 50_000
 
 
 def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:

@@ -37,7 +37,7 @@ class Skin(World):
 
     @property
     def states(self) -> list[int]:
-        return [node.active_state for segment in self.segments for node in segment.nodes]
+        return [node.active_state for segment in self.segments for node in segment.boards.nodes]
 
     def is_image(self, measurement: Measurement) -> bool:
         return measurement.fingerprint == self.contract.phi.fingerprint
@@ -234,7 +234,7 @@ def test_service_publishes_the_sums_of_recognition_in_every_cycle_and_answers_re
 
 def test_state_is_an_object_of_the_node(skin: Skin) -> None:
     """SDO writes what the RPDO writes; other values do not exist, and a node that is not operational takes no PDO."""
-    node = skin.segments[0].nodes[0]
+    node = skin.segments[0].boards.nodes[0]
     skin.write(0, 1, OD_STATE, 1, bytes((SkinState.IMAGES + 1,)))
     skin.carry()
     assert node.local.unsigned(OD_STATE, 1) == SkinState.RECOGNITION
@@ -245,7 +245,7 @@ def test_state_is_an_object_of_the_node(skin: Skin) -> None:
     skin.wires[0].put(STATE_COB_ID, bytes((SkinState.IMAGES,)))
     skin.carry()
     assert node.local.unsigned(OD_STATE, 1) == SkinState.RECOGNITION
-    assert skin.segments[0].nodes[1].local.unsigned(OD_STATE, 1) == SkinState.IMAGES
+    assert skin.segments[0].boards.nodes[1].local.unsigned(OD_STATE, 1) == SkinState.IMAGES
 
 
 def test_database_and_contract_name_the_frames_of_both_states() -> None:

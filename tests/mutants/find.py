@@ -66,8 +66,6 @@ PATHS: Final = (
     "viewer/guard.py",
     "viewer/state.py",
 )
-#: Files whose tests are in another folder than that of their name.
-ELSEWHERE: Final = {"nodes/adaptive/firmware.py": "firmware", "nodes/firmware_segment.py": "firmware"}
 #: Small faults only: cosmic-ray replaces each binary operator and each comparison by every other one, and most of
 #: those mutants end in the first line that any test runs.
 BINARY: Final = (
@@ -379,7 +377,7 @@ def _kernels() -> Iterator[None]:
 
 def _folder(path: str) -> str:
     """Return the folder of tests that judge a file of code."""
-    return ELSEWHERE.get(path, path.split("/", maxsplit=1)[0])
+    return path.split("/", maxsplit=1)[0]
 
 
 def _command(path: str) -> str:

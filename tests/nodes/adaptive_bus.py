@@ -1,6 +1,7 @@
 """Adaptive nodes of one bus, their wire, a receiver, and a clock that the test moves."""
 
 import struct
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -9,12 +10,14 @@ from dbc.contract import Contract
 from dbc.frame import FD, Frames
 from gateway.adaptive_state import BusSums, new_sums, take
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.segment import AdaptiveSegment
+from nodes.adaptive.sending import NOT_DUE, Groups, tpdo_of
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
+from skin.walsh import GROUPS
 from tests.bus.harness import frame
-from tests.nodes.links import ArrayLink
+from tests.nodes.helpers import START, ArrayLink
 
-START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 IDS = (1, 2, 3, 4)
 
 
@@ -45,7 +48,8 @@ class Bus:
         self.boards = AdaptiveBoards(contract, blocks, self.source, noise_n=0.0, **options)  # type: ignore[arg-type]
         self.link = ArrayLink()
         self.complaints: list[str] = []
-        self.segment = AdaptiveSegment(contract, 0, IDS, self.link.send, self.boards, complain=self.complaints.append)
+        nodes = VirtualBoards(contract, 0, IDS, self.boards)
+        self.segment = Segment(contract, 0, nodes, self.boards, self.link.send, complain=self.complaints.append)
         self.now_s = 100.0
         self.received: BusSums = new_sums(NODES)
         self.is_fd = contract.layout.bus[0].fd
@@ -60,7 +64,7 @@ class Bus:
         return self.link.take_sent()
 
     def run(self, ticks: int) -> Frames:
-        """Go on by so many milliseconds; every frame arrives. Return frames of sums, which the receiver has taken."""
+        """Go on by `ticks` milliseconds; every frame arrives. Return frames of sums, which the receiver has taken."""
         sent = []
         for _ in range(ticks):
             self.segment.take(self.link.receive(), self.now_s)
@@ -98,6 +102,13 @@ class Bus:
 
     def read_real(self, index: int, sub: int = 0, node_id: int = 1) -> float:
         return float(struct.unpack("<f", self.read(index, sub, node_id))[0])
+
+
+def due_frames(groups: Groups) -> Iterator[tuple[int, int]]:
+    """Give group and identifier of the most urgent frame of a single node, until every frame is noted as sent."""
+    while due := [(tpdo_of(0, group, groups), group) for group in range(GROUPS) if groups.level[0, group] != NOT_DUE]:
+        tpdo, group = min(due)
+        yield group, FIRST_COB_ID + NODES * tpdo
 
 
 def sums_of(sent: Frames) -> Frames:

@@ -1,18 +1,15 @@
 """A segment of nodes without a bus."""
 
-from collections.abc import Callable, Collection, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 
 from dbc.contract import Contract
-from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment
-from nodes.synchronous_segment import SynchronousSegment
 from skin.layout import load_layout
 from tests.nodes.adaptive_bus import Bus
-from tests.nodes.links import ArrayLink, Still
+from tests.nodes.helpers import ArrayLink, new_sampler, new_segment
 
 
 @pytest.fixture(scope="session")
@@ -26,9 +23,14 @@ def link() -> ArrayLink:
 
 
 @pytest.fixture
-def segment(contract: Contract, link: ArrayLink) -> Segment:
+def sampler(contract: Contract) -> Sampler:
+    return new_sampler(contract)
+
+
+@pytest.fixture
+def segment(contract: Contract, link: ArrayLink, sampler: Sampler) -> Segment:
     """Nodes 1 to 4 of bus0, booted."""
-    return new_segment(contract, link, {1, 2, 3, 4})
+    return new_segment(contract, link, {1, 2, 3, 4}, sampler=sampler)
 
 
 @pytest.fixture
@@ -37,20 +39,3 @@ def bus(contract: Contract) -> Iterator[Bus]:
     made = Bus(contract)
     yield made
     assert not made.complaints
-
-
-def new_segment(
-    contract: Contract,
-    link: ArrayLink,
-    node_ids: Collection[int],
-    *,
-    sampler: Sampler | None = None,
-    complain: Callable[[str], None] = lambda _: None,
-    store: Path | None = None,
-) -> Segment:
-    """Return nodes of bus0, booted."""
-    if sampler is None:
-        sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
-    built = SynchronousSegment(contract, 0, node_ids, link.send, sampler, complain=complain, store=store)
-    built.boot(0.0)
-    return built

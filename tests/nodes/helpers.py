@@ -1,14 +1,89 @@
-"""Frames to nodes of a segment, and their answers."""
+"""What nodes are tested with in place of a bus and of a touch."""
 
 import struct
+from collections.abc import Callable, Collection
+from pathlib import Path
 
-from dbc.frame import Frames
+import numpy as np
+
+from dbc.contract import Contract
+from dbc.frame import ECHO, Frames, frames
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
 from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
+from skin.sources import Frame
 from tests.bus.harness import frame
-from tests.nodes.links import ArrayLink
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 MILLISECOND_NS = 1_000_000
+
+
+class ArrayLink:
+    """Keeps what nodes send, and echoes it as a bus without traffic would.
+
+    What is tested here is what nodes make of frames, not a bus.
+    """
+
+    def __init__(self) -> None:
+        self.sent: list[Frames] = []
+        self.waiting: list[Frames] = []
+        #: Frames that a send finds room for.
+        self.room = 1 << 30
+
+    def receive(self) -> Frames:
+        arrived = np.concatenate(self.waiting) if self.waiting else frames(0)
+        self.waiting.clear()
+        return arrived
+
+    def send(self, burst: Frames) -> int:
+        taken = burst[: self.room].copy()
+        self.sent.append(taken)
+        echo = taken.copy()
+        echo["flags"] |= ECHO
+        self.waiting.append(echo)
+        return len(taken)
+
+    def take_sent(self) -> Frames:
+        out = np.concatenate(self.sent) if self.sent else frames(0)
+        self.sent.clear()
+        return out
+
+
+class Still:
+    """A source with the same touch for ever."""
+
+    has_noise = True
+
+    def __init__(self, contract: Contract) -> None:
+        taxels = contract.layout.taxels
+        random = np.random.default_rng(1)
+        self.force_n = random.uniform(0, taxels.force_max_n, (taxels.rows, taxels.columns)).astype(np.float32)
+
+    def frame(self, step: int) -> Frame:
+        return Frame(self.force_n, "")
+
+
+def new_sampler(contract: Contract) -> Sampler:
+    """Return a sampler of the same touch for ever, without noise."""
+    return Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+
+
+def new_segment(
+    contract: Contract,
+    link: ArrayLink,
+    node_ids: Collection[int],
+    *,
+    sampler: Sampler | None = None,
+    complain: Callable[[str], None] = lambda _: None,
+    store: Path | None = None,
+) -> Segment:
+    """Return nodes of bus0, booted."""
+    sampler = sampler or new_sampler(contract)
+    boards = VirtualBoards(contract, 0, node_ids, sampler, store=store)
+    built = Segment(contract, 0, boards, sampler, link.send, complain=complain)
+    built.boot(0.0)
+    return built
 
 
 def give(segment: Segment, link: ArrayLink, *arrived: Frames, now_s: float = 0.0) -> list[tuple[int, bytes]]:

@@ -11,9 +11,7 @@ from dbc.indices import of_block
 from nodes.access import check_write, is_allowed
 from nodes.segment import Segment
 from skin.layout import load_layout
-from tests.nodes.conftest import new_segment
-from tests.nodes.helpers import write
-from tests.nodes.links import ArrayLink
+from tests.nodes.helpers import ArrayLink, new_segment, write
 
 VALUE, STATE, PDO_LENGTH, NOT_MAPPABLE = 0x0609_0030, 0x0800_0022, 0x0604_0042, 0x0604_0041
 NOT_STORED, INCOMPATIBLE, NO_SUBINDEX = 0x0800_0020, 0x0604_0043, 0x0609_0011
@@ -51,7 +49,7 @@ def test_values_at_the_ends_of_their_ranges(index: int, allowed: list[float], re
 )
 def test_a_wrong_signature_is_told_from_a_wrong_value(segment: Segment, index: int, code: int) -> None:
     with pytest.raises(SdoAbortedError) as refused:
-        check_write(segment.nodes[0].local, index, 1, 99)
+        check_write(segment.boards.nodes[0].local, index, 1, 99)
     assert refused.value.code == code
 
 

@@ -7,10 +7,11 @@ import numpy.typing as npt
 import pytest
 
 from dbc.contract import Contract
+from dbc.frame import Frames, frames
 from nodes.adaptive.patch_boards import PatchBoards
 from skin.layout import load_layout
 from skin.sources import Frame
-from tests.nodes.links import Still
+from tests.nodes.helpers import Still
 
 MS = 1_000_000
 
@@ -20,6 +21,7 @@ class Ticks(PatchBoards):
 
     def __init__(self, contract: Contract) -> None:
         super().__init__(contract, [3, 7], Source(contract))
+        self.cells = contract.phi.taxels_of_blocks[[3, 7]]
         self.samples = 0
         self.decisions: list[tuple[int, int, int]] = []
         self.begun = 0
@@ -39,6 +41,12 @@ class Ticks(PatchBoards):
     def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:
         self.decisions.append((now_ns, passed_ns, skipped))
         return self.answer
+
+    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+        return frames(0)
+
+    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
+        return 0, len(arrived)
 
 
 class Source(Still):
@@ -122,7 +130,7 @@ def test_a_truth_comes_with_the_first_sample_of_each_step_of_the_touch(boards: T
     assert last is not None
     assert last.sync_counter == 0
     sensor, true = (np.frombuffer(each, "<f4") for each in (last.sensor, last.true))
-    cells = boards._phi.taxels_of_blocks[[3, 7]]
+    cells = boards.cells
     assert not np.delete(sensor, cells.ravel()).any()
     # Boards of a source with noise of its own add none: half a count of 20 mN / 1023.
     assert np.abs(sensor - true)[cells].max() <= 0.51 * 0.02 / 1023

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dbc.adaptive import SendingRule, cob_id, companding
+from dbc.adaptive import cob_id, companding
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, frame_bytes
 from nodes.adaptive.controllers import (
     choose,
@@ -11,19 +11,17 @@ from nodes.adaptive.controllers import (
     frame_buffer,
     give_back,
     new_controllers,
-    rule_of,
     take_echoes,
 )
 from nodes.adaptive.sending import DETAIL, NEWS, NOT_DUE, REFRESH, new_groups
 from tests.bus.harness import frame
 
-LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
+LAW = companding(0.02, 0.5e-3)
 NODES, GROUPS, MS = 3, 4, 1_000_000
 #: A classic frame of 8 bytes with the most stuff bits, and intermission.
 FRAME_BITS = 135
 #: On CAN FD a fine frame is longer; here it is everywhere, to be told from a coarse one.
 FINE_BITS = 150
-RULES = np.array([RULE] * NODES, np.float64)
 
 
 class Controllers:
@@ -33,7 +31,7 @@ class Controllers:
         self.groups = new_groups(NODES)
         self.controllers = new_controllers(np.array([[FRAME_BITS, FINE_BITS]] * NODES))
         self.sums_n = np.full((NODES, 32), 0.01, np.float32)
-        self.has_due, self.room = np.zeros(NODES, np.bool_), frame_buffer(16)
+        self.has_due, self.room = self.controllers.has_due, frame_buffer(16)
         for node in range(NODES):
             for group in range(GROUPS):
                 for level in range(6):
@@ -47,17 +45,17 @@ class Controllers:
         self.groups.is_fine[node, group] = is_fine
 
     def choose(self, now: int = 100, first: int = 0, last: int = NODES, most: int = 16) -> list[int]:
-        parts = self.sums_n, LAW, self.groups, self.controllers, self.has_due, self.room
+        parts = self.sums_n, LAW, self.groups, self.controllers, self.room
         count = choose(first, last, now, 5 * MS, most, *parts)
         return self.room.can_id[:count].tolist()
 
     def decide(
         self, passed_s: float, now: int = 1, now_ns: int = 1, is_operational: bool = True, noise_n2: float = 1e-9
     ) -> list[bool]:
-        running = np.full(NODES, is_operational)
+        self.controllers.is_operational[:] = is_operational
         variance_n2, noises_n2 = np.zeros((NODES, 32), np.float32), np.full(NODES, noise_n2)
-        parts = self.sums_n, variance_n2, noises_n2, RULES, LAW, self.groups, self.controllers, self.has_due
-        decide_all(now, now_ns, passed_s, running, *parts)
+        parts = self.sums_n, variance_n2, noises_n2, LAW, self.groups, self.controllers
+        decide_all(now, now_ns, passed_s, *parts)
         return self.has_due.tolist()
 
 
@@ -66,17 +64,14 @@ def made() -> Controllers:
     return Controllers()
 
 
-def test_a_rule_comes_back_from_its_row() -> None:
-    numbers = np.arange(1.0, 14.0)[None]
-    assert rule_of(numbers, 0) == SendingRule(*range(1, 14))
-
-
 def test_the_most_urgent_frames_of_all_nodes_go_first(made: Controllers) -> None:
     made.want(0, 1, 0)
     made.want(2, 0, 5)
+    made.want(2, 2, 1, DETAIL, is_fine=1)
     made.want(1, 3, 5)
     made.want(1, 2, 4)
     expected = [cob_id(2, 5, 0, False), cob_id(1, 5, 3, False), cob_id(1, 4, 2, False), cob_id(0, 0, 1, False)]
+    expected.append(cob_id(2, 1, 2, True))  # details after all news
     assert made.choose(most=3) == expected[:3]
     assert made.room.node[:3].tolist() == [2, 1, 1]
     assert made.room.tpdo[:3].tolist() == [0, 3, 6]
@@ -220,14 +215,14 @@ def test_news_is_a_difference_from_what_is_known_of_any_free_group_of_any_runnin
     made.groups.under_way[2, 0] = 100
     assert made.decide(0.0) == [False, False, True]
     variance_n2, noise_n2 = np.zeros((NODES, 32), np.float32), np.full(NODES, 1e-9)
-    parts = variance_n2, noise_n2, RULES, LAW, made.groups, made.controllers, made.has_due
-    running = np.array([False, True, True])
-    assert decide_all(1, 1, 0.0, running, made.sums_n, *parts)
+    parts = variance_n2, noise_n2, LAW, made.groups, made.controllers
+    made.controllers.is_operational[:] = False, True, True
+    assert decide_all(1, 1, 0.0, made.sums_n, *parts)
     assert made.has_due.tolist() == [False, False, True]
     made.sums_n[2, 31] *= -1
-    assert not decide_all(1, 1, 0.0, running, made.sums_n, *parts)
+    assert not decide_all(1, 1, 0.0, made.sums_n, *parts)
     made.sums_n[2] *= -1
-    assert decide_all(1, 1, 0.0, running, made.sums_n, *parts)
+    assert decide_all(1, 1, 0.0, made.sums_n, *parts)
 
 
 def test_news_that_has_gone_is_forgotten(made: Controllers) -> None:
@@ -269,7 +264,7 @@ def test_an_echo_has_the_flags_of_its_bus(made: Controllers, is_fd: bool) -> Non
 
     def taken(flags: int) -> tuple[int, int]:
         row = frame_bytes(frame(0x123, payload, flags))
-        return take_echoes(row, places, 7, RULES, LAW, made.groups, made.controllers)
+        return take_echoes(row, places, 7, LAW, made.groups, made.controllers)
 
     kinds = (FD, FD | BRS, FD | ESI, FD | BRS | ESI) if is_fd else (0,)
     assert {taken(ECHO | kind) for kind in kinds} == {(1, 0)}
@@ -299,15 +294,15 @@ def test_only_own_frames_are_taken_as_echoes(made: Controllers) -> None:
             ]
         )
     )
-    assert take_echoes(rows, places, 7, RULES, LAW, made.groups, made.controllers) == (0, 7)
+    assert take_echoes(rows, places, 7, LAW, made.groups, made.controllers) == (0, 7)
     assert made.groups.under_way[1, 2] == 999
     refused = frame_bytes(frame(identifier, bytes(8), ECHO | ERROR))
-    assert take_echoes(refused, places, 7, RULES, LAW, made.groups, made.controllers) == (0, 0)
+    assert take_echoes(refused, places, 7, LAW, made.groups, made.controllers) == (0, 0)
     assert (made.groups.under_way[1, 2], made.controllers.saved[1]) == (0, 10 + FRAME_BITS)
     made.groups.under_way[1, 2] = 999
     payload = bytes((200, *[128] * 7))
     sent = frame_bytes(frame(identifier, payload, ECHO))
-    assert take_echoes(sent, places, 7, RULES, LAW, made.groups, made.controllers) == (1, 0)
+    assert take_echoes(sent, places, 7, LAW, made.groups, made.controllers) == (1, 0)
     assert made.controllers.counts.tolist() == [[0, 0], [1, 0], [0, 0]]
     assert (made.groups.under_way[1, 2], made.groups.since[1, 2], made.groups.sent_at[1, 2]) == (0, -1, 7)
     assert made.groups.known_n[1, 16] > 0

@@ -9,10 +9,10 @@ import pytest
 from dbc.adaptive import BLOCK_SUMS, LEVELS, SAVED_FRAMES, SendingRule, companding
 from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import ECHO, ERROR
-from nodes.adaptive.sending import NOT_DUE, decide, make_payload, most_urgent, new_groups, note_sent
+from nodes.adaptive.sending import decide, make_payload, new_groups, note_sent
 from skin.layout import load_layout
 from skin.walsh import walsh_matrix
-from tests.nodes.adaptive_bus import IDS, Bus, back, meanings
+from tests.nodes.adaptive_bus import IDS, Bus, back, due_frames, meanings
 
 LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3), SendingRule(), 1e-9
 
@@ -42,7 +42,7 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
         force_n = bus.source.force_n.ravel()[bus.contract.phi.taxels_of_blocks[node.block]]
         true_n = walsh_matrix(32) @ np.clip(force_n, 0, 0.02)
         assert np.abs(bus.received.value_n[row] - true_n)[1:].max() < 2 * bus.contract.law.fine_n
-        assert np.array_equal(bus.received.value_n[row], bus.boards._groups.known_n[row])
+        assert np.array_equal(bus.received.value_n[row], bus.boards.groups.known_n[row])
     assert not bus.received.counts[1:].any()
     assert bus.segment.frames_sent == bus.received.counts[0]
 
@@ -56,11 +56,11 @@ def test_a_frame_that_found_no_room_or_lost_the_bus_frees_all_groups(bus: Bus) -
     bus.link.room = 1 << 30
     sent = bus.run(1)
     assert sorted(meanings(sent)) == [(node, 0, 0, False) for node in IDS]
-    held = bus.boards._groups.known_n.copy()
-    bus.boards._groups.under_way[:] = 1 << 60
+    held = bus.boards.groups.known_n.copy()
+    bus.boards.groups.under_way[:] = 1 << 60
     bus.give(back(sent, ECHO | ERROR))
     assert not bus.boards.is_sending
-    assert np.array_equal(bus.boards._groups.known_n, held)
+    assert np.array_equal(bus.boards.groups.known_n, held)
 
 
 def test_a_request_for_one_group_is_answered_by_a_frame_of_all(bus: Bus) -> None:
@@ -86,7 +86,7 @@ def test_frames_of_both_lengths_cost_the_budget_their_bits(bus: Bus) -> None:
     line = bus.contract.layout.bus[0]
     coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
     assert fine > coarse
-    assert (bus.boards._controllers.frame_bits == [coarse, fine]).all()
+    assert (bus.boards.controllers.frame_bits == [coarse, fine]).all()
 
 
 class Node:
@@ -101,22 +101,12 @@ class Node:
         for _ in range(ticks):
             self.now += 1
             decide(0, self.now, self.sums_n, np.zeros(BLOCK_SUMS, np.float32), NOISE_N2, RULE, LAW, self.groups)
-            while (group := most_urgent(0, self.groups)) != NOT_DUE:
+            for group, _ in due_frames(self.groups):
                 level = int(self.groups.level[0, group])
                 length = make_payload(0, group, self.sums_n, LAW, self.groups, payload)
                 note_sent(0, 0, self.now, length == 64, RULE, LAW, self.groups, payload)
                 sent.append((self.now, level, length))
         return sent
-
-
-def test_the_frame_has_the_urgency_of_its_most_urgent_group() -> None:
-    node = Node()
-    node.groups.level[0] = [0, 3, 1, NOT_DUE]
-    assert most_urgent(0, node.groups) == 1
-    node.groups.is_fine[0], node.groups.level[0] = [1, 0, 1, 0], [1, 0, 0, NOT_DUE]
-    assert most_urgent(0, node.groups) == 1  # coarse before fine
-    node.groups.level[0, 1] = NOT_DUE
-    assert most_urgent(0, node.groups) == 0
 
 
 def test_news_of_a_group_carries_the_others_and_does_not_begin_their_refreshes_anew() -> None:

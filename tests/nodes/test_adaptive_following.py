@@ -21,7 +21,7 @@ def noisy(force_n: np.ndarray | float, rng: np.random.Generator) -> np.ndarray:
 
 
 def after(samples: int, force_n: np.ndarray | float, node_filter: ForceFilter, rng: np.random.Generator) -> np.ndarray:
-    """Return the mean force that a filter shows over the last tenth of so many samples."""
+    """Return the mean force that a filter shows over the last tenth of `samples`."""
     shown = []
     for tick in range(samples):
         node_filter.take(noisy(force_n, rng))

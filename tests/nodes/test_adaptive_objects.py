@@ -14,12 +14,8 @@ from skin.layout import load_layout
 from skin.walsh import GROUPS
 from skin.zero_drift import ZeroDrift
 from tests.bus.harness import frame
-from tests.nodes.adaptive_bus import (
-    RESET_NODE,
-    START,
-    Bus,
-    meanings,
-)
+from tests.nodes.adaptive_bus import Bus, meanings
+from tests.nodes.helpers import RESET_NODE, START
 
 LOAD = 0x6461_6F6C
 
@@ -70,7 +66,7 @@ def test_a_tpdo_that_does_not_exist_is_not_sent_and_one_elsewhere_is(bus: Bus, c
         identifiers |= set(sent["can_id"][sent["port"] == 1].tolist())
         bus.segment.take(bus.link.receive(), bus.now_s)
     assert identifiers == {0x6D0, coarse[2].cob_id, coarse[3].cob_id}
-    assert bus.boards._groups.check[0].tolist()[1] >= 0  # its echo was known
+    assert bus.boards.groups.check[0].tolist()[1] >= 0  # its echo was known
     # The mapping, and when a TPDO is sent, are fixed.
     assert bus.write(0x1A00, 0, b"\0") == 0x0601_0002
     assert bus.write(0x1800, 2, b"\1") == 0x0601_0002
@@ -132,7 +128,7 @@ def test_codes_are_those_that_frames_carry(bus: Bus) -> None:
     bus.start()
     bus.sync()
     bus.run(400)
-    law, known_n = bus.contract.law, bus.boards._groups.known_n[0]
+    law, known_n = bus.contract.law, bus.boards.groups.known_n[0]
     coarse = [int(bus.read(0x2110, place)[0]) for place in range(1, 33)]
     fine = [bus.read(0x2111, group + 1) for group in range(GROUPS)]
     mine = new_sums(1)
@@ -178,11 +174,11 @@ def test_parameters_are_stored_and_orders_are_not(tmp_path: Path, contract: Cont
     assert bus.write(0x1010, 1, b"save") == 0
     bus.give(frame(0, bytes((RESET_NODE, 1))))
     assert int.from_bytes(bus.read(0x2034), "little") == 4000
-    assert bus.boards._controllers.budget[0] == 4000
+    assert bus.boards.controllers.budget[0] == 4000
     assert bus.read(0x2030) == b"\0"
     assert bus.write(0x1011, 1, struct.pack("<I", LOAD)) == 0
     bus.give(frame(0, bytes((RESET_NODE, 1))))
-    assert bus.boards._controllers.budget[0] == 0
+    assert bus.boards.controllers.budget[0] == 0
 
 
 def test_gains_change_what_a_node_feels_and_not_its_noise(bus: Bus) -> None:

@@ -5,28 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc.adaptive import LOST_NS, TPDOS
+from dbc.adaptive import LOST_NS
 from dbc.adaptive_filter import LEAST_NOISE_N
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
-from nodes.adaptive.boards import tpdo_places
+from nodes.adaptive.news import PAUSE_NS
 from nodes.adaptive.patch_boards import CATCH_UP
-from nodes.adaptive.timing import PAUSE_NS
 from skin.layout import load_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.bus.harness import frame
-from tests.nodes.adaptive_bus import (
-    IDS,
-    PRE_OPERATIONAL,
-    RESET_COMMUNICATION,
-    RESET_NODE,
-    START,
-    STOP,
-    Bus,
-    back,
-    meanings,
-    sums_of,
-)
+from tests.nodes.adaptive_bus import IDS, Bus, back, meanings, sums_of
+from tests.nodes.helpers import PRE_OPERATIONAL, RESET_COMMUNICATION, RESET_NODE, START, STOP
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +48,7 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
         true_n = walsh_matrix(32) @ np.clip(force_n, 0, 0.02)
         assert np.abs(bus.received.value_n[row] - true_n)[1:].max() < 2 * law.fine_n
         assert abs(bus.received.value_n[row, 0] - true_n[0]) < 32 * LEAST_NOISE_N * 1.6  # an offset within the noise
-        assert np.array_equal(bus.received.value_n[row], bus.boards._groups.known_n[row])
+        assert np.array_equal(bus.received.value_n[row], bus.boards.groups.known_n[row])
     assert not bus.received.counts[1:].any()
     assert bus.segment.frames_sent == bus.received.counts[0]
     assert bus.segment.frames_dropped == 0
@@ -87,7 +76,7 @@ def test_a_frame_that_comes_back_unsent_is_made_anew_of_newer_samples(bus: Bus) 
         bus.link.waiting.clear()
         if len(first):
             break
-    known = bus.boards._groups.known_n.copy()
+    known = bus.boards.groups.known_n.copy()
     bus.now_s += 1e-3
     bus.segment.tick(bus.now_s)
     held = {(node, group) for node, _, group, _ in meanings(first)}
@@ -95,7 +84,7 @@ def test_a_frame_that_comes_back_unsent_is_made_anew_of_newer_samples(bus: Bus) 
     assert not held & {(node, group) for node, _, group, _ in meanings(second)}  # it may still win the bus
     bus.link.waiting.clear()
     bus.give(back(first, ECHO | ERROR), back(second, ECHO | ERROR))
-    assert np.array_equal(bus.boards._groups.known_n, known)
+    assert np.array_equal(bus.boards.groups.known_n, known)
     bus.now_s += 1e-3
     bus.segment.tick(bus.now_s)
     again = sums_of(bus.link.take_sent())
@@ -148,12 +137,12 @@ def test_a_reset_forgets_what_was_sent_and_not_the_noise(contract: Contract) -> 
     bus.run(5)
     bus.sync()
     bus.run(300)
-    assert bus.boards._groups.known_n[0].any()
+    assert bus.boards.groups.known_n[0].any()
     noise = bus.read_real(0x2035)
     for command in (RESET_COMMUNICATION, RESET_NODE):
         bus.give(frame(0, bytes((command, 1))))
-        assert not bus.boards._groups.known_n[0].any()
-        assert bus.boards._groups.known_n[1].any()
+        assert not bus.boards.groups.known_n[0].any()
+        assert bus.boards.groups.known_n[1].any()
         assert bus.read_real(0x2035) == pytest.approx(noise, rel=0.3)
         assert not [each for each in meanings(bus.run(20)) if each[0] == 1]
         bus.give(frame(0, bytes((START, 1))))
@@ -206,13 +195,3 @@ def test_truth_is_told_for_every_step_of_the_touch(bus: Bus) -> None:
     sensor_n = np.frombuffer(truths[-1].sensor, "<f4")
     cells = bus.contract.phi.taxels_of_blocks[[node.block for node in bus.contract.on_bus(0)[: len(IDS)]]]
     assert np.abs(sensor_n[cells] - np.clip(bus.source.force_n.ravel()[cells], 0, 0.02)).max() < 2e-5
-
-
-def test_an_identifier_of_no_tpdo_belongs_to_none() -> None:
-    places, cob_ids = np.zeros(0x800, np.int64), np.zeros((2, TPDOS), np.int64)
-    cob_ids[0, 3], cob_ids[1, 0] = 0x181, 0x182
-    tpdo_places(cob_ids, 5, places)
-    assert {int(each): int(places[each]) for each in np.flatnonzero(places >= 0)} == {
-        0x181: 5 * TPDOS + 3,
-        0x182: 6 * TPDOS,
-    }

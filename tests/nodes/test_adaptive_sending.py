@@ -1,6 +1,7 @@
 """When an adaptive node sends which sums."""
 
 import numpy as np
+import pytest
 
 from dbc.adaptive import (
     FINE_LEVELS,
@@ -21,10 +22,12 @@ from nodes.adaptive.sending import (
     ask,
     decide,
     frame_level,
+    log2_of,
     make_payload,
     new_groups,
     noise_threshold_n2,
     note_sent,
+    urgency,
 )
 from skin.walsh import GROUPS, walsh_matrix
 
@@ -33,6 +36,8 @@ VARIANCE_N2 = np.full(32, 1e-12, np.float32)
 NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE.noise_ratio)[0])
 NOTHING = np.zeros(32, np.float32)
 PRESSED = (walsh_matrix(32) @ np.random.default_rng(0).uniform(0.002, 0.012, 32)).astype(np.float32)
+#: Ratios of difference over threshold, from just above 1 on.
+RATIOS = np.exp2(np.random.default_rng(0).uniform(0, 40, 100_000))
 
 
 def looked(groups: Groups, now: int, sums_n: np.ndarray) -> list[int]:
@@ -192,3 +197,26 @@ def test_news_that_is_asked_for_does_not_wait_for_a_budget() -> None:
     ask(0, 1, 0, groups)
     looked(groups, 0, PRESSED)
     assert groups.reason[0].tolist() == [NEWS, REFRESH, NEWS, NEWS]
+
+
+def test_the_logarithm_is_right_to_the_last_bits_and_whole_for_powers_of_two() -> None:
+    found = np.array([log2_of(ratio) for ratio in RATIOS])
+    np.testing.assert_allclose(found, np.log2(RATIOS), rtol=4e-16, atol=1e-15)
+    assert [log2_of(2.0**power) for power in range(-1074, 1024)] == list(range(-1074, 1024))
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("waited", [0, 1, 2, 8, 23])
+def test_levels_are_those_of_a_librarys_logarithm(waited: int) -> None:
+    exact = (np.log2(RATIOS) + waited / RULE.doubling) / RULE.level_ratio
+    expected = np.minimum(np.floor(exact), LEVELS - 2).astype(int)
+    assert [urgency(ratio, waited, RULE) for ratio in RATIOS] == expected.tolist()
+
+
+def test_news_that_has_waited_has_the_highest_level_alone() -> None:
+    assert urgency(1e30, RULE.patience - 1, RULE) == LEVELS - 2
+    assert urgency(1.0001, RULE.patience, RULE) == LEVELS - 1
+
+
+def test_a_tiny_number_of_the_rule_makes_no_higher_level() -> None:
+    assert urgency(3.0, 1, RULE._replace(doubling=1e-40, level_ratio=1e-40)) == LEVELS - 2

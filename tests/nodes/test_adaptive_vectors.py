@@ -16,11 +16,12 @@ from gateway.adaptive_state import new_sums, take
 from nodes.adaptive import patch_boards
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.noise import IdleStatistics
-from nodes.adaptive.segment import AdaptiveSegment
-from nodes.vectors import vector_files
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
+from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.links import ArrayLink, Still
+from tests.nodes.helpers import ArrayLink, Still
 
 pytestmark = pytest.mark.heavy
 
@@ -64,9 +65,10 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
         learned = [boards.read(0, index, place) for place in range(1, 33)]
         assert learned == np.float32(settled[key]).tolist()
     assert boards.read(0, 0x2035, 0) == settled["board_noise_n"]
-    assert np.array_equal(boards._filter.sums_n[0], np.float32(settled["sums_n"]))
+    assert np.array_equal(boards.filter.sums_n[0], np.float32(settled["sums_n"]))
     link = ArrayLink()
-    segment = AdaptiveSegment(contract, 0, {1}, link.send, boards, complain=lambda _: None)
+    nodes = VirtualBoards(contract, 0, {1}, boards)
+    segment = Segment(contract, 0, nodes, boards, link.send, complain=lambda _: None)
     now_s = 100.0
     segment.boot(now_s)
     segment.take(frame(0, b"\x01\x01"), now_s)
@@ -82,8 +84,8 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
             {"cob_id": int(each["can_id"]), "data": each["data"][: each["length"]].tobytes().hex()} for each in burst
         ]
         assert found == sample["frames"], number
-        assert np.array_equal(boards._filter.sums_n[0], np.float32(sample["sums_n"]))
-        variances_n2 = np.float64(boards._filter.variance_n2[0]).reshape(4, 8).sum(axis=1)
+        assert np.array_equal(boards.filter.sums_n[0], np.float32(sample["sums_n"]))
+        variances_n2 = np.float64(boards.filter.variance_n2[0]).reshape(4, 8).sum(axis=1)
         assert sample["variance_n2"] == pytest.approx(variances_n2.tolist())
         burst["flags"] |= ECHO | ERROR if sample["is_busy"] else ECHO
         segment.take(burst, now_s)

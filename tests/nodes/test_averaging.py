@@ -14,13 +14,15 @@ BLOCKS, SIZE = 16, 32
 TAXELS = BLOCKS * SIZE
 #: σ of the default skin's sensor, counts.
 NOISE = 51.15
+#: Taxels of each block.
+PLACES = np.random.default_rng(3).permutation(TAXELS).reshape(BLOCKS, SIZE)
 TOP = 1023
 
 Counts = npt.NDArray[np.float32]
 
 
 def new_filter() -> SampleFilter:
-    return SampleFilter(np.random.default_rng(3).permutation(TAXELS).reshape(BLOCKS, SIZE))
+    return SampleFilter(PLACES)
 
 
 def sense(force: npt.ArrayLike, ticks: int, noise: float = NOISE, seed: int = 0) -> Counts:
@@ -101,7 +103,7 @@ def test_noise_is_learned_with_a_third_of_the_skin_touched_from_the_start() -> N
 def test_a_few_noisy_taxels_do_not_spoil_their_block() -> None:
     made = new_filter()
     noise = np.full(TAXELS, NOISE)
-    noise[made._blocks[:, :3]] *= 10
+    noise[PLACES[:, :3]] *= 10
     read = np.random.default_rng(4).normal(0, noise, (2000, TAXELS))
     fed(made, np.rint(np.clip(read, 0, TOP)).astype(np.float32))
     assert made.noise == pytest.approx(np.full(BLOCKS, NOISE), rel=0.1)
@@ -136,7 +138,7 @@ def test_what_has_no_noise_is_not_corrected() -> None:
 def test_a_restart_forgets_one_block_and_no_other() -> None:
     made, like = idle(), idle()
     made.restart(2)
-    taxels = made._blocks[2]
+    taxels = PLACES[2]
     assert made.noise[2] == 0
     constant = np.full((10, TAXELS), 300, np.float32)
     fed(made, constant)
@@ -152,11 +154,11 @@ class SlowTaxel:
     def __init__(self) -> None:
         self.models = Models(*(each[[0, 2, 3, 5, 7]] for each in make_models(0.0)))
         self.samples: list[float] = []
-        self.square = self.size = 0.0
+        self.square = 0.0
         self.scale = 1.0
 
-    def take(self, samples: npt.NDArray[np.float64], sigma: float) -> tuple[float, float, float]:
-        """Return average, variance in units of the scale, and scale."""
+    def take(self, samples: npt.NDArray[np.float64], sigma: float) -> float:
+        """Return the average."""
         begins = not self.samples
         for each in samples:
             self.samples.append(each)
@@ -165,9 +167,7 @@ class SlowTaxel:
                 found = abs(each - 2 * self.samples[-2] + self.samples[-3])
                 if seen > 255:
                     found = min(found, 4 * np.sqrt(max(self.square, 0.5)))
-                gain = max(1 / seen, 1 / 256)
-                self.square += gain * (found**2 - self.square)
-                self.size += gain * (found - self.size)
+                self.square += max(1 / seen, 1 / 256) * (found**2 - self.square)
         deviation = np.sqrt(max(self.square / 6, 1 / 12))
         scale = max(sigma, deviation) if sigma > 0 else deviation / np.sqrt(0.5 - 0.5 / np.pi)
         if begins:
@@ -180,7 +180,7 @@ class SlowTaxel:
         average, variance = np.zeros((2, 1), np.float32)
         for each in samples:
             step(np.array([each / scale], np.float32), self.models, self.tracks, np.float32(0), average, variance)
-        return float(average[0]) * scale, float(variance[0]), scale
+        return float(average[0]) * scale
 
 
 def test_averages_are_those_of_a_slow_computation_taxel_by_taxel() -> None:
@@ -197,39 +197,24 @@ def test_averages_are_those_of_a_slow_computation_taxel_by_taxel() -> None:
         samples = read[begin : begin + 10]
         made.take(samples)
         of_taxels = np.repeat(noise, 4)
-        expected = np.array(
-            [each.take(samples[:, c].astype(np.float64), float(of_taxels[c])) for c, each in enumerate(slow)]
-        )
-        np.testing.assert_allclose(made._average, expected[:, 0], rtol=1e-3, atol=0.02)
-        np.testing.assert_allclose(made._variance, expected[:, 1], rtol=1e-2)
-        np.testing.assert_allclose(made._scale, expected[:, 2], rtol=1e-4)
-        np.testing.assert_allclose(made._difference[0], [each.square for each in slow], rtol=1e-4)
-        np.testing.assert_allclose(made._difference[1], [each.size for each in slow], rtol=1e-4)
+        expected = np.array([each.take(samples[:, c].astype(np.float64), of_taxels[c]) for c, each in enumerate(slow)])
         unknown = np.repeat(made.noise == 0, 4)
-        np.testing.assert_allclose(made.counts[unknown], expected[unknown, 0], rtol=1e-3, atol=0.02)
+        np.testing.assert_allclose(made.counts[unknown], expected[unknown], rtol=1e-3, atol=0.02)
     assert made.noise[0] > 0
     # What is left of noise on an idle taxel is shown as 0, a force as it is.
     assert made.counts[:4].tolist() == [0, 0, 0, 0]
     assert made.counts[5] == pytest.approx(300, abs=10)
 
 
-def test_the_noise_of_a_block_moves_to_the_median_of_its_idle_taxels_a_part_in_each_cycle() -> None:
+def test_the_noise_of_a_block_moves_to_that_of_its_idle_taxels_a_part_in_each_cycle() -> None:
     made = idle()
     known = made.noise.copy()
     force = np.zeros(TAXELS)
-    force[made._blocks[0, :28]] = 600  # four taxels are left, an eighth of the block
-    force[made._blocks[1, :29]] = 600  # three: too few
+    force[PLACES[0, :28]] = 600  # four taxels are left, an eighth of the block
+    force[PLACES[1, :29]] = 600  # three: too few
     fed(made, sense(force, 10, 1.3 * NOISE, seed=12))
-    square, size = made._difference
-    clean = np.maximum(square / 6 - 1 / 12, 0)
-    # The mean of clipped noise is 0.40 σ, its deviation 0.58 σ.
-    mean = np.sqrt(clean) / np.sqrt(2 * np.pi) / np.sqrt(0.5 - 0.5 / np.pi)
-    is_idle = (np.abs(made._average - mean) < 0.25 * mean) & (size**2 > 0.4 * square)
-    for block, taxels in enumerate(made._blocks):
-        chosen = clean[taxels][is_idle[taxels]]
-        moved = known[block]
-        if len(chosen) >= 4:
-            moved += 0.005 * (np.sqrt(np.median(chosen)) / np.sqrt(0.5 - 0.5 / np.pi) - moved)
-        assert made.noise[block] == pytest.approx(moved, rel=1e-6)
     assert made.noise[1] == known[1]
-    assert np.count_nonzero(made.noise != known) > BLOCKS / 2
+    moved = np.delete(made.noise / known, 1)
+    assert (np.abs(moved - 1) < 0.005 * 0.3).all()
+    assert moved.mean() > 1
+    assert np.count_nonzero(moved != 1) > BLOCKS / 2

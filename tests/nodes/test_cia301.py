@@ -7,8 +7,7 @@ import pytest
 from dbc.canopen import HEARTBEAT_BASE, Abort, NmtState
 from nodes.segment import Segment
 from tests.bus.harness import frame
-from tests.nodes.helpers import give, numbered_sync, read, sdo, write
-from tests.nodes.links import ArrayLink
+from tests.nodes.helpers import ArrayLink, give, numbered_sync, read, sdo, write
 
 START_1 = bytes((1, 1))
 
@@ -68,7 +67,7 @@ def test_entry_for_a_node_id_above_127_is_not_used(segment: Segment, link: Array
     assert write(segment, link, 0x1016, 1, 0x00E4_01F4, 4) == 0
     give(segment, link, frame(HEARTBEAT_BASE + 0x64, b"\5"))
     segment.tick(1e3)
-    assert segment.nodes[0].watched.lost == set()
+    assert segment.boards.nodes[0].watched.lost == set()
     assert 0x81 not in link.take_sent()["can_id"]
 
 
@@ -133,7 +132,7 @@ def test_download_in_segments_ends_with_its_last(segment: Segment, link: ArrayLi
 @pytest.mark.parametrize("data", [b"\1", b"\1\1\0", bytes((1, 1, 0, 0, 0, 0, 0, 0)), b""])
 def test_nmt_command_has_two_bytes(segment: Segment, link: ArrayLink, data: bytes) -> None:
     give(segment, link, frame(0, data))
-    assert segment.nodes[0].state is NmtState.PRE_OPERATIONAL
+    assert segment.boards.nodes[0].state is NmtState.PRE_OPERATIONAL
 
 
 @pytest.mark.parametrize("counter", [0, 241, 255])

@@ -8,7 +8,7 @@ import pytest
 
 from canskin.errors import InputError, LayoutError
 from dbc.contract import Contract, NodeContract
-from nodes import command
+from nodes import command, ways
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.command import choose_nodes
 from nodes.sampler import CountSampler, Sampler
@@ -144,7 +144,7 @@ def test_adaptive_boards_are_those_of_the_chosen_nodes(parts: Parts) -> None:
     assert isinstance(boards, AdaptiveBoards)
     contract = parts.service[0]
     blocks = [node.block for node in contract.nodes if (node.bus, node.node_id) in {(0, 3), (1, 1)}]
-    assert [boards.row(block) for block in blocks] == [0, 1]
+    assert [boards.counts(block).size for block in blocks] == [32, 32]
 
 
 @pytest.mark.parametrize(
@@ -196,7 +196,7 @@ def test_adaptive_boards_in_c_get_the_same_options_as_those_in_python(
         return "patches"
 
     monkeypatch.setattr(command, "Firmware", lambda *_: "compiled")
-    monkeypatch.setattr(command, "FirmwarePatches", patches)
+    monkeypatch.setattr(ways, "FirmwarePatches", patches)
     options = {"layout": Path("adaptive"), "only": ["bus0:3"], "noise_n": 0.002, "seed": 4, "defect": ["dead=0.5"]}
     assert parts.run(firmware=True, **options) == "patches"
     ((contract, blocks, _, compiled), named) = given[0]

@@ -16,9 +16,19 @@ from nodes.sampler import Sampler
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.conftest import new_segment
-from tests.nodes.helpers import PRE_OPERATIONAL, RESET_NODE, START, STOP, give, read, sync, write
-from tests.nodes.links import ArrayLink, Still
+from tests.nodes.helpers import (
+    PRE_OPERATIONAL,
+    RESET_NODE,
+    START,
+    STOP,
+    ArrayLink,
+    Still,
+    give,
+    new_segment,
+    read,
+    sync,
+    write,
+)
 
 WATCHED = 0x7F
 EMCY_1 = 0x81
@@ -108,7 +118,7 @@ def test_error_behaviour_of_an_operational_node(
     assert write(segment, link, 0x1029, 1, behaviour, 1) == 0
     give(segment, link, nmt(START))
     lose_heartbeat(segment, link)
-    assert segment.nodes[0].state is state
+    assert segment.boards.nodes[0].state is state
 
 
 @pytest.mark.parametrize("command", [STOP, PRE_OPERATIONAL])
@@ -116,10 +126,10 @@ def test_lost_heartbeat_changes_no_other_state(segment: Segment, link: ArrayLink
     write(segment, link, 0x1029, 1, 0 if command == STOP else 2, 1)
     assert write(segment, link, 0x1016, 1, WATCHED << 16 | 100, 4) == 0
     give(segment, link, nmt(command))
-    before = segment.nodes[0].state
+    before = segment.boards.nodes[0].state
     give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=1e3)
     segment.tick(1e3 + 0.2)
-    assert segment.nodes[0].state is before
+    assert segment.boards.nodes[0].state is before
 
 
 def test_emergency_comes_when_a_heartbeat_is_lost_and_goes_when_it_is_back(segment: Segment, link: ArrayLink) -> None:
@@ -193,10 +203,10 @@ def test_watching_begins_anew_after_a_reset(segment: Segment, link: ArrayLink) -
     give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=1e3)
     give(segment, link, nmt(RESET_NODE), now_s=1e3)
     segment.tick(1e3 + 0.2)
-    assert segment.nodes[0].watched.lost == set()
+    assert segment.boards.nodes[0].watched.lost == set()
     give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=2e3)
     segment.tick(2e3 + 0.2)
-    assert segment.nodes[0].watched.lost == {WATCHED}
+    assert segment.boards.nodes[0].watched.lost == {WATCHED}
 
 
 def test_signature_is_that_of_what_the_node_does_now(segment: Segment, link: ArrayLink, contract: Contract) -> None:
@@ -254,4 +264,4 @@ def test_own_echo_of_a_heartbeat_is_heard_by_the_nodes_beside_it(segment: Segmen
     write(segment, link, 0x1016, 1, 2 << 16 | 100, 4)
     give(segment, link, frame(0x702, b"\5", ECHO), now_s=1e3)
     segment.tick(1e3 + 0.2)
-    assert segment.nodes[0].watched.lost == {2}
+    assert segment.boards.nodes[0].watched.lost == {2}

@@ -11,7 +11,6 @@ from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE
 from nodes.segment import Segment
 from tests.bus.harness import frame
 from tests.layouts import alternating
-from tests.nodes.conftest import new_segment
 from tests.nodes.helpers import (
     MILLISECOND_NS,
     PRE_OPERATIONAL,
@@ -19,14 +18,15 @@ from tests.nodes.helpers import (
     RESET_NODE,
     START,
     STOP,
+    ArrayLink,
     give,
+    new_segment,
     numbered_sync,
     read,
     sdo,
     sync,
     write,
 )
-from tests.nodes.links import ArrayLink
 
 
 def test_boot_up_of_every_node(segment: Segment, link: ArrayLink) -> None:
@@ -50,14 +50,14 @@ def test_reports_and_frames_of_other_formats_command_nothing(contract: Contract,
     give(segment, link, frame(0, bytes((START, 1))))
     assert give(segment, link, frame(0, bytes((START, 2)), flag), frame(0x80, b"", flag)) == []
     assert give(segment, link, frame(0x601, bytes.fromhex("4017100000000000"), flag), frame(0x702, b"\5", flag)) == []
-    assert (complaints, segment.syncs_seen, segment.nodes[1].state) == ([], 0, 127)
+    assert (complaints, segment.syncs_seen, segment.boards.nodes[1].state) == ([], 0, 127)
 
 
 def test_an_echo_commands_nothing(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))))
     assert give(segment, link, frame(0, bytes((START, 2)), ECHO), frame(0x80, b"", ECHO)) == []
     assert give(segment, link, frame(0x601, bytes.fromhex("4017100000000000"), ECHO)) == []
-    assert (segment.syncs_seen, segment.nodes[1].state) == (0, 127)
+    assert (segment.syncs_seen, segment.boards.nodes[1].state) == (0, 127)
 
 
 def test_every_sync_is_answered_with_the_same_pdos(segment: Segment, link: ArrayLink) -> None:
@@ -255,7 +255,7 @@ def test_segments_without_a_transfer_and_without_an_end_are_aborted(segment: Seg
     assert taken == 37  # 259 bytes
     assert answers[taken][4:] == struct.pack("<I", 0x0607_0012)
     assert {answer[4:] for answer in answers[taken + 1 :]} == {struct.pack("<I", 0x0504_0001)}
-    assert segment.frames_rejected == 0
+    assert segment.boards.frames_rejected == 0
 
 
 def test_stored_parameters_survive_a_reset_and_defaults_come_back(segment: Segment, link: ArrayLink) -> None:

@@ -2,9 +2,9 @@
 
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -16,16 +16,13 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.indices import OD_REFRESH
 from firmware.library import Firmware
-from nodes import service
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.firmware import FirmwarePatches
 from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.helpers import START, sync
-from tests.nodes.links import ArrayLink, Still
+from tests.nodes.helpers import START, ArrayLink, Still, new_sampler, sync
 
 
 class ReadyLink(ArrayLink):
@@ -79,7 +76,7 @@ def links() -> Iterator[dict[int, ReadyLink]]:
 def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links: dict[int, ReadyLink]) -> None:
     now_s = 100.0
     published = Published()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     service = NodesService(contract, links, {0: {1}, 1: {2}}, sampler, published, clock=lambda: now_s)
     for segment in service.segments.values():
         segment.boot(now_s)
@@ -142,13 +139,15 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
 
 
 class StopAfter:
-    """A signal that comes after so many turns."""
+    """A signal that comes after a number of turns, and then calls `last`."""
 
-    def __init__(self, turns: int) -> None:
-        self._left = turns
+    def __init__(self, turns: int, last: Callable[[], None] = lambda: None) -> None:
+        self._left, self._last = turns, last
 
     def is_set(self) -> bool:
         self._left -= 1
+        if self._left < 0:
+            self._last()
         return self._left < 0
 
 
@@ -158,25 +157,17 @@ def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]
     block = contract.on_bus(0)[0].block
     boards = AdaptiveBoards(contract, [block], Still(contract))
     service = NodesService(contract, {0: links[0]}, {0: {1}}, boards, published, clock=lambda: now_s)
-    service.run(StopAfter(0))  # type: ignore[arg-type]
-    assert links[0].take_sent()["can_id"].tolist() == [0x701]
-    assert [status.frames_sent for status in published.statuses] == [0]
-    links[0].waiting.clear()
-    service.segments[0].take(frame(0, bytes((START, 0))), now_s)
-    service.turn()
-    assert boards.is_sending
-    links[0].put()
-    service._await_frames()
+    links[0].put(frame(0, bytes((START, 0))))
+    service.run(StopAfter(1, links[0].put))  # type: ignore[arg-type]
     assert not boards.is_sending
-    service.publish_status()
-    assert published.statuses[-1].frames_sent == 4
+    assert [status.frames_sent for status in published.statuses] == [0, 4]
 
 
 def test_the_next_cycle_is_sampled_ahead_when_all_buses_have_had_their_answers(
     contract: Contract, links: dict[int, ReadyLink]
 ) -> None:
     now_s, prepared = 100.0, []
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
     service = NodesService(contract, links, {0: {1}, 1: {1}}, sampler, clock=lambda: now_s)
     for segment in service.segments.values():
@@ -200,7 +191,7 @@ def test_on_a_single_bus_the_next_cycle_is_sampled_ahead_at_once(
     contract: Contract, links: dict[int, ReadyLink]
 ) -> None:
     now_s, prepared = 100.0, []
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     sampler.prepare = lambda: prepared.append(sampler.sums)  # type: ignore[method-assign]
     service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
     service.segments[0].boot(now_s)
@@ -215,7 +206,7 @@ def test_before_it_is_known_which_cycle_comes_next_nothing_is_sampled_ahead(link
     """Of nodes that recognise first, the next step depends on the state."""
     contract = Contract.from_layout(load_layout(Path("recognise-first")))
     now_s, prepared = 100.0, list[float]()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
     service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
     service.segments[0].boot(now_s)
@@ -228,54 +219,28 @@ def test_before_it_is_known_which_cycle_comes_next_nothing_is_sampled_ahead(link
     assert not prepared
 
 
-def test_each_kind_of_boards_gets_its_kind_of_segment(
-    contract: Contract, links: dict[int, ReadyLink], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_boards_are_nodes_in_python_or_those_of_the_firmware(
+    contract: Contract, links: dict[int, ReadyLink], tmp_path: Path
 ) -> None:
-    made: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
-
-    def stand_in(name: str) -> Any:
-        def build(*given: Any, **named: Any) -> str:
-            made.append((name, given, named))
-            return name
-
-        return build
-
-    for name in ("FirmwareSegment", "AdaptiveFirmwareSegment", "AdaptiveSegment", "SynchronousSegment"):
-        monkeypatch.setattr(service, name, stand_in(name))
-
-    class Patches(FirmwarePatches):
-        def __init__(self) -> None:
-            """Compile nothing."""
-
-    class Adaptive(AdaptiveBoards):
-        def __init__(self) -> None:
-            """Learn nothing."""
-
-    firmware = cast("Firmware", "compiled")
     electronics = Electronics(contract.layout.taxels, noise_n=0.0)
+    sampler = Sampler(contract.phi, Still(contract), electronics)
+    made = NodesService(contract, links, {0: {1}, 1: {2}}, sampler, store=tmp_path)
+    assert [set(segment.boards.node_ids) for segment in made.segments.values()] == [{1}, {2}]
+
+    class Compiled:
+        """Firmware whose boards are the number of their bus."""
+
+        def boards(self, bus: int) -> int:
+            return bus
+
     counts = CountSampler(contract.phi, Still(contract), electronics)
-    sums = Sampler(contract.phi, Still(contract), electronics)
-    for boards, compiled, kind in (
-        (counts, firmware, "FirmwareSegment"),
-        (Patches(), firmware, "AdaptiveFirmwareSegment"),
-        (Adaptive(), None, "AdaptiveSegment"),
-        (sums, None, "SynchronousSegment"),
-        (counts, None, "SynchronousSegment"),
-    ):
-        made.clear()
-        built = NodesService(contract, links, {0: {1}, 1: {2}}, boards, store=tmp_path, firmware=compiled)
-        assert built.segments == {0: kind, 1: kind}
-        for bus, (_, given, named) in enumerate(made):
-            assert given[:2] == (contract, bus)
-            assert links[bus].send in given
-            assert boards in given
-            assert ({bus + 1} in given) == (compiled is None)
-            assert named.get("store") == (tmp_path if compiled is None else None)
+    made = NodesService(contract, links, {0: {1}, 1: {2}}, counts, firmware=cast("Firmware", Compiled()))
+    assert [segment.boards for segment in made.segments.values()] == [0, 1]
 
 
 def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, ReadyLink]) -> None:
     now_s, published = 100.0, Published()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     made = NodesService(contract, links, {0: {1, 2}, 1: {2}}, sampler, published, clock=lambda: now_s)
     for segment in made.segments.values():
         segment.boot(now_s)
@@ -292,18 +257,18 @@ def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, Read
 
 def test_statuses_come_every_fifth_of_a_second(contract: Contract, links: dict[int, ReadyLink]) -> None:
     now_s, published = 100.0, Published()
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     made = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, published, clock=lambda: now_s)
     counts = []
     for after_s in (0.0, 0.19, 0.2, 0.39, 0.4):
         now_s = 100.0 + after_s
-        made._publish(now_s)
+        made.turn()
         counts.append(len(published.statuses))
     assert counts == [1, 1, 2, 2, 3]
 
 
 def test_without_a_fabric_nothing_is_published(contract: Contract, links: dict[int, ReadyLink]) -> None:
-    sampler = Sampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    sampler = new_sampler(contract)
     made = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: 100.0)
     made.run(StopAfter(2))  # type: ignore[arg-type]
     assert links[0].take_sent()["can_id"].tolist()[0] == 0x701

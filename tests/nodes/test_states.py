@@ -9,9 +9,7 @@ from dbc.frame import Frames
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.conftest import new_segment
-from tests.nodes.helpers import give, numbered_sync, read, write
-from tests.nodes.links import ArrayLink
+from tests.nodes.helpers import ArrayLink, give, new_segment, numbered_sync, read, write
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = (frame(0, bytes((code, 0))) for code in (1, 128, 129, 130))
 TO_RECOGNITION, TO_IMAGES = frame(0xFF, b"\0"), frame(0xFF, b"\1")
@@ -41,7 +39,7 @@ def is_images(sent: set[int]) -> bool:
 def test_a_switch_holds_from_the_next_sync_on(segment: Segment, link: ArrayLink) -> None:
     assert not is_images(answers(segment, link, START, numbered_sync(1)))
     assert answers(segment, link, TO_IMAGES) == set()
-    assert [node.active_state for node in segment.nodes] == [0, 0]
+    assert [node.active_state for node in segment.boards.nodes] == [0, 0]
     assert is_images(answers(segment, link, numbered_sync(2)))
     assert is_images(answers(segment, link, numbered_sync(3), TO_RECOGNITION))
     assert not is_images(answers(segment, link, numbered_sync(4)))
@@ -63,7 +61,7 @@ def test_only_operational_nodes_take_a_switch(segment: Segment, link: ArrayLink)
 def test_a_reset_returns_to_recognition(segment: Segment, link: ArrayLink, reset: Frames) -> None:
     assert is_images(answers(segment, link, START, TO_IMAGES, numbered_sync(1)))
     give(segment, link, reset)
-    assert [node.active_state for node in segment.nodes] == [0, 0]
+    assert [node.active_state for node in segment.boards.nodes] == [0, 0]
     assert not is_images(answers(segment, link, START, numbered_sync(2)))
 
 
@@ -102,5 +100,5 @@ def test_the_few_sums_are_those_that_their_mapping_names(segment: Segment, link:
 def test_nodes_without_states_take_no_switch(link: ArrayLink) -> None:
     nodes = new_segment(Contract.from_layout(load_layout()), link, {1})
     give(nodes, link, START, TO_IMAGES, numbered_sync(1))
-    assert nodes.nodes[0].active_state == 0
+    assert nodes.boards.nodes[0].active_state == 0
     assert answers(nodes, link, numbered_sync(2)) == {0x181, 0x281}

@@ -2,11 +2,11 @@
 
 import pytest
 
+from nodes.sampler import Sampler
 from nodes.segment import Segment
 from nodes.tpdo import LiveTpdo, is_turn, read_tpdos
 from tests.bus.harness import frame
-from tests.nodes.helpers import START, give, numbered_sync, read, sync, write
-from tests.nodes.links import ArrayLink
+from tests.nodes.helpers import START, ArrayLink, give, numbered_sync, read, sync, write
 
 COB_ID = 0x181
 
@@ -25,11 +25,7 @@ def set_up(
     ):
         assert write(segment, link, 0x1800, subindex, value, size) == 0
     give(segment, link, frame(0, bytes((START, 1))))
-    return segment.nodes[0].tpdos[0]
-
-
-def change_sums(segment: Segment, by: int) -> None:
-    segment.nodes[0]._boards.sums[:] += by
+    return segment.boards.nodes[0].tpdos[0]
 
 
 def map_sum_and_error_register(segment: Segment, link: ArrayLink) -> None:
@@ -76,22 +72,22 @@ def test_acyclic_pdo_is_sent_at_a_sync_after_a_change(segment: Segment, link: Ar
 
 @pytest.mark.parametrize("every", [254, 255])
 def test_event_driven_pdo_keeps_its_inhibit_time_to_the_microsecond(
-    segment: Segment, link: ArrayLink, every: int
+    segment: Segment, link: ArrayLink, sampler: Sampler, every: int
 ) -> None:
-    tpdo, node = set_up(segment, link, every=every, inhibit_100us=7), segment.nodes[0].local
+    tpdo, node = set_up(segment, link, every=every, inhibit_100us=7), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
-    change_sums(segment, 1)
+    sampler.sums[:] += 1
     assert tpdo.at_event(10.000_699, node) is None
     assert tpdo.at_event(10.000_701, node) is not None
     assert tpdo.at_event(11.0, node) is None  # nothing has changed
 
 
-def test_event_timer_is_kept_to_the_microsecond(segment: Segment, link: ArrayLink) -> None:
-    tpdo, node = set_up(segment, link, every=255, event_ms=20), segment.nodes[0].local
+def test_event_timer_is_kept_to_the_microsecond(segment: Segment, link: ArrayLink, sampler: Sampler) -> None:
+    tpdo, node = set_up(segment, link, every=255, event_ms=20), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
     assert tpdo.at_event(10.019_999, node) is None
     assert tpdo.at_event(10.020_001, node) is not None
-    change_sums(segment, 1)
+    sampler.sums[:] += 1
     assert tpdo.at_event(10.020_002, node) is not None  # a change does not wait for it
 
 
@@ -110,7 +106,7 @@ def test_event_driven_pdo_is_sent_in_operational_only(segment: Segment, link: Ar
     assert COB_ID in link.take_sent()["can_id"]
 
 
-def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink) -> None:
+def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink, sampler: Sampler) -> None:
     """Negative sums beside an error register: two's complement does not run into the next object."""
     write(segment, link, 0x1800, 1, 0xC000_0181, 4)
     write(segment, link, 0x1A00, 0, 0, 1)
@@ -118,8 +114,8 @@ def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink) ->
         assert write(segment, link, 0x1A00, place, entry, 4) == 0
     assert write(segment, link, 0x1A00, 0, 3, 1) == 0
     set_up(segment, link, every=1)
-    segment.nodes[0]._boards.sums[:2] = -1, -2
-    payload = segment.nodes[0].tpdos[0].payload(segment.nodes[0].local)
+    sampler.sums[:2] = -1, -2
+    payload = segment.boards.nodes[0].tpdos[0].payload(segment.boards.nodes[0].local)
     assert payload.hex() == "ffff00feff"
     assert read(segment, link, 1, 0x2100, 2) == 0xFFFE
 
@@ -149,7 +145,7 @@ def test_a_pdo_with_another_object_has_its_turns_too(segment: Segment, link: Arr
     set_up(segment, link, every=240, start=9)
     assert sent_at(segment, link, 8, 9, 10, 240) == [9]
     tpdo = set_up(segment, link, every=254)
-    assert {tpdo.at_sync(0, segment.nodes[0].local) for _ in range(255)} == {None}
+    assert {tpdo.at_sync(0, segment.boards.nodes[0].local) for _ in range(255)} == {None}
 
 
 @pytest.mark.parametrize(("every", "is_plain"), [(0, False), (1, True), (240, True), (254, False), (255, False)])
@@ -159,17 +155,17 @@ def test_cyclic_pdos_of_sums_are_sent_together(segment: Segment, link: ArrayLink
     assert not set_up(segment, link, every=every).is_plain
 
 
-def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink) -> None:
-    tpdo, node = set_up(segment, link, every=255, inhibit_100us=5000, event_ms=1000), segment.nodes[0].local
+def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink, sampler: Sampler) -> None:
+    tpdo, node = set_up(segment, link, every=255, inhibit_100us=5000, event_ms=1000), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
-    change_sums(segment, 1)
+    sampler.sums[:] += 1
     assert tpdo.at_event(10.5, node) is not None
     assert tpdo.at_event(11.0, node) is None
     assert tpdo.at_event(11.5, node) is not None
 
 
 def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
-    found = read_tpdos(segment.nodes[0].local, {300: None, 2: 1, 301: 0, 1: None})
+    found = read_tpdos(segment.boards.nodes[0].local, {300: None, 2: 1, 301: 0, 1: None})
     assert [(tpdo.cob_id, tpdo.state) for tpdo in found] == [(0x281, 1), (0x181, None)]
 
 
@@ -185,7 +181,7 @@ def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
     ],
 )
 def test_a_pdo_that_cannot_be_sent_does_not_exist(segment: Segment, cob_id: int, entries: tuple[int, ...]) -> None:
-    local = segment.nodes[0].local
+    local = segment.boards.nodes[0].local
 
     def put(cob_id: int, entries: tuple[int, ...]) -> list[int]:
         local.data_store[0x1800] = {1: cob_id.to_bytes(4, "little")}

@@ -13,7 +13,7 @@ from dbc.generate import VECTOR_FOLDER
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from nodes.vectors import vector_files
+from nodes.ways import vector_files
 from skin.layout import load_layout
 from skin.sources import Frame
 

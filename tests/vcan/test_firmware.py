@@ -15,7 +15,7 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from firmware.library import Firmware
 from gateway.loop import GatewayLoop
-from nodes.firmware_segment import FirmwareSegment
+from nodes.segment import Segment
 from tests.firmware.twins import CountWitness
 from tests.layouts import IDENTITIES, small_layout
 from tests.vcan.chain import valid
@@ -40,8 +40,8 @@ class Skin:
         self.random = np.random.default_rng(5)
         self.measured: list[Measurement] = []
         self.witness = CountWitness(contract)
-        firmware = Firmware(contract, contract.nodes)
-        self.boards = FirmwareSegment(contract, 0, firmware, links[1].send, self.witness, complain=print)
+        boards = Firmware(contract, contract.nodes).boards(0)
+        self.boards = Segment(contract, 0, boards, self.witness, links[1].send, complain=print)
         self.boards.boot(time.monotonic())
         self.gateway = GatewayLoop(contract, {0: links[0].send}, time.monotonic(), say=print, complain=print)
 

@@ -3,9 +3,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Polynomial of 2^f for f from 0 to 1. */
-static const float power[] = SKIN_POWER;
-
 static float least_of(float one, float other)
 {
     return one < other ? one : other;
@@ -16,144 +13,18 @@ static float most_of(float one, float other)
     return one > other ? one : other;
 }
 
-/* Mix, predict and update all models; write how surprised each is. */
-static void update(skin_tracks *tracks, const float *sample, float surprise[][SKIN_PATCH_SUMS])
-{
-    const float change = SKIN_CHANGE, keep = SKIN_STAY - SKIN_CHANGE;
-    float level_mean[SKIN_PATCH_SUMS] = {0}, slope_mean[SKIN_PATCH_SUMS] = {0};
-    uint8_t model, c;
-
-    for (model = 0; model < SKIN_FILTERS; model++) {
-        const float *level = tracks->level[model], *weight = tracks->weight[model];
-
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            level_mean[c] += weight[c] * level[c];
-        }
-        if (model >= SKIN_AVERAGES) {
-            const float *slope = tracks->slope[model - SKIN_AVERAGES];
-
-            for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-                slope_mean[c] += weight[c] * slope[c];
-            }
-        }
-    }
-    for (model = 0; model < SKIN_FILTERS; model++) {
-        float *level = tracks->level[model], *weight = tracks->weight[model];
-        const float gain = skin_gain[model], slope_gain = skin_slope_gain[model];
-        const float half_precision = skin_half_precision[model], log_spread = skin_log_spread[model];
-        float mixed_slope[SKIN_PATCH_SUMS] = {0}, kept[SKIN_PATCH_SUMS], scale[SKIN_PATCH_SUMS];
-
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            kept[c] = keep * weight[c];
-            weight[c] = change + kept[c];
-            scale[c] = 1.0f / weight[c];
-        }
-        if (model >= SKIN_AVERAGES) {
-            const float *slope = tracks->slope[model - SKIN_AVERAGES];
-
-            for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-                mixed_slope[c] = (change * slope_mean[c] + kept[c] * slope[c]) * scale[c];
-            }
-        }
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            const float predicted = (change * level_mean[c] + kept[c] * level[c]) * scale[c] + mixed_slope[c];
-            const float innovation = sample[c] - predicted;
-
-            level[c] = predicted + gain * innovation;
-            mixed_slope[c] += slope_gain * innovation;
-            surprise[model][c] = innovation * innovation * half_precision + log_spread;
-        }
-        if (model >= SKIN_AVERAGES) {
-            memcpy(tracks->slope[model - SKIN_AVERAGES], mixed_slope, sizeof mixed_slope);
-        }
-    }
-}
-
-/* Multiply the weights by the likelihoods exp(-surprise), relative to the likeliest, and make their sum 1. */
-static void weigh(skin_tracks *tracks, float surprise[][SKIN_PATCH_SUMS])
-{
-    float least[SKIN_PATCH_SUMS], total[SKIN_PATCH_SUMS] = {0}, scale[SKIN_PATCH_SUMS];
-    int32_t bits[SKIN_PATCH_SUMS];
-    uint8_t model, c;
-
-    memcpy(least, surprise[0], sizeof least);
-    for (model = 1; model < SKIN_FILTERS; model++) {
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            least[c] = least_of(surprise[model][c], least[c]);
-        }
-    }
-    for (model = 0; model < SKIN_FILTERS; model++) {
-        float *weight = tracks->weight[model];
-
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            /* 2^x as exponent bits times a polynomial. */
-            const float exponent = most_of((least[c] - surprise[model][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT);
-            const int32_t cut = (int32_t)exponent, whole = cut - ((float)cut > exponent);
-            const float f = exponent - (float)whole;
-            const float high = power[2] + f * (power[3] + f * (power[4] + f * power[5]));
-
-            bits[c] = (int32_t)((uint32_t)(whole + 127) << 23);
-            scale[c] = power[0] + f * (power[1] + f * high);
-        }
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            float two_to;
-
-            memcpy(&two_to, &bits[c], sizeof two_to);
-            weight[c] *= scale[c] * two_to;
-            total[c] += weight[c];
-        }
-    }
-    for (model = 0; model < SKIN_FILTERS; model++) {
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            tracks->weight[model][c] = most_of(tracks->weight[model][c] / total[c], SKIN_LEAST_WEIGHT);
-        }
-    }
-}
-
-/* Take one sample of every coefficient, in units of its noise; write forecasts, and their variances. */
-static void step(skin_tracks *tracks, const float *sample, float *forecast, float *variance)
-{
-    float surprise[SKIN_FILTERS][SKIN_PATCH_SUMS];
-    uint8_t model, c;
-
-    update(tracks, sample, surprise);
-    weigh(tracks, surprise);
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-        forecast[c] = variance[c] = 0;
-    }
-    for (model = 0; model < SKIN_FILTERS; model++) {
-        const float *level = tracks->level[model], *weight = tracks->weight[model];
-        const float spread = skin_forecast_variance[model];
-
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-            variance[c] += weight[c] * spread;
-        }
-        if (model < SKIN_AVERAGES) {
-            for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-                forecast[c] += weight[c] * level[c];
-            }
-        } else {
-            const float *slope = tracks->slope[model - SKIN_AVERAGES];
-
-            for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-                forecast[c] += weight[c] * (level[c] + SKIN_HORIZON * slope[c]);
-            }
-        }
-    }
-}
-
 /* Undo the bias of clipping at 0 in place. */
 static void unclip(float *force_n, const float *noise_n)
 {
     const float last = SKIN_UNCLIP_POINTS - 1;
     uint8_t c;
 
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         const float reading = force_n[c] / noise_n[c], at = reading * SKIN_UNCLIP_SCALE;
         const float place = most_of(0.0f, least_of(at, last));
         const int32_t low = (int32_t)least_of(place, last - 1.0f);
         const float part = place - (float)low;
-        const float unclipped = skin_unclip[low] + part * (skin_unclip[low + 1] - skin_unclip[low]);
+        const float unclipped = skin_unclip_table[low] + part * (skin_unclip_table[low + 1] - skin_unclip_table[low]);
 
         force_n[c] = noise_n[c] * (at < last ? unclipped : reading);
     }
@@ -179,14 +50,14 @@ static uint8_t is_quiet_around(const uint8_t *is_quiet, uint8_t place)
 /* Take the offsets from the forces, in place, and follow them where a taxel and its neighbours are quiet. */
 static void follow(skin_filter *filter, float *force_n)
 {
-    uint8_t is_quiet[SKIN_PATCH_SUMS], loud = 0, place;
+    uint8_t is_quiet[SKIN_BLOCK_SUMS], loud = 0, place;
 
-    for (place = 0; place < SKIN_PATCH_SUMS; place++) {
+    for (place = 0; place < SKIN_BLOCK_SUMS; place++) {
         force_n[place] -= filter->offset_n[place];
         is_quiet[place] = force_n[place] < SKIN_QUIET_RATIO * filter->taxel_n[place];
         loud = (uint8_t)(loud + !is_quiet[place]);
     }
-    for (place = 0; place < SKIN_PATCH_SUMS; place++) {
+    for (place = 0; place < SKIN_BLOCK_SUMS; place++) {
         if (loud == 0 || is_quiet_around(is_quiet, place)) {
             const float offset_n = filter->offset_n[place], idle_n = filter->idle_offset_n[place];
             const float most_n = offset_n < idle_n ? SKIN_RETURN_N : SKIN_RISE_N;
@@ -201,19 +72,19 @@ static void follow(skin_filter *filter, float *force_n)
 /* Look at raw samples; every SKIN_WINDOW samples return by what to multiply the noise, else 0. */
 static float judge(skin_filter *filter)
 {
-    float ratios[SKIN_PATCH_SUMS], median;
+    float ratios[SKIN_BLOCK_SUMS], median;
     uint8_t c, idle = 0, place;
 
     if (++filter->in_window < SKIN_WINDOW) {
         return 0;
     }
     filter->in_window = 0;
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         const float mean = filter->total_n[c] / (float)SKIN_WINDOW;
         const float deviation = sqrtf(filter->square_n2[c] / (float)(2 * SKIN_WINDOW));
 
         filter->total_n[c] = filter->square_n2[c] = 0;
-        if (deviation > 0 && SKIN_IDLE_LOW * deviation < mean && mean < SKIN_IDLE_HIGH * deviation) {
+        if (deviation > 0 && SKIN_LEAST_IDLE_RATIO * deviation < mean && mean < SKIN_MOST_IDLE_RATIO * deviation) {
             const float ratio = deviation / ((float)SKIN_IDLE_DEVIATION * filter->learned_taxel_n[c]);
 
             for (place = idle++; place > 0 && ratios[place - 1] > ratio; place--) { /* in ascending order */
@@ -222,7 +93,7 @@ static float judge(skin_filter *filter)
             ratios[place] = ratio;
         }
     }
-    if (idle == 0 || (float)idle < SKIN_IDLE_PART * SKIN_PATCH_SUMS) {
+    if (idle == 0 || (float)idle < SKIN_IDLE_PART * SKIN_BLOCK_SUMS) {
         return 1;
     }
     median = idle % 2 != 0 ? ratios[idle / 2] : (ratios[idle / 2 - 1] + ratios[idle / 2]) * 0.5f;
@@ -236,7 +107,7 @@ static void use(skin_filter *filter)
     double square = 0;
     uint8_t c, model;
 
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         const float before_n = filter->coefficient_n[c];
         float ratio;
 
@@ -245,14 +116,14 @@ static void use(skin_filter *filter)
             filter->given_coefficient_n[c] > 0 ? filter->given_coefficient_n[c] : filter->learned_coefficient_n[c];
         square += (double)filter->coefficient_n[c] * (double)filter->coefficient_n[c];
         ratio = filter->coefficient_n[c] / before_n;
-        for (model = 0; model < SKIN_FILTERS; model++) {
+        for (model = 0; model < SKIN_MODELS; model++) {
             tracks->level[model][c] /= ratio;
-            if (model >= SKIN_AVERAGES) {
-                tracks->slope[model - SKIN_AVERAGES][c] /= ratio;
-            }
+        }
+        for (model = 0; model < SKIN_MODELS - SKIN_AVERAGE_COUNT; model++) {
+            tracks->slope[model][c] /= ratio;
         }
     }
-    filter->noise_n = sqrt(square / SKIN_PATCH_SUMS);
+    filter->noise_n = sqrt(square / SKIN_BLOCK_SUMS);
 }
 
 void skin_filter_begin(skin_filter *filter)
@@ -263,22 +134,15 @@ void skin_filter_begin(skin_filter *filter)
 /* Go over from learning to filtering. */
 static void begin_tracks(skin_filter *filter)
 {
-    skin_tracks *tracks = &filter->u.tracks;
-    uint8_t model, c;
+    uint8_t c;
 
     skin_learned_noise(filter);
     unclip(filter->idle_offset_n, filter->learned_taxel_n);
     memcpy(filter->offset_n, filter->idle_offset_n, sizeof filter->offset_n);
     memcpy(filter->taxel_n, filter->learned_taxel_n, sizeof filter->taxel_n);
     memcpy(filter->coefficient_n, filter->learned_coefficient_n, sizeof filter->coefficient_n);
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
-        for (model = 0; model < SKIN_FILTERS; model++) {
-            tracks->level[model][c] = 0;
-            tracks->weight[model][c] = 1.0f / SKIN_FILTERS;
-            if (model >= SKIN_AVERAGES) {
-                tracks->slope[model - SKIN_AVERAGES][c] = 0;
-            }
-        }
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
+        skin_begin_track(&filter->u.tracks, c, 0);
     }
     use(filter);
 }
@@ -293,11 +157,11 @@ void skin_filter_give(skin_filter *filter)
 /* Filter one sample, newtons, which is overwritten. */
 static void take(skin_filter *filter, float *sample_n)
 {
-    float coefficients[SKIN_PATCH_SUMS], forecast[SKIN_PATCH_SUMS];
+    float coefficients[SKIN_BLOCK_SUMS], forecast[SKIN_BLOCK_SUMS];
     float scale;
     uint8_t c;
 
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         const float change_n = sample_n[c] - filter->last_n[c];
 
         filter->square_n2[c] += change_n * change_n;
@@ -305,22 +169,22 @@ static void take(skin_filter *filter, float *sample_n)
         filter->last_n[c] = sample_n[c];
     }
     skin_to_haar(sample_n, coefficients);
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         coefficients[c] /= filter->coefficient_n[c];
     }
-    step(&filter->u.tracks, coefficients, forecast, filter->variance);
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    skin_step(&filter->u.tracks, coefficients, forecast, filter->variance);
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         coefficients[c] = forecast[c] * filter->coefficient_n[c];
     }
     skin_from_haar(coefficients, sample_n);
     unclip(sample_n, filter->taxel_n);
     follow(filter, sample_n);
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         sample_n[c] = sample_n[c] < SKIN_DEAD_RATIO * filter->taxel_n[c] ? 0 : sample_n[c];
     }
     scale = judge(filter);
     if (scale > 0) {
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
             filter->learned_taxel_n[c] *= scale;
             filter->learned_coefficient_n[c] *= scale;
         }
@@ -333,8 +197,8 @@ static void to_walsh(float *value, float *sums)
 {
     uint8_t half, first, place;
 
-    for (half = 1; half < SKIN_PATCH_SUMS; half = (uint8_t)(2 * half)) {
-        for (first = 0; first < SKIN_PATCH_SUMS; first = (uint8_t)(first + 2 * half)) {
+    for (half = 1; half < SKIN_BLOCK_SUMS; half = (uint8_t)(2 * half)) {
+        for (first = 0; first < SKIN_BLOCK_SUMS; first = (uint8_t)(first + 2 * half)) {
             for (place = first; place < first + half; place++) {
                 const float above = value[place], below = value[place + half];
 
@@ -343,17 +207,17 @@ static void to_walsh(float *value, float *sums)
             }
         }
     }
-    for (place = 0; place < SKIN_PATCH_SUMS; place++) {
+    for (place = 0; place < SKIN_BLOCK_SUMS; place++) {
         sums[place] = value[skin_row_of_sum[place]];
     }
 }
 
 int skin_filter_take(skin_filter *filter, const uint16_t *counts)
 {
-    float sample_n[SKIN_PATCH_SUMS];
+    float sample_n[SKIN_BLOCK_SUMS];
     uint8_t c;
 
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         sample_n[c] = (float)counts[c] * (float)SKIN_NEWTON_PER_COUNT;
     }
     if (filter->taken < SKIN_IDLE_SAMPLES) {
@@ -377,13 +241,13 @@ void skin_filter_variance(const skin_filter *filter, float *variance_n2)
 {
     uint8_t place, c;
 
-    for (place = 0; place < SKIN_PATCH_SUMS; place++) {
+    for (place = 0; place < SKIN_BLOCK_SUMS; place++) {
         const uint8_t first = skin_band_of_sum[place], count = skin_band_size[place];
         float total = 0;
 
         for (c = first; c < first + count; c++) {
             total += filter->variance[c] * (filter->coefficient_n[c] * filter->coefficient_n[c]);
         }
-        variance_n2[place] = total * (float)(SKIN_PATCH_SUMS / count);
+        variance_n2[place] = total * (float)(SKIN_BLOCK_SUMS / count);
     }
 }

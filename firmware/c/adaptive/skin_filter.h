@@ -8,42 +8,36 @@
 #define SKIN_FILTER_H
 
 #include "skin_codes.h"
+#include "skin_models.h"
 
-/* What is learned of an untouched patch at power-up. */
+/* Sums over the samples of an untouched patch at power-up. */
 typedef struct {
-    double sum[SKIN_PATCH_SUMS], square[SKIN_PATCH_SUMS];
-    double partial[SKIN_SPANS][SKIN_PATCH_SUMS], mean[SKIN_SPANS][SKIN_PATCH_SUMS], mean_square[SKIN_SPANS][SKIN_PATCH_SUMS];
+    double sum[SKIN_BLOCK_SUMS], square[SKIN_BLOCK_SUMS];
+    double partial[SKIN_SPAN_COUNT][SKIN_BLOCK_SUMS], mean[SKIN_SPAN_COUNT][SKIN_BLOCK_SUMS];
+    double mean_square[SKIN_SPAN_COUNT][SKIN_BLOCK_SUMS];
 } skin_idle;
-
-/* Every Haar coefficient runs all models; averages have no slope. */
-typedef struct {
-    float level[SKIN_FILTERS][SKIN_PATCH_SUMS], slope[SKIN_FILTERS - SKIN_AVERAGES][SKIN_PATCH_SUMS];
-    float weight[SKIN_FILTERS][SKIN_PATCH_SUMS];
-} skin_tracks;
 
 typedef struct {
     union { /* learning ends before filtering begins */
         skin_idle idle;
-        skin_tracks tracks;
+        skin_tracks tracks; /* of every Haar coefficient, in units of its noise */
     } u;
     uint16_t taken; /* samples since power-up, at most SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES */
-    float idle_offset_n[SKIN_PATCH_SUMS]; /* of power-up */
-    float learned_taxel_n[SKIN_PATCH_SUMS], learned_coefficient_n[SKIN_PATCH_SUMS];
-    float given_taxel_n[SKIN_PATCH_SUMS], given_coefficient_n[SKIN_PATCH_SUMS]; /* 2033h and 2032h as written; 0: learned */
-    float taxel_n[SKIN_PATCH_SUMS], coefficient_n[SKIN_PATCH_SUMS];             /* in use */
+    float idle_offset_n[SKIN_BLOCK_SUMS]; /* of power-up */
+    float learned_taxel_n[SKIN_BLOCK_SUMS], learned_coefficient_n[SKIN_BLOCK_SUMS];
+    float given_taxel_n[SKIN_BLOCK_SUMS], given_coefficient_n[SKIN_BLOCK_SUMS]; /* 2033h and 2032h as written; 0: learned */
+    float taxel_n[SKIN_BLOCK_SUMS], coefficient_n[SKIN_BLOCK_SUMS];             /* in use */
     double noise_n;                                                   /* 2035h: root mean square of coefficient_n */
-    float offset_n[SKIN_PATCH_SUMS];
+    float offset_n[SKIN_BLOCK_SUMS];
     uint16_t in_window;
-    float total_n[SKIN_PATCH_SUMS], square_n2[SKIN_PATCH_SUMS], last_n[SKIN_PATCH_SUMS];
-    float variance[SKIN_PATCH_SUMS]; /* of the forecast of each coefficient, in units of its noise's */
-    float sums_n[SKIN_PATCH_SUMS];
+    float total_n[SKIN_BLOCK_SUMS], square_n2[SKIN_BLOCK_SUMS], last_n[SKIN_BLOCK_SUMS];
+    float variance[SKIN_BLOCK_SUMS]; /* of the forecast of each coefficient, in units of its noise's */
+    float sums_n[SKIN_BLOCK_SUMS];
 } skin_filter;
 
-extern const float skin_gain[SKIN_FILTERS], skin_slope_gain[SKIN_FILTERS], skin_half_precision[SKIN_FILTERS],
-    skin_log_spread[SKIN_FILTERS], skin_forecast_variance[SKIN_FILTERS];
-extern const float skin_unclip[SKIN_UNCLIP_POINTS];
+extern const float skin_unclip_table[SKIN_UNCLIP_POINTS];
 /* Hadamard row of each sum; first coefficient and number of coefficients whose variances make up that of the sum. */
-extern const uint8_t skin_row_of_sum[SKIN_PATCH_SUMS], skin_band_of_sum[SKIN_PATCH_SUMS], skin_band_size[SKIN_PATCH_SUMS];
+extern const uint8_t skin_row_of_sum[SKIN_BLOCK_SUMS], skin_band_of_sum[SKIN_BLOCK_SUMS], skin_band_size[SKIN_BLOCK_SUMS];
 
 /* Begin at power-up: nothing is known of the noise. */
 void skin_filter_begin(skin_filter *filter);

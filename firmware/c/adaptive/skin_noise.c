@@ -1,15 +1,15 @@
-/* What a board learns of its noise at power-up ("Noise" in docs/adaptive.md), and the Haar pyramid of a patch. */
+/* Learning of the noise at power-up ("Noise" in docs/adaptive.md), and the Haar pyramid of a patch. */
 #include <math.h>
 
 #include "skin_filter.h"
 
-static const uint8_t spans[SKIN_SPANS] = SKIN_SPAN_SAMPLES;
+static const uint8_t spans[SKIN_SPAN_COUNT] = SKIN_SPANS;
 
 /* The additions stand in the order of nodes/adaptive/transforms.py, so that both round alike. */
 
 void skin_to_haar(float *mean, float *coefficient)
 {
-    uint8_t rows = SKIN_PATCH_HIGH, columns = SKIN_PATCH_WIDE, end = SKIN_PATCH_SUMS, row, column;
+    uint8_t rows = SKIN_PATCH_HIGH, columns = SKIN_PATCH_WIDE, end = SKIN_BLOCK_SUMS, row, column;
 
     while (rows > 1) {
         const uint8_t squares = (uint8_t)(rows * columns / 4);
@@ -68,17 +68,17 @@ void skin_from_haar(const float *coefficient, float *mean)
 
 void skin_learn_idle(skin_idle *idle, uint16_t count, const float *sample_n)
 {
-    float work[SKIN_PATCH_SUMS], coefficients[SKIN_PATCH_SUMS];
+    float work[SKIN_BLOCK_SUMS], coefficients[SKIN_BLOCK_SUMS];
     uint8_t c, span;
 
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         work[c] = sample_n[c];
         idle->sum[c] += sample_n[c];
         idle->square[c] += (double)sample_n[c] * (double)sample_n[c];
     }
     skin_to_haar(work, coefficients);
-    for (span = 0; span < SKIN_SPANS; span++) {
-        for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (span = 0; span < SKIN_SPAN_COUNT; span++) {
+        for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
             double *partial = &idle->partial[span][c];
 
             *partial += coefficients[c];
@@ -102,13 +102,13 @@ void skin_learned_noise(skin_filter *filter)
     const skin_idle *idle = &filter->u.idle;
     uint8_t c, span;
 
-    for (c = 0; c < SKIN_PATCH_SUMS; c++) {
+    for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         const double mean = idle->sum[c] / SKIN_IDLE_SAMPLES;
         const double deviation = sqrt(at_least(idle->square[c] / SKIN_IDLE_SAMPLES - mean * mean, 0));
         const double taxel_n = at_least(deviation / SKIN_IDLE_DEVIATION, SKIN_LEAST_NOISE_N);
         double variance = 0;
 
-        for (span = 0; span < SKIN_SPANS; span++) {
+        for (span = 0; span < SKIN_SPAN_COUNT; span++) {
             const uint16_t count = SKIN_IDLE_SAMPLES / spans[span];
             const double mean_of = idle->mean[span][c] / count;
 

@@ -42,7 +42,7 @@ int skin_sender_take(skin_sender *sender, const uint16_t *counts)
 void skin_sender_decide(skin_sender *sender, int64_t passed_ns)
 {
     const double budget = sender->budget, least = (double)SKIN_SAVED_FRAMES * sender->board->frame_bits[0];
-    float variance_n2[SKIN_PATCH_SUMS];
+    float variance_n2[SKIN_BLOCK_SUMS];
     uint8_t group;
 
     if (budget > 0) {
@@ -57,12 +57,12 @@ void skin_sender_decide(skin_sender *sender, int64_t passed_ns)
         return;
     }
     for (group = 0; group < SKIN_GROUPS; group++) {
-        if (sender->groups.groups[group].held_until < sender->now) {
-            sender->groups.groups[group].held_until = 0;
+        if (sender->groups.groups[group].under_way < sender->now) {
+            sender->groups.groups[group].under_way = 0;
         }
     }
     skin_filter_variance(&sender->filter, variance_n2);
-    skin_look(&sender->groups, sender->now, sender->filter.sums_n, variance_n2, sender->filter.noise_n, &sender->rule);
+    skin_groups_decide(&sender->groups, sender->now, sender->filter.sums_n, variance_n2, sender->filter.noise_n, &sender->rule);
 }
 
 int64_t skin_sender_expiry(const skin_sender *sender, int64_t now_ns, int64_t period_ns)
@@ -81,10 +81,10 @@ static int has_budget(const skin_sender *sender, const skin_group *group)
 {
     const uint16_t *bits = sender->board->frame_bits;
     const int frames_of_all = sender->groups.is_fd ? 1 : SKIN_GROUPS;
-    /* Details leave so much that every group can send a coarse frame. */
+    /* Details leave the bits of a coarse frame for every group. */
     const int kept = group->reason == SKIN_DETAIL ? frames_of_all * bits[0] : 0;
 
-    return sender->budget == 0 || group->reason == SKIN_REPEATED || sender->saved >= bits[group->is_fine] + kept;
+    return sender->budget == 0 || group->reason == SKIN_REFRESH || sender->saved >= bits[group->is_fine] + kept;
 }
 
 uint16_t skin_sender_due(const skin_sender *sender, uint8_t group)
@@ -92,7 +92,7 @@ uint16_t skin_sender_due(const skin_sender *sender, uint8_t group)
     const skin_group *each = &sender->groups.groups[group];
     const skin_sum_tpdo *tpdo;
 
-    if (!sender->is_operational || each->level == SKIN_SILENT || each->held_until > 0) {
+    if (!sender->is_operational || each->level == SKIN_NOT_DUE || each->under_way > 0) {
         return 0;
     }
     tpdo = &sender->tpdos[skin_tpdo_of(&sender->groups, group)];
@@ -117,13 +117,13 @@ int skin_sender_most_urgent(const skin_sender *sender)
 }
 
 /* Set until when a controller may hold a frame of a group, with CAN FD of all groups. */
-static void hold_back(skin_sender *sender, uint8_t group, int64_t until)
+static void note_way(skin_sender *sender, uint8_t group, int64_t until)
 {
     uint8_t each;
 
     for (each = 0; each < SKIN_GROUPS; each++) {
         if (sender->groups.is_fd || each == group) {
-            sender->groups.groups[each].held_until = until;
+            sender->groups.groups[each].under_way = until;
         }
     }
 }
@@ -137,7 +137,7 @@ uint8_t skin_sender_make(skin_sender *sender, uint8_t group, uint8_t *payload)
     }
     sender->tpdos[number].made_at = sender->now;
     sender->saved -= sender->board->frame_bits[skin_is_fine(&sender->groups, number)];
-    hold_back(sender, group, sender->now + 1 + SKIN_LOST_SAMPLES);
+    note_way(sender, group, sender->now + 1 + SKIN_LOST_SAMPLES);
     return skin_make_payload(&sender->groups, group, sender->filter.sums_n, payload);
 }
 
@@ -148,7 +148,7 @@ int skin_sender_tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t leng
     for (number = 0; number < sender->board->tpdos; number++) {
         if (cob_id != 0 && sender->tpdos[number].cob_id == cob_id) {
             const uint8_t bytes =
-                (uint8_t)(skin_is_fine(&sender->groups, number) ? 2 * SKIN_PATCH_SUMS : SKIN_PATCH_SUMS);
+                (uint8_t)(skin_is_fine(&sender->groups, number) ? 2 * SKIN_BLOCK_SUMS : SKIN_BLOCK_SUMS);
 
             return length == (sender->groups.is_fd ? bytes : SKIN_GROUP_SUMS) ? number : -1;
         }
@@ -159,15 +159,15 @@ int skin_sender_tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t leng
 void skin_sender_sent(skin_sender *sender, uint8_t number, const uint8_t *payload)
 {
     skin_note_sent(&sender->groups, number, sender->now, &sender->rule, payload);
-    hold_back(sender, skin_group_of(&sender->groups, number), 0);
+    note_way(sender, skin_group_of(&sender->groups, number), 0);
 }
 
-void skin_sender_give_up(skin_sender *sender, uint8_t number)
+void skin_sender_give_back(skin_sender *sender, uint8_t number)
 {
     const uint8_t group = skin_group_of(&sender->groups, number);
 
-    if (sender->groups.groups[group].held_until > 0) {
-        hold_back(sender, group, 0);
+    if (sender->groups.groups[group].under_way > 0) {
+        note_way(sender, group, 0);
         sender->tpdos[number].made_at = LONG_AGO;
         sender->saved += sender->board->frame_bits[skin_is_fine(&sender->groups, number)];
     }
@@ -228,7 +228,7 @@ int skin_sender_allows(uint16_t index, uint8_t subindex, uint32_t value)
     }
     if (index == SKIN_OD_COEFFICIENT_NOISE || index == SKIN_OD_TAXEL_NOISE) {
         memcpy(&real, &value, sizeof real);
-        return real == 0 || (SKIN_LEAST_GIVEN_N <= real && real <= SKIN_MOST_GIVEN_N);
+        return real == 0 || (SKIN_LEAST_GIVEN_NOISE_N <= real && real <= SKIN_MOST_GIVEN_NOISE_N);
     }
     return 1;
 }
@@ -237,7 +237,7 @@ int32_t skin_sender_sum(const skin_sender *sender, uint8_t number)
 {
     uint8_t place = 0;
 
-    while (place < SKIN_PATCH_SUMS - 1 && skin_row_of_sum[place] != sender->board->rows[number]) {
+    while (place < SKIN_BLOCK_SUMS - 1 && skin_row_of_sum[place] != sender->board->rows[number]) {
         place++;
     }
     return (int32_t)rintf(sender->filter.sums_n[place] / (float)SKIN_NEWTON_PER_COUNT);

@@ -1,5 +1,5 @@
-/* One adaptive board, from its samples to the payloads of its frames and back: filter, decisions, inhibit times, budget. What
- * is left to a CANopen stack: identifiers, transmission, objects.
+/* One adaptive board, from its samples to the payloads of its frames and back: filter, decisions, inhibit times, budget. Left
+ * to a CANopen stack: identifiers, transmission, objects.
  */
 #ifndef SKIN_SENDER_H
 #define SKIN_SENDER_H
@@ -27,7 +27,7 @@ typedef struct {
     skin_sum_tpdo tpdos[SKIN_TPDOS];
 } skin_sender;
 
-/* Forget what was sent, as a reset does; what was learned of the noise stays. */
+/* Forget all frames, as a reset does; the noise that was learned stays. */
 void skin_sender_forget(skin_sender *sender);
 
 /* Let the board send; it begins with all its groups. Or end that. */
@@ -51,8 +51,8 @@ uint16_t skin_sender_due(const skin_sender *sender, uint8_t group);
 /* The group whose frame is the most urgent, -1 for none. */
 int skin_sender_most_urgent(const skin_sender *sender);
 
-/* Make the frame of a group that is due: write its payload, return its bytes, 0 if the budget has gone. The frame is under way until
- * it was sent or given up, or for SKIN_LOST_SAMPLES.
+/* Make the frame of a group that is due: write its payload, return its bytes, 0 if the budget has gone. The frame is under
+ * way until it was sent or given up, or for SKIN_LOST_SAMPLES.
  */
 uint8_t skin_sender_make(skin_sender *sender, uint8_t group, uint8_t *payload);
 
@@ -61,7 +61,7 @@ int skin_sender_tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t leng
 
 /* Take note of a frame that was sent, with the bytes that were sent, or that was not. */
 void skin_sender_sent(skin_sender *sender, uint8_t number, const uint8_t *payload);
-void skin_sender_give_up(skin_sender *sender, uint8_t number);
+void skin_sender_give_back(skin_sender *sender, uint8_t number);
 
 /* Groups that somebody asked for and that wait (2030h), a bit each; ask for more. */
 uint8_t skin_sender_wanted(const skin_sender *sender);

@@ -20,7 +20,7 @@ void skin_groups_forget(skin_groups *all, uint8_t is_fd)
         each->sent_at = LONG_AGO;
         each->refresh_at = NEVER;
         each->check = SKIN_NO_CHECK;
-        each->level = SKIN_SILENT;
+        each->level = SKIN_NOT_DUE;
     }
 }
 
@@ -57,7 +57,7 @@ static int is_in_reach(const skin_groups *all, uint8_t group, const float *sums_
 /* Binary logarithm of a number above 0 by IEEE 754 operations alone: log2 of a library may round differently. */
 static double log2_of(double value)
 {
-    static const double series[] = SKIN_LOG2;
+    static const double series[] = SKIN_LOG2_SERIES;
     int exponent, place = (int)(sizeof series / sizeof series[0]) - 1;
     double part = frexp(value, &exponent), ratio, square, total = series[place];
 
@@ -73,7 +73,7 @@ static double log2_of(double value)
     return exponent + ratio * total;
 }
 
-/* Level of news; the highest is for what waited, so that no motion of others holds it back for ever. */
+/* Level of news; the highest is for news that waited, so that no motion of others delays such news for ever. */
 static int8_t urgency(double ratio, int64_t waited, const skin_rule *rule)
 {
     double level;
@@ -85,14 +85,14 @@ static int8_t urgency(double ratio, int64_t waited, const skin_rule *rule)
     return (int8_t)(level < SKIN_LEVELS - 2 ? level : SKIN_LEVELS - 2);
 }
 
-/* What a group asks for by time: a refresh. */
+/* Tell whether a group is to be sent again. */
 static int is_refresh_due(const skin_group *each, int64_t now)
 {
     return each->refreshes > 0 && now >= each->refresh_at;
 }
 
-static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *sums_n, const float *variance_n2,
-                    double noise_n2, const skin_rule *rule)
+static void decide_group(skin_groups *all, uint8_t group, int64_t now, const float *sums_n, const float *variance_n2,
+                         double noise_n2, const skin_rule *rule)
 {
     skin_group *each = &all->groups[group];
     const uint8_t first = (uint8_t)(SKIN_GROUP_SUMS * group);
@@ -102,7 +102,7 @@ static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *s
     double coarse_n2 = 0, fine_n2 = 0, variance = 0, threshold_n2;
     uint8_t place;
 
-    each->level = SKIN_SILENT;
+    each->level = SKIN_NOT_DUE;
     each->reason = SKIN_NEWS;
     each->is_fine = 0;
     for (place = first; place < first + SKIN_GROUP_SUMS; place++) {
@@ -133,7 +133,7 @@ static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *s
             each->level = urgency(coarse_n2 / threshold_n2, now - each->since, rule);
         }
         if (each->is_wanted != 0) {
-            each->reason = SKIN_REPEATED; /* what was asked for is sent whatever the budget */
+            each->reason = SKIN_REFRESH; /* a group that somebody asked for needs no budget */
         }
         return;
     }
@@ -142,9 +142,9 @@ static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *s
         const int64_t overdue = (now - each->refresh_at) / rule->overdue;
 
         each->level = (int8_t)(overdue < SKIN_LEVELS - 1 ? overdue : SKIN_LEVELS - 1);
-        each->reason = SKIN_REPEATED;
+        each->reason = SKIN_REFRESH;
         /* With CAN FD a fine frame has the coarse codes, too: there is no turn to take. A fine frame knows no higher
-         * level: a refresh that waits longer is coarse, whoever's turn it is.
+         * level: a refresh that waits longer is coarse, out of turn, too.
          */
         each->is_fine = (each->fine_turn != 0 || all->is_fd) && each->is_wanted == 0 &&
                         each->level < SKIN_FINE_LEVELS && is_in_reach(all, group, sums_n);
@@ -156,15 +156,15 @@ static void look_at(skin_groups *all, uint8_t group, int64_t now, const float *s
     }
 }
 
-void skin_look(skin_groups *all, int64_t now, const float *sums_n, const float *variance_n2, double noise_n,
-               const skin_rule *rule)
+void skin_groups_decide(skin_groups *all, int64_t now, const float *sums_n, const float *variance_n2, double noise_n,
+                        const skin_rule *rule)
 {
     const double part_n = rule->noise_ratio * noise_n;
     uint8_t group;
 
     for (group = 0; group < SKIN_GROUPS; group++) {
-        if (all->groups[group].held_until == 0) {
-            look_at(all, group, now, sums_n, variance_n2, SKIN_GROUP_SUMS * SKIN_PATCH_SUMS * (part_n * part_n), rule);
+        if (all->groups[group].under_way == 0) {
+            decide_group(all, group, now, sums_n, variance_n2, SKIN_GROUP_SUMS * SKIN_BLOCK_SUMS * (part_n * part_n), rule);
         }
     }
 }
@@ -253,7 +253,7 @@ uint8_t skin_make_payload(skin_groups *all, uint8_t group, const float *sums_n, 
         make_fine(all, each, sums_n, &payload[SKIN_GROUP_SUMS * each], &payload[SKIN_GROUP_SUMS * (SKIN_GROUPS + each)]);
         all->groups[each].is_zero = is_zero(each, sums_n);
     }
-    return (uint8_t)(is_fine ? 2 * SKIN_PATCH_SUMS : SKIN_PATCH_SUMS);
+    return (uint8_t)(is_fine ? 2 * SKIN_BLOCK_SUMS : SKIN_BLOCK_SUMS);
 }
 
 void skin_present_codes(const skin_groups *all, const float *sums_n, uint8_t *coarse, uint8_t *fine)
@@ -306,7 +306,7 @@ static void plan_refresh(const skin_groups *all, skin_group *each, int64_t now, 
     }
     if (all->is_fd && each->refresh_after == 0) {
         reason = SKIN_NEWS; /* the first frame that carries the group */
-    } else if (all->is_fd && each->level == SKIN_SILENT && each->since < 0) {
+    } else if (all->is_fd && each->level == SKIN_NOT_DUE && each->since < 0) {
         reason = SKIN_DETAIL; /* the group had no news: the frame was sent for another one */
     }
     if (reason == SKIN_NEWS || each->is_wanted != 0) {
@@ -314,7 +314,7 @@ static void plan_refresh(const skin_groups *all, skin_group *each, int64_t now, 
         each->refresh_after = rule->refresh;
         each->refreshes = rule->zero_refreshes;
         each->fine_turn = 0;
-    } else if (reason == SKIN_REPEATED) {
+    } else if (reason == SKIN_REFRESH) {
         each->refresh_after *= 2;
         each->refresh_after = each->refresh_after < rule->refresh_max ? each->refresh_after : rule->refresh_max;
         each->refreshes--;
@@ -358,11 +358,11 @@ void skin_note_sent(skin_groups *all, uint8_t tpdo, int64_t now, const skin_rule
             hold_coarse(all, group, coarse);
         }
         if (is_fine) {
-            hold_fine(all, group, all->is_fd ? &payload[SKIN_PATCH_SUMS + SKIN_GROUP_SUMS * group] : payload);
+            hold_fine(all, group, all->is_fd ? &payload[SKIN_BLOCK_SUMS + SKIN_GROUP_SUMS * group] : payload);
         }
         plan_refresh(all, each, now, is_fine, is_fine ? each->is_zero : is_coarse_zero(all, group), rule);
         each->sent_at = now;
         each->since = -1;
-        each->level = SKIN_SILENT;
+        each->level = SKIN_NOT_DUE;
     }
 }

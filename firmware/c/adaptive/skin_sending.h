@@ -6,25 +6,17 @@
 
 #include "skin_codes.h"
 
-#define SKIN_SILENT (-1) /* in place of a level: nothing is to be sent */
+#define SKIN_NOT_DUE (-1) /* in place of a level: nothing is to be sent */
 
-/* 2031h, in the order of its sub-indices. */
-typedef struct {
-    float noise_ratio, variance_ratio, rounding, level_ratio, doubling;
-    uint32_t inhibit;
-    float fine_ratio;
-    uint32_t fine_wait, refresh, refresh_max, overdue, zero_refreshes, patience;
-} skin_rule;
-
-enum { SKIN_NEWS, SKIN_DETAIL, SKIN_REPEATED };
+enum { SKIN_NEWS, SKIN_DETAIL, SKIN_REFRESH };
 
 typedef struct {
     int64_t since;         /* when news began; -1: none */
     int64_t sent_at;       /* newest frame of any kind */
     int64_t refresh_at, refresh_after, refreshes; /* when the next is due, time between two, how many are left */
-    int64_t held_until;    /* a controller may hold a frame of the group until then; 0: it holds none */
+    int64_t under_way;     /* a controller may hold a frame of the group until then; 0: it holds none */
     int16_t check;         /* of the newest coarse frame, or SKIN_NO_CHECK */
-    int8_t level;          /* of what is to be sent, or SKIN_SILENT */
+    int8_t level;          /* urgency of the frame that is due, or SKIN_NOT_DUE */
     uint8_t reason, is_fine;
     uint8_t fine_turn;     /* whether the next refresh is fine */
     uint8_t is_zero;       /* whether the newest fine payload was made of sums that are all 0 */
@@ -33,13 +25,13 @@ typedef struct {
 
 typedef struct {
     uint8_t is_fd; /* one frame carries all groups */
-    double known_n[SKIN_PATCH_SUMS];       /* what a receiver without losses holds */
-    uint8_t known_code[SKIN_PATCH_SUMS];   /* its coarse code */
-    int32_t coarse_steps[SKIN_PATCH_SUMS]; /* values of the newest coarse frames, fine steps */
+    double known_n[SKIN_BLOCK_SUMS];       /* what a receiver without losses holds */
+    uint8_t known_code[SKIN_BLOCK_SUMS];   /* its coarse code */
+    int32_t coarse_steps[SKIN_BLOCK_SUMS]; /* values of the newest coarse frames, fine steps */
     skin_group groups[SKIN_GROUPS];
 } skin_groups;
 
-/* Forget what was sent. */
+/* Forget all frames. */
 void skin_groups_forget(skin_groups *all, uint8_t is_fd);
 
 /* Have a group sent in a coarse frame, whatever was sent before. */
@@ -49,10 +41,10 @@ void skin_ask(skin_groups *all, uint8_t group, int64_t now);
  *
  * noise_n: of the board (2035h). Groups of which the controller holds a frame are left alone.
  */
-void skin_look(skin_groups *all, int64_t now, const float *sums_n, const float *variance_n2, double noise_n,
-               const skin_rule *rule);
+void skin_groups_decide(skin_groups *all, int64_t now, const float *sums_n, const float *variance_n2, double noise_n,
+                        const skin_rule *rule);
 
-/* TPDO of the frame that a group is to be sent in, of a group that is not SKIN_SILENT. */
+/* TPDO of the frame that a group is to be sent in, of a group that is not SKIN_NOT_DUE. */
 uint8_t skin_tpdo_of(const skin_groups *all, uint8_t group);
 
 /* Group and kind of a TPDO's frames. */

@@ -37,7 +37,7 @@ static uint32_t bits_of(float value)
 /* Put the codes of the newest sample where the stack reads them. */
 static void present_codes(void)
 {
-    uint8_t of_sums[SKIN_PATCH_SUMS];
+    uint8_t of_sums[SKIN_BLOCK_SUMS];
 
     if (is_presented) {
         return;
@@ -141,7 +141,7 @@ static void restore_all(void)
     for (place = 1; place <= SKIN_RULE_ENTRIES; place++) {
         restore(SKIN_OD_SENDING, place);
     }
-    for (place = 1; place <= SKIN_PATCH_SUMS; place++) {
+    for (place = 1; place <= SKIN_BLOCK_SUMS; place++) {
         restore(SKIN_OD_COEFFICIENT_NOISE, place);
         restore(SKIN_OD_TAXEL_NOISE, place);
     }
@@ -193,7 +193,7 @@ int skin_app_sample(uint16_t *counts)
 
 uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
 {
-    uint8_t payload[2 * SKIN_PATCH_SUMS], group;
+    uint8_t payload[2 * SKIN_BLOCK_SUMS], group;
     uint32_t requests = 0, period_us = 0;
     int urgent;
 
@@ -209,7 +209,7 @@ uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
         return 0;
     }
     for (group = 0; group < SKIN_GROUPS; group++) {
-        if (sender.groups.groups[group].level != SKIN_SILENT) {
+        if (sender.groups.groups[group].level != SKIN_NOT_DUE) {
             configure(skin_tpdo_of(&sender.groups, group));
         }
     }
@@ -243,7 +243,7 @@ void skin_app_given_up(uint16_t identifier, uint8_t length)
     const int number = skin_sender_tpdo_of(&sender, identifier, length);
 
     if (number >= 0) {
-        skin_sender_give_up(&sender, (uint8_t)number);
+        skin_sender_give_back(&sender, (uint8_t)number);
     }
 }
 

@@ -60,7 +60,7 @@ void skin_app_dropped(void);
 /* Connect the objects of the skin with the dictionary; nothing is known of the noise. Returns 0 on success. */
 int skin_app_init(void);
 
-/* Forget what was sent; end test patterns; begin to count anew; take the settings from the dictionary. */
+/* Forget all frames; end test patterns; begin to count anew; take the settings from the dictionary. */
 void skin_app_reset(void);
 
 /* Take one sample of all taxels in the order of 2004h, ADC counts, which are overwritten.

@@ -183,7 +183,7 @@ size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts)
     size_t ready = 0;
 
     for (each = 0; each < boards; each++) {
-        ready += skin_sample(&nodes[each], &counts[each * SKIN_PATCH_SUMS]) != 0;
+        ready += skin_sample(&nodes[each], &counts[each * SKIN_BLOCK_SUMS]) != 0;
     }
     return ready;
 }
@@ -248,7 +248,7 @@ size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now
     return outbox.count;
 }
 
-size_t skin_held(const skin_node *nodes, uint32_t boards)
+size_t skin_under_way(const skin_node *nodes, uint32_t boards)
 {
     uint32_t each;
     uint8_t group;
@@ -256,7 +256,7 @@ size_t skin_held(const skin_node *nodes, uint32_t boards)
 
     for (each = 0; each < boards; each++) {
         for (group = 0; group < SKIN_GROUPS; group++) {
-            held += nodes[each].sender.groups.groups[group].held_until > 0;
+            held += nodes[each].sender.groups.groups[group].under_way > 0;
         }
     }
     return held;

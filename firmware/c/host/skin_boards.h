@@ -7,7 +7,7 @@
 /* Two cycles: the boards may miss a SYNC. */
 #define SKIN_MOST_SAMPLES (2 * SKIN_SAMPLES)
 
-/* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for as many.
+/* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for them.
  *
  * Returns the number of frames written to `out`, at most `capacity`; so do the two functions below.
  */
@@ -29,7 +29,7 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
 /* Connect `boards` boards, from board `first` of board.c on, with their constants; samples come before skin_power_up. */
 void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards);
 
-/* Pass one sample to the boards: SKIN_PATCH_SUMS counts of each board; overwritten. Returns how many boards are ready to boot. */
+/* Pass one sample to the boards: SKIN_BLOCK_SUMS counts of each board; overwritten. Returns how many boards are ready to boot. */
 size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts);
 
 /* Have the boards decide, after samples that were taken and others that were skipped; returns how many groups are due. */
@@ -40,7 +40,7 @@ size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now
                    size_t capacity);
 
 /* Number of groups of which a controller may hold a frame. */
-size_t skin_held(const skin_node *nodes, uint32_t boards);
+size_t skin_under_way(const skin_node *nodes, uint32_t boards);
 
 #endif
 

@@ -107,7 +107,7 @@ void skin_given_up(skin_node *node, const skin_frame *frame)
     const int number = tpdo_of(node, frame);
 
     if (number >= 0) {
-        skin_sender_give_up(&node->sender, (uint8_t)number);
+        skin_sender_give_back(&node->sender, (uint8_t)number);
     }
 }
 
@@ -176,7 +176,7 @@ const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *obj
 {
     const skin_sender *sender = &node->sender;
     const uint8_t place = (uint8_t)(object->subindex - 1);
-    uint8_t coarse[SKIN_PATCH_SUMS], fine[SKIN_PATCH_SUMS];
+    uint8_t coarse[SKIN_BLOCK_SUMS], fine[SKIN_BLOCK_SUMS];
 
     if (object->index == SKIN_OD_REFRESH) {
         scratch[0] = skin_sender_wanted(sender);

@@ -184,7 +184,7 @@ void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
 #define SKIN_NUMBER_BYTES 8
 
 #if SKIN_ADAPTIVE
-/* Objects of adaptive boards: their rules of writing, what a write does, and what a read returns, NULL for other objects. */
+/* Objects of adaptive boards: rules of writing, effect of a write, and value of a read, NULL for other objects. */
 uint32_t skin_check_adaptive(uint16_t index, uint8_t subindex, uint32_t value);
 void skin_adjust_adaptive(skin_node *node, const skin_object *object, uint32_t value);
 const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *object, uint8_t *scratch);

@@ -105,7 +105,7 @@ static void upload_segment(skin_node *node, uint8_t command)
     respond(node, response);
 }
 
-/* Write what a download has brought; tell whether the object took it. */
+/* Write the data of a download; tell whether the object took them. */
 static int is_written(skin_node *node, const uint8_t *data, uint16_t length)
 {
     const uint32_t code = skin_write(node, node->sdo.index, node->sdo.subindex, data, length);

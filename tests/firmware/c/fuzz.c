@@ -73,11 +73,11 @@ static void draw_frame(skin_frame *frame)
 /* Samples, decisions, and random fates of the frames that come of them. */
 static size_t sample(uint16_t *counts, int64_t now_ns)
 {
-    uint16_t read[SKIN_BOARDS * SKIN_PATCH_SUMS];
+    uint16_t read[SKIN_BOARDS * SKIN_BLOCK_SUMS];
     const size_t from = drawn(65000);
     size_t sent, kept = 0, place;
 
-    for (place = 0; place < SKIN_BOARDS * SKIN_PATCH_SUMS; place++) {
+    for (place = 0; place < SKIN_BOARDS * SKIN_BLOCK_SUMS; place++) {
         read[place] = (uint16_t)(drawn(3) ? counts[from + place] % 1024u : 0);
     }
     skin_take_counts(nodes, SKIN_BOARDS, read);
@@ -136,9 +136,9 @@ int main(int count, char **texts)
 #if SKIN_ADAPTIVE
     skin_prepare(nodes, 0, SKIN_BOARDS);
     for (turn = 0; turn < SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES; turn++) {
-        uint16_t read[SKIN_BOARDS * SKIN_PATCH_SUMS];
+        uint16_t read[SKIN_BOARDS * SKIN_BLOCK_SUMS];
 
-        for (place = 0; place < SKIN_BOARDS * SKIN_PATCH_SUMS; place++) {
+        for (place = 0; place < SKIN_BOARDS * SKIN_BLOCK_SUMS; place++) {
             read[place] = (uint16_t)drawn(80);
         }
         skin_take_counts(nodes, SKIN_BOARDS, read);

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from canskin.messages import Truth
-from nodes.boards import Boards
 from nodes.electronics import Calibration
+from nodes.hardware import Hardware
 from skin.layout import load_layout
 
 LAYOUT = load_layout()
@@ -20,7 +20,7 @@ OTHERS = np.setdiff1d(np.arange(TAXELS), CHAIN)
 GAIN, OFFSET, PATTERN = 0x2010, 0x2011, 0x2021
 
 
-class Plain(Boards):
+class Plain(Hardware):
     """Boards whose taxels read what the test says."""
 
     def __init__(self, calibration: Calibration) -> None:

@@ -1,4 +1,4 @@
-"""What goes to boards in C and comes from them, with stand-ins for the boards: no compiler is needed."""
+"""What a segment passes to its boards and from them to the bus, with stand-ins for the boards."""
 
 from pathlib import Path
 from typing import Any
@@ -10,63 +10,55 @@ import pytest
 from bus.link import DISCARDED
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames
-from nodes.adaptive.firmware import AdaptiveFirmwareSegment, FirmwarePatches
-from nodes.firmware_segment import FirmwareSegment
+from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
 from tests.firmware.twins import Wire, small_contract
-from tests.nodes.links import Still
 
 MS = 1_000_000
 
 
 class Recorder:
-    """Boards that write down what they get, and answer with `answer`."""
+    """Boards that write down what they get, and answer with `news`."""
 
-    def __init__(self) -> None:
+    due_s = float("-inf")
+
+    def __init__(self, contract: Contract, bus: int) -> None:
+        nodes = contract.on_bus(bus)
         self.calls: list[tuple[str, Any]] = []
-        self.counts: list[npt.NDArray[np.uint16] | None] = []
-        self.answer: Frames = frames(0)
-        self.is_sending = False
+        self.measured: list[npt.NDArray[np.int32] | None] = []
+        self.news: Frames = frames(0)
+        self.node_ids = {node.node_id for node in nodes[:2]}
+        self.is_pdo = np.zeros(0x800, np.bool_)
+        for node in nodes:
+            self.is_pdo[[tpdo.cob_id for tpdo in (*node.tpdos, *node.adaptive_tpdos)]] = True
 
     def power_up(self, now_s: float) -> Frames:
         self.calls.append(("power up", now_s))
         return frame(0x701, b"\0")
 
-    def take(self, arrived: Frames, now_s: float, counts: npt.NDArray[np.uint16] | None = None) -> Frames:
+    def take(self, arrived: Frames, now_s: float) -> Frames:
         self.calls.append(("take", ([int(each) for each in arrived["can_id"]], now_s)))
-        self.counts.append(counts)
-        return self.answer
+        return self.news
+
+    def answer(self, sync: Frames, now_s: float, measured: npt.NDArray[np.int32] | None) -> Frames:
+        self.measured.append(measured)
+        return self.take(sync, now_s)
 
     def pass_time(self, now_s: float) -> Frames:
         self.calls.append(("pass time", now_s))
-        return self.answer
+        return self.news
 
     def refuse(self, refused: Frames) -> None:
         self.calls.append(("refuse", refused["can_id"].tolist()))
 
     def choose(self, most: int, now_ns: int, until_ns: int) -> Frames:
         self.calls.append(("choose", (most, now_ns, until_ns)))
-        return self.answer
+        return self.news
 
     def taken(self) -> list[tuple[str, Any]]:
         calls, self.calls = self.calls, []
         return calls
-
-
-class Compiled:
-    """Firmware of nodes 1 and 2 of a bus."""
-
-    def __init__(self) -> None:
-        self.recorder = Recorder()
-
-    def boards(self, bus: int) -> Recorder:
-        assert bus == 1
-        return self.recorder
-
-    def node_ids(self, bus: int) -> frozenset[int]:
-        assert bus == 1
-        return frozenset((1, 2))
 
 
 class Sampled:
@@ -84,19 +76,12 @@ class Bus:
     """Two boards of the second bus of a small skin, with a SYNC every 10 ms."""
 
     def __init__(self) -> None:
-        self.wire, self.firmware, self.sampler = Wire(), Compiled(), Sampled()
-        self.boards = self.firmware.recorder
+        contract = small_contract()
+        self.wire, self.boards, self.sampler = Wire(), Recorder(contract, 1), Sampled()
         self.complaints: list[str] = []
-        contract: Contract = small_contract()
         self.pdos = [tpdo.cob_id for node in contract.on_bus(1) for tpdo in node.tpdos]
-        self.segment = FirmwareSegment(
-            contract,
-            1,
-            self.firmware,  # type: ignore[arg-type]
-            self.wire.send,
-            self.sampler,  # type: ignore[arg-type]
-            complain=self.complaints.append,
-        )
+        complain = self.complaints.append
+        self.segment = Segment(contract, 1, self.boards, self.sampler, self.wire.send, complain=complain)  # type: ignore[arg-type]
 
     def take(self, *arrived: Frames, now_s: float = 5.0) -> list[Any]:
         """Let frames arrive; return the identifiers of those that the boards got, call by call."""
@@ -120,11 +105,11 @@ def test_boards_boot_when_they_are_told_the_time(bus: Bus) -> None:
     assert bus.segment.frames_sent == 0  # a boot-up message is no TPDO
 
 
-def test_frames_up_to_a_sync_go_to_the_boards_together_and_the_others_after_it(bus: Bus) -> None:
+def test_frames_go_to_the_boards_in_their_order_and_a_sync_alone(bus: Bus) -> None:
     first, second = frame(0x601, bytes(8)), frame(0x602, bytes(8))
     assert bus.take(first, second) == [[0x601, 0x602]]
-    assert bus.boards.counts == [None]
-    assert bus.take(first, sync(), second, sync(b"\x08")) == [[0x601, 0x80], [0x602, 0x80]]
+    assert bus.sampler.asked == []
+    assert bus.take(first, sync(), second, sync(b"\x08")) == [[0x601], [0x80], [0x602], [0x80]]
     assert bus.take(sync(), first) == [[0x80], [0x601]]
     assert bus.take(sync()) == [[0x80]]
     assert bus.sampler.asked == [(7, 40 * MS, 1), (8, 40 * MS, 1), (7, 40 * MS, 1), (7, 40 * MS, 1)]
@@ -133,10 +118,9 @@ def test_frames_up_to_a_sync_go_to_the_boards_together_and_the_others_after_it(b
 
 def test_at_a_sync_the_boards_get_what_the_taxels_read(bus: Bus) -> None:
     bus.take(sync())
-    (counts,) = bus.boards.counts
-    assert counts is not None
-    assert counts.dtype == np.uint16
-    assert (counts == 107).all()
+    (measured,) = bus.boards.measured
+    assert measured is not None
+    assert (measured == 107).all()
 
 
 @pytest.mark.parametrize(
@@ -162,11 +146,11 @@ def test_a_heartbeat_of_an_own_node_id_is_told(bus: Bus) -> None:
 def test_tpdos_are_counted_when_they_are_accepted_refused_or_given_up(bus: Bus) -> None:
     assert bus.pdos == [0x181, 0x281, 0x182, 0x282]
     sent = np.concatenate([frame(can_id, bytes(8)) for can_id in (0x181, 0x581, 0x281, 0x182, 0x582, 0x282)])
-    bus.boards.answer, bus.wire.room = sent, 3
+    bus.boards.news, bus.wire.room = sent, 3
     bus.segment.take(sync(), 5.0)
     assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (2, 2)
     assert bus.boards.taken()[1:] == [("refuse", [0x182, 0x582, 0x282])]
-    bus.boards.answer = frames(0)
+    bus.boards.news = frames(0)
     unsent = [frame(can_id, bytes(8), DISCARDED) for can_id in (0x181, 0x701)]
     others = [frame(can_id, bytes(8), flags) for can_id in (0x281,) for flags in (0, ECHO, ERROR)]
     bus.take(*unsent, *others)
@@ -198,17 +182,18 @@ def test_time_passes_in_steps_of_5_ms_but_not_while_a_sync_is_due(bus: Bus) -> N
 class Patches:
     """All adaptive boards of a process, of which those of one bus write down what they get."""
 
-    def __init__(self) -> None:
-        self.recorder = Recorder()
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
         self.decision, self.has_due, self.pace_ns = 0, False, 1e6
         self.advanced: list[float] = []
         self.touched: list[int] = []
 
-    def on_bus(self, _: int) -> Recorder:
-        return self.recorder
+    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+        assert bus == 0
+        return self._recorder.choose(most, now_ns, until_ns)
 
-    def node_ids(self, _: int) -> frozenset[int]:
-        return frozenset((1,))
+    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
+        return 7, int((arrived["flags"] & ECHO == 0).sum())
 
     def advance(self, now_s: float) -> None:
         self.advanced.append(now_s)
@@ -219,11 +204,11 @@ class Patches:
 
 class AdaptiveBus:
     def __init__(self) -> None:
-        self.wire, self.patches = Wire(), Patches()
-        self.boards = self.patches.recorder
         contract = Contract.from_layout(load_layout(Path("adaptive")))
+        self.wire, self.boards = Wire(), Recorder(contract, 0)
+        self.patches = Patches(self.boards)
         self.cob_id = contract.on_bus(0)[0].adaptive_tpdos[0].cob_id
-        self.segment = AdaptiveFirmwareSegment(contract, 0, self.wire.send, self.patches, complain=lambda _: None)  # type: ignore[arg-type]
+        self.segment = Segment(contract, 0, self.boards, self.patches, self.wire.send, complain=lambda _: None)  # type: ignore[arg-type]
 
     def tick(self, now_ms: float) -> list[str]:
         self.segment.tick(now_ms / 1000)
@@ -267,110 +252,10 @@ def test_the_first_sync_tells_when_the_touch_began() -> None:
 
 def test_adaptive_tpdos_count_when_their_echoes_come() -> None:
     bus = AdaptiveBus()
-    own = [frame(bus.cob_id, bytes(8), flags) for flags in (0, ECHO, ECHO, DISCARDED, ERROR)]
-    bus.segment.take(np.concatenate([*own, frame(0x701, b"\5", ECHO)]), 1.0)
-    assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (2, 0)
-    bus.boards.answer, bus.wire.room = np.concatenate(own[:3]), 1
+    bus.segment.take(frame(bus.cob_id, bytes(8), ECHO), 1.0)
+    assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (7, 0)
+    assert bus.boards.taken() == []  # there are no others
+    bus.boards.news, bus.wire.room = np.concatenate([frame(bus.cob_id, bytes(8))] * 3), 1
     bus.segment.take(frame(0x601, bytes(8)), 1.0)
-    assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (2, 2)
-
-
-class Counted:
-    """Adaptive boards of one bus that keep the counts they get, and are ready after so many samples."""
-
-    def __init__(self, bus: int, ready_after: int) -> None:
-        self.bus, self.left = bus, ready_after
-        self.counts: list[npt.NDArray[np.uint16]] = []
-        self.decisions: list[tuple[int, int]] = []
-        self.is_sending = self.has_due = False
-
-    def take_counts(self, counts: npt.NDArray[np.uint16]) -> bool:
-        self.counts.append(counts.copy())
-        self.left -= 1
-        return self.left <= 0
-
-    def decide(self, skipped: int, passed_ns: int) -> bool:
-        self.decisions.append((skipped, passed_ns))
-        return self.has_due
-
-    def sums(self, board: int, size: int) -> npt.NDArray[np.int32]:
-        return 1000 * self.bus + 100 * board + np.arange(size, dtype=np.int32)
-
-
-class AdaptiveFirmware:
-    def __init__(self) -> None:
-        self.boards = {0: Counted(0, 3), 1: Counted(1, 5)}
-
-    def adaptive_boards(self, bus: int) -> Counted:
-        return self.boards[bus]
-
-    def node_ids(self, bus: int) -> frozenset[int]:
-        return frozenset((10 + bus,))
-
-
-@pytest.fixture
-def patches() -> tuple[FirmwarePatches, dict[int, Counted], list[int]]:
-    """Two boards of the first bus and one of the second, which have learned, and their blocks."""
-    contract = Contract.from_layout(load_layout(Path("adaptive")))
-    blocks = [contract.on_bus(0)[0].block, contract.on_bus(0)[2].block, contract.on_bus(1)[1].block]
-    firmware = AdaptiveFirmware()
-    made = FirmwarePatches(contract, blocks, Still(contract), firmware)  # type: ignore[arg-type]
-    return made, firmware.boards, blocks
-
-
-Made = tuple[FirmwarePatches, dict[int, Counted], list[int]]
-
-
-def test_boards_sample_until_all_have_learned(patches: Made) -> None:
-    made, boards, _ = patches
-    assert [len(each.counts) for each in boards.values()] == [5, 5]
-    assert {bus: each.counts[0].shape for bus, each in boards.items()} == {0: (2, 32), 1: (1, 32)}
-    assert boards[0].counts[0].dtype == np.uint16
-    assert made.decision == 0
-    assert [made.on_bus(bus) for bus in (0, 1)] == list(boards.values())
-    assert made.node_ids(1) == {11}
-
-
-def test_boards_get_the_samples_of_their_own_taxels(patches: Made) -> None:
-    made, boards, blocks = patches
-    made.touched_from(0)
-    made.advance(100.0)
-    for rows, bus in (([0, 1], 0), ([2], 1)):
-        for row, mine in zip(rows, boards[bus].counts[-1], strict=True):
-            assert mine.tolist() == made.counts(blocks[row]).tolist()
-    assert made.counts(blocks[0]).any()
-
-
-def test_boards_decide_once_for_the_samples_of_a_turn(patches: Made) -> None:
-    made, boards, _ = patches
-    made.advance(100.0)
-    made.advance(100.004)
-    made.advance(100.104)  # a hundred samples late: twenty are taken
-    assert boards[0].decisions == boards[1].decisions == [(0, 0), (0, 4_000_000), (80, 100_000_000)]
-    assert [len(each.counts) for each in boards.values()] == [5 + 1 + 4 + 20] * 2
-    assert made.decision == 1 + 4 + 100
-    for bus in (0, 1):
-        assert not made.has_due
-        boards[bus].has_due = True
-        made.advance(100.2 + bus)
-        assert made.has_due
-        boards[bus].has_due = False
-        made.advance(100.3 + bus)
-
-
-def test_any_board_may_hold_frames(patches: Made) -> None:
-    made, boards, _ = patches
-    assert not made.is_sending
-    for each in boards.values():
-        each.is_sending = True
-        assert made.is_sending
-        each.is_sending = False
-    assert not made.is_sending
-
-
-def test_sums_of_boards_stand_at_their_blocks(patches: Made) -> None:
-    made, _, blocks = patches
-    found = made.sums.reshape(-1, 32)
-    for block, first in zip(blocks, (0, 100, 1000), strict=True):
-        assert found[block].tolist() == list(range(first, first + 32))
-    assert not np.delete(found, blocks, axis=0).any()
+    assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (14, 2)
+    assert bus.boards.taken() == [("take", ([0x601], 1.0)), ("refuse", [bus.cob_id] * 2)]

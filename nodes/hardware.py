@@ -1,4 +1,4 @@
-"""What the nodes of a process share: the calibration and the test patterns of their blocks."""
+"""What all boards of a process share: their taxels, and the calibration and the test patterns of their blocks."""
 
 from abc import ABC, abstractmethod
 
@@ -16,8 +16,8 @@ from skin.zero_drift import DRIFT_N_PER_K, REST_K
 NEVER_S = float("inf")
 
 
-class Boards(ABC):
-    """The boards of a skin, as their nodes see them.
+class Hardware(ABC):
+    """The electronics of the boards of a process, as their nodes see it.
 
     Parameters
     ----------

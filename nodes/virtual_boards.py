@@ -1,0 +1,268 @@
+"""The nodes of one bus in Python: frames and times in, answers out."""
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.link import DISCARDED
+from dbc.canopen import (
+    BASE_ID_MASK,
+    HEARTBEAT_BASE,
+    HIGHEST_NODE_ID,
+    NMT_BYTES,
+    NMT_COB_ID,
+    SDO_BYTES,
+    SDO_REQUEST_BASE,
+    STATE_COB_ID,
+    Emergency,
+    NmtCommand,
+    NmtState,
+    is_of_node,
+)
+from dbc.configuration import configuration
+from dbc.contract import Contract, NodeContract
+from dbc.dictionary import REACTION_NS, SkinState, dictionary
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from dbc.frame_bits import frame_time_ns
+from dbc.indices import OD_STATE, OD_SYNC_OVERFLOW, OD_WINDOW_US
+from nodes.burst import Burst
+from nodes.hardware import Hardware
+from nodes.node import SkinNode
+from nodes.objects import Outbox
+from nodes.storage import Storage
+from nodes.tpdo import LiveTpdo
+from nodes.ways import way_of
+
+#: Window when 1007h is 0: no limit.
+NO_WINDOW_NS: Final = 1 << 62
+
+
+class VirtualBoards:
+    """The nodes of one bus.
+
+    Parameters
+    ----------
+    contract : Contract
+    bus : int
+        Number of the bus in the layout.
+    node_ids : collection of int
+        The nodes of the bus that this process runs.
+    hardware : Hardware
+        Made for the way in which the layout sends (`nodes.ways`).
+    store : Path, optional
+        Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
+
+    Attributes
+    ----------
+    nodes : list of SkinNode
+    frames_rejected : int
+        Number of received frames that made the CANopen library raise; they are dropped.
+    is_pdo : array of bool, shape (BASE_ID_MASK + 1,)
+        Whether an identifier is that of a TPDO of these nodes now.
+    due_s : float
+        When a node has something to do; a received frame may change that.
+    """
+
+    def __init__(
+        self, contract: Contract, bus: int, node_ids: Collection[int], hardware: Hardware, *, store: Path | None = None
+    ) -> None:
+        wires = contract.layout.bus[bus]
+        self.frames_rejected = 0
+        self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
+        self.due_s = float("-inf")
+        self._contract = contract
+        #: Identifier of the RPDO with the state of the nodes; without states none has it.
+        self._state_cob_id = -1 if contract.recognition is None else STATE_COB_ID
+        self._outbox = Outbox()
+        self.nodes = [
+            self._new_node(
+                node,
+                hardware,
+                Storage(contract.phi.fingerprint, store / f"{wires.name}-{node.node_id}.json" if store else None),
+            )
+            for node in contract.on_bus(bus)
+            if node.node_id in node_ids
+        ]
+        self._by_id = {node.contract.node_id: node for node in self.nodes}
+        self._sync_length: dict[int, int] = {}
+        #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
+        self._watchers: dict[int, list[SkinNode]] = {}
+        self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
+        # Latest start of a frame after the SYNC, so that the frame ends inside the window: by node-ID and state.
+        self._window_ns = np.zeros((HIGHEST_NODE_ID + 1, 2), np.int64)
+        self._compile(self.nodes)
+
+    @property
+    def node_ids(self) -> Collection[int]:
+        """The node-IDs of the nodes."""
+        return self._by_id.keys()
+
+    def _new_node(self, node: NodeContract, hardware: Hardware, storage: Storage) -> SkinNode:
+        return way_of(self._contract.layout).node(
+            node,
+            dictionary(self._contract, node),
+            configuration(self._contract, node),
+            outbox=self._outbox,
+            hardware=hardware,
+            storage=storage,
+        )
+
+    def power_up(self, now_s: float) -> Frames:
+        """Boot all nodes."""
+        self.due_s = float("-inf")
+        for node in self.nodes:
+            node.boot(now_s)
+        self._compile(self.nodes)
+        return self._outbox.take()
+
+    def pass_time(self, now_s: float) -> Frames:
+        """Do what is due by time."""
+        next_s = float("inf")
+        for node in self.nodes:
+            due_s = node.due_s
+            if now_s >= due_s:
+                node.tick(now_s)
+                due_s = node.due_s
+            next_s = min(next_s, due_s)
+        self.due_s = next_s
+        return self._outbox.take()
+
+    def take(self, arrived: Frames, now_s: float) -> Frames:
+        """Take received frames, with echoes of sent frames and discarded frames."""
+        can_id, flags = arrived["can_id"], arrived["flags"]
+        unsent = arrived[flags & DISCARDED == DISCARDED]
+        # A controller in bus-off discards other frames, too.
+        if len(unsent):
+            for node, count in self._of_nodes(unsent[self.is_pdo[unsent["can_id"] & BASE_ID_MASK]]):
+                node.expired(count)
+        there = flags & (ERROR | EXTENDED | REMOTE) == 0
+        plain = there & (flags & ECHO == 0)
+        heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
+        request = is_of_node(can_id, SDO_REQUEST_BASE)
+        # The nodes of this process receive each other's heartbeats as echoes.
+        others = (can_id == NMT_COB_ID) | (can_id == self._state_cob_id)
+        for frame in arrived[there & heartbeat | plain & (request | others)]:
+            self._handle(frame, now_s)
+        return self._outbox.take()
+
+    def refuse(self, burst: Frames) -> None:
+        """Take note of frames that found no room in the transmit queue."""
+        for frame in burst[self.is_pdo[burst["can_id"]]]:
+            self._by_id[int(frame["port"])].refused(int(frame["can_id"]))
+
+    def _of_nodes(self, burst: Frames) -> list[tuple[SkinNode, int]]:
+        """Return the nodes that have sent frames, and the number of frames of each."""
+        node_ids, counts = np.unique(burst["port"], return_counts=True)
+        found = zip(node_ids.tolist(), counts.tolist(), strict=True)
+        return [(self._by_id[node_id], count) for node_id, count in found if node_id in self._by_id]
+
+    def _handle(self, frame: np.void, now_s: float) -> None:
+        can_id = int(frame["can_id"])
+        if can_id > HEARTBEAT_BASE:
+            for node in self._watchers.get(can_id - HEARTBEAT_BASE, ()):
+                node.heard(can_id - HEARTBEAT_BASE, now_s)
+                self.due_s = float("-inf")
+            return
+        self.due_s = float("-inf")
+        data = frame["data"][: frame["length"]].tobytes()
+        if can_id == NMT_COB_ID:
+            self._nmt(data, now_s)
+        elif can_id == self._state_cob_id:
+            self._switch(data)
+        elif len(data) == SDO_BYTES:
+            self._sdo(can_id, data, now_s)
+
+    def answer(self, sync: Frames, now_s: float, measured: npt.NDArray[np.int32] | None) -> Frames:  # noqa: ARG002
+        """Take a SYNC; answer with the sums of now, where the nodes send at SYNC."""
+        self.due_s = float("-inf")
+        length = int(sync["length"][0])
+        listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
+        self._judge_sync(listening, length)
+        for node in listening:
+            node.take_sync()
+        if measured is not None:
+            counter = int(sync["data"][0, 0]) if length == 1 else 0
+            self._send_sums(counter, int(sync["time_ns"][0]), measured)
+        return self._outbox.take()
+
+    def _send_sums(self, counter: int, time_ns: int, sums: npt.NDArray[np.int32]) -> None:
+        operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
+        states = np.array([node.active_state for node in self.nodes], np.intp)
+        burst = self._burst.frames(counter, sums, operational, states)
+        burst["time_ns"] = time_ns + REACTION_NS
+        window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
+        window_ns[self._node_ids] = self._window_ns[self._node_ids, states]
+        burst["expires_ns"] = time_ns + window_ns[burst["port"]]
+        self._outbox.post(burst)
+        for node, count in self._of_nodes(burst):
+            node.health[1] += count
+        for node, tpdo in self._mixed:
+            if node.state is NmtState.OPERATIONAL and tpdo.state in (None, node.active_state):
+                payload = tpdo.at_sync(counter, node.local)
+                if payload is not None:
+                    node.send(tpdo, payload)
+
+    def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
+        """Report a SYNC whose length does not agree with 1019h (CiA 301, 7.2.5.2: EMCY 8240h)."""
+        for node in listening:
+            node.health[0] += 1
+            if length == self._sync_length[node.contract.node_id]:
+                node.emcy.gone(Emergency.SYNC_LENGTH)
+            else:
+                node.emcy.raised(Emergency.SYNC_LENGTH, length)
+
+    def _switch(self, data: bytes) -> None:
+        """Take the RPDO with the state of all nodes; nodes that are not operational take no PDO."""
+        if len(data) == 1 and data[0] in (SkinState.RECOGNITION, SkinState.IMAGES):
+            for node in self.nodes:
+                if node.state is NmtState.OPERATIONAL:
+                    node.switch(SkinState(data[0]))
+
+    def _nmt(self, data: bytes, now_s: float) -> None:
+        if len(data) != NMT_BYTES:
+            return
+        command, node_id = data[0], data[1]
+        addressed = self.nodes if node_id == 0 else [self._by_id[node_id]] if node_id in self._by_id else []
+        for node in addressed:
+            node.command(command, now_s)
+        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
+            self._compile(addressed)
+
+    def _sdo(self, can_id: int, data: bytes, now_s: float) -> None:
+        node = self._by_id.get(can_id - SDO_REQUEST_BASE)
+        if node is None or not node.answers_sdo:
+            return
+        try:
+            self._outbox.notify(can_id, bytearray(data), now_s)
+        except Exception:  # noqa: BLE001 - no received frame may end the receive loop
+            self.frames_rejected += 1
+        if node.refresh(now_s):
+            self._compile([node])
+
+    def _compile(self, changed: Collection[SkinNode]) -> None:
+        """Read what has to be known of nodes whose dictionaries have changed.
+
+        Plain TPDOs are sent as arrays (`Burst`), the others one by one.
+        """
+        for node in changed:
+            self._sync_length[node.contract.node_id] = 1 if node.local.unsigned(OD_SYNC_OVERFLOW) else 0
+        self._node_ids = [node.contract.node_id for node in self.nodes]
+        self._watchers = {}
+        self.is_pdo[:] = False
+        plain: list[tuple[int, NodeContract, LiveTpdo]] = []
+        self._mixed: list[tuple[SkinNode, LiveTpdo]] = []
+        for place, node in enumerate(self.nodes):
+            for node_id in node.watched.watches:
+                self._watchers.setdefault(node_id, []).append(node)
+            self.is_pdo[node.pdo_ids] = True
+            window_us = node.local.unsigned(OD_WINDOW_US)
+            few_us = window_us if self._contract.recognition is None else node.local.unsigned(OD_STATE, 2)
+            self._window_ns[node.contract.node_id, [SkinState.RECOGNITION, SkinState.IMAGES]] = [
+                max(1, each_us * 1000 - self._frame_ns) if each_us else NO_WINDOW_NS for each_us in (few_us, window_us)
+            ]
+            plain += [(place, node.contract, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
+            self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
+        self._burst = Burst(self._contract, plain)

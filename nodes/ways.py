@@ -1,0 +1,102 @@
+"""What depends on how the nodes of a skin send their sums (`sending` of a layout), in one place."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from dbc.contract import Contract, NodeContract
+from dbc.eds import node_name, node_types
+from dbc.generate import VECTOR_FOLDER
+from dbc.vectors import vectors_text
+from firmware.library import Firmware
+from nodes.adaptive.boards import AdaptiveBoards
+from nodes.adaptive.firmware import FirmwarePatches
+from nodes.adaptive.news import WithNews
+from nodes.adaptive.node import AdaptiveNode
+from nodes.adaptive.vectors import adaptive_vectors_text
+from nodes.electronics import Electronics
+from nodes.hardware import Hardware
+from nodes.node import SkinNode
+from nodes.sampler import CountSampler, new_sampler
+from nodes.sending import AtSync, Sending
+from skin.layout import Layout
+from skin.sources import TaxelSource
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way of sending.
+
+    Attributes
+    ----------
+    node : type of SkinNode
+        A node in Python.
+    sending : callable
+        Returns the `Sending` of one bus from contract, number of the bus and hardware.
+    hardware : callable
+        As `new_hardware`.
+    vectors_text : callable
+        Returns the test vectors of a node as JSON.
+    """
+
+    node: type[SkinNode]
+    sending: Callable[..., Sending]
+    hardware: Callable[..., Hardware]
+    vectors_text: Callable[[Contract, NodeContract], str]
+
+
+def way_of(layout: Layout) -> Way:
+    """Return the way in which the nodes of a layout send."""
+    return _WAYS[layout.sending]
+
+
+def new_hardware(
+    contract: Contract, blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None = None, **analogue: Any
+) -> Hardware:
+    """Return what samples the taxels of some nodes.
+
+    Parameters
+    ----------
+    contract : Contract
+    blocks : sequence of int
+        The blocks of these nodes, ascending.
+    source : TaxelSource
+    firmware : Firmware, optional
+        Compiled for these nodes: the boards in C make the sums.
+    **analogue
+        ``noise_n``, ``seed`` and ``defects`` of `nodes.electronics.Electronics`.
+    """
+    return way_of(contract.layout).hardware(contract, blocks, source, firmware, **analogue)
+
+
+def _sampler(
+    contract: Contract, _blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None, **analogue: Any
+) -> Hardware:
+    layout = contract.layout
+    if source.has_noise:
+        analogue = {**analogue, "noise_n": 0.0}
+    if firmware is None:
+        return new_sampler(layout, contract.phi, source, **analogue)
+    electronics = Electronics(layout.taxels, **analogue, period_s=layout.sync.period_s, samples=layout.samples_per_sync)
+    return CountSampler(contract.phi, source, electronics)
+
+
+def _patches(
+    contract: Contract, blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None, **analogue: Any
+) -> Hardware:
+    if firmware is None:
+        return AdaptiveBoards(contract, blocks, source, **analogue)
+    return FirmwarePatches(contract, blocks, source, firmware, **analogue)
+
+
+def vector_files(contract: Contract) -> dict[str, str]:
+    """Return the test vectors of one node of each type by their path."""
+    text = way_of(contract.layout).vectors_text
+    nodes = [kind.nodes[0] for kind in node_types(contract)]
+    return {f"{VECTOR_FOLDER}/{node_name(contract, node)}.json": text(contract, node) for node in nodes}
+
+
+_WAYS: Final = {
+    "synchronous": Way(SkinNode, AtSync, _sampler, vectors_text),
+    "adaptive": Way(AdaptiveNode, WithNews, _patches, adaptive_vectors_text),
+}
