@@ -22,6 +22,7 @@ from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
 from skin.terminal import Json, print_json, print_table, progress
+from skin.touch_options import ObjectNames
 
 if TYPE_CHECKING:
     from classifier.decide import Classifier
@@ -35,7 +36,7 @@ def classify(
     layout: Path | None = None,
     connect: str = DEFAULT_ENDPOINT,
     model: Path | None = None,
-    objects: str = "",
+    objects: ObjectNames | None = None,
     stroke: StrokeKind | None = None,
 ) -> None:
     """Name the object that touches the skin, once per measurement; of adaptive sums, a hundred times a second.
@@ -52,8 +53,7 @@ def classify(
     model
         Model file from ``skin train`` for this skin.
     objects
-        Comma-separated names of the objects to train on without ``--model``, ``paper`` for the paper's sixteen;
-        default: a series of five.
+        Objects to train on without ``--model``.
     stroke
         Touches to train on without ``--model``, see ``skin nodes``; default: slide.
 
@@ -115,7 +115,7 @@ def _recognise(state: Recognition, decides: "Classifier", classified: Sbhe, fabr
 def train(
     *,
     layout: Path | None = None,
-    objects: str = "",
+    objects: ObjectNames | None = None,
     touches: int = 0,
     noise_n: float = NOISE_N,
     stroke: StrokeKind = "slide",
@@ -133,8 +133,7 @@ def train(
     layout
         TOML of the skin; without it the default skin.
     objects
-        Comma-separated names of the objects, see ``skin objects``; ``paper`` for the paper's sixteen; default: a series
-        of five.
+        Objects to train on.
     touches
         Total number of touches; default: 600 per object.
     noise_n
@@ -188,9 +187,9 @@ def train(
     _show(model.metadata, path, as_json=json)
 
 
-def _named(objects: str) -> list[str]:
-    """Return the objects of a comma-separated list, else the default objects."""
-    return list(object_names([objects]) or DEFAULT_OBJECTS)
+def _named(objects: list[str] | None) -> list[str]:
+    """Return the names of objects, else the default objects."""
+    return list(object_names(objects or ()) or DEFAULT_OBJECTS)
 
 
 def _train(

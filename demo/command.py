@@ -7,25 +7,16 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from canskin.errors import RunError
-from skin.recording_options import ArrayNames, FrameRate, FullScale
 from skin.service import StopSignal, say
-from skin.sources import StrokeKind, object_names
 from skin.terminal import Json, print_json
+from skin.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 
 
 def demo(
     *,
     layout: Path | None = None,
     seconds: float = 20.0,
-    input: Path | None = None,  # noqa: A002 - the flag's name
-    full_scale: FullScale = None,
-    array: ArrayNames = None,
-    rate: FrameRate = None,
-    objects: list[str] | None = None,
-    stroke: StrokeKind = "slide",
-    defect: list[str] | None = None,
-    drift: list[str] | None = None,
-    seed: int = 0,
+    touch: TouchOptions = NO_TOUCH_OPTIONS,
     view: bool = True,
     port: int | None = None,
     listen: str | None = None,
@@ -44,21 +35,8 @@ def demo(
         TOML of the skin; without it the default skin of 64 x 64 taxels on four CAN buses.
     seconds
         Time that SYNC runs, seconds.
-    input
-        A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns), or .mcap.
-    objects
-        Names of the objects, see ``skin objects``; ``paper`` for the paper's sixteen; default: a series of five.
-    stroke
-        ``slide`` or ``press``, see ``skin nodes``; the classifier is trained on the same touches.
-    defect
-        Defects of the taxels, each KIND or KIND=AMOUNT, see ``skin nodes``: dead, stuck, saturated, noisy, gain-spread,
-        offset, cross-talk, drift, damper, creep; analogue front end: mismatch, sum-offset, sum-noise, skew. With an
-        offset or drift the touches begin when the zero has been measured.
-    drift
-        Drifts of zero at a place, each PLACE:COURSE:AMOUNT_N[:START_S[:DURATION_S]], see ``skin nodes``; START_S counts
-        from the first SYNC. The touches begin when the zero has been measured.
-    seed
-        Seed of the touches, of the sensor noise, and of the choice of defective taxels.
+    touch
+        What touches the skin. With defects that move the zero the touches begin when the zero has been measured.
     view
         ``--no-view`` runs without web page.
     port
@@ -90,15 +68,7 @@ def demo(
     options = DemoOptions(
         layout_path=layout,
         seconds=seconds,
-        recording=input,
-        full_scale=full_scale,
-        arrays=tuple(array or ()),
-        rate_hz=rate,
-        objects=object_names(objects or ()),
-        stroke=stroke,
-        defects=tuple(defect or ()),
-        drifts=tuple(drift or ()),
-        seed=seed,
+        touch=touch,
         view=view,
         port=port,
         listen=listen,

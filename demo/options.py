@@ -4,47 +4,30 @@ import errno
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from canskin.errors import InputError
-from skin.defects import parse_defects
 from skin.layout import Layout, require_one_state
 from skin.output import check_picture_path
-from skin.recording_options import check_touch_options, load_recording
-from skin.sources import StrokeKind
-from skin.zero_drift import parse_drifts
+from skin.touch_options import TouchOptions
 from touch.objects import checked_names
-
-#: Defects with which an untouched skin has sums.
-_ZERO_DEFECTS: Final = ("offset", "drift", "sum_offset")
 
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """The options of `demo.command.demo`, with the same names; empty `objects` for the default series."""
+    """The options of `demo.command.demo`, with the same names."""
 
     layout_path: Path | None
     seconds: float
-    recording: Path | None
-    full_scale: float | None
-    arrays: tuple[str, ...]
-    rate_hz: float | None
-    objects: tuple[str, ...]
-    defects: tuple[str, ...]
-    seed: int
+    touch: TouchOptions
     view: bool
     port: int | None
     listen: str | None
     picture: Path
     firmware: bool = False
-    stroke: StrokeKind = "slide"
-    drifts: tuple[str, ...] = ()
 
-    @property
-    def has_zero_errors(self) -> bool:
-        """Whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
-        defects = parse_defects(self.defects, self.seed, is_analogue=True)
-        return self.recording is not None or bool(self.drifts) or not defects.keys().isdisjoint(_ZERO_DEFECTS)
+    def has_zero_errors(self, layout: Layout) -> bool:
+        """Tell whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
+        return self.touch.input is not None or self.touch.defects(layout).moves_zero
 
     def check(self, layout: Layout) -> None:
         """Check that a run with these options is possible.
@@ -56,8 +39,6 @@ class DemoOptions:
         """
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
-        if self.seed < 0:
-            raise InputError(f"--seed: expected 0 or more, got {self.seed}")
         if self.firmware:
             require_one_state(layout, "the firmware in C")
         if len({(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in layout.bus}) > 1:
@@ -65,18 +46,12 @@ class DemoOptions:
         if self.view and self.port is not None:
             _check_port(self.port)
         check_picture_path(self.picture)
-        parse_defects(self.defects, self.seed, is_analogue=layout.taxels.is_analogue)
-        parse_drifts(self.drifts, self.seed, layout)
-        self._check_touch(layout)
-
-    def _check_touch(self, layout: Layout) -> None:
-        """Check the objects, or the recording, which the nodes will read again."""
-        values = self.full_scale, self.arrays, self.rate_hz
-        check_touch_options(self.recording, self.stroke, *values)
-        if self.recording is not None:
-            load_recording(layout, self.recording, *values)
-        elif self.objects:
-            checked_names(",".join(self.objects))
+        self.touch.check()
+        self.touch.defects(layout)
+        if self.touch.input is not None:
+            self.touch.source(layout)  # the nodes will read the recording again
+        elif self.touch.names:
+            checked_names(self.touch.names)
 
 
 def _check_port(port: int) -> None:

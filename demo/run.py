@@ -78,7 +78,7 @@ class Run:
             self._start_services(endpoint)
             self._await_services(stop)
             if not stop.is_set():
-                tare = "at-start" if self._options.has_zero_errors else "never"
+                tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
                 self._follow(stop, endpoint)
             if stop.is_set() and not self._has_started():
@@ -129,21 +129,13 @@ class Run:
         bitrate, data_bitrate = bitrates.pop()
         names = [bus.name for bus in self._layout.bus]
         start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
-        stroke = ["--stroke", options.stroke] if options.stroke != "slide" else []
-        touch = [*stroke, "--objects", ",".join(options.objects)] if options.objects else [*stroke]
-        if options.recording is not None:
-            touch = ["--input", str(options.recording)]
-            touch += ["--full-scale", str(options.full_scale)] if options.full_scale is not None else []
-            touch += [part for name in options.arrays for part in ("--array", name)]
-            touch += ["--rate", str(options.rate_hz)] if options.rate_hz is not None else []
-        elif options.has_zero_errors:
-            touch += ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
-        touch += [part for defect in options.defects for part in ("--defect", defect)]
-        touch += [f"--drift={drift}" for drift in options.drifts]
-        touch += ["--firmware"] * options.firmware
-        start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)
+        touch = options.touch
+        rest = []
+        if touch.input is None and options.has_zero_errors(self._layout):
+            rest = ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
+        start("nodes", "nodes", *common, *touch.arguments(), *rest, *["--firmware"] * options.firmware)
         start("reconstructor", "reconstruct", *common, restart=True)
-        start("classifier", "classify", *common, *_known_objects(options.objects), *stroke, restart=True)
+        start("classifier", "classify", *common, *_known_objects(touch.names), "--stroke", touch.stroke, restart=True)
         if self._port is not None:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)
 

@@ -26,9 +26,9 @@ from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
 from skin.layout import load_layout, require_one_state
 from skin.output import RECORDING_SUFFIX
-from skin.recording_options import ArrayNames, FullScale
 from skin.service import say
 from skin.terminal import progress
+from skin.touch_options import ArrayNames, FullScale
 
 #: ``--calibration none``: take nothing off.
 NO_CALIBRATION: Final = Path("none")

@@ -51,11 +51,6 @@ VERBS: Final = {
     "evaluate": "evaluation.command:evaluate",
     "bench": "evaluation.bench.command:bench",
 }
-#: Options that have become verbs: verb and option, and the verb that does the work now.
-MOVED: Final = {
-    ("dbc", "--check"): "dbc-check",
-    **{("plan", f"--{option}"): "design" for option in ("taxels", "rate", "buses", "budget", "can", "out")},
-}
 HELP_FLAGS: Final = ("--help", "-h")
 
 
@@ -113,18 +108,9 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         set_talk(Talk.VERBOSE if verbose else Talk.QUIET if quiet else Talk.NORMAL, as_json=log_json)
         if verbose:
             logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
-        _check_moved(tokens)
         return app(tokens)
 
     return app
-
-
-def _check_moved(tokens: Sequence[str]) -> None:
-    """Raise InputError for an option that has become a verb."""
-    verb, *rest = tokens or ("",)
-    for option in (token.partition("=")[0] for token in rest):
-        if (verb, option) in MOVED:
-            raise InputError(f"'skin {verb} {option}' is 'skin {MOVED[verb, option]}' now: see its --help")
 
 
 def _default(value: object) -> str | None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from evaluation.schemes.fresh_scenes import FIELDS, POSED, Poses, random_poses
 from evaluation.schemes.sensor_noise import NoiseKind, noise_of
-from skin.defects import Drift, Stuck
+from skin.defects import Defects
 from skin.layout import Taxels
 from skin.taxel import NOISE_N, TaxelModel, to_counts
 from touch.contact import Force, Grid, Pose, press
@@ -182,11 +182,8 @@ class Touch:
         if self.noise != "normal":
             force_n, noise_n = force_n + noise_of(self.noise, force_n.shape, noise_n, rng), 0.0
         taxels, side = force_n.shape[1], math.isqrt(force_n.shape[1])
-        model = TaxelModel(
-            noise_n,
-            drift=None if at_rest or not self.drift_n_per_s else Drift(self.drift_n_per_s, self.seed),
-            stuck=Stuck(self.stuck / taxels, self.seed) if self.stuck else None,
-        )
+        amounts = {"drift": 0.0 if at_rest else self.drift_n_per_s, "stuck": self.stuck / taxels}
+        model = TaxelModel(noise_n, defects=Defects.of(amounts, self.seed))
         signal_n = model.signal(force_n.reshape(-1, side, side), rng, period_s=1e-3)
         return signal_n.reshape(force_n.shape)
 

@@ -13,6 +13,7 @@ from dbc.contract import Contract
 from nodes.adaptive.sensors import STEP_NS, PatchSensors
 from nodes.boards import Boards
 from nodes.electronics import Calibration
+from skin.defects import NO_DEFECTS, Defects
 from skin.sources import TaxelSource
 from skin.taxel import NOISE_N, TaxelModel
 
@@ -53,7 +54,7 @@ class PatchBoards(Boards):
         *,
         noise_n: float = NOISE_N,
         seed: int = 0,
-        defects: dict[str, Any] | None = None,
+        defects: Defects = NO_DEFECTS,
     ) -> None:
         taxels = contract.layout.taxels
         super().__init__(contract.phi, Calibration(taxels))
@@ -62,7 +63,7 @@ class PatchBoards(Boards):
         self._taxels = taxels
         self._row = {block: row for row, block in enumerate(blocks)}
         self._cells = contract.phi.taxels_of_blocks[list(blocks)]
-        model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, **(defects or {}))
+        model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, defects)
         self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
         self._now = 0  # number of the newest sample
         self._next_ns = self._decided_ns = 0

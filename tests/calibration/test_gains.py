@@ -11,7 +11,7 @@ from calibration.gains import Gains, defects_of, find_gains
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from skin.calibration_file import StoredCalibration, encoded, load_calibration, save_calibration, store
-from skin.defects import Mismatch, SumGains
+from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
@@ -62,7 +62,7 @@ def test_gains_are_found_within_a_few_percent(gains: np.ndarray) -> None:
 @pytest.mark.heavy
 def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarray) -> None:
     """Gains of 5 % of the paths and of 10 % of the taxels: what is left is a small part of both."""
-    made = Mismatch(0.05, seed=3).gains(PHI.shape[0])
+    (made,) = Defects.of({"mismatch": 0.05}, 3).effects(Stage.SUM_PATHS, PHI.shape[:1])
     readings = (FORCES.reshape(len(FORCES), -1) * gains).astype(np.float32)
     noise = np.random.default_rng(2).normal(0, 2e-4, (len(readings), PHI.shape[0]))
     sums = with_gains(PHI, readings, PHI.forward(readings), made) + noise

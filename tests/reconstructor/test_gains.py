@@ -15,7 +15,7 @@ from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.service import ReconstructorService
 from skin.calibration_file import save_calibration, store
-from skin.defects import Mismatch, SumGains
+from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import load_layout
 from skin.psnr import psnr_db
@@ -78,7 +78,7 @@ def test_known_gains_of_analogue_sums_are_taken_off() -> None:
     """At rest what is left is the sums of Φ, as soon as the image is that of the forces."""
     phi, random = LAYOUT.phi(), np.random.default_rng(5)
     force_n = random.uniform(0, 0.02, phi.shape[1]).astype(np.float32)
-    of_sums = Mismatch(0.05, seed=2).gains(phi.shape[0])
+    (of_sums,) = Defects.of({"mismatch": 0.05}, 2).effects(Stage.SUM_PATHS, phi.shape[:1])
     read_n = (GAINS.ravel() * force_n).astype(np.float32)
     exact_n = np.asarray(phi.forward(force_n), np.float32)
     sums_n = with_gains(phi, read_n, np.asarray(phi.forward(read_n), np.float32), of_sums)
