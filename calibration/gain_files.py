@@ -11,10 +11,9 @@ from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
 from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, store
 from skin.frontend import LEAST_FELT
-from skin.layout import Layout
+from skin.layout import RECORDING_SUFFIX, Layout
 from skin.mcap_file import message_decoder, read_entries
 from skin.measured_sums import decode_measurement
-from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
 

@@ -24,8 +24,7 @@ from rebuild.replay import replay
 from reconstructor.array_api import gpu_library
 from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
-from skin.layout import load_layout, require_one_state
-from skin.output import RECORDING_SUFFIX
+from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.service import say
 from skin.terminal import progress
 from skin.touch_options import ArrayNames, FullScale

@@ -13,9 +13,9 @@ from cyclopts import Parameter
 import firmware.command
 from canskin.errors import InputError, RunError
 from skin.extras import not_installed
-from skin.layout import layout_text, load_layout
+from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
 from skin.mcap_file import read_about, wall_offset_ns
-from skin.output import RECORDING_SUFFIX, check_new_path, replacing
+from skin.output import check_new_path, replacing
 from skin.service import say
 from skin.terminal import Json
 

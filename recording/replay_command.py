@@ -26,9 +26,9 @@ from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
 from recording.steps import Step, steps_of
 from skin.description import Describing
-from skin.layout import Layout, load_layout, require_one_state
+from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
-from skin.output import RECORDING_SUFFIX, check_new_path
+from skin.output import check_new_path
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS
 

@@ -19,6 +19,7 @@ from dbc.contract import Contract
 from dbc.stored_frames import from_bytes
 from gateway.playback import AdaptivePlayback, Playback, play
 from recording.answers import Answers
+from skin.layout import RECORDING_SUFFIX
 from skin.mcap_file import (
     FINGERPRINT,
     FRAMES,
@@ -30,7 +31,6 @@ from skin.mcap_file import (
     wall_offset_ns,
 )
 from skin.measured_sums import check_adaptive, check_fingerprint, check_measurement, used_blocks
-from skin.output import RECORDING_SUFFIX
 from skin.service import say
 from skin.sync_counter import next_counter
 

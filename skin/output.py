@@ -11,8 +11,6 @@ from typing import Any, BinaryIO, Final
 from canskin.errors import InputError
 
 PICTURE_SUFFIXES: Final = (".png", ".svg", ".pdf")
-#: Of a recording of `skin record`; `skin.mcap_file` reads and writes it.
-RECORDING_SUFFIX: Final = ".mcap"
 
 
 def check_picture_path(path: Path) -> None:

@@ -13,7 +13,7 @@ import time
 from types import FrameType
 from typing import Final
 
-from canskin.session import LOG
+from canskin.errors import LOG
 
 #: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1

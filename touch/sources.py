@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
-from skin.output import RECORDING_SUFFIX
+from skin.layout import RECORDING_SUFFIX
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
 from skin.taxel import FORCE_MAX_N

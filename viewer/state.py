@@ -11,7 +11,6 @@ from canskin.peers import Peer, new_peer
 from skin.ground_truth import Pairs, image_pairs, in_contact
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
-from viewer.buses import gateway_state, nodes_state
 from viewer.checks import contacts_fit, image_fits, label_fits, status_fits, truth_fits
 from viewer.notices import display_name, notices
 from viewer.snapshot import (
@@ -26,6 +25,8 @@ from viewer.snapshot import (
     Service,
     Snapshot,
     TruthState,
+    gateway_state,
+    nodes_state,
 )
 from viewer.window import Window
 

@@ -211,7 +211,7 @@ class _Board:
         """
         noise_n = np.float32(NOISE_N / averaged**0.5)
         read_n = force_n + noise_n * random.standard_normal(force_n.shape, np.float32)
-        sums_n = self._model.sums_n(self._phi, read_n, random, change_n_per_s=change_n_per_s)
+        sums_n = self._model.sums_n(read_n, random, change_n_per_s=change_n_per_s)
         if self._converter is None:
             return sums_n
         counts = self._converter.counts(sums_n)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from canskin.description import Description
+from canskin.errors import LOG
 from canskin.messages import Contact, Contacts, Image, Label, Measurement
-from canskin.session import LOG
 
 ROWS, COLUMNS, BLOCKS = 4, 4, 2
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from skin.names import split_names
+from skin.sources import split_names
 
 
 @pytest.mark.parametrize("given", [["cup,ring"], ["cup", "ring"], ["cup, ring,", "cup"]])

@@ -1,7 +1,7 @@
 """The newest messages wait, and no others."""
 
 from canskin.messages import Label
-from skin.newest import Newest
+from viewer.arrivals import Newest
 
 
 def label(text: str) -> Label:
