@@ -77,21 +77,14 @@ class Translator:
             Contacts: self._contacts,
             Label: self._label,
         }
-        self._takes: Mapping[type, Callable[[Any, float], bool]] = {
-            Image: state.take_image,
-            Contacts: state.take_contacts,
-            Label: state.take_label,
-            GATEWAY.message: state.take_gateway,
-        }
 
     def take(self, message: msgspec.Struct, now_s: float) -> Iterator[Draft]:
         """Use a message of a topic of `SKIN_TOPICS` that came at `now_s`; return what goes out because of it."""
         if isinstance(message, Clocks):
             self._wall.take(message)
             return iter(())
-        fits = self._takes[type(message)](message, now_s)
         make = self._drafts.get(type(message))
-        return make(message) if make and fits else iter(())
+        return make(message) if self._state.take(message, now_s) and make else iter(())
 
     def diagnostics(self, now_s: float, time_ns: int, undecodable: int = 0) -> Any:
         """Return the state of the skin at `now_s`; `undecodable` messages count as ignored."""

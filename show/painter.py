@@ -77,16 +77,18 @@ class Painter:
 
     def take(self, message: msgspec.Struct, now_s: float, time_ns: int) -> None:
         """Draw a message of a topic of `TOPICS`; the clocks say when it came, and `time_ns` is of the wall."""
+        if not isinstance(message, Clocks) and not self._state.take(message, now_s):
+            return
         match message:
             case Clocks():
                 self._wall.take(message)
-            case Image() if self._state.take_image(message, now_s):
+            case Image():
                 self._image(message)
-            case Contacts() if self._state.take_contacts(message, now_s):
+            case Contacts():
                 self._contacts(message, now_s)
-            case Label() if self._state.take_label(message, now_s):
+            case Label():
                 self._name(message)
-            case GatewayStatus() if self._state.take_gateway(message, now_s):
+            case GatewayStatus():
                 for bus in message.buses:
                     self._canvas.figure(time_ns, f"load/{bus.name}", bus.load_ratio)
 

@@ -12,7 +12,7 @@ from canskin.errors import UNDECODABLE, InputError, tell
 from canskin.messages import MEASUREMENT, Measurement
 from skin.defects import SumGains
 from skin.layout import RECORDING_SUFFIX, Layout
-from skin.mcap_file import CALIBRATION_FILE, message_decoder, newest_file, read_entries
+from skin.mcap_file import CALIBRATION_FILE, newest_file, read_messages
 from skin.measured_sums import check_measurement
 
 #: No gain is stored that is not between these.
@@ -160,10 +160,8 @@ def _recorded(path: Path, layout: Layout, *, is_shown: bool) -> StoredCalibratio
     content = newest_file(path, CALIBRATION_FILE)
     attached = None if content is None else parse_calibration(content, layout, str(path), is_shown=is_shown)
     newest: Measurement | None = None
-    decode = message_decoder(path, MEASUREMENT)
-    for entry in read_entries(path, lambda line: tell("calibration", line)):
-        if entry.topic == MEASUREMENT.name:
-            newest = decode(entry.data)
+    for read in read_messages(path, [MEASUREMENT], lambda line: tell("calibration", line)):
+        newest = read.message
     if newest is None or not newest.offsets:
         if attached is None:
             raise InputError(f"{path}: the recorded gateway had no calibration")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from canskin.errors import InputError
-from tests.client.test_connection import Chain
+from tests.client.helpers import Chain
 
 ROOT = Path(__file__).parents[2]
 GUIDE = (ROOT / "docs/client.md").read_text()

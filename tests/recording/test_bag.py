@@ -14,10 +14,8 @@ from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
 from tests.recording.conftest import OFFSET_NS
-from tests.recording.test_export import COUNT, SET_NS, pixels, run
+from tests.recording.helpers import COUNT, SET_NS, pixels
 from tests.ros2 import reader
-
-__all__ = ["run"]
 
 
 @pytest.fixture

@@ -8,72 +8,15 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement
+from canskin.messages import LABEL
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
 from tests.recording.conftest import OFFSET_NS
+from tests.recording.helpers import COUNT, SET_NS, pixels
 from touch.sources import recording
-
-COUNT = 4
-#: The wall clock is set by so much during cycle 2.
-SET_NS = 7_000
-
-
-def pixels(cycle: int) -> np.ndarray:
-    return np.arange(256, dtype="<f4").reshape(16, 16) * cycle * 1e-5
-
-
-@pytest.fixture
-def run(contract: Contract, out: Path) -> Path:
-    sink = McapSink(out, contract, 1, OFFSET_NS)
-    for cycle in range(1, COUNT + 1):
-        stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10, "sampled_error_ns": cycle}
-        valid = bytes([cycle > 1] * 16)
-        contact = Contact(
-            identity=3,
-            row=1.5,
-            column=2.5,
-            force_n=0.25,
-            peak_n=0.1,
-            taxels=4,
-            top=1,
-            bottom=2,
-            left=2,
-            right=3,
-            onset_mono_ns=10,
-        )
-        for topic, message in (
-            (
-                MEASUREMENT,
-                Measurement(
-                    **stamps,
-                    usable=b"\1" * 5 + b"\0" + b"\1" * (128 - 6) if cycle == 2 else b"",
-                    sums=np.full(128, cycle, "<i4").tobytes(),
-                    valid=valid,
-                    fingerprint=contract.phi.fingerprint,
-                    wall_offset_ns=OFFSET_NS + SET_NS * (cycle > 2),
-                ),
-            ),
-            (
-                IMAGE,
-                Image(
-                    **stamps,
-                    published_mono_ns=0,
-                    pixels=pixels(cycle).tobytes(),
-                    valid=valid,
-                    valid_sums=7,
-                    solve_s=0.0,
-                ),
-            ),
-            (CONTACTS, Contacts(**stamps, contacts=[contact] * (cycle == 2), ended=[], find_s=0.0)),
-            (LABEL, Label(**stamps, label="cup", confidence=0.5, valid_sums=7)),
-        ):
-            sink.message(topic, cycle, msgspec.msgpack.encode(message))
-    sink.close()
-    return out
 
 
 def test_npz(run: Path, contract: Contract) -> None:

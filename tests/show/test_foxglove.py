@@ -24,7 +24,7 @@ from show.target import Address
 from skin.service import StopSignal
 from skin.wall_times import CLOCKS, Clocks
 from tests.recording.conftest import OFFSET_NS
-from tests.recording.test_export import COUNT, SET_NS, pixels
+from tests.recording.helpers import COUNT, SET_NS, pixels
 from tests.viewer.conftest import Messages
 
 

@@ -24,7 +24,7 @@ def state(messages: Any) -> ViewState:
 def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -> None:
     latencies_s = np.linspace(0.004, 0.012, 300)
     for cycle, latency_s in enumerate(latencies_s, 1):
-        state.take_image(messages.image(cycle, sync_s=cycle / 100, latency_s=latency_s), cycle / 100)
+        state.take(messages.image(cycle, sync_s=cycle / 100, latency_s=latency_s), cycle / 100)
     figures = state.snapshot(3.0)[0].figures
     assert figures.images_hz == pytest.approx(100, rel=0.02)
     assert figures.latency_p50_s == pytest.approx(np.percentile(latencies_s, 50), abs=1e-6)
@@ -35,7 +35,7 @@ def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -
 
 def test_images_of_which_nothing_was_measured_have_no_rate(state: ViewState, messages: Any) -> None:
     for cycle in range(1, 101):
-        state.take_image(messages.image(cycle, invalid=tuple(range(8))), cycle / 100)
+        state.take(messages.image(cycle, invalid=tuple(range(8))), cycle / 100)
     figures = state.snapshot(1.0)[0].figures
     assert (figures.images_hz, figures.latency_p50_s, figures.valid_blocks) == (0.0, None, 0)
 
@@ -45,8 +45,8 @@ def test_psnr_is_that_of_the_same_cycle(state: ViewState, messages: Any, truth_f
     true = messages.grid(0.01)
     sensor, pixels = true + np.float32(0.002), true + np.float32(0.001)
     takes: list[Callable[[], None]] = [
-        lambda: state.take_truth(messages.truth(3, true=true, sensor=sensor), 1.0),
-        lambda: state.take_image(messages.image(3, pixels=pixels), 1.0),
+        lambda: state.take(messages.truth(3, true=true, sensor=sensor), 1.0),
+        lambda: state.take(messages.image(3, pixels=pixels), 1.0),
     ]
     for take in takes if truth_first else reversed(takes):
         take()
@@ -57,8 +57,8 @@ def test_psnr_is_that_of_the_same_cycle(state: ViewState, messages: Any, truth_f
 
 
 def test_same_counter_one_round_later_is_another_cycle(state: ViewState, messages: Any) -> None:
-    state.take_truth(messages.truth(3, sync_s=1.0), 1.0)
-    state.take_image(messages.image(243, sync_s=3.4), 3.4)
+    state.take(messages.truth(3, sync_s=1.0), 1.0)
+    state.take(messages.image(243, sync_s=3.4), 3.4)
     snapshot, _ = state.snapshot(3.4)
     assert snapshot.figures.psnr_image_db is None
     assert snapshot.truth is not None
@@ -66,35 +66,35 @@ def test_same_counter_one_round_later_is_another_cycle(state: ViewState, message
 
 
 def test_psnr_leaves_out_cycles_without_contact(state: ViewState, messages: Any) -> None:
-    state.take_truth(messages.truth(1, true=messages.grid(0.001)), 1.0)
-    state.take_image(messages.image(1), 1.0)
+    state.take(messages.truth(1, true=messages.grid(0.001)), 1.0)
+    state.take(messages.image(1), 1.0)
     assert state.snapshot(1.0)[0].figures.psnr_image_db is None
 
 
 def test_truth_shown_is_that_of_the_image_while_images_come(state: ViewState, messages: Any) -> None:
-    state.take_truth(messages.truth(1, true=messages.grid(0.005)), 1.0)
-    state.take_image(messages.image(1), 1.0)
-    state.take_truth(messages.truth(2, sync_s=1.01, true=messages.grid(0.015)), 1.01)
+    state.take(messages.truth(1, true=messages.grid(0.005)), 1.0)
+    state.take(messages.image(1), 1.0)
+    state.take(messages.truth(2, sync_s=1.01, true=messages.grid(0.015)), 1.01)
     snapshot, pictures = state.snapshot(1.1)
     assert snapshot.truth is not None
     assert (snapshot.truth.step, snapshot.truth.of_image, snapshot.truth.label) == (1, True, "golf-ball")
     np.testing.assert_array_equal(pictures.true, messages.grid(0.005))
-    state.take_truth(messages.truth(3, sync_s=2.0), 2.0)
+    state.take(messages.truth(3, sync_s=2.0), 2.0)
     snapshot, _ = state.snapshot(2.1)
     assert snapshot.truth is not None
     assert (snapshot.truth.step, snapshot.truth.of_image, snapshot.truth.stale) == (3, False, False)
 
 
 def test_truth_of_the_image_is_shown_until_the_image_is_half_a_second_old(state: ViewState, messages: Any) -> None:
-    state.take_truth(messages.truth(1), 1.0)
-    state.take_image(messages.image(1), 1.0)
-    state.take_truth(messages.truth(2, sync_s=1.25), 1.25)
+    state.take(messages.truth(1), 1.0)
+    state.take(messages.image(1), 1.0)
+    state.take(messages.truth(2, sync_s=1.25), 1.25)
     shown = [state.snapshot(now_s)[0].truth for now_s in (1.5, 1.50001)]
     assert [truth and truth.step for truth in shown] == [1, 2]
 
 
 def test_truth_goes_stale_and_then_away(state: ViewState, messages: Any) -> None:
-    state.take_truth(messages.truth(1), 1.0)
+    state.take(messages.truth(1), 1.0)
     snapshot, pictures = state.snapshot(2.0)
     assert snapshot.truth is not None
     assert snapshot.truth.stale
@@ -160,6 +160,6 @@ def test_sensor_that_only_rounds_adds_no_noise(state: ViewState, messages: Any) 
     true = messages.grid(0.01)
     step_n = messages.layout.taxels.force_max_n / 1023  # of 10 bits
     for now_s, error_n, adds in ((1.0, 0.0, False), (3.0, 0.49 * step_n, False), (5.0, 2 * step_n, True)):
-        state.take_truth(messages.truth(3, sync_s=now_s, true=true, sensor=true + np.float32(error_n)), now_s)
-        state.take_image(messages.image(3, sync_s=now_s), now_s)
+        state.take(messages.truth(3, sync_s=now_s, true=true, sensor=true + np.float32(error_n)), now_s)
+        state.take(messages.image(3, sync_s=now_s), now_s)
         assert state.snapshot(now_s + 0.1)[0].figures.sensor_adds_noise is adds
