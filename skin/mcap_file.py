@@ -177,11 +177,6 @@ class RecordingWriter:
         with contextlib.suppress(OSError):
             self._file.close()
 
-    @property
-    def size_bytes(self) -> int:
-        """Bytes in the file so far."""
-        return os.fstat(self._file.fileno()).st_size
-
 
 def read_about(path: Path) -> About:
     """Return what a recording says of itself.
