@@ -2,7 +2,6 @@
 
 import contextlib
 import shlex
-import socket
 import time
 from collections.abc import Collection
 from contextlib import ExitStack
@@ -14,7 +13,7 @@ import msgspec
 from rich.console import Console
 
 from calibration.windows import tare_s
-from canskin.errors import RunError, SkinError
+from canskin.errors import InputError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from canskin.state_messages import IMAGES, ImagesRequest
@@ -26,7 +25,7 @@ from demo.score import Score
 from demo.supervisor import Supervisor
 from skin.layout import Layout
 from skin.psnr import adds_noise
-from skin.service import StopSignal, Talk, say, talks
+from skin.service import StopSignal, Talk, listen, say, talks
 from skin.sources import DEFAULT_OBJECTS, known_objects
 from skin.terminal import print_table, progress
 
@@ -232,16 +231,13 @@ def _page_port(wanted: int | None) -> int:
     """Return the port of the page: the given port, else the default or a free port; 0 means a free port."""
     if wanted is not None:
         return wanted or _free_port()
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", DEFAULT_PORT))
-        except OSError:
-            return _free_port()
+    try:
+        listen("127.0.0.1", DEFAULT_PORT).close()
+    except InputError:
+        return _free_port()
     return DEFAULT_PORT
 
 
 def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    with listen("127.0.0.1", 0) as free:
+        return int(free.getsockname()[1])

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from skin.defects import NO_DEFECTS, Defects, Force, Stage
 from skin.layout import Taxels
+from skin.ranges import require_above_zero
 
 #: Standard deviation of the sensor noise, as in the paper.
 NOISE_N: Final = 1e-3
@@ -163,8 +164,7 @@ class TaxelModel:
         """
         if force_n.ndim != 3:
             raise InputError(f"expected forces of shape (steps, rows, columns), got {force_n.shape}")
-        if not (math.isfinite(period_s) and period_s > 0):
-            raise InputError(f"period_s needs a number above 0: got {period_s}")
+        require_above_zero("period_s", period_s)
         force_n, _ = self.remembered_n(self.damped_n(force_n, period_s), {}, period_s)
         return self.signal_of_moments(force_n, rng, start_s + period_s * np.arange(len(force_n), dtype=np.float64))
 
@@ -269,5 +269,4 @@ def _check(noise_n: float | Force, force_max_n: float) -> None:
     smallest, largest = (noise_n, noise_n) if isinstance(noise_n, float) else (np.min(noise_n), np.max(noise_n))
     if not (smallest >= 0 and math.isfinite(largest)):
         raise InputError(f"noise_n needs numbers of 0 or more: got {noise_n}")
-    if not (math.isfinite(force_max_n) and force_max_n > 0):
-        raise InputError(f"force_max_n needs a number above 0: got {force_max_n}")
+    require_above_zero("force_max_n", force_max_n)

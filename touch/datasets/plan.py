@@ -13,6 +13,7 @@ import numpy as np
 
 from canskin.errors import InputError
 from skin.defects import KINDS, Stage, option_name
+from skin.ranges import require_number
 from skin.taxel import TaxelModel
 from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
 from touch.coarse_arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of
@@ -85,7 +86,7 @@ def plan_acquisition(
     InputError
         If a name or a number cannot be used.
     """
-    _check_seed(seed)
+    require_number("seed", seed)
     listed = tuple(ACQUISITION_OBJECTS) if names is None else checked_names(names)
     taken = range(*trajectory_range(speed, steps))
     tasks = []
@@ -134,7 +135,7 @@ def plan_classification(
     InputError
         If a name or a number cannot be used.
     """
-    _check_seed(seed)
+    require_number("seed", seed)
     if not model.defects.stages.keys().isdisjoint(_IN_TIME):
         unseen = " and ".join(option_name(name) for name, kind in DEFECTS.items() if kind.stage in _IN_TIME)
         raise InputError(f"observations are single moments: {unseen} need a trajectory, leave them out")
@@ -226,8 +227,3 @@ def _settings(seed: int, model: TaxelModel) -> dict[str, Any]:
         is_drawn = KINDS[name].stream is not None
         defects[name] = {KINDS[name].amount: defect.amount} | ({"seed": defect.seed} if is_drawn else {})
     return {"seed": seed, "noise_n": model.noise_n, "force_max_n": model.force_max_n, **defects}
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
