@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, auto
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -115,17 +115,6 @@ class Case(NamedTuple):
         return np.sort(self.random.choice(count, chosen, replace=False))
 
 
-def _damper(case: Case) -> Callable[[Force, float], Force]:
-    """Add damping x speed of compression: at most down to a force of 0. The speed at the first moment is 0."""
-
-    def damped(force_n: Force, period_s: float) -> Force:
-        compression_m = force_n / np.float32(STIFFNESS_N_PER_M)
-        speed = np.diff(compression_m, axis=0, prepend=compression_m[:1]) / np.float32(period_s)
-        return np.maximum(force_n + np.float32(case.amount) * speed, np.float32(0.0))
-
-    return damped
-
-
 def creep(ratio: float, force_n: Force, memory_n: Force | float, period_s: float) -> tuple[Force, Force]:
     """Return the readings of taxels that yield under force and need time to recover, and their memory at the end.
 
@@ -155,7 +144,26 @@ def creep(ratio: float, force_n: Force, memory_n: Force | float, period_s: float
     return readings_n, memory
 
 
+def _damper(case: Case) -> Callable[[Force, float], Force]:
+    """Damping beside each spring, N s/m."""
+
+    def damped(force_n: Force, period_s: float) -> Force:
+        """Add damping x speed of compression, at most down to a force of 0; the speed at the first moment is 0."""
+        compression_m = force_n / np.float32(STIFFNESS_N_PER_M)
+        speed = np.diff(compression_m, axis=0, prepend=compression_m[:1]) / np.float32(period_s)
+        return np.maximum(force_n + np.float32(case.amount) * speed, np.float32(0.0))
+
+    return damped
+
+
+def _creep(case: Case) -> Callable[[Force, Force | float, float], tuple[Force, Force]]:
+    """Part of a force by which its reading creeps up, and by which the zero is low after it."""
+    return partial(creep, case.amount)
+
+
 def _cross_talk(case: Case) -> Callable[[Force], Force]:
+    """Fraction of the force of each of the four neighbours that a taxel reads in addition."""
+
     def mixed(force_n: Force) -> Force:
         mixed_n = force_n.copy()
         part = np.float32(case.amount) * force_n
@@ -169,27 +177,62 @@ def _cross_talk(case: Case) -> Callable[[Force], Force]:
 
 
 def _gain_spread(case: Case) -> Callable[[Force], Force]:
+    """Standard deviation of the gains around 1."""
     gains = np.maximum(case.normal(1.0), 0.0).astype(np.float32)
     return lambda force_n: force_n * gains
 
 
 def _offset(case: Case) -> Force:
+    """Largest offset / range; the offsets are uniform from 0 to that."""
     return case.random.uniform(0.0, case.amount * case.force_max_n, case.shape).astype(np.float32)
 
 
 def _drift(case: Case) -> Callable[[npt.NDArray[np.float64]], Force]:
+    """Standard deviation of the drift of the zero point, N/s."""
     rates_n_per_s = case.normal(0.0)
     return lambda time_s: np.multiply.outer(time_s, rates_n_per_s).astype(np.float32)
 
 
+def _noisy(case: Case) -> tuple[npt.NDArray[np.intp], float]:
+    """Fraction of the taxels whose noise has a standard deviation of a quarter of the range."""
+    return case.chosen(), NOISY_RATIO * case.force_max_n
+
+
 def _stuck(case: Case) -> tuple[npt.NDArray[np.intp], Force]:
+    """Fraction of the taxels that always read one value of the range."""
     chosen = case.chosen()
     return chosen, case.random.uniform(0.0, case.force_max_n, chosen.size).astype(np.float32)
 
 
+def _saturated(case: Case) -> tuple[npt.NDArray[np.intp], float]:
+    """Fraction of the taxels that always read the end of the range."""
+    return case.chosen(), case.force_max_n
+
+
+def _dead(case: Case) -> tuple[npt.NDArray[np.intp], float]:
+    """Fraction of the taxels that always read 0."""
+    return case.chosen(), 0.0
+
+
 def _mismatch(case: Case) -> SumGains:
+    """Standard deviation of the gains of the taxels that are added, and of those that are subtracted, around 1."""
     plus, minus = np.maximum(case.normal(1.0, 2, *case.shape), 0.0)
     return SumGains((plus + minus) / 2, (plus - minus) / 2)
+
+
+def _skew(case: Case) -> float:
+    """Time between two sums of a block, s; the first is read at SYNC."""
+    return case.amount
+
+
+def _sum_offset(case: Case) -> Force:
+    """Standard deviation of the offsets of sums, N."""
+    return case.normal(0.0).astype(np.float32)
+
+
+def _sum_noise(case: Case) -> float:
+    """Standard deviation of the noise behind the addition, N."""
+    return case.amount
 
 
 class Kind(NamedTuple):
@@ -198,14 +241,12 @@ class Kind(NamedTuple):
     Attributes
     ----------
     stage : Stage
+    make : callable
+        Returns the effect that the stage expects, of a `Case`; its docstring is the meaning of the amount.
     amount : str
         Name of the amount, with its unit.
     default : float
         Default amount.
-    help : str
-        Meaning of the amount.
-    make : callable
-        Returns the effect that the stage expects, of a `Case`.
     most : float
         Largest amount; the smallest is 0.
     stream : int or None
@@ -213,111 +254,34 @@ class Kind(NamedTuple):
     """
 
     stage: Stage
+    make: Callable[[Case], Any]
     amount: str
     default: float
-    help: str
-    make: Callable[[Case], Any]
     most: float = 1.0
     stream: int | None = None
+
+    @property
+    def help(self) -> str:
+        """The meaning of the amount."""
+        return (self.make.__doc__ or "").strip()
 
 
 #: Kind by name; options write a hyphen for the underscore. Defects of one stage act in this order.
 KINDS: Final = {
-    "damper": Kind(Stage.SPEED, "damping_n_s_per_m", 0.01, "damping beside each spring, N s/m", _damper, most=math.inf),
-    "creep": Kind(
-        Stage.MEMORY,
-        "ratio",
-        0.05,
-        "part of a force by which its reading creeps up, and by which the zero is low after it",
-        lambda case: lambda *moments: creep(case.amount, *moments),
-    ),
-    "cross_talk": Kind(
-        Stage.FORCE,
-        "ratio",
-        0.1,
-        "fraction of the force of each of the four neighbours that a taxel reads in addition",
-        _cross_talk,
-    ),
-    "gain_spread": Kind(
-        Stage.FORCE, "deviation", 0.1, "standard deviation of the gains around 1", _gain_spread, stream=0
-    ),
-    "offset": Kind(
-        Stage.OFFSET, "ratio", 0.13, "largest offset / range; the offsets are uniform from 0 to that", _offset, stream=6
-    ),
-    "drift": Kind(
-        Stage.DRIFT,
-        "deviation_n_per_s",
-        1e-4,
-        "standard deviation of the drift of the zero point, N/s",
-        _drift,
-        most=math.inf,
-        stream=1,
-    ),
-    "noisy": Kind(
-        Stage.NOISE,
-        "ratio",
-        0.01,
-        "fraction of the taxels whose noise has a standard deviation of a quarter of the range",
-        lambda case: (case.chosen(), NOISY_RATIO * case.force_max_n),
-        stream=5,
-    ),
-    "stuck": Kind(
-        Stage.READING,
-        "ratio",
-        0.01,
-        "fraction of the taxels that always read one value of the range",
-        _stuck,
-        stream=2,
-    ),
-    "saturated": Kind(
-        Stage.READING,
-        "ratio",
-        0.01,
-        "fraction of the taxels that always read the end of the range",
-        lambda case: (case.chosen(), case.force_max_n),
-        stream=4,
-    ),
-    "dead": Kind(
-        Stage.READING,
-        "ratio",
-        0.01,
-        "fraction of the taxels that always read 0",
-        lambda case: (case.chosen(), 0.0),
-        stream=3,
-    ),
-    "mismatch": Kind(
-        Stage.SUM_PATHS,
-        "deviation",
-        0.01,
-        "standard deviation of the gains of the taxels that are added, and of those that are subtracted, around 1",
-        _mismatch,
-        stream=7,
-    ),
-    "skew": Kind(
-        Stage.SUM_TIME,
-        "row_s",
-        1e-4,
-        "time between two sums of a block, s; the first is read at SYNC",
-        lambda case: case.amount,
-        most=math.inf,
-    ),
-    "sum_offset": Kind(
-        Stage.SUM_OFFSET,
-        "deviation_n",
-        0.01,
-        "standard deviation of the offsets of sums, N",
-        lambda case: case.normal(0.0).astype(np.float32),
-        most=math.inf,
-        stream=8,
-    ),
-    "sum_noise": Kind(
-        Stage.SUM_NOISE,
-        "deviation_n",
-        0.001,
-        "standard deviation of the noise behind the addition, N",
-        lambda case: case.amount,
-        most=math.inf,
-    ),
+    "damper": Kind(Stage.SPEED, _damper, "damping_n_s_per_m", 0.01, math.inf),
+    "creep": Kind(Stage.MEMORY, _creep, "ratio", 0.05),
+    "cross_talk": Kind(Stage.FORCE, _cross_talk, "ratio", 0.1),
+    "gain_spread": Kind(Stage.FORCE, _gain_spread, "deviation", 0.1, stream=0),
+    "offset": Kind(Stage.OFFSET, _offset, "ratio", 0.13, stream=6),
+    "drift": Kind(Stage.DRIFT, _drift, "deviation_n_per_s", 1e-4, math.inf, stream=1),
+    "noisy": Kind(Stage.NOISE, _noisy, "ratio", 0.01, stream=5),
+    "stuck": Kind(Stage.READING, _stuck, "ratio", 0.01, stream=2),
+    "saturated": Kind(Stage.READING, _saturated, "ratio", 0.01, stream=4),
+    "dead": Kind(Stage.READING, _dead, "ratio", 0.01, stream=3),
+    "mismatch": Kind(Stage.SUM_PATHS, _mismatch, "deviation", 0.01, stream=7),
+    "skew": Kind(Stage.SUM_TIME, _skew, "row_s", 1e-4, math.inf),
+    "sum_offset": Kind(Stage.SUM_OFFSET, _sum_offset, "deviation_n", 0.01, math.inf, stream=8),
+    "sum_noise": Kind(Stage.SUM_NOISE, _sum_noise, "deviation_n", 0.001, math.inf),
 }
 
 

@@ -27,7 +27,7 @@ FullScale = Annotated[
 ArrayNames = Annotated[
     list[str] | None, Parameter(help="Name of an array in the .npz; two arrays are placed side by side.")
 ]
-_KINDS: Final = "; ".join(f"{option_name(name)} ({kind.default:g}), {kind.help}" for name, kind in KINDS.items())
+_KINDS: Final = " ".join(f"{option_name(name)} ({kind.default:g}): {kind.help}" for name, kind in KINDS.items())
 
 
 @Parameter(name="*")
@@ -72,7 +72,7 @@ class TouchOptions:
         list[str],
         Parameter(
             help="Defects, each KIND or KIND=AMOUNT, with the default amount in brackets. Those of sums need"
-            f' taxels.frontend = "analogue". {_KINDS}.'
+            f' taxels.frontend = "analogue". {_KINDS}'
         ),
     ] = field(default_factory=list)
     drift: list[str] = field(default_factory=list)

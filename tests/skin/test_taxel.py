@@ -113,7 +113,8 @@ def test_defects_are_named_with_or_without_an_amount() -> None:
 
 
 def test_the_document_lists_every_kind_and_its_default() -> None:
-    rows = {f"| `{option_name(name)}` | {kind.help} | {kind.default:g} |" for name, kind in KINDS.items()}
+    helps = {name: f"{kind.help[0].lower()}{kind.help[1:].removesuffix('.')}" for name, kind in KINDS.items()}
+    rows = {f"| `{option_name(name)}` | {helps[name]} | {kind.default:g} |" for name, kind in KINDS.items()}
     assert rows <= set(DOCUMENT.read_text(encoding="utf-8").splitlines())
 
 

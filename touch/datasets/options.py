@@ -60,10 +60,7 @@ T = TypeVar("T")
 
 def _with_defects(options: type[T]) -> type[T]:
     """Return the class with an option for each kind of defect that data sets have."""
-    added = [
-        (name, Annotated[float | None, Parameter(help=f"{kind.help[0].upper()}{kind.help[1:]}.")], None)
-        for name, kind in DEFECTS.items()
-    ]
+    added = [(name, Annotated[float | None, Parameter(help=kind.help)], None) for name, kind in DEFECTS.items()]
     made: type[T] = make_dataclass(options.__name__, added, bases=(options,), frozen=True)
     made.__module__, made.__doc__ = options.__module__, options.__doc__
     return made
