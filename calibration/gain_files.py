@@ -9,7 +9,7 @@ from calibration.gains import defects_of, find_gains
 from calibration.windows import Floats
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
-from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, store
+from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, new_calibration
 from skin.frontend import LEAST_FELT
 from skin.layout import RECORDING_SUFFIX, Layout
 from skin.mcap_file import read_messages
@@ -48,7 +48,7 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
             raise InputError(
                 f"{path}: expected {taxels.rows} lines of {taxels.columns} gains from {LEAST_GAIN:g} to {MOST_GAIN:g}"
             )
-        return store(skin, gains=table.ravel())
+        return new_calibration(skin, gains=table.ravel())
     if path.suffix.lower() != RECORDING_SUFFIX:
         raise InputError(f"{path}: expected a recording ({RECORDING_SUFFIX}), or a table of gains (.csv)")
     if force_n is None:
@@ -66,8 +66,8 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
     words = defects_of(found, skin.phi(), taxels.columns)
     if found.sums is not None:
         say("calibration", f"gains of {sums_n.shape[1]} sums")
-        return store(skin, gains=gains, sum_gains=found.sums, defects=words)
-    return store(skin, gains=gains * _gains_before(skin, path, before), defects=words)
+        return new_calibration(skin, gains=gains, sum_gains=found.sums, defects=words)
+    return new_calibration(skin, gains=gains * _gains_before(skin, path, before), defects=words)
 
 
 def _gains_before(skin: Layout, path: Path, before: Path | None) -> Floats:

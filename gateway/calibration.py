@@ -23,8 +23,8 @@ from skin.calibration_file import (
     encoded,
     load_calibration,
     most_offset_n,
+    new_calibration,
     parse_calibration,
-    store,
 )
 from skin.layout import Layout
 from skin.output import write_file
@@ -80,7 +80,7 @@ class GatewayCalibration:
     ) -> None:
         self._contract, self._is_adaptive = contract, contract.layout.sending == "adaptive"
         self._submit, self._tares = submit, tares
-        self._stored = stored or store(contract.layout)
+        self._stored = stored or new_calibration(contract.layout)
         self._keeps, self._keep_at_s, self._could_not_keep = keeps, float("-inf"), False
         self._kept_n, self._now_s = self._stored.sum_offsets_n(), 0.0
         self._calibrator = Calibrator(
@@ -167,7 +167,7 @@ class GatewayCalibration:
 
         def write() -> None:
             try:
-                write_file(path, encoded(store(self._contract.layout, offsets_n=usable_n)))
+                write_file(path, encoded(new_calibration(self._contract.layout, offsets_n=usable_n)))
                 self._could_not_keep = False
             except OSError as error:
                 if not self._could_not_keep:
@@ -305,7 +305,7 @@ class GatewayCalibration:
         status, offsets_n, known = self.status(), self._calibrator.offsets_n, self._stored
 
         def tell() -> None:
-            present = store(self._contract.layout, offsets_n=offsets_n, defects=status.defects)
+            present = new_calibration(self._contract.layout, offsets_n=offsets_n, defects=status.defects)
             whole = msgspec.structs.replace(
                 present,
                 gains=known.gains,

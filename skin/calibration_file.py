@@ -91,7 +91,7 @@ class _Version(msgspec.Struct, frozen=True):
     version: int = 1
 
 
-def store(
+def new_calibration(
     layout: Layout,
     *,
     offsets_n: Floats | None = None,
@@ -167,7 +167,7 @@ def _recorded(path: Path, layout: Layout, *, is_shown: bool) -> StoredCalibratio
             raise InputError(f"{path}: the recorded gateway had no calibration")
         return attached
     check_measurement(newest, layout.phi())
-    found = store(layout, offsets_n=np.frombuffer(newest.offsets, "<i4") * layout.taxels.newton_per_count)
+    found = new_calibration(layout, offsets_n=np.frombuffer(newest.offsets, "<i4") * layout.taxels.newton_per_count)
     return found if attached is None else msgspec.structs.replace(attached, offsets_n=found.offsets_n)
 
 

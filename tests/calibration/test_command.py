@@ -19,11 +19,11 @@ from canskin.calibration_messages import (
 )
 from canskin.errors import BusError, RunError
 from canskin.fabric import Fabric, Reply
-from skin.calibration_file import encoded, load_calibration, parse_calibration, store
+from skin.calibration_file import encoded, load_calibration, new_calibration, parse_calibration
 from skin.command import main
 from tests.calibration.skins import LAYOUT, PHI
 
-STORED = store(LAYOUT, offsets_n=np.linspace(0, 0.1, PHI.shape[0]), gains=np.linspace(0.9, 1.1, PHI.shape[1]))
+STORED = new_calibration(LAYOUT, offsets_n=np.linspace(0, 0.1, PHI.shape[0]), gains=np.linspace(0.9, 1.1, PHI.shape[1]))
 
 
 class Gateway:
@@ -81,7 +81,7 @@ def test_the_calibration_of_a_gateway_is_shown_saved_and_loaded(
 def test_a_gateway_that_refuses_or_has_nothing_fails_the_verb(gateway: Gateway, endpoint: str, tmp_path: Path) -> None:
     path = tmp_path / "it.json"
     path.write_bytes(encoded(STORED))
-    gateway.is_done, gateway.stored = False, store(LAYOUT)
+    gateway.is_done, gateway.stored = False, new_calibration(LAYOUT)
     with pytest.raises(RunError, match="words"):
         calibration("load", path, connect=endpoint)
     with pytest.raises(RunError, match="no calibration yet"):

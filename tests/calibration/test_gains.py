@@ -10,7 +10,7 @@ from calibration.gain_files import stored_gains
 from calibration.gains import Gains, defects_of, find_gains
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
-from skin.calibration_file import StoredCalibration, encoded, load_calibration, store
+from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import parse_layout
@@ -162,7 +162,7 @@ def test_gains_of_a_recording(gains: np.ndarray, tmp_path: Path) -> None:
 def test_gains_of_a_second_roll_multiply_those_of_the_first(
     gains: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    set_ = store(LAYOUT, gains=np.linspace(0.8, 1.2, PHI.shape[1]))
+    set_ = new_calibration(LAYOUT, gains=np.linspace(0.8, 1.2, PHI.shape[1]))
     (tmp_path / "first.json").write_bytes(encoded(set_))
     path = recording(tmp_path / "run.mcap", gains)
     once = np.array(stored_gains(LAYOUT, path, WHOLE_N).gains)
@@ -171,7 +171,7 @@ def test_gains_of_a_second_roll_multiply_those_of_the_first(
     np.testing.assert_allclose(twice.gains, once * set_.gains)
     attached = recording(tmp_path / "attached.mcap", gains, attached=set_)
     np.testing.assert_allclose(stored_gains(LAYOUT, attached, WHOLE_N).gains, twice.gains)
-    (tmp_path / "none.json").write_bytes(encoded(store(LAYOUT, offsets_n=np.zeros(PHI.shape[0]))))
+    (tmp_path / "none.json").write_bytes(encoded(new_calibration(LAYOUT, offsets_n=np.zeros(PHI.shape[0]))))
     with pytest.raises(InputError, match=r"none\.json: has no gains"):
         stored_gains(LAYOUT, path, WHOLE_N, tmp_path / "none.json")
 

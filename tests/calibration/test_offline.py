@@ -11,7 +11,7 @@ from calibration.offline import calibrated_cycles, make_calibrator, measurement_
 from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT
-from skin.calibration_file import encoded, load_calibration, store
+from skin.calibration_file import encoded, load_calibration, new_calibration
 from skin.layout import load_layout
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from tests.calibration.skins import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
@@ -85,8 +85,8 @@ def test_the_attached_calibration_of_a_recording_has_its_newest_offsets(tmp_path
         made = measurement_of(LAYOUT, PHI, 0, np.zeros(PHI.shape[0], np.int32))
         if with_offsets:
             made = msgspec.structs.replace(made, offsets=np.full(PHI.shape[0], 7, "<i4").tobytes())
-        old = store(LAYOUT, offsets_n=np.zeros(PHI.shape[0]))
-        new = store(LAYOUT, offsets_n=np.full(PHI.shape[0], 0.5), gains=gains, defects=["sum 3 is stuck"])
+        old = new_calibration(LAYOUT, offsets_n=np.zeros(PHI.shape[0]))
+        new = new_calibration(LAYOUT, offsets_n=np.full(PHI.shape[0], 0.5), gains=gains, defects=["sum 3 is stuck"])
         for each in (old, new):
             writer.add_file(File(CALIBRATION_FILE, "application/json", encoded(each)), 1)
             writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
@@ -103,13 +103,13 @@ def test_the_attached_calibration_of_a_recording_has_its_newest_offsets(tmp_path
 
 def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:
     path = tmp_path / "it.json"
-    path.write_bytes(encoded(store(LAYOUT, offsets_n=OFFSETS)))
+    path.write_bytes(encoded(new_calibration(LAYOUT, offsets_n=OFFSETS)))
     assert make_calibrator(LAYOUT, None, "never", "test") is None
     assert make_calibrator(LAYOUT, None, "at-start", "test") is not None
     stored = make_calibrator(LAYOUT, path, "never", "test")
     assert stored is not None
     assert stored.offsets_n == pytest.approx(OFFSETS)
-    path.write_bytes(encoded(store(LAYOUT, gains=np.ones(PHI.shape[1]))))
+    path.write_bytes(encoded(new_calibration(LAYOUT, gains=np.ones(PHI.shape[1]))))
     with pytest.raises(InputError, match=r"it\.json: has no offsets of sums"):
         make_calibrator(LAYOUT, path, "never", "test")
     with pytest.raises(InputError, match="adaptive boards"):

@@ -18,7 +18,7 @@ from canskin.calibration_messages import (
     ZeroSupport,
 )
 from canskin.errors import InputError, RunError
-from skin.calibration_file import StoredCalibration, encoded, store
+from skin.calibration_file import StoredCalibration, encoded, new_calibration
 from skin.defects import SumGains
 from tests.calibration.skins import LAYOUT, PHI
 
@@ -32,7 +32,7 @@ class Gateway:
         self.asked: list[tuple[str, CalibrationRequest, float]] = []
         self.opened: list[tuple[Any, ...]] = []
         self.closed = 0
-        self.stored = store(LAYOUT)
+        self.stored = new_calibration(LAYOUT)
         self.is_done = True
         self.status: CalibrationStatus | None = CalibrationStatus(
             state=CalibrationState.TOUCHED, drift_rms_n_per_s=0.0123, noise_n=0.00456, held_blocks=7
@@ -71,7 +71,9 @@ def of_all() -> StoredCalibration:
     offsets_n[[3, 5]] = 0.07, -0.01
     gains = np.linspace(0.9, 1.1, TAXELS)
     of_sums = SumGains(np.linspace(0.95, 1.05, SUMS), np.linspace(-0.02, 0.03, SUMS))
-    return store(LAYOUT, offsets_n=offsets_n, gains=gains, sum_gains=of_sums, defects=["sum 3 is stuck", "taxel 7"])
+    return new_calibration(
+        LAYOUT, offsets_n=offsets_n, gains=gains, sum_gains=of_sums, defects=["sum 3 is stuck", "taxel 7"]
+    )
 
 
 def test_a_file_is_shown_in_millinewtons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,7 +95,7 @@ def test_a_file_is_shown_in_millinewtons(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_a_file_without_gains_or_offsets_shows_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "it.json").write_bytes(encoded(store(LAYOUT)))
+    (tmp_path / "it.json").write_bytes(encoded(new_calibration(LAYOUT)))
     calibration("show", tmp_path / "it.json")
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["skin", "saved"]
 
@@ -140,7 +142,7 @@ def test_offsets_that_no_sum_can_have_are_shown_saved_and_named_but_not_loaded(
 ) -> None:
     offsets_n = np.full(SUMS, np.nan)
     offsets_n[[2, 7, 9]] = 0.64, 0.65, -7.0
-    gateway.stored, path = store(LAYOUT, offsets_n=offsets_n), tmp_path / "it.json"
+    gateway.stored, path = new_calibration(LAYOUT, offsets_n=offsets_n), tmp_path / "it.json"
     named = "2 offsets beyond ±640 mN, first of sum 7: no gateway loads them"
     calibration("show")
     assert shown(capsys)["out of range"] == named
@@ -187,8 +189,8 @@ def test_tare_ends_with_1_without_a_new_zero(
     ("stored", "words"),
     [
         (of_all(), "offsets of 2 of 1024 sums, gains of 4096 taxels, gains of 1024 sums"),
-        (store(LAYOUT, gains=np.ones(TAXELS)), "gains of 4096 taxels"),
-        (store(LAYOUT, offsets_n=np.zeros(SUMS)), "offsets of 1024 of 1024 sums"),
+        (new_calibration(LAYOUT, gains=np.ones(TAXELS)), "gains of 4096 taxels"),
+        (new_calibration(LAYOUT, offsets_n=np.zeros(SUMS)), "offsets of 1024 of 1024 sums"),
     ],
 )
 def test_what_is_saved_is_said(

@@ -11,7 +11,7 @@ from canskin.calibration_messages import CalibrationReply, CalibrationRequest, C
 from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
-from skin.calibration_file import StoredCalibration, encoded, parse_calibration, store
+from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
 from tests.adaptive_messages import LAYOUT as ADAPTIVE
 from tests.adaptive_messages import adaptive_measurement
 from tests.calibration.skins import LAYOUT, Skin, offsets_n, pressed
@@ -47,7 +47,7 @@ class Asked:
 def stored(small: Contract) -> StoredCalibration:
     offsets_n = np.linspace(-1e-3, 1e-3, small.phi.shape[0])
     gains = np.linspace(0.5, 2.0, small.layout.taxels.count)
-    return store(small.layout, offsets_n=offsets_n, gains=gains)
+    return new_calibration(small.layout, offsets_n=offsets_n, gains=gains)
 
 
 def test_stored_offsets_are_in_every_measurement(world: World, stored: StoredCalibration) -> None:
@@ -150,7 +150,7 @@ def test_what_cannot_be_used_is_refused(
 
 def test_nodes_that_make_sums_in_hardware_get_no_gains() -> None:
     world = World(small_contract(taxels='frontend = "analogue"'))
-    wanted = store(world.contract.layout, gains=np.full(world.contract.layout.taxels.count, 1.1))
+    wanted = new_calibration(world.contract.layout, gains=np.full(world.contract.layout.taxels.count, 1.1))
     asked = Asked(world)
     asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
     asked.run(1.0)
@@ -164,7 +164,7 @@ def test_nodes_write_and_store_gains_and_offsets(small: Contract, tmp_path: Path
     taxels = small.layout.taxels
     gains = np.linspace(0.5, 2.0, taxels.count)
     offsets_n = np.linspace(0, 2e-3, taxels.count)
-    wanted = msgspec.structs.replace(store(small.layout, gains=gains), taxel_offsets_n=offsets_n.tolist())
+    wanted = msgspec.structs.replace(new_calibration(small.layout, gains=gains), taxel_offsets_n=offsets_n.tolist())
     asked = Asked(world)
     asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
     asked.run(10.0)
@@ -248,7 +248,7 @@ def test_adaptive_boards_look_after_their_zero() -> None:
     layout = small_adaptive().layout
     calibration = GatewayCalibration(small_adaptive())
     replies: list[CalibrationReply] = []
-    content = encoded(store(layout, offsets_n=np.zeros(layout.measurement.sums)))
+    content = encoded(new_calibration(layout, offsets_n=np.zeros(layout.measurement.sums)))
     calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
     calibration.tick({}, 0.0)
     assert not replies[0].is_done
@@ -302,7 +302,7 @@ def test_the_revision_tells_of_every_load_and_write(
     contract = small_adaptive() if is_adaptive else small
     calibration = GatewayCalibration(contract, tares=False)
     taxels, sums = contract.layout.taxels.count, contract.phi.shape[0]
-    stored = store(contract.layout, offsets_n=np.zeros(sums), gains=np.full(taxels, 1.1))
+    stored = new_calibration(contract.layout, offsets_n=np.zeros(sums), gains=np.full(taxels, 1.1))
     seen = [calibration.status().revision]
     for action in ("write", "write", *(() if is_adaptive else ("load", "load"))):
         request = CalibrationRequest(action=action, content=encoded(stored))  # type: ignore[arg-type]

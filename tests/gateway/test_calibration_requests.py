@@ -11,7 +11,7 @@ from canskin.calibration_messages import CalibrationReply, CalibrationRequest
 from canskin.errors import InputError
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, node_values
-from skin.calibration_file import encoded, parse_calibration, store
+from skin.calibration_file import encoded, new_calibration, parse_calibration
 from tests.gateway.boards import small_adaptive
 from tests.gateway.world import small_contract
 
@@ -54,7 +54,7 @@ def writing(monkeypatch: pytest.MonkeyPatch) -> type[Writing]:
 
 def test_nodes_are_written_to_once_at_a_time(small: Contract, writing: type[Writing]) -> None:
     asked = Asked(small)
-    content = encoded(store(small.layout, gains=np.full(128, 1.1)))
+    content = encoded(new_calibration(small.layout, gains=np.full(128, 1.1)))
     asked.ask(CalibrationRequest(action="write", content=content))
     assert asked.replies == []
     asked.ask(CalibrationRequest(action="write", content=content))
@@ -71,7 +71,7 @@ def test_nodes_are_written_to_once_at_a_time(small: Contract, writing: type[Writ
 def test_what_the_nodes_have_is_told(small: Contract, writing: type[Writing], *, is_complete: bool) -> None:
     """A write of offsets alone leaves the gains."""
     writing.done, writing.is_complete = True, is_complete
-    asked, empty = Asked(small), store(small.layout)
+    asked, empty = Asked(small), new_calibration(small.layout)
     for values in ({"gains": [1.25] * 128}, {"taxel_offsets_n": [0.001] * 128}):
         wanted = msgspec.structs.replace(empty, **values)
         asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
@@ -99,7 +99,7 @@ def test_a_zero_that_is_awaited_counts_as_a_request_that_waits(small: Contract) 
 def test_a_request_may_be_as_long_as_every_number_of_the_skin_needs(small: Contract) -> None:
     """32 bytes for each of 32 sums and for two numbers of each of 128 taxels, and 64 KiB."""
     most = 32 * (32 + 2 * 128) + 65_536
-    asked, content = Asked(small), encoded(store(small.layout, offsets_n=np.zeros(32)))
+    asked, content = Asked(small), encoded(new_calibration(small.layout, offsets_n=np.zeros(32)))
     asked.ask(CalibrationRequest(action="load", content=content.ljust(most)))
     asked.ask(CalibrationRequest(action="load", content=content.ljust(most + 1)))
     assert [(each.is_done, each.text) for each in asked.replies] == [
@@ -121,7 +121,7 @@ def test_show_tells_what_is_in_use(small: Contract) -> None:
 
 def test_show_tells_all_that_was_stored(small: Contract) -> None:
     known = msgspec.structs.replace(
-        store(small.layout, offsets_n=np.full(32, 0.0078125), gains=np.full(128, 1.25)),
+        new_calibration(small.layout, offsets_n=np.full(32, 0.0078125), gains=np.full(128, 1.25)),
         taxel_offsets_n=[0.001] * 128,
     )
     replies: list[CalibrationReply] = []
@@ -167,7 +167,7 @@ def test_answers_are_given_in_another_thread(small: Contract) -> None:
     replies: list[CalibrationReply] = []
     calibration = GatewayCalibration(small, tares=False, submit=aside.append)
     calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
-    content = encoded(store(small.layout, offsets_n=np.zeros(32)))
+    content = encoded(new_calibration(small.layout, offsets_n=np.zeros(32)))
     calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
     for _ in range(2):
         calibration.tick({}, 0.0)
@@ -184,7 +184,7 @@ def test_nodes_undo_gain_and_offset_of_a_taxel() -> None:
     """A taxel reads g f + o; the node takes x / g - o / g, in counts of 1 mN here."""
     skin = small_contract()
     known = msgspec.structs.replace(
-        store(skin.layout, gains=np.full(128, 0.5)), taxel_offsets_n=[0.010] * 64 + [-0.020] * 64
+        new_calibration(skin.layout, gains=np.full(128, 0.5)), taxel_offsets_n=[0.010] * 64 + [-0.020] * 64
     )
     gains, offsets = node_values(known, 0.001)
     assert gains is not None
@@ -198,11 +198,11 @@ def test_nodes_undo_gain_and_offset_of_a_taxel() -> None:
     gains, offsets = node_values(msgspec.structs.replace(known, taxel_offsets_n=[]), 0.001)
     assert gains is not None
     assert (gains.tolist(), offsets) == ([2.0] * 128, None)
-    assert node_values(store(skin.layout), 0.001) == (None, None)
+    assert node_values(new_calibration(skin.layout), 0.001) == (None, None)
 
 
 def test_a_node_holds_offsets_of_sixteen_bits(small: Contract) -> None:
-    known = store(small.layout)
+    known = new_calibration(small.layout)
     held = msgspec.structs.replace(known, taxel_offsets_n=[-32767.0, 32768.0] * 64)
     _, offsets = node_values(held, 1.0)
     assert offsets is not None

@@ -10,14 +10,14 @@ import pytest
 from canskin.calibration_messages import CalibrationRequest
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, kept_zero
-from skin.calibration_file import encoded, load_calibration, store
+from skin.calibration_file import encoded, load_calibration, new_calibration
 
 SUMS = 32
 
 
 def load(calibration: GatewayCalibration, contract: Contract, offset_n: float, now_s: float) -> None:
     """Have the gateway take another zero."""
-    content = encoded(store(contract.layout, offsets_n=np.full(SUMS, offset_n)))
+    content = encoded(new_calibration(contract.layout, offsets_n=np.full(SUMS, offset_n)))
     calibration.ask(CalibrationRequest(action="load", content=content), lambda _: None)
     calibration.tick({}, now_s)
 
@@ -54,7 +54,7 @@ def test_the_zero_is_kept_once_a_minute_and_at_the_end_in_another_thread(small: 
 def test_without_a_file_nothing_is_kept(small: Contract) -> None:
     aside: list[Callable[[], None]] = []
     calibration = GatewayCalibration(
-        small, store(small.layout, offsets_n=np.zeros(SUMS)), tares=False, submit=aside.append
+        small, new_calibration(small.layout, offsets_n=np.zeros(SUMS)), tares=False, submit=aside.append
     )
     calibration.tick({}, 0.0)
     calibration.keep_zero()
@@ -68,8 +68,10 @@ def test_a_new_run_begins_with_the_zero_of_the_run_before_and_does_not_date_it_a
     assert kept_zero(path, small.layout, None) is None
     assert capsys.readouterr().err == ""  # as before the first run
     offsets_n = np.linspace(-0.1, 0.1, SUMS)
-    path.write_bytes(encoded(msgspec.structs.replace(store(small.layout, offsets_n=offsets_n), saved="some day")))
-    named = store(small.layout, gains=np.full(128, 1.25), offsets_n=np.zeros(SUMS))
+    path.write_bytes(
+        encoded(msgspec.structs.replace(new_calibration(small.layout, offsets_n=offsets_n), saved="some day"))
+    )
+    named = new_calibration(small.layout, gains=np.full(128, 1.25), offsets_n=np.zeros(SUMS))
     stored = kept_zero(path, small.layout, named)
     assert capsys.readouterr().err == f"gateway: begins with the zero of some day, from {path}\n"
     assert stored is not None
@@ -85,7 +87,7 @@ def test_a_new_run_begins_with_the_zero_of_the_run_before_and_does_not_date_it_a
 def test_a_damaged_file_is_one_line_and_the_gateway_starts(
     small: Contract, tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, named = tmp_path / "zero.json", store(small.layout, offsets_n=np.zeros(SUMS))
+    path, named = tmp_path / "zero.json", new_calibration(small.layout, offsets_n=np.zeros(SUMS))
     path.write_bytes(content)
     assert kept_zero(path, small.layout, named) is named
     (line,) = capsys.readouterr().err.splitlines()
@@ -96,12 +98,12 @@ def test_a_zero_of_another_skin_or_a_folder_is_one_line(
     small: Contract, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "zero.json"
-    path.write_bytes(encoded(msgspec.structs.replace(store(small.layout), fingerprint="0" * 16)))
+    path.write_bytes(encoded(msgspec.structs.replace(new_calibration(small.layout), fingerprint="0" * 16)))
     for place, said in ((path, "the calibration of another layout"), (tmp_path, "cannot read the calibration")):
         assert kept_zero(place, small.layout, None) is None
         (line,) = capsys.readouterr().err.splitlines()
         assert said in line
-    path.write_bytes(encoded(store(small.layout)))
+    path.write_bytes(encoded(new_calibration(small.layout)))
     assert kept_zero(path, small.layout, None) is None
     assert "has no offsets of sums" in capsys.readouterr().err
 

@@ -21,7 +21,7 @@ from dbc.indices import OD_STATE
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
-from skin.calibration_file import store
+from skin.calibration_file import new_calibration
 from tests.gateway.world import EndOfWire, World, small_contract, valid
 
 #: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.
@@ -268,7 +268,7 @@ def test_database_and_contract_name_the_frames_of_both_states() -> None:
 def test_sums_of_recognition_have_the_offsets_of_theirs(skin: Skin) -> None:
     """The zero is that of all sums; a measurement of recognition teaches nothing about them."""
     offsets_n = np.linspace(-0.01, 0.01, CONTRACT.phi.shape[0])
-    stored = store(CONTRACT.layout, offsets_n=offsets_n)
+    stored = new_calibration(CONTRACT.layout, offsets_n=offsets_n)
     calibration = GatewayCalibration(CONTRACT, stored, tares=False)
     few = skin.run(0.1)[-1]
     told = calibration.apply(few)

@@ -14,7 +14,7 @@ from reconstructor.command import load_gains
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.service import ReconstructorService
-from skin.calibration_file import encoded, store
+from skin.calibration_file import encoded, new_calibration
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import load_layout
@@ -61,13 +61,13 @@ def test_gains_cost_little_when_they_are_known() -> None:
 
 def test_gains_come_from_a_calibration(tmp_path: Path) -> None:
     path = tmp_path / "gains.json"
-    path.write_bytes(encoded(store(LAYOUT, gains=GAINS.ravel())))
+    path.write_bytes(encoded(new_calibration(LAYOUT, gains=GAINS.ravel())))
     loaded = load_gains(path, LAYOUT)
     assert loaded is not None
     np.testing.assert_array_equal(loaded.taxels, GAINS.ravel())
     assert loaded.sums is None
     assert load_gains(None, LAYOUT) is None
-    path.write_bytes(encoded(store(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums))))
+    path.write_bytes(encoded(new_calibration(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums))))
     with pytest.raises(InputError, match="has no gains of taxels"):
         load_gains(path, LAYOUT)
     with pytest.raises(InputError, match="synchronous"):

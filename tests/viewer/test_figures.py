@@ -3,14 +3,11 @@
 from collections.abc import Callable
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canskin.messages import Image, Truth
-from skin.ground_truth import REMEMBERED, Pairing
 from skin.psnr import psnr_db
 from viewer.state import ViewState
 from viewer.window import Window
@@ -105,36 +102,6 @@ def test_truth_goes_stale_and_then_away(state: ViewState, messages: Any) -> None
 
 def test_psnr_of_equal_images_is_finite(messages: Any) -> None:
     assert psnr_db(messages.grid(), messages.grid(), 0.02) == pytest.approx(200)
-
-
-@given(order=st.permutations([(kind, cycle) for kind in ("image", "truth") for cycle in range(1, 9)]))
-def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]) -> None:
-    pairing: Pairing[Image] = Pairing(0.01)
-    pairs: list[int] = []
-    for kind, cycle in order:
-        common: dict[str, Any] = {"sync_counter": cycle, "sampled_mono_ns": cycle * 10_000_000}
-        if kind == "image":
-            rest: dict[str, Any] = {
-                "cycle": cycle,
-                "published_mono_ns": 0,
-                "pixels": b"",
-                "valid": b"",
-                "valid_sums": 0,
-                "solve_s": 0.0,
-            }
-            pairs += [truth.sync_counter for _, truth in pairing.take(Image(**common, **rest))]
-        else:
-            truth = Truth(step=cycle, true=b"", sensor=b"", label="", **common)
-            pairs += [image.cycle for image, _ in pairing.take_truth(truth)]
-    assert sorted(pairs) == list(range(1, 9))
-
-
-def test_pairing_forgets_what_nobody_pairs(messages: Any) -> None:
-    pairing: Pairing[Image] = Pairing(0.01)
-    for counter in range(1000):  # counters no SYNC has
-        pairing.take(msgspec.structs.replace(messages.image(), sync_counter=counter))
-        pairing.take_truth(msgspec.structs.replace(messages.truth(), sync_counter=counter + 5000))
-    assert max(len(pairing._waiting), len(pairing._truths)) == REMEMBERED
 
 
 @given(times=st.lists(st.floats(0, 100), min_size=1, max_size=60), now_s=st.floats(0, 110))
