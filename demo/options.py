@@ -2,27 +2,50 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Final
+
+from cyclopts import Parameter
 
 from canskin.errors import InputError
 from skin.layout import Layout, require_one_state
 from skin.output import check_picture_path
 from skin.service import listen
-from skin.touch_options import TouchOptions
-from touch.objects import checked_names
+from skin.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class DemoOptions:
-    """The options of `demo.command.demo`, with the same names."""
+    """The options of ``skin demo``.
 
-    layout_path: Path | None
-    seconds: float
-    touch: TouchOptions
-    view: bool
-    port: int | None
-    listen: str | None
-    picture: Path
-    firmware: bool = False
+    Attributes
+    ----------
+    layout
+        TOML of the skin; without it the default skin of 64 x 64 taxels on four CAN buses.
+    seconds
+        Time that SYNC runs, seconds.
+    touch
+        What touches the skin. With defects that move the zero the touches begin when the zero has been measured.
+    view
+        ``--no-view`` runs without web page.
+    port
+        Port of the web page, 0 for a free port; default 8765, or a free port if 8765 is in use.
+    listen
+        Endpoint of the fabric's hub, to which other programs can connect; default: a free port of this machine.
+    picture
+        File for the picture of true force, sensor signal, rebuilt image and error.
+    firmware
+        Run the C firmware of the boards in place of nodes in Python, see ``skin nodes``.
+    """
+
+    layout: Path | None = None
+    seconds: float = 20.0
+    touch: TouchOptions = NO_TOUCH_OPTIONS
+    view: bool = True
+    port: int | None = None
+    listen: str | None = None
+    picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png")
+    firmware: Annotated[bool, Parameter(negative=())] = False
 
     def has_zero_errors(self, layout: Layout) -> bool:
         """Tell whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
@@ -50,4 +73,9 @@ class DemoOptions:
         if self.touch.input is not None:
             self.touch.source(layout)  # the nodes will read the recording again
         elif self.touch.names:
+            from touch.objects import checked_names  # compiled parts take a moment to load
+
             checked_names(self.touch.names)
+
+
+DEFAULTS: Final = DemoOptions()

@@ -107,7 +107,7 @@ class Run:
         print_table((), report.rows())
 
     def _common(self, endpoint: str) -> list[str]:
-        layout = ["--layout", str(self._options.layout_path)] if self._options.layout_path else []
+        layout = ["--layout", str(self._options.layout)] if self._options.layout else []
         return [*layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:

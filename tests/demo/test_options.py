@@ -22,10 +22,9 @@ OWN = {each.name for each in fields(DemoOptions)}
 
 def options(folder: Path, **changes: Any) -> DemoOptions:
     """Return options of a run; those that are not of the demo alone are of its touch."""
-    usual: dict[str, Any] = {"layout_path": None, "seconds": 1.0, "view": True, "port": None, "listen": None}
     own = {name: value for name, value in changes.items() if name in OWN}
     touch = TouchOptions(**{name: value for name, value in changes.items() if name not in OWN})
-    return DemoOptions(**(usual | {"touch": touch, "picture": folder / "picture.png"} | own))
+    return DemoOptions(**{"touch": touch, "picture": folder / "picture.png"} | own)
 
 
 @pytest.mark.parametrize(

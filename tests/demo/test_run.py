@@ -16,14 +16,13 @@ from demo.options import DemoOptions
 from demo.run import Run
 from demo.score import Score, Snapshot
 from skin.layout import load_layout
-from skin.touch_options import NO_TOUCH_OPTIONS
 from tests.processes import Processes
 
 LAYOUT = load_layout()
 
 
 def run_with_contact(picture: Path, folder: Path) -> Run:
-    options = DemoOptions(None, 1.0, NO_TOUCH_OPTIONS, view=False, port=None, listen=None, picture=picture)
+    options = DemoOptions(view=False, picture=picture)
     run = Run(LAYOUT, options, folder)
     force_n = np.full((64, 64), 0.01, np.float32)
     run._score.snapshot = Snapshot(force_n, force_n, force_n)
