@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.labels import MIN_VALID_RATIO
+from canskin.messages import MIN_VALID_RATIO
 from classifier.descent import descend
 from classifier.missing import Completion, Factors
 from classifier.model import Model

@@ -21,7 +21,7 @@ from dbc.generate import write_files
 from firmware.adaptive_tables import adaptive_header, adaptive_source
 from firmware.contract_header import contract_header
 from firmware.tables import Build, board_header, board_source, builds
-from skin.cache import cache_folder
+from skin.output import cache_folder
 
 SOURCES: Final = files("firmware").joinpath("c")
 #: Every operation is rounded as it is written.

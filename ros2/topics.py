@@ -6,7 +6,6 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from canskin.labels import is_measured
 from canskin.messages import CONTACTS, GATEWAY, LABEL, Contacts, Image, Label
 from canskin.messages import IMAGE as SKIN_IMAGE
 from ros2 import content
@@ -113,5 +112,5 @@ class Translator:
         yield CONTACT_MARKERS, lambda: content.contact_markers(head, taxels, found)
 
     def _label(self, label: Label) -> Iterator[Draft]:
-        if is_measured(label, self._layout.measurement.sums):
+        if label.is_measured(self._layout.measurement.sums):
             yield LABEL_TEXT, lambda: content.text(label.label)

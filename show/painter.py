@@ -5,7 +5,6 @@ from typing import Final, Protocol
 
 import msgspec
 
-from canskin.labels import is_measured
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, Contact, Contacts, GatewayStatus, Image, Label
 from canskin.peers import Peer
 from skin.layout import Layout
@@ -136,7 +135,7 @@ class Painter:
         time_ns = self._wall.time_ns(label.sampled_mono_ns)
         if time_ns is None:
             return
-        measured = is_measured(label, self._layout.measurement.sums)
+        measured = label.is_measured(self._layout.measurement.sums)
         self._canvas.figure(time_ns, "label_confidence", label.confidence if measured and label.label else 0.0)
         if measured and label.label != self._label:
             self._label = label.label

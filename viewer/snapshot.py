@@ -113,7 +113,7 @@ class LabelState(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     measured : bool
-        False when too few sums were valid for a label; see `canskin.labels.is_measured`.
+        False when too few sums were valid for a label; see `canskin.messages.Label.is_measured`.
     """
 
     label: str

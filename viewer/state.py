@@ -5,7 +5,6 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from canskin.labels import is_measured
 from canskin.messages import (
     CONTACTS,
     GATEWAY,
@@ -244,7 +243,7 @@ class ViewState:
         return LabelState(
             label=label.label,
             confidence=label.confidence,
-            measured=is_measured(label, self._layout.measurement.sums),
+            measured=label.is_measured(self._layout.measurement.sums),
             age_s=now_s - at_s,
             stale=self._is_stale("classifier", at_s, now_s, FRESH_S),
         )

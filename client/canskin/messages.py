@@ -234,6 +234,10 @@ class Contacts(msgspec.Struct, frozen=True, kw_only=True):
 UNKNOWN_OBJECT: Final = "unknown object"
 
 
+#: A label from less than this part of the skin's sums is void; it does not mean that there is no contact.
+MIN_VALID_RATIO: Final = 0.25
+
+
 class Label(msgspec.Struct, frozen=True, kw_only=True):
     """The classifier's result for one cycle.
 
@@ -263,6 +267,13 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
     number: int = 0
     sampled_error_ns: int = UNKNOWN_ERROR_NS
     sums: int = 0
+
+    def is_measured(self, sums: int) -> bool:
+        """Tell whether the label, of a skin with `sums` sums, is based on enough sums.
+
+        The empty label of a dead skin does not mean "no contact".
+        """
+        return not self.blind and self.valid_sums >= MIN_VALID_RATIO * (self.sums or sums)
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):

@@ -2,7 +2,6 @@
 
 import pytest
 
-from canskin.labels import is_measured
 from canskin.messages import Label
 
 
@@ -13,4 +12,4 @@ def test_label_counts_from_a_quarter_of_the_sums_on(valid_sums: int, blind: bool
     label = Label(
         cycle=1, sync_counter=1, sampled_mono_ns=0, label="", confidence=1.0, valid_sums=valid_sums, blind=blind
     )
-    assert is_measured(label, 1024) is counts
+    assert label.is_measured(1024) is counts
